@@ -5,7 +5,7 @@ Each step is a module of its own:
 1. `dataset` and `noise` collect the windows and their measurement noise.
 2. `projection` removes what the model could explain if it were refitted.
 3. `candidates`, `evidence` and `ranking` test every effect of the library and rank it on held-out days.
-4. `forward_selection` selects the best effects beside each other, and `local_effects` those within a scope.
+4. `forward_selection` selects the best effects beside each other; `siblings` finds cars that deviate or change.
 5. `residual_structure` and `free_form` search the remaining residual without the library.
 6. `slices` finds groups of rides with a different bias.
 """
@@ -22,15 +22,15 @@ from core.batch import Floats
 from core.diagnose import residual_structure
 from core.diagnose.add.refit import CoefficientEstimate
 from core.diagnose.add.terms import describe_coefficient
-from core.diagnose.candidates import Candidates, build_candidates
+from core.diagnose.candidates import build_candidates
 from core.diagnose.dataset import Windows, gather_windows
 from core.diagnose.evidence import ClusterSums
 from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectionSettings
 from core.diagnose.free_form.search import Suggestion, suggest_term
-from core.diagnose.local_effects import select_local_effects
 from core.diagnose.projection import BaseProjection
 from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranking
 from core.diagnose.residual_structure import ResidualStructure
+from core.diagnose.siblings.deviations import diagnose_deviations
 from core.diagnose.slices.search import find_slices
 from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
 from core.fit.ride_blocks import get_names, get_numbers
@@ -78,7 +78,7 @@ def diagnose(
         Share of the squared error that an effect must explain on held-out days to be reported. The error is that of
         rides or of windows, whichever falls more. [1]
     places : bool
-        Whether to test effects also within scopes: for one vehicle, or from a date on.
+        Whether to test whether single cars deviate from their siblings, and what changed since a date.
     seed : int
         Seed of the assignment of vehicle-days to folds and halves.
 
@@ -86,7 +86,8 @@ def diagnose(
     -------
     dict
         `model`, `data`, `error`, `slices`, `missing` (best first, each beside the others), `candidates`, `verdict`,
-        `structure_remains`, `structure`, `suggestion`, `suggestion_file`, `steps`. The values are plain Python values;
+        `structure_remains`, `structure`, `suggestion`, `suggestion_file`, `steps`, `deviations` and `cars` (see
+        `core.diagnose.siblings.deviations`). The values are plain Python values;
         an unknown number is NaN or None.
 
     Raises
@@ -107,8 +108,10 @@ def _diagnose(
     selection = ForwardSelection(base, candidates, clusters, SelectionSettings(least_gain, MAX_EFFECTS, seed))
     first = selection.rank()
     selection.select_all()
+    local: dict[str, list[dict[str, Any]]] = {"deviations": [], "cars": []}
     if places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES:
-        select_local_effects(selection, keep_declared_values(build_candidates(seen, model, without, scopes=True)))
+        known = np.column_stack([np.empty((len(seen.measured), 0)), *(named.column for named in selection.selected)])
+        local = diagnose_deviations(selection.base, model, known, without)
     base = selection.base
     missing = selection.list_missing_effects()
     remains = residual_structure.measure_residual_structure(selection, missing)
@@ -134,24 +137,8 @@ def _diagnose(
         "suggestion": None if suggested is None else suggested.formula,
         "suggestion_file": None if suggested is None else suggested.file,
         "steps": _compute_steps(selection, missing, floor),
+        **local,
     }
-
-
-def keep_declared_values(candidates: Candidates) -> Candidates:
-    """Return the candidates whose parameters have their declared values."""
-    kept = [
-        i for i, variant in enumerate(candidates.variants) if variant == candidates.names[int(candidates.effects[i])]
-    ]
-    return Candidates(
-        variants=tuple(candidates.variants[i] for i in kept),
-        effects=np.arange(len(kept), dtype=np.int64),
-        names=tuple(candidates.variants[i] for i in kept),
-        sign=candidates.sign[kept],
-        columns=candidates.columns[:, kept],
-        measured=candidates.measured,
-        scope=candidates.scope,
-        excluded=candidates.excluded,
-    )
 
 
 def _describe_data(seen: Windows) -> dict[str, Any]:

@@ -72,7 +72,46 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
             {"effect": "cold_rolling", "scope": "all", "mae_kwh": 0.048, "noise_floor_kwh": 0.037},
             {"effect": "brake_drag", "scope": "vehicle taxi-003", "mae_kwh": 0.046, "noise_floor_kwh": 0.037},
         ],
+        "deviations": [make_deviation()],
+        "cars": [make_ranked_car("taxi-005", 0.031), make_ranked_car("taxi-002", -0.01)],
     } | changes  # fmt: skip
+
+
+def make_deviation(**changes: Any) -> dict[str, Any]:
+    """Return the entry of a car that uses more since a date."""
+    return {
+        "who": "taxi-005", "of": "car", "kind": "step", "effect": "tyre_pressure",
+        "causes": [
+            {"effect": "tyre_pressure", "probability": 0.52, "shown_by": "drives with loads that differ"},
+            {"effect": "brake_drag", "probability": 0.41, "shown_by": "drives with loads that differ"},
+        ],
+        "q": 0.0002, "z": 6.1, "evidence": 15.2,
+        "coefficient": {
+            "value": 0.0016, "ci95": [0.0011, 0.0021], "unit": "1", "low": 0.0003, "high": 0.006, "plausible": True,
+        },
+        "words": "soft tyres: rolling resistance is higher by 16 ± 5 % of 0.010",
+        "since": "2018-11-14", "since_ci90": ["2018-11-12", "2018-11-16"],
+        "columns": ["effect_tyre_pressure", "vehicle=taxi-005", "since=2018-11-14"],
+        "share": 0.041, "share_ci95": [0.032, 0.05],
+        "kwh_per_km": 0.0062, "kwh_per_km_ci95": [0.0048, 0.0076],
+        "kwh_per_month": 12.1, "kwh_per_month_ci95": [9.4, 14.8],
+        "shifts": [
+            {"start_s": 1.5420e9 + 86_400.0 * day, "share": 0.04 * (day > 8) + 0.002 * day, "error": 0.01,
+             "size": float(day > 8)} for day in range(20)
+        ],
+    } | changes  # fmt: skip
+
+
+def make_ranked_car(car: str, share: float) -> dict[str, Any]:
+    """Return the entry of a car in the ranking."""
+    return {
+        "car": car, "siblings": 3, "evidence": 100.0 * abs(share), "share": share,
+        "share_ci95": [share - 0.02, share + 0.02], "share_spread": 0.024,
+        "spreads": [
+            {"direction": "rolling", "value": 40.0 * share, "error": 0.4},
+            {"direction": "drag", "value": -0.2, "error": 0.8},
+        ],
+    }  # fmt: skip
 
 
 def make_empty_diagnosis() -> dict[str, Any]:
@@ -80,6 +119,6 @@ def make_empty_diagnosis() -> dict[str, Any]:
     whole = make_diagnosis()
     return whole | {
         "slices": [], "missing": [], "verdict": None, "structure_remains": False, "suggestion": None,
-        "suggestion_file": None, "steps": whole["steps"][:1],
+        "suggestion_file": None, "steps": whole["steps"][:1], "deviations": [], "cars": [],
         "structure": {"before": 0.01, "after": 0.01, "taken": None, "least": 0.8, "signs": [], "shapes": []},
     }  # fmt: skip

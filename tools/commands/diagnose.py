@@ -178,9 +178,10 @@ def drop_days(rides: pd.DataFrame, windows: pd.DataFrame, days: tuple[str, ...])
 def insert_commands(
     result: dict[str, Any], model: str, data: Sequence[Path], effect_files: Sequence[Path] = ()
 ) -> None:
-    """Insert into the entry of each missing effect the command that adds it."""
+    """Insert into the entry of each missing effect and deviation that a term can hold the command that adds it."""
     stem = model if model in BUILT_IN_MODELS else str(Path(model).with_suffix(""))
-    for entry in result.get("missing") or ():
+    deviations = [entry for entry in result.get("deviations") or () if entry["columns"]]
+    for entry in [*(result.get("missing") or ()), *deviations]:
         name, scopes = parse_term(entry)
         words = ["socast", "add", name, "--model", model]
         words += [word for path in data for word in ("--data", str(path))]
@@ -233,7 +234,9 @@ def _auto(
     for step in range(1, MAX_STEPS + 1):
         result = _diagnose(model, *development, least_gain)
         page.print_step(result, step, console)
+        deviations = [one for one in result.get("deviations") or () if one["columns"]]
         entry = next((m for m in result.get("missing") or () if m["effect"] == result.get("verdict")), None)
+        entry = entry or next(iter(deviations), None)
         if entry is None:
             break
         name, scopes = parse_term(entry)

@@ -13,7 +13,8 @@ import pytest
 from core import effects
 from core.diagnose.candidates import build_candidates
 from core.diagnose.dataset import LEAST_RIDES, gather_windows
-from core.diagnose.diagnosis import diagnose, keep_declared_values
+from core.diagnose.diagnosis import diagnose
+from core.diagnose.siblings.deviations import keep_declared_values
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
 from core.fit.recipes import fit_to_windows

@@ -11,7 +11,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from core.evaluate.paper.results import to_json_values
-from tools.report.diagnosis import figures, sentences, tables
+from tools.report.diagnosis import deviations, figures, sentences, tables
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, get_mapping
 from tools.report.evaluation.sections import Section
@@ -59,6 +59,9 @@ def show(result: Any, console: Console, *, suggested: str | None = None) -> None
             console,
         )
     _print_missing_effects(values, console)
+    if lines := deviations.describe_deviations(values):
+        print_heading("Cars and changes", console)
+        print_lines(lines, console)
     print_heading("Remaining error", console)
     print_lines([*sentences.describe_remainder(values), *sentences.describe_suggestion(values, suggested)], console)
     print_heading("Next step", console)
@@ -142,6 +145,7 @@ def build_sections(result: Result, suggested: str | None = None) -> list[Section
         Section("error", "Error", " ".join(sentences.describe_error(result)), [tables.tabulate_errors(result)]),
         Section("slices", "Where the model fails", "", [tables.tabulate_slices(result)]),
         Section("missing", "Missing effects", _summarise_missing(result), [tables.tabulate_missing_effects(result)]),
+        Section("cars", "Cars and changes", ". ".join(deviations.describe_deviations(result)), []),
         Section(
             "remains", "Remaining error", _describe_remainder(result, suggested), [tables.tabulate_structure(result)]
         ),

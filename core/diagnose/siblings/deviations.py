@@ -1,0 +1,283 @@
+"""Describe what distinguishes single cars from their siblings, and what changed since when, as plain values.
+
+1. `sums` gathers the sums of products of each shift, with random effects of rides and days removed.
+2. `spread` estimates how much cars differ, without the car under test.
+3. `scan` tests every candidate always, as a step and as a ramp; `search` selects what is significant.
+4. `causes` weighs causes and dates.
+"""
+
+from collections.abc import Collection
+from datetime import UTC, datetime
+from typing import Any, Final
+
+import numpy as np
+from scipy.special import ndtr
+
+from core import effects
+from core.batch import Floats, Ints
+from core.columns import SECONDS_PER_DAY
+from core.diagnose.add.refit import CoefficientEstimate
+from core.diagnose.add.terms import describe_coefficient
+from core.diagnose.candidates import Candidates, build_candidates
+from core.diagnose.projection import BaseProjection
+from core.diagnose.siblings.causes import (
+    average_places,
+    select_credible_range,
+    select_credible_set,
+    weigh_causes,
+    weigh_dates,
+)
+from core.diagnose.siblings.search import Question, Search, find_deviations, make_shift_weights
+from core.diagnose.siblings.spread import SiblingBase, estimate_spread_without
+from core.diagnose.siblings.sums import DIRECTIONS, Siblings, gather_siblings
+from core.models import LinearModel
+from core.models.features import EFFECT_PREFIX, SINCE_SCOPE, VEHICLE_SCOPE
+
+MONTH: Final = 365.25 / 12.0
+"""Length of a month. [days]"""
+NORMAL: Final = 1.96
+"""Half width of a 95 % interval of a normal estimate. [standard errors]"""
+ALL_CARS: Final = "all"
+
+
+def diagnose_deviations(
+    base: BaseProjection, model: LinearModel, known: Floats, without: Collection[str] = ()
+) -> dict[str, list[dict[str, Any]]]:
+    """Return what distinguishes cars from their siblings, what changed, and all cars in order of their deviation.
+
+    Parameters
+    ----------
+    base : BaseProjection
+        Windows, their weights, and the terms of the model.
+    model : LinearModel
+        The model.
+    known : (n, m) float
+        Effects that all cars have beyond the model. [kWh per unit]
+    without : collection of str
+        Effects of the library that are not tested.
+
+    Returns
+    -------
+    dict
+        `deviations` and `cars`, lists of plain values.
+    """
+    candidates = keep_declared_values(build_candidates(base.windows, model, without, scopes=True))
+    groups = gather_siblings(base, candidates, known)
+    found, first = find_deviations(groups, candidates.sign)
+    return {
+        "deviations": [_describe(question, search, candidates) for question, search in found],
+        "cars": rank_cars(first, candidates.sign),
+    }
+
+
+def keep_declared_values(candidates: Candidates) -> Candidates:
+    """Return the candidates whose parameters have their declared values."""
+    names = [candidates.names[i] for i in candidates.effects.tolist()]
+    kept = [i for i, (variant, name) in enumerate(zip(candidates.variants, names, strict=True)) if variant == name]
+    return Candidates(
+        variants=tuple(candidates.variants[i] for i in kept),
+        effects=np.arange(len(kept), dtype=np.int64),
+        names=tuple(candidates.variants[i] for i in kept),
+        sign=candidates.sign[kept],
+        columns=candidates.columns[:, kept],
+        measured=candidates.measured,
+        scope=candidates.scope,
+        excluded=candidates.excluded,
+    )
+
+
+def rank_cars(search: Search, sign: Ints) -> list[dict[str, Any]]:
+    """Return each car with its deviations in spreads between cars, the one with most evidence first.
+
+    Parameters
+    ----------
+    search : Search
+        Tests of all cars.
+    sign : (k,) int64
+        Sign that physics demands of each candidate.
+    """
+    rows = []
+    always = {(q.group, q.car): q for q in search.questions if q.scan.kind == "always"}
+    for (g, car), question in always.items():
+        siblings = search.groups[g]
+        variance = estimate_spread_without(search.groups, g, car)
+        deviations = SiblingBase(siblings, variance).expect_deviations()
+        mean, error = deviations.mean[car], np.sqrt(deviations.variance[car])
+        energy = siblings.direction[siblings.car == car].sum(axis=0) / siblings.measured[siblings.car == car].sum()
+        root = np.sqrt(variance)
+        share = float(energy @ mean)
+        covariance = deviations.covariance[car]
+        evidence = average_places(question.scan, question.scan.compute_evidence(sign))
+        rows.append(
+            {
+                "car": siblings.cars[car],
+                "siblings": len(siblings.cars) - 1,
+                "evidence": float(evidence.max()),
+                "share": share,
+                "share_ci95": _spread_interval(share, float(np.sqrt(energy @ covariance @ energy))),
+                "share_spread": float(np.sqrt(energy**2 @ variance)),
+                "spreads": [
+                    {"direction": name, "value": float(m / r), "error": float(e / r)}
+                    for name, m, e, r in zip(DIRECTIONS, mean, error, root, strict=True)
+                ],
+            }
+        )
+    return sorted(rows, key=lambda row: -row["evidence"])
+
+
+def _spread_interval(value: float, error: float) -> list[float]:
+    """Return the 95 % interval of a normal estimate."""
+    return [value - NORMAL * error, value + NORMAL * error]
+
+
+def _describe(question: Question, search: Search, candidates: Candidates) -> dict[str, Any]:
+    """Return a deviation as plain values."""
+    scan = question.scan
+    evidence = scan.compute_evidence(candidates.sign)
+    causes = weigh_causes(scan, candidates.sign)
+    kept = select_credible_set(causes)
+    dates = weigh_dates(scan, evidence, causes)
+    best = int(kept[0])
+    of_best = weigh_dates(scan, evidence[:, [best]], np.ones(1))
+    estimate, error = _mix(scan.estimate[:, best], scan.information[:, best], of_best)
+    place = int(np.searchsorted(np.cumsum(dates), 0.5))
+    unit = float(scan.unit[:, best] @ of_best)
+    effect = effects.get(candidates.variants[best])
+    who = ALL_CARS if question.car < 0 else search.groups[question.group].cars[question.car]
+    out: dict[str, Any] = {
+        "who": who,
+        "of": "all" if question.car < 0 else "car",
+        "kind": scan.kind,
+        "effect": candidates.names[best],
+        "causes": [
+            {
+                "effect": candidates.names[i],
+                "probability": float(causes[i]),
+                "shown_by": effects.get(candidates.names[i]).shown_by,
+            }
+            for i in kept.tolist()
+        ],
+        "q": float(question.q.min()),
+        "z": float(scan.z.ravel()[np.abs(scan.z).argmax()]),
+        "evidence": float(average_places(scan, evidence).max()),
+        "coefficient": describe_coefficient(effect, CoefficientEstimate(unit * estimate, unit * error, np.inf)),
+        "words": effect.in_words(unit * estimate, NORMAL * unit * error),
+        "since": None,
+        "since_ci90": None,
+        "columns": [f"{EFFECT_PREFIX}{candidates.variants[best]}"],
+    }
+    if question.car >= 0:
+        out["columns"].append(f"{VEHICLE_SCOPE}{who}")
+    if scan.kind != "always":
+        low, high = select_credible_range(dates)
+        out["since"] = _format_date(scan.begin[place])
+        out["since_ci90"] = [_format_date(scan.after[low]), _format_date(scan.begin[high])]
+        out["columns"] = [*out["columns"], f"{SINCE_SCOPE}{out['since']}"] if scan.kind == "step" else []
+    return out | _describe_size(question, search, (causes, dates), evidence) | _trace(question, search, best, place)
+
+
+def _mix(estimate: Floats, information: Floats, weight: Floats) -> tuple[float, float]:
+    """Return mean and standard deviation of estimates at several dates, each with a probability."""
+    known = (information > 0.0) & (weight > 0.0)
+    estimate, variance, weight = estimate[known], 1.0 / information[known], weight[known] / weight[known].sum()
+    mean = float(weight @ estimate)
+    return mean, float(np.sqrt(weight @ (variance + (estimate - mean) ** 2)))
+
+
+def _describe_size(
+    question: Question, search: Search, weights: tuple[Floats, Floats], evidence: Floats
+) -> dict[str, Any]:
+    """Return the net energy of a deviation: as a share, per km and per month, averaged over causes and dates."""
+    scan, (causes, _) = question.scan, weights
+    groups = search.groups if question.group < 0 else [search.groups[question.group]]
+    shares, errors, chances = [], [], []
+    for cause in np.flatnonzero(causes > 0.01 * causes.max()).tolist():
+        dates = weigh_dates(scan, evidence[:, [cause]], np.ones(1))
+        for place in np.flatnonzero(dates > 0.001).tolist():
+            net, measured, distance, days = _sum_scope(groups, question, cause, place)
+            if scan.information[place, cause] <= 0.0:
+                continue
+            unit = scan.unit[place, cause]
+            size = np.array([net / measured, net / max(distance, 1e-9), net / days * MONTH]) * unit
+            if scan.kind == "ramp":
+                whole = net / max(float(_sum_scope(groups, question, cause, place, full=True)[0]), 1e-300)
+                size = np.append(size, size[0] / whole * MONTH * SECONDS_PER_DAY / (scan.end - scan.begin[place]))
+            shares.append(size * scan.estimate[place, cause])
+            errors.append(size / np.sqrt(scan.information[place, cause]))
+            chances.append(causes[cause] * dates[place])
+    names = ("share", "kwh_per_km", "kwh_per_month", "share_per_month")
+    out: dict[str, Any] = {}
+    for name, value, error in zip(names, np.array(shares).T, np.abs(np.array(errors)).T, strict=False):
+        low, middle, high = compute_mixed_quantiles(value, error, np.array(chances))
+        out |= {name: middle, f"{name}_ci95": [low, high]}
+    return out
+
+
+def compute_mixed_quantiles(
+    mean: Floats, error: Floats, weight: Floats, levels: tuple[float, ...] = (0.025, 0.5, 0.975)
+) -> list[float]:
+    """Return quantiles of a mixture of normal distributions.
+
+    Parameters
+    ----------
+    mean, error, weight : (n,) float
+        Mean, standard deviation and weight of each.
+    levels : tuple of float
+        Probabilities of the quantiles.
+
+    Examples
+    --------
+    >>> [round(q, 2) for q in compute_mixed_quantiles(np.ones(2), np.ones(2), np.ones(2))]
+    [-0.96, 1.0, 2.96]
+    """
+    share = weight / weight.sum()
+    width = 6.0 * np.maximum(error, 1e-300)
+    low, high = np.full(len(levels), (mean - width).min()), np.full(len(levels), (mean + width).max())
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        below = ndtr((middle[:, np.newaxis] - mean) / np.maximum(error, 1e-300)) @ share < np.array(levels)
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return [float(value) for value in 0.5 * (low + high)]
+
+
+def _sum_scope(
+    groups: list[Siblings], question: Question, cause: int, place: int, *, full: bool = False
+) -> tuple[float, float, float, float]:
+    """Return net energy per unit [kWh], measured energy [kWh], distance [km] and days within a scope."""
+    net = measured = distance = 0.0
+    days = 1.0
+    for siblings in groups:
+        weight = make_shift_weights(siblings, question, place)
+        there = weight > 0.0
+        net += float((there if full else weight) @ siblings.net[:, cause])
+        measured += float(siblings.measured[there].sum())
+        distance += float(siblings.distance[there].sum())
+        if there.any():
+            days = max(days, float(np.ptp(siblings.start[there])) / SECONDS_PER_DAY)
+    return net, measured, distance, days
+
+
+def _trace(question: Question, search: Search, cause: int, place: int) -> dict[str, Any]:
+    """Return the size of a cause in each shift, estimated from this shift alone, for a figure."""
+    if question.car < 0:
+        return {"shifts": []}
+    siblings = search.groups[question.group]
+    base = SiblingBase(siblings, search.spread)
+    score, information = base.estimate_shifts(question.car, cause)
+    there = np.flatnonzero(siblings.car == question.car)
+    known = (information > 0.0) & (siblings.size[there, cause] > 0.0)
+    unit = np.divide(siblings.net[there, cause], siblings.measured[there])
+    weight = make_shift_weights(siblings, question, place)[there]
+    return {
+        "shifts": [
+            {"start_s": float(start), "share": float(u * b / a), "error": float(abs(u) / np.sqrt(a)), "size": float(w)}
+            for start, u, b, a, w in zip(
+                siblings.start[there][known], unit[known], score[known], information[known], weight[known], strict=True
+            )
+        ]
+    }
+
+
+def _format_date(time: float) -> str:
+    """Return the UTC date of a Unix time."""
+    return datetime.fromtimestamp(float(time), UTC).date().isoformat()

@@ -1,0 +1,233 @@
+"""Estimate how much cars of a model differ, and test effects within one car beside that spread.
+
+The coefficients of car c are β + Σ s_cj d_j with s_cj ~ N(0, σ_j²) in each direction j. The variances σ² are those of
+all other cars, with the expected ones as a prior that counts as `PRIOR_CARS` cars:
+
+    σ_j² = (ν0 σ_0j² + Σ E s_cj²) / (ν0 + n),
+
+by expectation and maximisation. Effects of the library that the model lacks everywhere have random coefficients, too,
+so that what all cars show is not held against one of them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from core.batch import Floats, Ints
+from core.diagnose.siblings.sums import Siblings
+
+PRIOR_CARS: Final = 4.0
+"""Number of cars that the expected spread counts as (ν0)."""
+ROUNDS: Final = 12
+"""Number of steps of expectation and maximisation."""
+EVERYWHERE_SHARE: Final = 0.03
+"""Expected size of an effect that all cars of a model have and the model lacks, as a share of the energy. [1]"""
+RIDGE: Final = 1e-9
+"""Share of the diagonal that is added before a matrix is inverted."""
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """Hold the most probable deviation of each car in each direction.
+
+    Parameters
+    ----------
+    mean : (cars, d) float
+        Deviation in units of the expected spread.
+    covariance : (cars, d, d) float
+        Its covariance.
+    """
+
+    mean: Floats
+    covariance: Floats
+
+    @property
+    def variance(self) -> Floats:
+        """Variance of each deviation, (cars, d)."""
+        return np.asarray(np.diagonal(self.covariance, axis1=1, axis2=2))
+
+
+class Projected(NamedTuple):
+    """Hold products of m columns within one car.
+
+    Parameters
+    ----------
+    score, information : (m,) float
+        Products with the energy and with themselves.
+    beside : (m,) float
+        Products with the same candidate in all shifts of the car.
+    whole, whole_score : (m,) float
+        Products of the latter with itself and with the energy.
+    """
+
+    score: Floats
+    information: Floats
+    beside: Floats
+    whole: Floats
+    whole_score: Floats
+
+    def remove_whole(self) -> tuple[Floats, Floats]:
+        """Return score and information off the same candidate in all shifts of the car."""
+        share = np.divide(self.beside, self.whole, out=np.zeros(len(self.whole)), where=self.whole > 0.0)
+        return self.score - share * self.whole_score, self.information - share * self.beside
+
+
+class SiblingBase:
+    """Project columns off what cars of one model may share, and off the spread between them.
+
+    Parameters
+    ----------
+    siblings : Siblings
+        The cars.
+    variance : (d,) float
+        Variance of cars in each direction, in units of the expected one.
+    own : dict of int to (d,) float, optional
+        Variance of single cars that differs from it.
+    """
+
+    def __init__(self, siblings: Siblings, variance: Floats) -> None:
+        self.siblings, self.variance = siblings, variance
+        at = siblings.places
+        self._d = np.arange(at.directions.start, at.directions.stop)
+        cars = range(len(siblings.cars))
+        self.of_car = np.array([siblings.sums[siblings.car == c].sum(axis=0) for c in cars])
+        inner = np.eye(len(self._d)) + self.of_car[:, self._d][:, :, self._d] * variance
+        inverse = variance[:, np.newaxis] * np.asarray(np.linalg.inv(inner))
+        self.inner = (inverse + np.swapaxes(inverse, 1, 2)) / 2.0
+        self.gain = self.inner @ self.of_car[:, self._d]
+        self.left = self.of_car - np.swapaxes(self.of_car[:, self._d], 1, 2) @ self.gain
+        total = self.left.sum(axis=0)
+        self._x = np.arange(at.base.start, at.base.stop)
+        self._c = np.arange(at.candidates.start, at.candidates.stop)
+        shares = float(siblings.measured.sum()) / np.maximum(siblings.size.sum(axis=0), 1e-300)
+        precise = np.r_[
+            np.zeros(len(self._x)), 1.0 / (EVERYWHERE_SHARE * np.where(siblings.size.any(axis=0), shares, 1.0)) ** 2
+        ]
+        self._shared = np.r_[self._x, self._c]
+        inside = total[np.ix_(self._shared, self._shared)]
+        scale = np.sqrt(np.maximum(np.diag(inside) + precise, 1e-300))
+        matrix = (inside + np.diag(precise)) / np.outer(scale, scale)
+        self.shared_inverse = np.linalg.inv(matrix + RIDGE * np.eye(len(scale))) / np.outer(scale, scale)
+        self.coefficients = self.shared_inverse @ total[self._shared, at.energy]
+        self.total = total
+
+    def expect_deviations(self) -> Deviations:
+        """Return the most probable deviations of all cars."""
+        residual = self._residual
+        beside = self.gain[:, :, self._shared]
+        spread = self.inner + beside @ self.shared_inverse @ np.swapaxes(beside, 1, 2)
+        return Deviations(self.gain @ residual, spread)
+
+    @property
+    def _residual(self) -> Floats:
+        """Coefficients of the columns in the residual, zero for the directions, (q,)."""
+        out = np.zeros(self.of_car.shape[1])
+        out[self._shared], out[-1] = -self.coefficients, 1.0
+        return out
+
+    def estimate_shifts(self, car: int, at: int) -> tuple[Floats, Floats]:
+        """Return the products of a candidate with the residual and with itself in each shift of a car.
+
+        Parameters
+        ----------
+        car : int
+            Index of the car.
+        at : int
+            Candidate.
+
+        Returns
+        -------
+        score, information : (shifts,) float
+            Products.
+        """
+        residual = self._residual
+        residual[self._d] = -(self.gain[car] @ residual)
+        down = self.siblings.places.candidates.start + at
+        rows = self.siblings.sums[self.siblings.car == car][:, down, :]
+        return rows @ residual, rows[:, down]
+
+    def project(self, car: int, rows: Floats, square: Floats, at: Ints) -> Projected:
+        """Return the products of columns within one car off the spread between cars and off what they share.
+
+        Parameters
+        ----------
+        car : int
+            Index of the car.
+        rows : (m, q) float
+            Products of m columns with all columns of the car.
+        square : (m,) float
+            Products with themselves.
+        at : (m,) int64
+            Candidate of which each column is a part.
+        """
+        down = self.siblings.places.candidates.start + at
+        crossed = rows[:, self._d]
+        left = rows - crossed @ self.gain[car]
+        inside = square - np.einsum("md,de,me->m", crossed, self.inner[car], crossed)
+        shared = left[:, self._shared]
+        solved = shared @ self.shared_inverse
+        own = self.left[car][down]
+        whole_solved = own[:, self._shared] @ self.shared_inverse
+        return Projected(
+            score=left[:, -1] - shared @ self.coefficients,
+            information=inside - (solved * shared).sum(axis=1),
+            beside=left[np.arange(len(at)), down] - (solved * own[:, self._shared]).sum(axis=1),
+            whole=own[np.arange(len(at)), down] - (whole_solved * own[:, self._shared]).sum(axis=1),
+            whole_score=own[:, -1] - own[:, self._shared] @ self.coefficients,
+        )
+
+    def project_all(self, weights: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return products of the candidates in all cars, times weights of the shifts, off the base.
+
+        Parameters
+        ----------
+        weights : (m, s) float
+            Weight of each shift.
+
+        Returns
+        -------
+        score, information, square : (m, k) float
+            Products with the energy and with themselves off the base and off the same candidate in all shifts; products
+            with themselves as they are.
+        """
+        siblings = self.siblings
+        candidates = siblings.places.candidates
+        crossed = np.zeros((len(weights), len(self._c), len(self.total)))
+        inside = np.zeros((len(weights), len(self._c)))
+        own = np.diagonal(siblings.sums[:, candidates, candidates], axis1=1, axis2=2)
+        for car in range(len(siblings.cars)):
+            there = siblings.car == car
+            rows = np.tensordot(weights[:, there], siblings.sums[there][:, candidates, :], axes=1)
+            beside = rows[:, :, self._d]
+            crossed += rows - beside @ self.gain[car]
+            inside -= np.einsum("mkd,de,mke->mk", beside, self.inner[car], beside, optimize=True)
+        square = weights**2 @ own
+        shared = crossed[:, :, self._shared]
+        score = crossed[:, :, -1] - shared @ self.coefficients
+        information = square + inside - ((shared @ self.shared_inverse) * shared).sum(axis=2)
+        return score, information, square
+
+
+def estimate_spread(bases: Sequence[Siblings]) -> Floats:
+    """Return the variance between all cars in each direction, in units of the expected one, (d,)."""
+    return _estimate(bases, None)
+
+
+def estimate_spread_without(bases: Sequence[Siblings], group: int, car: int) -> Floats:
+    """Return the variance between all cars but one."""
+    return _estimate(bases, (group, car))
+
+
+def _estimate(groups: Sequence[Siblings], without: tuple[int, int] | None) -> Floats:
+    variance = np.ones(groups[0].places.directions.stop - groups[0].places.directions.start)
+    for _ in range(ROUNDS):
+        square, count = np.zeros(len(variance)), 0
+        for g, siblings in enumerate(groups):
+            found = SiblingBase(siblings, variance).expect_deviations()
+            kept = np.array([(g, c) != without for c in range(len(siblings.cars))])
+            square += (found.mean**2 + found.variance)[kept].sum(axis=0)
+            count += int(kept.sum())
+        variance = (PRIOR_CARS + square) / (PRIOR_CARS + count)
+    return variance

@@ -1,0 +1,88 @@
+"""Test deviations: what one car has, or what began on a date, is found with its car, date and size."""
+
+import numpy as np
+import pytest
+
+from core.diagnose.projection import BaseProjection
+from core.diagnose.siblings.deviations import diagnose_deviations
+from tests.support.synthetic_windows import compute_coefficients, gather_with_model, make_tables, make_windows
+
+SINCE = "since=2018-06-05"
+CAR = "vehicle=taxi-1"
+
+
+def find(shares, *, cars=4, **errors):
+    """Return the deviations and the ranking of synthetic cars with planted effects."""
+    windows, model = gather_with_model(make_tables(make_windows(cars), shares, **({"of_day": 0.01} | errors)))
+    result = diagnose_deviations(BaseProjection(windows, model), model, np.empty((len(windows.measured), 0)))
+    return result["deviations"], result["cars"]
+
+
+def names(deviation):
+    return [cause["effect"] for cause in deviation["causes"]]
+
+
+@pytest.mark.parametrize("effect", ["cornering", "night_lights", "headwind"])
+def test_effect_of_one_car_is_found_in_that_car_always(effect):
+    (only,), cars = find({f"{effect} {CAR}": 0.05})
+    assert (only["who"], only["kind"], only["since"]) == ("taxi-1", "always", None)
+    assert effect in names(only)
+    assert only["columns"] == [f"effect_{only['effect']}", CAR]
+    assert cars[0]["car"] == "taxi-1"
+    if only["effect"] == effect:
+        low, high = only["coefficient"]["ci95"]
+        error = (high - low) / 3.92
+        true = compute_coefficients(make_windows(), {f"{effect} {CAR}": 0.05})[f"{effect} {CAR}"]
+        assert abs(only["coefficient"]["value"] - true) < 3.5 * error
+
+
+@pytest.mark.parametrize("effect", ["tyre_pressure", "standby", "roof_load"])
+def test_effect_that_began_in_all_cars_is_found_with_its_date(effect):
+    """The model has a term of this shape everywhere, which must not exclude a change."""
+    (only,), _ = find({f"{effect} {SINCE}": 0.05})
+    assert (only["who"], only["kind"]) == ("all", "step")
+    assert effect in names(only)
+    first, last = only["since_ci90"]
+    assert first <= SINCE.removeprefix("since=") <= last
+    assert only["share_ci95"][0] < 0.05 < only["share_ci95"][1]
+
+
+def test_effect_that_began_in_one_car_is_found_with_car_and_date():
+    (only,), _ = find({f"roof_load {CAR} {SINCE}": 0.08}, of_day=0.005)
+    assert (only["who"], only["kind"]) == ("taxi-1", "step")
+    assert "roof_load" in names(only)
+    first, last = only["since_ci90"]
+    assert first <= SINCE.removeprefix("since=") <= last
+
+
+def test_causes_of_the_same_shape_are_in_one_credible_set():
+    """Within one car, a constant force and rolling resistance differ only by the number of passengers."""
+    (only,), _ = find({f"brake_drag {CAR} {SINCE}": 0.08}, of_day=0.005)
+    assert {"brake_drag", "tyre_pressure"} <= set(names(only))
+    assert sum(cause["probability"] for cause in only["causes"]) >= 0.9
+
+
+def test_single_car_is_held_against_its_own_past_only():
+    found, cars = find({f"tyre_pressure {SINCE}": 0.15}, cars=1, seed=2)
+    assert [one["kind"] for one in found] == ["step"]
+    assert "tyre_pressure" in names(found[0])
+    assert cars == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_is_found_without_planted_effect(seed):
+    found, cars = find({}, seed=seed, of_day=0.03, of_ride=0.002)
+    assert found == []
+    assert len(cars) == 4
+
+
+def test_two_deviating_cars_are_both_found():
+    found, _ = find({f"night_lights {CAR}": 0.06, "headwind vehicle=taxi-2": 0.06})
+    assert {one["who"] for one in found} == {"taxi-1", "taxi-2"}
+
+
+def test_cars_are_described_in_spreads_with_intervals():
+    _, cars = find({})
+    for car in cars:
+        assert car["share_ci95"][0] < car["share"] < car["share_ci95"][1]
+        assert all(spread["error"] > 0.0 for spread in car["spreads"])
