@@ -8,6 +8,7 @@ Each step is a module of its own:
 4. `forward_selection` selects the best effects beside each other; `siblings` finds cars that deviate or change.
 5. `residual_structure` and `free_form` search the remaining residual without the library.
 6. `slices` finds groups of rides with a different bias.
+7. `error_location` tells between which units (rides, days, cars) the error varies, and by which kind of load.
 """
 
 from collections.abc import Collection
@@ -24,6 +25,7 @@ from core.diagnose.add.refit import CoefficientEstimate
 from core.diagnose.add.terms import describe_coefficient
 from core.diagnose.candidates import build_candidates
 from core.diagnose.dataset import Windows, gather_windows
+from core.diagnose.error_location.locate import locate_error
 from core.diagnose.evidence import ClusterSums
 from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectionSettings
 from core.diagnose.free_form.search import Suggestion, suggest_term
@@ -85,10 +87,10 @@ def diagnose(
     Returns
     -------
     dict
-        `model`, `data`, `error`, `slices`, `missing` (best first, each beside the others), `candidates`, `verdict`,
-        `structure_remains`, `structure`, `suggestion`, `suggestion_file`, `steps`, `deviations` and `cars` (see
-        `core.diagnose.siblings.deviations`). The values are plain Python values;
-        an unknown number is NaN or None.
+        `model`, `data`, `error`, `error_location`, `slices`, `missing` (best first, each beside the others),
+        `candidates`, `verdict`, `structure_remains`, `structure`, `suggestion`, `suggestion_file`, `steps`,
+        `deviations` and `cars` (see `core.diagnose.siblings.deviations`). The values are plain Python values; an
+        unknown number is NaN or None.
 
     Raises
     ------
@@ -104,6 +106,7 @@ def _diagnose(
 ) -> dict[str, Any]:
     """Return the result of `diagnose` for windows."""
     base, candidates = BaseProjection(seen, model), build_candidates(seen, model, without)
+    location = locate_error(seen, base)
     clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]
     selection = ForwardSelection(base, candidates, clusters, SelectionSettings(least_gain, MAX_EFFECTS, seed))
     first = selection.rank()
@@ -128,6 +131,7 @@ def _diagnose(
         },
         "data": _describe_data(seen),
         "error": _describe_error(seen, base, floor),
+        "error_location": location.to_json(),
         "slices": find_slices(seen.rides, seen.by_ride(seen.predicted - seen.measured), seed=seed),
         "missing": [_describe_missing(finding, seen) for finding in missing],
         "candidates": _tabulate_candidates(first, missing),

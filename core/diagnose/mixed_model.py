@@ -20,6 +20,7 @@ Biometrics 38 (1982) 963, DOI 10.2307/2529876: random effects.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -119,6 +120,13 @@ class MixedModel:
         of_groups = sum_units(products[:, self.size :, self.size :], self._levels[0].group)
         self._total = self._assemble(of_groups)
 
+    def keep(self, effects: Sequence[int]) -> "MixedModel":
+        """Return the model with some of the columns of random effects only, which is faster to evaluate."""
+        kept = copy(self)
+        at = np.asarray(effects, dtype=np.int64)
+        kept.size, kept._own, kept._beside = len(at), self._own[:, at][:, :, at], self._beside[:, at]  # noqa: SLF001
+        return kept
+
     def evaluate(self, relative: Floats) -> Criterion:
         """Return the restricted likelihood and its gradient.
 
@@ -167,13 +175,18 @@ class MixedModel:
             above = effects if above is None or level.parent is None else effects + above[level.parent]
         return out[::-1]
 
-    @property
-    def scales(self) -> Floats:
-        """Return the relative variances that are about as large as their standard errors at zero, (levels, s)."""
+    def find_errors(self, relative: Floats) -> Floats:
+        """Return about the standard errors of the relative variances, each as if it were estimated alone, (levels, s).
+
+        Parameters
+        ----------
+        relative : (levels, s) float
+            Relative variances δ.
+        """
         out, own = [], self._own
-        for level in self._levels:
-            square = np.sum(np.diagonal(own, axis1=1, axis2=2) ** 2, axis=0)
-            out.append(1.0 / np.sqrt(0.5 * np.maximum(square, 1e-300)))
+        for level, variance in zip(self._levels, relative, strict=True):
+            sums = _diagonal(own)
+            out.append(1.0 / np.sqrt(0.5 * np.maximum(np.sum((sums / (1.0 + variance * sums)) ** 2, axis=0), 1e-300)))
             if level.parent is not None:
                 own = sum_units(own, level.parent)
         return np.array(out)
@@ -273,6 +286,11 @@ class _Level(NamedTuple):
     edges: Ints
     is_global: bool
     spreads: bool
+
+
+def _diagonal(matrices: Floats) -> Floats:
+    """Return the diagonal of each matrix, (units, s)."""
+    return np.asarray(np.diagonal(matrices, axis1=1, axis2=2))
 
 
 def _nest(levels: Sequence[Ints], group: Ints) -> list[_Level]:

@@ -222,6 +222,22 @@ class BaseProjection:
         ]
         return np.column_stack(blocks)
 
+    def list_columns(self) -> tuple[list[tuple[Rows, Floats]], Floats]:
+        """Return the columns of each car at its windows, and those that cars share, (n, k), not weighted. [kWh]
+
+        Among the latter is time by a smooth function of temperature, also where the model has no accessory curve.
+        """
+        own, pooled = [], []
+        for rows in self.cars:
+            many = len(rows) >= WINDOWS_PER_COLUMN * self._per_car.shape[1]
+            own.append((rows, (self._per_car if many else self._few)[rows]))
+            pooled += [] if many else [rows]
+        n = len(self._per_car)
+        shared = [self._by_kind(self._per_car, np.concatenate(pooled))] if pooled else []
+        shared += [self._by_kind(self._shared, np.arange(n))] if self._shared.shape[1] else []
+        shared += [_placed(_smooth(self.windows, rows), rows, n) for rows in self.kinds.values()]
+        return own, np.column_stack(shared)
+
     @property
     def rank(self) -> int:
         """Number of coefficients that the projection stands for."""

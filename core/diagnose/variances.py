@@ -24,8 +24,12 @@ QUANTILE_95: Final = 3.8415
 """95 % quantile of the chi-squared distribution with one degree of freedom. [1]"""
 ROOT_STEPS: Final = 12
 """Largest number of steps that search one end of an interval."""
-CLOSE: Final = 0.03
+CLOSE: Final = 0.1
 """Difference of the criterion from its target at which the end of an interval is found. [1]"""
+FIRST_STEP: Final = 0.07
+"""First step of that search, over the standard deviation or, if that is larger, its standard error at zero. [1]"""
+FLAT: Final = 0.1
+"""Derivative of the criterion by variances over their standard errors with which the search ends. [1]"""
 MOST_STEPS: Final = 200
 """Largest number of steps of the search for the most probable variances."""
 
@@ -65,16 +69,16 @@ def estimate_variances(model: MixedModel, free: NDArray[np.bool_], start: Floats
     begin = np.zeros(free.shape) if start is None else start.copy()
     if not free.any():
         return Variances(begin, model.evaluate(begin))
-    unit = model.scales[free]
-    first = begin[free] if start is not None else unit
-    size = np.maximum(first, unit)
+    if start is None:
+        begin[free] = model.find_errors(begin)[free]
+    first, size = begin[free], model.find_errors(begin)[free]
 
     def loss(x: Floats) -> tuple[float, Floats]:
         begin[free] = x * size
         at = model.evaluate(begin)
         return at.value, at.gradient[free] * size
 
-    options = {"maxiter": MOST_STEPS, "ftol": 1e-11, "gtol": 1e-3}
+    options = {"maxiter": MOST_STEPS, "ftol": 1e-11, "gtol": FLAT}
     found = minimize(loss, first / size, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(size), options=options)
     begin[free] = found.x * size
     return Variances(begin, model.evaluate(begin))
@@ -114,42 +118,36 @@ def find_interval(
         start[at] = value
         found = estimate_variances(model, others, start)
         state["at"] = found.relative
-        return found.criterion.value - best.criterion.value - rise, found.criterion.scale
+        return found.criterion.value - best.criterion.value, found.criterion.scale
 
-    peak, unit = float(best.relative[at]), float(model.scales[at])
-    low = 0.0
-    if peak > 0.0:
-        beyond, _ = profile(0.0)
-        if beyond > 0.0:
-            value, scale = _find_root(profile, peak, 0.0, beyond, rise)
-            low = float(np.sqrt(value * scale))
-    state["at"] = best.relative
-    far = max(1.5 * peak, unit)
-    for _ in range(ROOT_STEPS):
-        beyond, _ = profile(far)
-        if beyond > 0.0:
-            break
-        far *= 2.0
-    value, scale = _find_root(profile, peak, far, beyond, rise)
-    return low, float(np.sqrt(value * scale))
+    peak = float(np.sqrt(best.relative[at]))
+    step = FIRST_STEP * max(peak, float(np.sqrt(model.find_errors(np.zeros(free.shape))[at])))
+    low, high = _find_end(profile, peak, -step, rise), _find_end(profile, peak, step, rise)
+    return low, high
 
 
-def _find_root(
-    profile: Callable[[float], tuple[float, float]], peak: float, end: float, beyond: float, rise: float
-) -> tuple[float, float]:
-    """Return the variance between the peak and `end` where the profile crosses zero, and φ there.
+def _find_end(profile: Callable[[float], tuple[float, float]], peak: float, step: float, rise: float) -> float:
+    """Return the standard deviation at which the profile has risen, zero if it has not risen there.
 
-    Near the peak the profile is quadratic, so that its root is nearly linear in the standard deviation.
+    The profile is about quadratic in the standard deviation, so that its root is about linear.
     """
-    inside, outside = (np.sqrt(peak), 0.0), (np.sqrt(end), np.sqrt(beyond + rise))
-    target, scale, value = np.sqrt(rise), 0.0, end
+    target, inside, outside = np.sqrt(rise), (peak, 0.0), None
+    at = max(peak + step, 0.0)
+    end = 0.0
     for _ in range(ROOT_STEPS):
-        share = (target - inside[1]) / (outside[1] - inside[1])
-        at = inside[0] + float(np.clip(share, 0.05, 0.95)) * (outside[0] - inside[0])
-        value = float(at) ** 2
-        rest, scale = profile(value)
-        if abs(rest) < CLOSE:
+        risen, scale = profile(at**2)
+        end = at * float(np.sqrt(scale))
+        if abs(risen - rise) < CLOSE or (at == 0.0 and risen < rise):
             break
-        here = (at, np.sqrt(max(rest + rise, 0.0)))
-        inside, outside = (inside, here) if rest > 0.0 else (here, outside)
-    return value, scale
+        here = (at, float(np.sqrt(max(risen, 0.0))))
+        if risen < rise:
+            inside = here
+        else:
+            outside = here
+        if outside is None:
+            far = target / max(here[1], 0.25 * target) if here[1] > 0.0 else 3.0
+            at = max(peak + min(max(far, 1.2), 3.0) * (at - peak), 0.0)
+        else:
+            share = (target - inside[1]) / (outside[1] - inside[1])
+            at = inside[0] + min(max(share, 0.05), 0.95) * (outside[0] - inside[0])
+    return end

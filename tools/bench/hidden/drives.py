@@ -176,7 +176,7 @@ class Drives:
             Refinements of the physics.
         """
         if phenomena not in self._states:
-            self._states[phenomena] = [_state(leg, phenomena) for leg in self.legs]
+            self._states[phenomena] = [integrate_shift(leg, phenomena) for leg in self.legs]
         states = zip(self.legs, self._states[phenomena], strict=True)
         return [leg.driven.view._replace(state=state) for leg, state in states]
 
@@ -214,8 +214,8 @@ class Drives:
             state = view.state
             scaled = power * where.get_size(leg) * np.array(factors)[:, None] if power is not None else None
             if scaled is not None:
-                state = _state(leg, phenomena, scaled.sum(axis=0))
-            _enter(out, cars.index(leg.member.name), leg, state, scaled)
+                state = integrate_shift(leg, phenomena, scaled.sum(axis=0))
+            enter_readings(out, cars.index(leg.member.name), leg, state, scaled)
         return out
 
     def _powers(self, leg: RecordedShift, view: EffectInputs, hidden: Sequence[Hidden], where: Scope) -> Floats | None:
@@ -272,13 +272,13 @@ def _marked(driven: DrivenShift, first: int) -> DrivenShift:
     return driven._replace(view=view._replace(state=state))
 
 
-def _state(leg: RecordedShift, phenomena: Phenomena, hidden: Floats | None = None) -> physics.State:
+def integrate_shift(leg: RecordedShift, phenomena: Phenomena, hidden: Floats | None = None) -> physics.State:
     """Return the states of a car over a shift."""
     view = leg.driven.view
     return physics.integrate_states(view.trace, view.car, leg.driven.shift.soc, phenomena, hidden)
 
 
-def _enter(out: Readings, car: int, leg: RecordedShift, state: physics.State, hidden: Floats | None) -> None:
+def enter_readings(out: Readings, car: int, leg: RecordedShift, state: physics.State, hidden: Floats | None) -> None:
     """Write the readings of a car on a shift."""
     n = leg.samples
     at = slice(STEPS_PER_SAMPLE - 1, n * STEPS_PER_SAMPLE, STEPS_PER_SAMPLE)

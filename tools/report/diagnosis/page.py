@@ -12,6 +12,8 @@ from rich.text import Text
 
 from core.evaluate.paper.results import to_json_values
 from tools.report.diagnosis import deviations, figures, sentences, tables
+from tools.report.diagnosis.location_figure import draw_location
+from tools.report.diagnosis.location_sentences import describe_location
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, get_mapping
 from tools.report.evaluation.sections import Section
@@ -24,6 +26,7 @@ DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProx
     {
         "error": figures.draw_errors,
         "slices": figures.draw_slices,
+        "location": draw_location,
         "missing": figures.draw_effects,
         "remains": figures.draw_remainder,
     }
@@ -55,9 +58,12 @@ def show(result: Any, console: Console, *, suggested: str | None = None) -> None
     else:
         print_heading("Where the model fails", console)
         print_lines(
-            ["No group of rides differs from the others: the error is the same everywhere, or the rides are too few."],
+            ["No group of rides by weather, time, speed or vehicle differs from the others, or the rides are too few."],
             console,
         )
+    if lines := describe_location(values):
+        print_heading("Where the error lives", console)
+        print_lines(lines, console)
     _print_missing_effects(values, console)
     if lines := deviations.describe_deviations(values):
         print_heading("Cars and changes", console)
@@ -144,6 +150,7 @@ def build_sections(result: Result, suggested: str | None = None) -> list[Section
     sections = [
         Section("error", "Error", " ".join(sentences.describe_error(result)), [tables.tabulate_errors(result)]),
         Section("slices", "Where the model fails", "", [tables.tabulate_slices(result)]),
+        Section("location", "Where the error lives", " ".join(describe_location(result)), []),
         Section("missing", "Missing effects", _summarise_missing(result), [tables.tabulate_missing_effects(result)]),
         Section("cars", "Cars and changes", ". ".join(deviations.describe_deviations(result)), []),
         Section(

@@ -1,0 +1,176 @@
+"""Describe in sentences where the error of a model lives, and what would tell its cause."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from tools.report.cells import format_percent
+from tools.report.evaluation.result import Result, get_mapping, get_number
+
+UNITS: Final = {
+    "ride": "ride",
+    "day": "vehicle-day",
+    "driver": "driver",
+    "date": "date, alike in all vehicles,",
+    "car": "vehicle",
+}
+"""A unit of each level, after `Each`."""
+LOADS: Final = {
+    "constant": "has its own constant load of ±{size}",
+    "rolling": "has its own rolling resistance, ±{size} of that of the catalogue",
+    "drag": "has its own air drag, ±{size} of that of the catalogue",
+    "climbing": "uses its own energy per metre climbed, ±{size} of the energy of the climb",
+    "braking": "loses its own share of the braking energy, ±{size} of it",
+    "beginning": "has its own load at its beginning of ±{size}, which decays within about five minutes",
+}
+"""What the units of a level differ in."""
+KIND_NAMES: Final = {
+    "constant": "per second",
+    "rolling": "per km",
+    "drag": "per km and speed squared",
+    "climbing": "per metre climbed",
+    "braking": "per braking",
+    "beginning": "at the beginning of a ride",
+}
+"""Short names of the kinds."""
+LEVEL_NAMES: Final = {"ride": "ride", "day": "vehicle-day", "driver": "driver", "date": "date", "car": "vehicle"}
+"""Short names of the levels."""
+CAUSES: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
+    "constant": {
+        "ride": ("something that a person switches, such as heating or air conditioning", "Log the climate power."),
+        "day": (
+            "something that stays on for a day: a climate setting, or weather that no column describes",
+            "Log the climate power, sunshine and humidity.",
+        ),
+        "driver": ("a habit of the driver, such as the climate setting", "Log the climate power."),
+        "date": ("weather that no column describes", "Log sunshine, humidity and precipitation."),
+        "car": ("a device or a standby load of the vehicle", "Measure the power of the standing vehicles."),
+    },
+    "rolling": {
+        "ride": ("a load or a road surface that changes from ride to ride", "Log occupants and payload."),
+        "day": ("tyre pressure, or a wet or snowy road", "Log tyre pressure and precipitation."),
+        "driver": ("the way of driving, or the usual load of the driver", "Log payload, and speed more often."),
+        "date": ("the state of the roads: wet, snowy or cold", "Log precipitation and road temperature."),
+        "car": ("tyres, wheel alignment or dragging brakes", "Check tyre pressure and brakes of these vehicles."),
+    },
+    "drag": {
+        "ride": ("wind, an open window, or speed that is measured wrongly", "Log wind near the road."),
+        "day": ("wind, or something on the roof for a day", "Log wind near the road, and roof loads."),
+        "driver": ("open windows, or a roof load of the driver", "Ask these drivers."),
+        "date": ("wind or air density", "Log wind and air pressure from a station nearby."),
+        "car": ("a roof load, or a body that differs", "Look at these vehicles."),
+    },
+    "climbing": {
+        "ride": ("payload, or elevation that is wrong", "Log payload, and use a map of elevation."),
+        "day": ("payload, or the calibration of the barometer", "Log payload, and use a map of elevation."),
+        "driver": ("payload", "Log payload."),
+        "date": ("air pressure that is taken for elevation", "Use a map of elevation."),
+        "car": ("the mass of the vehicle, or its elevation sensor", "Weigh these vehicles."),
+    },
+    "braking": {
+        "ride": ("a limit of regeneration, such as a full or cold battery", "Log the limit of the charging power."),
+        "day": ("regeneration limited by the cold, or its setting", "Log the limit and the setting of regeneration."),
+        "driver": ("the way of braking, or the setting of regeneration", "Log the setting of regeneration."),
+        "date": ("regeneration limited by the cold", "Log battery temperature and the charging limit."),
+        "car": ("the setting or the software of regeneration", "Compare the settings of these vehicles."),
+    },
+    "beginning": {
+        "ride": (
+            "warming up or cooling down of the cabin, or of the drive",
+            "Log the climate power and the time parked.",
+        ),
+        "day": ("warming up that depends on the day, such as an icy windscreen", "Log the climate power."),
+        "driver": ("a habit of the driver, such as heating before the drive", "Log the climate power."),
+        "date": ("warming up that depends on the weather", "Log the climate power and humidity."),
+        "car": ("the heater of the vehicle", "Log the climate power."),
+    },
+}
+"""Likely cause and remedy of each kind of load, by level."""
+JUDGED_BY: Final = {
+    "elevation": "climbing",
+    "wind": "wind",
+    "precipitation": "wet or snowy roads",
+    "humidity": "drying of the air",
+    "outside temperature": "heating and cooling by temperature",
+    "time parked": "a cabin that cooled down before the ride",
+    "occupants": "payload",
+    "battery temperature": "a cold battery",
+    "driver": "differences between drivers",
+    "climate power": "how much of an error the climate control causes",
+}
+"""What cannot be judged without a signal."""
+LEAST_SHARE: Final = 0.005
+"""Least share of the squared error that is mentioned."""
+
+
+def format_size(load: Mapping[str, Any], key: str = "size") -> str:
+    """Return a size with its unit.
+
+    Examples
+    --------
+    >>> format_size({"size": 1478.5, "unit": "W"}), format_size({"size": 22.6, "unit": "%"})
+    ('1,480 W', '23 %')
+    """
+    value = get_number(load.get(key)) or 0.0
+    if load.get("unit") != "W":
+        return f"{value:.0f} %"
+    return f"{float(f'{value:.3g}'):,.0f} W" if value >= 1000.0 else f"{value:.0f} W"
+
+
+def describe_location(result: Result) -> list[str]:
+    """Return where the error of a model lives, a line for each load, and what the data cannot tell."""
+    location = get_mapping(result, "error_location")
+    if not location:
+        return []
+    loads = location.get("loads") or ()
+    absent = [str(each) for each in location.get("absent_signals") or ()]
+    lines = describe_shares(location)
+    lines += [describe_load(load, absent) for load in loads]
+    if not loads and location.get("estimates"):
+        lines.append("No load differs between rides, days or vehicles beyond what sampling causes.")
+    if absent:
+        lines.append(
+            f"These data cannot tell {', '.join(f'{JUDGED_BY[each]} (no {each})' for each in absent if each in JUDGED_BY)}: "
+            "these signals are absent."
+        )
+    return lines
+
+
+def describe_load(load: Mapping[str, Any], absent: Sequence[str] = ()) -> str:
+    """Return a load in a person's words, with its likely cause and a remedy."""
+    level, kind = str(load.get("level")), str(load.get("kind"))
+    what = LOADS[kind].format(size=format_size(load))
+    low, high = format_size(load, "low"), format_size(load, "high")
+    cause, remedy = CAUSES[kind][level]
+    if "climate power" in remedy and "climate power" not in absent:
+        remedy = "The drives contain the measured climate power: compare it."
+    watts = get_number(load.get("size_w")) or 0.0
+    mean = "" if kind == "constant" else f", {watts:.0f} W on average"
+    text = (
+        f"Each {UNITS[level]} {what} (95 % interval {low.removesuffix(' W').removesuffix(' %')} to {high}{mean}), "
+        f"which the model does not explain: {cause}. {remedy}"
+    )
+    rivals = [KIND_NAMES[str(each)] for each in load.get("other_kinds") or ()]
+    rivals += [f"per {LEVEL_NAMES[str(each)]}" for each in load.get("other_levels") or ()]
+    return f"{text} Not distinguishable from a load {' or '.join(rivals)}." if rivals else text
+
+
+def describe_shares(location: Mapping[str, Any]) -> list[str]:
+    """Return how much of the error is measurement noise, and how much is unexplained at which level."""
+    shares = {str(name): get_number(share) or 0.0 for name, share in dict(location.get("shares") or {}).items()}
+    if not shares:
+        return []
+    parts = [f"{format_percent(shares.pop('measurement', 0.0), 0)} is measurement noise"]
+    scatter = shares.pop("scatter", 0.0)
+    if scatter >= LEAST_SHARE:
+        parts.append(f"{format_percent(scatter, 0)} varies by chance from window to window")
+    parts += [
+        f"{format_percent(share, 0)} is unexplained and differs from {LEVEL_NAMES[name]} to {LEVEL_NAMES[name]}"
+        for name, share in shares.items()
+        if share >= LEAST_SHARE
+    ]
+    if not any(share >= LEAST_SHARE for share in shares.values()):
+        parts.append("none follows rides or days")
+    text = f"{', '.join(parts[:-1])} and {parts[-1]}"
+    return [
+        f"With all terms refitted for each vehicle, and any smooth curve of temperature, of the squared error {text}."
+    ]
