@@ -111,8 +111,8 @@ class ErrorLocation:
 
     def to_json(self) -> dict[str, Any]:
         """Return the location as plain values."""
-        plain = asdict(self)
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in plain.items()}
+        plain: dict[str, Any] = _convert(asdict(self))
+        return plain
 
 
 def locate_error(windows: Windows, base: BaseProjection) -> ErrorLocation:
@@ -243,3 +243,10 @@ def _share_error(located: LocationModel, best: Variances, loads: Sequence[Locate
     parts["scatter"] -= parts["measurement"]
     total = sum(parts.values())
     return {name: part / total for name, part in parts.items()} if total > 0.0 else {}
+
+
+def _convert(value: Any) -> Any:
+    """Return a value with lists in place of tuples."""
+    if isinstance(value, dict):
+        return {name: _convert(each) for name, each in value.items()}
+    return [_convert(each) for each in value] if isinstance(value, tuple | list) else value

@@ -128,10 +128,8 @@ def describe_location(result: Result) -> list[str]:
     if not loads and location.get("estimates"):
         lines.append("No load differs between rides, days or vehicles beyond what sampling causes.")
     if absent:
-        lines.append(
-            f"These data cannot tell {', '.join(f'{JUDGED_BY[each]} (no {each})' for each in absent if each in JUDGED_BY)}: "
-            "these signals are absent."
-        )
+        untold = ", ".join(f"{JUDGED_BY[each]} (no {each})" for each in absent if each in JUDGED_BY)
+        lines.append(f"These data cannot tell {untold}.")
     return lines
 
 

@@ -1,0 +1,87 @@
+"""Test the sentences and the figure of where the error lives."""
+
+import pytest
+
+from core.diagnose.error_location.absent_signals import SIGNALS
+from core.diagnose.error_location.kinds import KINDS
+from tools.report.diagnosis.location_figure import draw_location
+from tools.report.diagnosis.location_sentences import CAUSES, JUDGED_BY, KIND_NAMES, LEVEL_NAMES, describe_location
+from tools.report.diagnosis.page import build_sections
+
+LEVELS = ("ride", "day", "driver", "date", "car")
+
+
+def make_load(level="ride", kind="constant", size=640.0, claimed=True, **more):
+    unit = "W" if kind in {"constant", "beginning"} else "%"
+    load = {"level": level, "kind": kind, "size": size, "low": 0.95 * size, "high": 1.06 * size, "unit": unit}
+    load |= {"size_w": size, "low_w": 0.95 * size, "high_w": 1.06 * size, "gain": 50.0, "claimed": claimed}
+    return load | {"other_kinds": [], "other_levels": []} | more
+
+
+def make_result(*loads, shares=None, absent=("climate power",)):
+    shares = shares or {"measurement": 0.34, "scatter": 0.02, "ride": 0.64}
+    quiet = [make_load("day", kind.name, 12.0, claimed=False) for kind in KINDS]
+    location = {"loads": list(loads), "estimates": [*loads, *quiet], "shares": shares, "levels": ["ride", "day"]}
+    return {"error_location": location | {"absent_kinds": [], "absent_signals": list(absent)}}
+
+
+def test_load_is_described_in_a_persons_words():
+    shares, load, absent = describe_location(make_result(make_load()))
+    assert load == (
+        "Each ride has its own constant load of ±640 W (95 % interval 608 to 678 W), which the model does not "
+        "explain: something that a person switches, such as heating or air conditioning. Log the climate power."
+    )
+    assert "34 % is measurement noise, 2 % varies by chance" in shares
+    assert "64 % is unexplained and differs from ride to ride" in shares
+    assert absent == "These data cannot tell how much of an error the climate control causes (no climate power)."
+
+
+def test_climate_power_that_is_logged_is_not_asked_for():
+    _, load = describe_location(make_result(make_load(), absent=()))
+    assert "Log the climate power" not in load
+    assert "contain the measured climate power" in load
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("kind", [kind.name for kind in KINDS])
+def test_each_level_and_kind_has_a_sentence_with_a_remedy(level, kind):
+    line = describe_location(make_result(make_load(level, kind, 23.0)))[1]
+    assert line.count("23") == 1 + (kind != "constant")
+    assert CAUSES[kind][level][0] in line
+    assert line.endswith(".")
+
+
+def test_every_absent_signal_has_words():
+    assert set(JUDGED_BY) == set(SIGNALS)
+    assert set(LEVEL_NAMES) == set(LEVELS)
+    assert set(KIND_NAMES) == {kind.name for kind in KINDS}
+
+
+def test_rivals_of_a_load_are_named():
+    load = make_load("day", "drag", 23.0, other_kinds=["rolling"], other_levels=["driver"])
+    line = describe_location(make_result(load))[1]
+    assert line.endswith("Not distinguishable from a load per km or per driver.")
+
+
+def test_diagnosis_without_load_says_so():
+    shares, line = describe_location(make_result(shares={"measurement": 1.0, "scatter": 0.0}, absent=()))
+    assert "100 % is measurement noise and none follows rides or days" in shares
+    assert line.startswith("No load differs")
+    assert describe_location({}) == []
+
+
+def test_figure_has_a_bar_with_interval_for_each_level_and_kind():
+    (drawn,) = draw_location(make_result(make_load()))
+    bars = [name for trace in drawn.figure.data for name in trace.y]
+    assert len(bars) == 1 + len(KINDS)
+    claimed, quiet = drawn.figure.data
+    assert list(claimed.y) == ["ride, per second"]
+    assert claimed.error_x.array[0] == pytest.approx(0.06 * 640.0)
+    assert "[W]" in drawn.figure.layout.xaxis.title.text
+    assert set(quiet.y).isdisjoint(claimed.y)
+    assert draw_location({}) == []
+
+
+def test_page_has_a_section_for_the_location():
+    sections = {section.key: section for section in build_sections(make_result(make_load()))}
+    assert "±640 W" in sections["location"].text
