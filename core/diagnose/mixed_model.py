@@ -127,6 +127,24 @@ class MixedModel:
         kept.size, kept._own, kept._beside = len(at), self._own[:, at][:, :, at], self._beside[:, at]  # noqa: SLF001
         return kept
 
+    def condense(self, relative: Floats) -> "MixedModel":
+        """Return the model of the highest level alone, after integration over lower effects of known variances.
+
+        Its criterion lacks the determinants of the lower levels, which are constant.
+
+        Parameters
+        ----------
+        relative : (levels - 1, s) float
+            Relative variances δ of the lower levels.
+        """
+        steps = self._sweep(np.vstack([relative, np.zeros(self.size)]))
+        lower = zip(steps[:-1], self._levels[:-1], strict=True)
+        condensed = copy(self)
+        condensed._levels = self._levels[-1:]  # noqa: SLF001
+        condensed._own, condensed._beside = steps[-1].own, steps[-1].beside  # noqa: SLF001
+        condensed._total = self._total - sum(self._sum_squares(step, level) for step, level in lower)  # noqa: SLF001
+        return condensed
+
     def evaluate(self, relative: Floats) -> Criterion:
         """Return the restricted likelihood and its gradient.
 

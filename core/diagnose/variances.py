@@ -30,6 +30,8 @@ FIRST_STEP: Final = 0.07
 """First step of that search, over the standard deviation or, if that is larger, its standard error at zero. [1]"""
 FLAT: Final = 0.1
 """Derivative of the criterion by variances over their standard errors with which the search ends. [1]"""
+MOST_SCALES: Final = 4
+"""Largest number of times that scales are renewed: a standard error at zero is far smaller than at a large size."""
 MOST_STEPS: Final = 200
 """Largest number of steps of the search for the most probable variances."""
 
@@ -54,7 +56,9 @@ class Variances(NamedTuple):
         return np.asarray(np.sqrt(self.relative * self.criterion.scale))
 
 
-def estimate_variances(model: MixedModel, free: NDArray[np.bool_], start: Floats | None = None) -> Variances:
+def estimate_variances(
+    model: MixedModel, free: NDArray[np.bool_], start: Floats | None = None, most: Floats | None = None
+) -> Variances:
     """Return the most probable variances.
 
     Parameters
@@ -65,27 +69,53 @@ def estimate_variances(model: MixedModel, free: NDArray[np.bool_], start: Floats
         Which variances to estimate; the others stay as in `start`, or zero.
     start : (levels, s) float, optional
         Relative variances from which the search starts.
+    most : (levels, s) float, optional
+        Largest relative variances; by default there is no limit.
     """
     begin = np.zeros(free.shape) if start is None else start.copy()
     if not free.any():
         return Variances(begin, model.evaluate(begin))
     if start is None:
         begin[free] = model.find_errors(begin)[free]
-    first, size = begin[free], model.find_errors(begin)[free]
+    high = np.full(free.shape, np.inf) if most is None else most
+    begin = np.where(free, np.minimum(begin, high), begin)
+    found = model.evaluate(begin)
+    for _ in range(MOST_SCALES):
+        size = model.find_errors(begin)[free]
+        _search(model, begin, free, size, high[free])
+        found = model.evaluate(begin)
+        if _is_flat(found.gradient * model.find_errors(begin), begin, free, high):
+            break
+    return Variances(begin, found)
+
+
+def _search(model: MixedModel, at: Floats, free: NDArray[np.bool_], size: Floats, high: Floats) -> None:
+    """Move variances to where the criterion is least, as seen by variances over `size`."""
 
     def loss(x: Floats) -> tuple[float, Floats]:
-        begin[free] = x * size
-        at = model.evaluate(begin)
-        return at.value, at.gradient[free] * size
+        at[free] = x * size
+        found = model.evaluate(at)
+        return found.value, found.gradient[free] * size
 
+    bounds = [(0.0, None if np.isinf(each) else each) for each in high / size]
     options = {"maxiter": MOST_STEPS, "ftol": 1e-11, "gtol": FLAT}
-    found = minimize(loss, first / size, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(size), options=options)
-    begin[free] = found.x * size
-    return Variances(begin, model.evaluate(begin))
+    found = minimize(loss, at[free] / size, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    at[free] = np.minimum(found.x * size, high)
+
+
+def _is_flat(slope: Floats, at: Floats, free: NDArray[np.bool_], high: Floats) -> bool:
+    """Return whether the criterion can fall no further along any variance, but for `FLAT`."""
+    rising, falling = free & (at > 0.0) & (slope > 2.0 * FLAT), free & (at < high) & (slope < -2.0 * FLAT)
+    return not (rising.any() or falling.any())
 
 
 def find_interval(
-    model: MixedModel, best: Variances, free: NDArray[np.bool_], at: tuple[int, int], rise: float = QUANTILE_95
+    model: MixedModel,
+    best: Variances,
+    free: NDArray[np.bool_],
+    at: tuple[int, int],
+    most: Floats | None = None,
+    rise: float = QUANTILE_95,
 ) -> tuple[float, float]:
     """Return the interval of a standard deviation from the profile of the restricted likelihood.
 
@@ -101,6 +131,8 @@ def find_interval(
         Variances that were estimated.
     at : (int, int)
         Level and column of the standard deviation.
+    most : (levels, s) float, optional
+        Largest relative variances of the others.
     rise : float
         Rise of the criterion at the ends of the interval: by default, of 95 %.
 
@@ -116,7 +148,7 @@ def find_interval(
     def profile(value: float) -> tuple[float, float]:
         start = state["at"].copy()
         start[at] = value
-        found = estimate_variances(model, others, start)
+        found = estimate_variances(model, others, start, most)
         state["at"] = found.relative
         return found.criterion.value - best.criterion.value, found.criterion.scale
 

@@ -126,13 +126,20 @@ def build_location_model(windows: Windows, base: BaseProjection) -> LocationMode
     return LocationModel(windows, base, levels, kinds, noise, mixed, found)
 
 
-def build_car_model(located: LocationModel) -> LocationModel | None:
+def build_car_model(located: LocationModel, found: Variances) -> LocationModel | None:
     """Return the model in which cars of a vehicle model share their coefficients and differ by chance.
 
     Parameters
     ----------
     located : LocationModel
         Model of rides and days, whose noise is used.
+    found : Variances
+        Variances of rides and days, which are kept.
+
+    Returns
+    -------
+    LocationModel or None
+        Model of the level of cars alone; None where there are too few.
     """
     windows, base = located.windows, located.base
     levels = Levels((*located.levels.names, "car"), (*located.levels.units, windows.vehicle))
@@ -145,8 +152,9 @@ def build_car_model(located: LocationModel) -> LocationModel | None:
         columns[rows, : block.shape[1]] = block
     blocks = [(rows, columns[rows]) for rows in base.kinds.values()]
     mixed, _ = build_mixed_model(windows, blocks, shared, located.kinds, located.noise, levels)
-    joint = Variances(np.vstack([located.joint.relative, np.zeros(mixed.size)]), located.joint.criterion)
-    return LocationModel(windows, base, levels, located.kinds, located.noise, mixed, joint)
+    cars = Levels(("car",), (windows.vehicle,))
+    joint = Variances(np.zeros((1, mixed.size)), found.criterion)
+    return LocationModel(windows, base, cars, located.kinds, located.noise, mixed.condense(found.relative), joint)
 
 
 def build_mixed_model(

@@ -1,12 +1,14 @@
 """Select the loads that differ between rides or days, and what the data do not tell apart from them."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from core.batch import Floats
+from core.diagnose.error_location.floors import DISTORTED, FLOORS
 from core.diagnose.error_location.location_model import LocationModel
 from core.diagnose.variances import Variances, estimate_variances, find_interval
 
@@ -53,26 +55,30 @@ class Search:
     ----------
     located : LocationModel
         Model.
-    within : collection of int, optional
-        Levels whose loads are selected; by default all.
     """
 
-    def __init__(self, located: LocationModel, within: Collection[int] | None = None) -> None:
+    def __init__(self, located: LocationModel) -> None:
         self.located = located
-        self._within = range(len(located.levels.names)) if within is None else within
         self.shape = len(located.levels.names), len(located.kinds.kinds)
         self._least = located.model.find_errors(np.zeros(self.shape))
+        names = [(level, kind.name) for level in located.levels.names for kind in located.kinds.kinds]
+        self._always = [divmod(names.index(each), self.shape[1]) for each in DISTORTED if each in names]
+        floors = [FLOORS[level][kind] for level, kind in DISTORTED if (level, kind) in names]
+        scale = located.joint.criterion.scale
+        self._most = {
+            place: (floor * float(located.kinds.power[place[1]])) ** 2 / scale
+            for place, floor in zip(self._always, floors, strict=True)
+        }
 
-    def select(self, given: Sequence[Place] = ()) -> list[SelectedLoad]:
-        """Return the loads that are selected beside given ones, the largest first."""
-        chosen = self._choose(list(given))
-        return sorted(self.measure(chosen, len(given)), key=lambda load: -load.size_kw)
+    def select(self) -> list[SelectedLoad]:
+        """Return the selected loads, the largest first."""
+        return sorted(self.measure(self._choose()), key=lambda load: -load.size_kw)
 
-    def measure(self, chosen: Sequence[Place], given: int = 0) -> list[SelectedLoad]:
-        """Return the sizes of loads beside each other, without those of the first ones, which are given."""
+    def measure(self, chosen: Sequence[Place]) -> list[SelectedLoad]:
+        """Return the sizes of loads beside each other."""
         best = self.fit(chosen)
         loads = []
-        for place in chosen[given:]:
+        for place in chosen:
             others = [each for each in chosen if each != place]
             gain = self.fit(others, best).criterion.value - best.criterion.value
             low, high = self._find_interval(chosen, best, place)
@@ -81,11 +87,11 @@ class Search:
 
     def fit(self, places: Sequence[Place], start: Variances | None = None) -> Variances:
         """Return the most probable variances of some loads alone."""
-        kinds, free = self._restrict(places)
+        kinds, free, most = self._restrict(places)
         model = self.located.model.keep(kinds)
         begin = self.located.joint.relative if start is None else start.relative
         first = np.where(free, np.maximum(begin[:, kinds], self._least[:, kinds]), 0.0)
-        found = estimate_variances(model, free, first)
+        found = estimate_variances(model, free, first, most)
         relative = np.zeros(self.shape)
         relative[:, kinds] = found.relative
         return Variances(relative, found.criterion)
@@ -93,7 +99,7 @@ class Search:
     def find_limit(self, place: Place, best: Variances) -> tuple[float, float, float]:
         """Return the size of a load that was not selected, and its 95 % interval, beside selected ones as they are."""
         chosen = [divmod(int(at), self.shape[1]) for at in np.flatnonzero(best.relative)]
-        kinds, _ = self._restrict([*chosen, place])
+        kinds, *_ = self._restrict([*chosen, place])
         at = place[0], kinds.index(place[1])
         free = np.zeros((self.shape[0], len(kinds)), dtype=bool)
         free[at] = True
@@ -118,13 +124,13 @@ class Search:
         found = self.fit([*others, rival], Variances(start, best.criterion))
         return found.criterion.value - best.criterion.value
 
-    def _choose(self, given: list[Place]) -> list[Place]:
-        """Return given loads, and those without which the criterion is worse by `LEAST_GAIN`."""
-        chosen, found = given, self.fit(given)
-        while len(chosen) < MOST_LOADS + len(given):
+    def _choose(self) -> list[Place]:
+        """Return the loads without which the criterion is worse by `LEAST_GAIN`."""
+        chosen: list[Place] = []
+        found = self.fit(chosen)
+        while len(chosen) < MOST_LOADS:
             slope = -self.located.model.evaluate(found.relative).gradient * self._least
             slope[tuple(np.array(chosen, dtype=int).reshape(-1, 2).T)] = -np.inf
-            slope[[level for level in range(self.shape[0]) if level not in self._within]] = -np.inf
             order = np.argsort(-slope, axis=None)[:TRIALS]
             steep = [divmod(int(at), self.shape[1]) for at in order if slope.flat[at] > 0.0]
             trials = {place: self.fit([*chosen, place], found) for place in steep}
@@ -132,12 +138,12 @@ class Search:
             if best is None or found.criterion.value - trials[best].criterion.value < LEAST_GAIN:
                 break
             chosen, found = [*chosen, best], trials[best]
-            chosen, found = self._drop(chosen, found, len(given))
+            chosen, found = self._drop(chosen, found)
         return chosen
 
-    def _drop(self, chosen: list[Place], found: Variances, given: int) -> tuple[list[Place], Variances]:
+    def _drop(self, chosen: list[Place], found: Variances) -> tuple[list[Place], Variances]:
         """Return the loads without those that the last one has made superfluous."""
-        for place in chosen[given:-1]:
+        for place in chosen[:-1]:
             without = self.fit([each for each in chosen if each != place], found)
             if without.criterion.value - found.criterion.value < LEAST_GAIN:
                 return [each for each in chosen if each != place], without
@@ -145,14 +151,19 @@ class Search:
 
     def _find_interval(self, places: Sequence[Place], best: Variances, place: Place) -> tuple[float, float]:
         """Return the 95 % interval of the size of a load beside others. [kW]"""
-        kinds, free = self._restrict(places)
+        kinds, free, most = self._restrict(places)
         here = Variances(best.relative[:, kinds], best.criterion)
-        return find_interval(self.located.model.keep(kinds), here, free, (place[0], kinds.index(place[1])))
+        at = place[0], kinds.index(place[1])
+        return find_interval(self.located.model.keep(kinds), here, free, at, most)
 
-    def _restrict(self, places: Sequence[Place]) -> tuple[list[int], NDArray[np.bool_]]:
-        """Return the kinds of some places, and which variances of these kinds are free."""
-        kinds = sorted({kind for _, kind in places}) or [0]
+    def _restrict(self, places: Sequence[Place]) -> tuple[list[int], NDArray[np.bool_], Floats]:
+        """Return the kinds of some places, which variances of these kinds are free, and their limits."""
+        kinds = sorted({kind for _, kind in (*places, *self._always)}) or [0]
         free = np.zeros((self.shape[0], len(kinds)), dtype=bool)
-        for level, kind in places:
-            free[level, kinds.index(kind)] = True
-        return kinds, free
+        most = np.full(free.shape, np.inf)
+        for place in (*places, *self._always):
+            at = place[0], kinds.index(place[1])
+            free[at] = True
+            if place not in places:
+                most[at] = self._most[place]
+        return kinds, free, most

@@ -124,6 +124,17 @@ def test_model_of_kept_effects_equals_model_without_the_others(case):
     assert model.keep([1]).evaluate(relative).value == pytest.approx(expected, abs=1e-8)
 
 
+def test_condensed_model_has_the_criterion_of_the_whole_up_to_a_constant(case):
+    model, (*_, levels) = case
+    lower = np.random.default_rng(4).exponential(0.5, (len(levels) - 1, EFFECTS))
+    condensed = model.condense(lower)
+    tops = np.array([[[0.2, 0.0]], [[0.7, 0.4]]])
+    whole = [model.evaluate(np.vstack([lower, top])) for top in tops]
+    alone = [condensed.evaluate(top) for top in tops]
+    assert alone[1].value - alone[0].value == pytest.approx(whole[1].value - whole[0].value, abs=1e-8)
+    np.testing.assert_allclose(alone[1].gradient[0], whole[1].gradient[-1], rtol=1e-8)
+
+
 def test_interval_ends_where_the_profile_rises_by_the_quantile(case):
     model, dense = case
     free = np.ones((len(dense[-1]), EFFECTS), dtype=bool)
