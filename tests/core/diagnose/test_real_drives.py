@@ -203,3 +203,26 @@ def test_energy_of_effect_matches_measured_climate_power(car):
     effect, whole = climate(car)
     assert 0.5 < effect < 1.5
     assert 0.75 < whole < 1.25
+
+
+def test_error_of_leaf_is_a_constant_load_of_each_ride():
+    """The measured climate power differs by 0.34 to 0.39 kW between rides, beyond temperature.
+
+    With the climate power subtracted, 0.29 kW remain, in sum 0.48 kW.
+    """
+    (load,) = diagnose_car("ved").diagnosis["error_location"]["loads"]
+    assert (load["level"], load["kind"], load["unit"]) == ("ride", "constant", "W")
+    assert load["low"] < 420.0 < load["high"]
+    assert load["low"] > 300.0
+
+
+def test_error_of_i3_is_a_load_at_the_beginning_of_rides():
+    first, *_ = diagnose_car("bmw-i3").diagnosis["error_location"]["loads"]
+    assert first["kind"] == "beginning"
+    assert first["low"] < 3900.0 < first["high"]
+
+
+def test_error_location_lists_what_real_drives_lack():
+    leaf = diagnose_car("ved").diagnosis["error_location"]
+    assert {"elevation", "wind", "climate power"} <= set(leaf["absent_signals"])
+    assert leaf["absent_kinds"] == ["climbing"]

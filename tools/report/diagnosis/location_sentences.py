@@ -20,7 +20,7 @@ LOADS: Final = {
     "drag": "has its own air drag, ±{size} of that of the catalogue",
     "climbing": "uses its own energy per metre climbed, ±{size} of the energy of the climb",
     "braking": "loses its own share of the braking energy, ±{size} of it",
-    "beginning": "has its own load at its beginning of ±{size}, which decays within about five minutes",
+    "beginning": "has its own load of ±{size} at the beginning of rides, which decays within about five minutes",
 }
 """What the units of a level differ in."""
 KIND_NAMES: Final = {
