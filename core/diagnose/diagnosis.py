@@ -9,6 +9,7 @@ Each step is a module of its own:
 5. `residual_structure` and `free_form` search the remaining residual without the library.
 6. `slices` finds groups of rides with a different bias.
 7. `error_location` tells between which units (rides, days, cars) the error varies, and by which kind of load.
+8. `partial_residual`, `residual_profile` and `error_steps` compute the data of the report's figures.
 """
 
 from collections.abc import Collection
@@ -26,11 +27,14 @@ from core.diagnose.add.terms import describe_coefficient
 from core.diagnose.candidates import build_candidates
 from core.diagnose.dataset import Windows, gather_windows
 from core.diagnose.error_location.locate import locate_error
+from core.diagnose.error_steps import compute_steps
 from core.diagnose.evidence import ClusterSums
 from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectionSettings
 from core.diagnose.free_form.search import Suggestion, suggest_term
+from core.diagnose.partial_residual import compute_partial_residual
 from core.diagnose.projection import BaseProjection
 from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranking
+from core.diagnose.residual_profile import profile_residual
 from core.diagnose.residual_structure import ResidualStructure
 from core.diagnose.siblings.deviations import diagnose_deviations
 from core.diagnose.slices.search import find_slices
@@ -89,8 +93,8 @@ def diagnose(
     dict
         `model`, `data`, `error`, `error_location`, `slices`, `missing` (best first, each beside the others),
         `candidates`, `verdict`, `structure_remains`, `structure`, `suggestion`, `suggestion_file`, `steps`,
-        `deviations` and `cars` (see `core.diagnose.siblings.deviations`). The values are plain Python values; an
-        unknown number is NaN or None.
+        `profiles`, `deviations` and `cars` (see `core.diagnose.siblings.deviations`). The values are plain Python
+        values; an unknown number is NaN or None.
 
     Raises
     ------
@@ -133,14 +137,18 @@ def _diagnose(
         "error": _describe_error(seen, base, floor),
         "error_location": location.to_json(),
         "slices": find_slices(seen.rides, seen.by_ride(seen.predicted - seen.measured), seed=seed),
-        "missing": [_describe_missing(finding, seen) for finding in missing],
+        "missing": [
+            _describe_missing(finding, seen) | {"partial_residual": compute_partial_residual(selection, finding)}
+            for finding in missing
+        ],
         "candidates": _tabulate_candidates(first, missing),
         "verdict": verdict,
         "structure_remains": remains.exists,
         "structure": _describe_structure(remains),
         "suggestion": None if suggested is None else suggested.formula,
         "suggestion_file": None if suggested is None else suggested.file,
-        "steps": _compute_steps(selection, missing, floor),
+        "steps": compute_steps(selection, missing, floor),
+        "profiles": profile_residual(selection),
         **local,
     }
 
@@ -295,7 +303,6 @@ def _describe_structure(remains: ResidualStructure) -> dict[str, Any]:
         "signs": remains.signs,
         "days": remains.days,
         "most_days": remains.most_days,
-        "shapes": remains.shapes,
     }
 
 
@@ -306,31 +313,3 @@ def _suggest(base: BaseProjection, selection: ForwardSelection, left: Floats) ->
     return suggest_term(
         seen.table, base.convert_to_energy(left), base.weight, seen.day, columns, least_gain=LEAST_SUGGESTION_GAIN
     )
-
-
-def _compute_steps(selection: ForwardSelection, missing: list[MissingEffect], floor: float) -> list[dict[str, Any]]:
-    """Return the error per ride as effects are added one by one, each fitted to other vehicle-days. [kWh]
-
-    The terms of the model are refitted to all windows of each car, also to those of the held-out days.
-    """
-    base, seen = selection.base, selection.base.windows
-    named, selection.selected = selection.selected, []
-    rows = []
-    for finding in (None, *missing):
-        if finding is not None:
-            selection.selected = [*selection.selected, finding.selected]
-        off = selection.build_basis()
-        left = selection.compute_held_out_residual(off)
-        error = seen.by_ride(base.convert_to_energy(left))
-        rows.append(
-            {
-                "effect": None if finding is None else finding.selected.effect,
-                "scope": "all"
-                if finding is None
-                else " ".join(finding.selected.candidates.scope).replace("=", " ") or "all",
-                "mae_kwh": float(np.mean(np.abs(error))),
-                "noise_floor_kwh": floor,
-            }
-        )
-    selection.selected = named
-    return rows

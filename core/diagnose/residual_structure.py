@@ -12,7 +12,7 @@ Four tests look for structure:
 """
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingRegressor
@@ -45,7 +45,6 @@ UNEVEN: Final = 1.3
 DAILY: Final = ("duration_s", "effect_rolling", "effect_aero_drag")
 """Carriers by which vehicle-days are compared: time, distance and speed."""
 TREE_FOLDS: Final = 4
-SHAPE_POINTS: Final = 12
 
 FEATURES: Final[tuple[tuple[str, str], ...]] = (
     ("ambient_c", "°C"),
@@ -105,8 +104,6 @@ class ResidualStructure(NamedTuple):
         Largest such ratio that chance explains. [1]
     better : dict of str to str
         Name of a selected effect -> the plain shape that explains clearly more in its place.
-    shapes : list of dict
-        Mean residual along each feature, to be drawn: `feature`, `unit`, `x`, `y_kwh`.
     """
 
     before: float
@@ -119,7 +116,6 @@ class ResidualStructure(NamedTuple):
     days: float
     most_days: float
     better: dict[str, str]
-    shapes: list[dict[str, Any]]
 
     @property
     def taken(self) -> float:
@@ -178,10 +174,9 @@ def measure_residual_structure(selection: ForwardSelection, missing: Sequence[Mi
     share = max(explained / max(float(base.residual @ base.residual), 1e-300), 0.0)
     better = {each.selected.effect: shape for each in missing if (shape := shapes.find_replacement(each.selected))}
     shape, q, gain = shapes.find_strongest(off, left)
-    along = _along(base.windows, base.convert_to_energy(left))
     days = compute_day_variance_ratio(selection, left)
     most = max(1.0 + SURE_OF_DAYS * float(np.sqrt(2.0 / clusters[0].count)), UNEVEN)
-    return ResidualStructure(before[0], after[0], after[1], share, shape, q, gain, days, most, better, along)
+    return ResidualStructure(before[0], after[0], after[1], share, shape, q, gain, days, most, better)
 
 
 def collect_features(windows: Windows) -> Floats:
@@ -319,23 +314,3 @@ def _sun(windows: Windows) -> Floats:
     table = windows.table
     place = get_numbers(table, "latitude_start_deg"), get_numbers(table, "longitude_start_deg")
     return np.nan_to_num(compute_sun_sine(get_numbers(table, "start_s"), *place), nan=0.0)
-
-
-def _along(windows: Windows, left: Floats) -> list[dict[str, Any]]:
-    """Return the mean residual of a window along each feature, for twelfths of the windows."""
-    shapes = []
-    for name, unit in FEATURES:
-        values = get_numbers(windows.table, name)
-        there = np.isfinite(values)
-        if there.sum() < SHAPE_POINTS * 10:
-            continue
-        edges = np.unique(np.quantile(values[there], np.linspace(0.0, 1.0, SHAPE_POINTS + 1)))
-        if len(edges) < 3:
-            continue
-        place = np.clip(np.searchsorted(edges, values[there], side="right") - 1, 0, len(edges) - 2)
-        count = np.bincount(place, minlength=len(edges) - 1)
-        full = count > 0
-        x = np.bincount(place, values[there], len(edges) - 1)[full] / count[full]
-        y = np.bincount(place, left[there], len(edges) - 1)[full] / count[full]
-        shapes.append({"feature": name, "unit": unit, "x": x.tolist(), "y_kwh": y.tolist()})
-    return shapes

@@ -22,7 +22,41 @@ def make_missing_effect(**changes: Any) -> dict[str, Any]:
         "words": "cold tyres: rolling resistance grows by 1.1 ± 0.2 % of 0.010 for each degree below 10 °C",
         "equivalents": ["+1.2 m/s of headwind", "+180 kg"],
         "separate": [{"effect": "air_density", "correlation": 0.83, "data": "slow drives over a year"}],
+        "partial_residual": make_partial_residual(),
     } | changes  # fmt: skip
+
+
+def make_partial_residual() -> dict[str, Any]:
+    """Return the bins of a partial residual whose slope is 1.1e-4, with two cars."""
+    bins = {
+        "x": [0.0, 1e5, 2e5], "before": [0.1, 11.2, 21.9], "after": [0.1, 0.2, -0.1], "ci95": [2.0, 1.5, None],
+        "windows": [400, 380, 20], "days": [10, 9, 1],
+    }  # fmt: skip
+    cars = [
+        {"car": "taxi-001", "slope": 1.2e-4, "slope_ci95": [0.8e-4, 1.6e-4], **bins},
+        {"car": "taxi-002", "slope": 1.0e-4, "slope_ci95": [0.7e-4, 1.3e-4], **bins},
+    ]
+    return {
+        "per": "km", "quantity": "growth of the rolling resistance", "summary": "Cold tyres.", "unit": "1/K",
+        "slope": 1.1e-4, "slope_ci95": [0.9e-4, 1.3e-4], **bins, "cars": cars,
+    }  # fmt: skip
+
+
+def make_step(effect: str | None, mae_kwh: float, **changes: Any) -> dict[str, Any]:
+    """Return one step of the falling error."""
+    unknown = {"change_kwh": None, "change_ci95_kwh": None}
+    return {
+        "effect": effect, "scope": "all", "mae_kwh": mae_kwh, "mae_ci95_kwh": 0.004, "noise_floor_kwh": 0.037,
+        **unknown,
+    } | changes  # fmt: skip
+
+
+def make_profile(feature: str, unit: str, x: list[Any]) -> dict[str, Any]:
+    """Return the mean residual in three bins of a feature."""
+    return {
+        "feature": feature, "unit": unit, "x": x, "before_w": [-300.0, 20.0, 310.0], "after_w": [-10.0, 5.0, 60.0],
+        "ci95_w": [40.0, 30.0, 50.0], "windows": [900, 800, 700], "days": [10, 10, 9],
+    }  # fmt: skip
 
 
 def make_diagnosis(**changes: Any) -> dict[str, Any]:
@@ -62,15 +96,17 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
         "structure": {
             "before": 0.12, "after": 0.05, "taken": 0.58, "least": 0.8, "shape": "stops * sun", "q": 0.001,
             "gain": 0.01, "better": {}, "signs": ["trees"], "days": 1.1, "most_days": 1.3,
-            "shapes": [{"feature": "average_speed_kmh", "unit": "km/h", "x": [10.0, 30.0, 60.0],
-                        "y_kwh": [-0.01, 0.0, 0.02]}],
         },
         "suggestion": "P = (average speed)^2 v",
         "suggestion_file": '"""An effect of your own."""\n',
         "steps": [
-            {"effect": None, "scope": "all", "mae_kwh": 0.055, "noise_floor_kwh": 0.037},
-            {"effect": "cold_rolling", "scope": "all", "mae_kwh": 0.048, "noise_floor_kwh": 0.037},
-            {"effect": "brake_drag", "scope": "vehicle taxi-003", "mae_kwh": 0.046, "noise_floor_kwh": 0.037},
+            make_step(None, 0.055),
+            make_step("cold_rolling", 0.048, change_kwh=-0.007, change_ci95_kwh=0.002),
+            make_step("brake_drag", 0.046, scope="vehicle taxi-003", change_kwh=-0.002, change_ci95_kwh=0.001),
+        ],
+        "profiles": [
+            make_profile("average_speed_kmh", "km/h", [10.0, 30.0, 60.0]),
+            make_profile("vehicle_id", "", ["taxi-001", "taxi-002", "taxi-003"]),
         ],
         "deviations": [make_deviation()],
         "cars": [make_ranked_car("taxi-005", 0.031), make_ranked_car("taxi-002", -0.01)],
@@ -120,5 +156,5 @@ def make_empty_diagnosis() -> dict[str, Any]:
     return whole | {
         "slices": [], "missing": [], "verdict": None, "structure_remains": False, "suggestion": None,
         "suggestion_file": None, "steps": whole["steps"][:1], "deviations": [], "cars": [],
-        "structure": {"before": 0.01, "after": 0.01, "taken": None, "least": 0.8, "signs": [], "shapes": []},
+        "structure": {"before": 0.01, "after": 0.01, "taken": None, "least": 0.8, "signs": []},
     }  # fmt: skip

@@ -1,5 +1,7 @@
 """Parse the HTML pages of reports."""
 
+import json
+from html import unescape
 from html.parser import HTMLParser
 
 VOID = {"meta", "link", "br", "hr", "img", "input"}
@@ -40,3 +42,34 @@ def read_page(text):
     reader.close()
     assert reader.open == []
     return reader
+
+
+def read_figures(text):
+    """Return the data and layout of every figure of a page, by id."""
+    parts = text.split('<figure id="')[1:]
+    content = [part.split('<script type="application/json">')[1].split("</script>")[0] for part in parts]
+    return {part.split('"')[0]: json.loads(unescape(each)) for part, each in zip(parts, content, strict=True)}
+
+
+def assert_axes_are_titled(figure):
+    """Check that a figure has points, that its axes have titles, and that those of numbers have units.
+
+    A title beside several plots stands for all of them; axes that match another one share its title.
+    """
+    drawn = figure if isinstance(figure, dict) else json.loads(figure.to_json())
+    assert any(len(_read_values(trace, "y")) for trace in drawn["data"])
+    layout = drawn["layout"]
+    beside = [note for note in layout.get("annotations", ()) if "[" in note["text"] and note.get("xref") == "paper"]
+    for letter in "xy":
+        axes = {name: axis for name, axis in layout.items() if name.startswith(f"{letter}axis")}
+        for name, axis in axes.items():
+            title = axis.get("title", {}).get("text", "")
+            if not title and len(axes) > 1 and (beside or axis.get("matches")):
+                continue
+            assert title, name
+            assert axis.get("type") == "category" or "[" in title, (name, title)
+
+
+def _read_values(trace, axis):
+    values = trace.get(axis) or ()
+    return values.get("bdata", ()) if isinstance(values, dict) else values

@@ -96,6 +96,10 @@ def diagnose_rides(
         insert_commands(result, model, rides, effects_file or ())
     write_json(json_file, "diagnose", result)
     show_report("diagnosis.page", result, html_file, json_file, suggested=_write_suggestion(result, suggest))
+    if html_file is not None:
+        from tools.report.diagnosis.page import print_links  # noqa: PLC0415 - figures take seconds to import
+
+        print_links(result, html_file, console)
     if out is not None:
         message = f"{out}: version {loaded.version}; show its steps: socast history {out}"
         console.print(message, markup=False, highlight=False, soft_wrap=True)

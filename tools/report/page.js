@@ -36,6 +36,22 @@
     return changes;
   }
 
+  /* Break titles of horizontal axes into lines that fit. */
+  function titles(plot, width) {
+    const most = Math.max(12, Math.floor((width + 24) / 7.6));
+    const changes = {};
+    for (const [name, text] of Object.entries(plot.titles)) {
+      const lines = [""];
+      for (const word of text.split(" ")) {
+        const last = lines[lines.length - 1];
+        if (last && last.length + word.length >= most) lines.push(word);
+        else lines[lines.length - 1] = last ? `${last} ${word}` : word;
+      }
+      changes[`${name}.title.text`] = lines.join("<br>");
+    }
+    return changes;
+  }
+
   /* Make room below the plot for a legend of whatever height it takes at this width. */
   function room(plot) {
     const legend = plot.div.querySelector(".legend .bg");
@@ -48,6 +64,7 @@
     const first = { ...theme(plot.div.layout), ...names(plot.div.layout, wide), width: wide };
     plot.div.style.height = "auto";
     return Plotly.relayout(plot.div, first)
+      .then(() => Plotly.relayout(plot.div, titles(plot, plot.div._fullLayout._size.w)))
       .then(() => Plotly.relayout(plot.div, room(plot)))
       .then(() => (plot.div.data.some(isHeat) ? Plotly.restyle(plot.div, { "textfont.color": colour("--ink") }) : null));
   }
@@ -56,6 +73,9 @@
     const div = figure.querySelector(".plot");
     const { data, layout } = JSON.parse(figure.querySelector('script[type="application/json"]').textContent);
     const plot = { div, height: layout.height, bottom: layout.margin.b, small: figure.parentElement.className };
+    plot.titles = Object.fromEntries(
+      Object.entries(layout).filter(([key, axis]) => /^xaxis/.test(key) && axis.title).map(([key, axis]) => [key, axis.title.text]),
+    );
     layout.font = { size: 12 };
     layout.legend.maxheight = 0.9;
     data.filter(isHeat).forEach((trace) => { trace.textfont = { color: colour("--ink") }; });

@@ -186,7 +186,7 @@ def _figures_data(one: Illustration) -> str:
     rows = "".join(
         f"<tr><th scope=row>{trace.name}</th><td>{_number(x)}</td><td>{_number(y)}</td></tr>"
         for trace in one.figure.data
-        if trace.type != "heatmap"
+        if trace.type != "heatmap" and trace.hoverinfo != "skip"
         for x, y in zip(trace.x, trace.y, strict=True)
         if x is not None and y is not None
     )

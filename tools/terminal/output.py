@@ -22,7 +22,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "ask": 1,
     "compare": 1,
     "demo": 1,
-    "diagnose": 1,
+    "diagnose": 2,
     "effect": 1,
     "effects": 1,
     "elevation": 1,

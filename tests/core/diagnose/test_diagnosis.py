@@ -83,7 +83,10 @@ class TestPromise:
                 assert set(row) >= set(expected[name][0]), name
         assert set(diagnosis["missing"][0]["coefficient"]) == set(expected["missing"][0]["coefficient"])
         assert all(set(each) == set(expected["slices"][0]) for each in diagnosis["slices"])
-        assert all(set(each) == {"feature", "unit", "x", "y_kwh"} for each in diagnosis["structure"]["shapes"])
+        assert all(set(each) == set(expected["profiles"][0]) for each in diagnosis["profiles"])
+        shown = expected["missing"][0]["partial_residual"]
+        assert all(set(each["partial_residual"]) == set(shown) for each in diagnosis["missing"])
+        assert set(diagnosis["missing"][0]["partial_residual"]["cars"][0]) == set(shown["cars"][0])
 
     def test_result_is_plain_json(self, diagnosis, of_nothing):
         for each in (diagnosis, of_nothing):

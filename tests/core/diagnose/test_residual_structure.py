@@ -121,21 +121,8 @@ def test_excess_variance_between_days_is_detected():
     assert measure_with_selected(make_tables(make_windows(), of_day=0.10)).exists
 
 
-def test_drawn_shapes_have_units_and_equal_lengths():
-    structure = measure_with_selected(make_tables(make_windows(), unknown=outside("crowded")))
-    units = dict(FEATURES)
-    assert {"ambient_c", "occupants", "average_speed_kmh"} <= {each["feature"] for each in structure.shapes}
-    for each in structure.shapes:
-        assert each["unit"] == units[each["feature"]]
-        assert len(each["x"]) == len(each["y_kwh"]) >= 2
-        assert each["x"] == sorted(each["x"])
-        assert np.isfinite(each["y_kwh"]).all()
-    (crowd,) = (each for each in structure.shapes if each["feature"] == "occupants")
-    assert crowd["y_kwh"][-1] > max(crowd["y_kwh"][:-1]) > -0.01
-
-
 def remaining(**changes) -> ResidualStructure:
-    nothing = {"shape": "", "q": 1.0, "days": 1.0, "most_days": 1.5, "better": {}, "shapes": []}
+    nothing = {"shape": "", "q": 1.0, "days": 1.0, "most_days": 1.5, "better": {}}
     return ResidualStructure(**(dict.fromkeys(ResidualStructure._fields, 0.0) | nothing | changes))
 
 

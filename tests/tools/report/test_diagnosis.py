@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
-from tests.support.html_pages import read_page
+from tests.support.html_pages import assert_axes_are_titled, read_page
 from tools.commands.diagnose import insert_commands, parse_term
 from tools.report.diagnosis import page as report
 from tools.report.diagnosis import sentences
@@ -127,7 +127,11 @@ def test_page_is_self_contained(result, tmp_path):
 def test_page_has_every_figure_and_table(tmp_path):
     reader = page(make_diagnosis(), tmp_path, suggested="mine.py")
     figures = {name.removeprefix("figure-") for name in reader.ids if name.startswith("figure-")}
-    assert figures == {"errors", "slices", "effects", "coefficients", "structure", "shape-0"}
+    assert figures == {
+        *("errors", "slices", "effects", "coefficient-0", "coefficient-1", "structure"),
+        *("partial-0", "partial-cars-0", "partial-slopes-0", "partial-1", "partial-cars-1", "partial-slopes-1"),
+        *("profile-average_speed_kmh", "profile-vehicle_id"),
+    }
     text = " ".join(reader.text)
     for part in ("snow", "not in the data", "1.1 ± 0.2 %", "mine.py contains it as an effect to edit", "58.0 %"):
         assert part in text, part
@@ -136,11 +140,11 @@ def test_page_has_every_figure_and_table(tmp_path):
 @pytest.mark.parametrize("make", [draw_errors, draw_slices, draw_effects, draw_remainder])
 def test_figures_have_units_and_work_in_black_and_white(make):
     for one in make(make_diagnosis()):
-        assert "[" in one.figure.layout.xaxis.title.text
+        assert_axes_are_titled(one.figure)
         assert one.caption
         for trace in one.figure.data:
             if trace.type == "scatter":
-                assert trace.marker.symbol or trace.line.dash
+                assert trace.marker.symbol or trace.line.dash or trace.fill
             else:
                 assert trace.marker.pattern.shape is not None
 
@@ -150,9 +154,12 @@ def test_intervals_of_figures_are_those_of_the_diagnosis():
     assert trace.x[0] == pytest.approx(3.1)
     assert (trace.error_x.array[0], trace.error_x.arrayminus[0]) == pytest.approx((1.1, 1.1))
     [drawn] = draw_coefficients([make_missing_effect()])
-    assert 0.0 < drawn.figure.data[0].x[0] < 1.0
+    assert drawn.figure.data[0].x[0] == pytest.approx(1.1e-4)
+    assert drawn.figure.layout.xaxis.title.text == "Growth of the rolling resistance [1/K]"
+    assert (drawn.figure.layout.shapes[0].x0, drawn.figure.layout.shapes[0].x1) == (2e-5, 3e-4)
     [outside] = draw_coefficients([make_diagnosis()["missing"][1]])
-    assert outside.figure.data[0].x[0] > 1.0
+    low, high = outside.figure.layout.xaxis.range
+    assert low < outside.figure.layout.shapes[0].x1 < outside.figure.data[0].x[0] < high
     bias = draw_slices(make_diagnosis(slices=[{"where": "x", "bias_kwh": 0.1, "ci95": [0.05, 0.2]}]))[0].figure.data[0]
     assert (bias.error_x.array[0], bias.error_x.arrayminus[0]) == pytest.approx((0.1, 0.05))
 

@@ -1,15 +1,20 @@
 """Draw a diagnosis: error against noise, slices, effects with their intervals, and the remaining error."""
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from typing import Any, Final
 
 import plotly.graph_objects as go
 
 from tools.report.diagnosis import sentences
+from tools.report.diagnosis.partial_figures import (
+    describe_coefficient,
+    draw_coefficient_rows,
+    draw_partial_residuals,
+)
+from tools.report.diagnosis.residual_figures import draw_profiles
 from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
-from tools.report.figure_style import add_reference_line, draw_bars, draw_curve, escape_label, get_style, make_figure
+from tools.report.evaluation.result import Result, get_mapping, get_number
+from tools.report.figure_style import add_reference_line, draw_bars, escape_label, get_style, make_figure
 
 ROW: Final = 34
 """Height of a row of a chart. [px]"""
@@ -19,27 +24,28 @@ PERCENT: Final = 100.0
 def draw_errors(result: Result) -> list[Illustration]:
     """Draw the error of the model as given, refitted, and with each missing effect added, against the noise."""
     errors = get_mapping(result, "error")
-    bars = [("as given", errors.get("mae_kwh"))]
+    rows: list[tuple[str, float | None, Any]] = [("as given", get_number(errors.get("mae_kwh")), None)]
     steps = [step for step in result.get("steps") or () if get_number(step.get("mae_kwh")) is not None]
-    if steps:
-        bars += [(_step(step), step["mae_kwh"]) for step in steps]
-    else:
-        bars.append(("same terms refitted", errors.get("mae_refitted_kwh")))
-    known = [(escape_label(what), value) for what, value in bars if get_number(value) is not None]
+    rows += [(_step(step), step["mae_kwh"], step.get("mae_ci95_kwh")) for step in steps]
+    if not steps:
+        rows.append(("same terms refitted", get_number(errors.get("mae_refitted_kwh")), None))
+    known = [(what, float(value), spread) for what, value, spread in rows if value is not None]
     if not known:
         return []
-    names, values = [what for what, _ in known], [value for _, value in known]
-    made = make_figure([draw_bars("error", get_style(2), names, values)], 90 + ROW * len(known))
+    values = [value for _, value, _ in known]
+    spans = [_span(value, spread) for _, value, spread in known]
+    made = _forest("error", [what for what, _, _ in known], values, spans, place=2)
     if (floor := get_number(errors.get("noise_floor_kwh"))) is not None:
+        made.add_vrect(x0=0.0, x1=floor, fillcolor="#8a8a8a", opacity=0.15, line_width=0, layer="below")
         add_reference_line(made, "measurement noise", floor)
     made.update_xaxes(title_text="Mean absolute error of a ride [kWh]", rangemode="tozero")
-    made.update_yaxes(title_text="Model", type="category", autorange="reversed")
+    made.update_yaxes(title_text="Step")
     caption = (
-        "Dashed line: error that measurement noise alone causes. From the second bar on, the terms of the model are "
-        "refitted to these rides for each car (in sample). Each effect is fitted to other days than those it is "
-        "evaluated on."
+        "Lines: 95 % intervals, where rides of one vehicle-day may resemble each other. Shaded: error that measurement "
+        "noise alone causes. From the second row on, the terms of the model are refitted to these rides for each car "
+        "(in sample). Each effect is fitted to other days than those it is evaluated on."
     )
-    return [Illustration("errors", "Error against measurement noise", caption, made)]
+    return [Illustration("errors", "Error against measurement noise, step by step", caption, made)]
 
 
 def draw_slices(result: Result) -> list[Illustration]:
@@ -75,49 +81,25 @@ def draw_effects(result: Result) -> list[Illustration]:
         "Each effect in the presence of those above it, as a share of the error that the terms of the model cannot "
         "explain. Lines: 95 % intervals."
     )
-    return [Illustration("effects", "Missing effects, best first", caption, made), *draw_coefficients(rows)]
+    gains_figure = Illustration("effects", "Missing effects, best first", caption, made)
+    return [gains_figure, *draw_coefficients(rows), *draw_partial_residuals(result)]
 
 
 def draw_coefficients(rows: Sequence[Mapping[str, Any]]) -> list[Illustration]:
-    """Draw each coefficient with its interval over its plausible range."""
-    names, values, spans = [], [], []
-    for one in rows:
+    """Draw each coefficient with its interval in its own unit, over its plausible range."""
+    shown = []
+    for place, one in enumerate(rows):
         coefficient = get_mapping(one, "coefficient")
         value, low, high = (get_number(coefficient.get(key)) for key in ("value", "low", "high"))
         if value is None or low is None or high is None or high <= low:
             continue
-        limits = sentences.read_interval(coefficient.get("ci95"))
-        names.append(
-            f"{sentences.name_effect(one)}, {low:g} to {high:g} {coefficient.get('unit') or ''}".removesuffix(" 1")
-        )
-        values.append((value - low) / (high - low))
-        spans.append(None if limits is None else tuple((end - low) / (high - low) for end in limits))
-    if not names:
-        return []
-    made = _forest("coefficient", names, values, spans, place=6)
-    made.add_vrect(x0=0.0, x1=1.0, fillcolor="#8a8a8a", opacity=0.18, line_width=0)
-    made.update_xaxes(title_text="Coefficient: 0 and 1 are the ends of its plausible range [1]")
-    made.update_yaxes(title_text="Effect")
-    caption = "Shaded: the plausible range. A coefficient outside it may stand for another cause."
-    return [Illustration("coefficients", "Coefficients against their plausible ranges", caption, made)]
-
-
-TITLES: Final = {
-    "ambient_c": "outside temperature",
-    "average_speed_kmh": "average speed",
-    "precipitation_mm_h": "precipitation",
-    "wind_speed_kmh": "wind speed",
-    "soc_start_pct": "state of charge",
-    "battery_temperature_c": "battery temperature",
-    "elapsed_s": "time since the ride began",
-    "parked_s": "time parked before the ride",
-    "occupants": "occupants",
-    "odometer_km": "odometer",
-    "start_s": "date",
-}
-"""Axis title of each feature that an error may depend on."""
-WH: Final = 1000.0
-"""Watt-hours in a kilowatt-hour. [Wh/kWh]"""
+        name = sentences.name_effect(one)
+        quantity = describe_coefficient(get_mapping(one, "partial_residual"))
+        made = draw_coefficient_rows([(name, value, coefficient.get("ci95"))], coefficient, quantity, "Effect")
+        caption = "Line: 95 % interval. Shaded: the plausible range. A coefficient outside it may have another cause."
+        title = f"{place + 1}. {name}: coefficient and plausible range"
+        shown.append(Illustration(f"coefficient-{place}", title, caption, made, small=True))
+    return shown
 
 
 def draw_remainder(result: Result) -> list[Illustration]:
@@ -136,22 +118,7 @@ def draw_remainder(result: Result) -> list[Illustration]:
         made.update_yaxes(title_text="Error", type="category", autorange="reversed")
         caption = "Predicted by boosted trees on days to which they were not fitted. A predictable error has a cause."
         shown.append(Illustration("structure", "Predictable part of the error", caption, made))
-    shapes = [one for one in get_part(result, "structure", "shapes") or () if one.get("x") and one.get("y_kwh")]
-    return shown + [_shape(i, one) for i, one in enumerate(shapes)]
-
-
-def _shape(place: int, part: Mapping[str, Any]) -> Illustration:
-    """Draw the mean remaining error along one feature of the windows."""
-    feature, unit = str(part.get("feature")), str(part.get("unit") or "1")
-    title = TITLES.get(feature, feature.replace("_", " "))
-    left = [WH * value for value in part["y_kwh"]]
-    x = [datetime.fromtimestamp(at, UTC) for at in part["x"]] if feature == "start_s" else list(part["x"])
-    made = make_figure([draw_curve(escape_label(title), get_style(2 + place), x, left)], 320)
-    made.update_layout(showlegend=False)
-    made.update_xaxes(title_text=escape_label(title if feature == "start_s" else f"{title} [{unit}]"))
-    made.update_yaxes(title_text="Measured less predicted [Wh]", zeroline=True)
-    caption = "Mean remaining error of a window, for each twelfth of the windows. Scatter between points is chance."
-    return Illustration(f"shape-{place}", f"Remaining error by {title}", caption, made, small=True)
+    return [*shown, *draw_profiles(result)]
 
 
 def _forest(name: str, names: list[str], values: list[float], spans: Sequence[Any], *, place: int) -> go.Figure:

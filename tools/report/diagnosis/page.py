@@ -8,12 +8,14 @@ from typing import Any, Final
 
 from rich.console import Console
 from rich.padding import Padding
+from rich.style import Style
 from rich.text import Text
 
 from core.evaluate.paper.results import to_json_values
 from tools.report.diagnosis import deviations, figures, sentences, tables
 from tools.report.diagnosis.location_figure import draw_location
 from tools.report.diagnosis.location_sentences import describe_location
+from tools.report.diagnosis.partial_figures import is_drawn, name_figure
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, get_mapping
 from tools.report.evaluation.sections import Section
@@ -91,6 +93,26 @@ def print_step(result: Any, step: int, console: Console) -> None:
         print_lines(["The remaining error has further structure:", *signs], console)
 
 
+def print_links(result: Any, path: Path, console: Console) -> None:
+    """Print a link to the picture of each missing effect in the page of a diagnosis.
+
+    Parameters
+    ----------
+    result : mapping
+        The result of `core.diagnose.diagnosis.diagnose`.
+    path : Path
+        The page.
+    console : Console
+        Where to print; a terminal that knows links opens them.
+    """
+    for place, one in enumerate(to_json_values(result).get("missing") or ()):
+        if is_drawn(get_mapping(one, "partial_residual")):
+            anchor = f"#figure-{name_figure(place)}"
+            link = Style(link=f"{path.resolve().as_uri()}{anchor}")
+            line = Text(f"picture of {sentences.name_effect(one)}: ").append(f"{path}{anchor}", style=link)
+            console.print(line, soft_wrap=True, highlight=False)
+
+
 def print_heading(title: str, console: Console) -> None:
     """Print the title of a part."""
     console.print()
@@ -152,7 +174,7 @@ def build_sections(result: Result, suggested: str | None = None) -> list[Section
         Section("slices", "Where the model fails", "", [tables.tabulate_slices(result)]),
         Section("location", "Where the error lives", " ".join(describe_location(result)), []),
         Section("missing", "Missing effects", _summarise_missing(result), [tables.tabulate_missing_effects(result)]),
-        Section("cars", "Cars and changes", ". ".join(deviations.describe_deviations(result)), []),
+        Section("cars", "Cars and changes", _end_sentences(deviations.describe_deviations(result)), []),
         Section(
             "remains", "Remaining error", _describe_remainder(result, suggested), [tables.tabulate_structure(result)]
         ),
@@ -163,7 +185,11 @@ def build_sections(result: Result, suggested: str | None = None) -> list[Section
 
 def _describe_remainder(result: Result, suggested: str | None) -> str:
     """Return the remaining error as sentences, each with a full stop."""
-    lines = (*sentences.describe_remainder(result), *sentences.describe_suggestion(result, suggested))
+    return _end_sentences((*sentences.describe_remainder(result), *sentences.describe_suggestion(result, suggested)))
+
+
+def _end_sentences(lines: Sequence[str]) -> str:
+    """Return lines as one text in which each ends with a stop."""
     return " ".join(line if line.endswith((".", ":")) else f"{line}." for line in lines)
 
 

@@ -1,0 +1,68 @@
+"""Compute how the error of rides falls as missing effects are added one by one, with intervals."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from core.batch import Floats
+from core.diagnose.forward_selection import ForwardSelection, MissingEffect
+from core.stats.clustered import compute_clustered_mean
+
+
+def compute_steps(selection: ForwardSelection, missing: Sequence[MissingEffect], floor: float) -> list[dict[str, Any]]:
+    """Return the error per ride as effects are added one by one, each fitted to other vehicle-days.
+
+    The terms of the model are refitted to all windows of each car, also to those of the held-out days.
+
+    Parameters
+    ----------
+    selection : ForwardSelection
+        The finished selection. It is the same after the call.
+    missing : sequence of MissingEffect
+        Its missing effects, in the order in which they are added.
+    floor : float
+        Error that measurement noise alone causes. [kWh]
+
+    Returns
+    -------
+    list of dict
+        First the model without missing effects, then one entry for each effect: `effect`, `scope`, `mae_kwh` with the
+        half width `mae_ci95_kwh` of its 95 % interval, `change_kwh` from the entry before with `change_ci95_kwh`, and
+        `noise_floor_kwh`. Rides of one vehicle-day may resemble each other. An unknown interval is None.
+    """
+    days = selection.base.windows.day_of_ride
+    named, selection.selected = selection.selected, []
+    rows: list[dict[str, Any]] = []
+    before = np.empty(0)
+    for finding in (None, *missing):
+        if finding is not None:
+            selection.selected = [*selection.selected, finding.selected]
+        error = _compute_errors(selection)
+        mean = compute_clustered_mean(error, days)
+        change = compute_clustered_mean(error - before, days) if len(before) else None
+        scope = () if finding is None else finding.selected.candidates.scope
+        rows.append(
+            {
+                "effect": None if finding is None else finding.selected.effect,
+                "scope": " ".join(scope).replace("=", " ") or "all",
+                "mae_kwh": mean.value,
+                "mae_ci95_kwh": _known(mean.ci95),
+                "change_kwh": None if change is None else change.value,
+                "change_ci95_kwh": None if change is None else _known(change.ci95),
+                "noise_floor_kwh": floor,
+            }
+        )
+        before = error
+    selection.selected = named
+    return rows
+
+
+def _compute_errors(selection: ForwardSelection) -> Floats:
+    """Return the absolute error of each ride beside the selected effects, (rides,). [kWh]"""
+    left = selection.compute_held_out_residual(selection.build_basis())
+    return np.asarray(np.abs(selection.base.windows.by_ride(selection.base.convert_to_energy(left))))
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None

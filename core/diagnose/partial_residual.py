@@ -1,0 +1,126 @@
+"""Compute the data of pictures: measured less predicted against the regressor of each missing effect.
+
+The regressor of an effect is its power, or its energy per kilometre where it acts through the motion of the car, per
+unit of its coefficient. The partial residual is what the model and all missing effects leave, plus the contribution of
+this effect. Plotted against the regressor, it scatters around a line through the origin whose slope is the coefficient,
+if the formula of the effect holds; a bend shows that it does not.
+
+References
+----------
+Larsen and McCleary, Technometrics 14 (1972) 781, DOI 10.1080/00401706.1972.10488966.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+
+from core import effects
+from core.batch import Floats, Ints
+from core.diagnose.bin_means import assign_bins, average_in_bins
+from core.diagnose.evidence import ClusterSums, compute_evidence
+from core.diagnose.forward_selection import ForwardSelection, MissingEffect
+from core.fit.ride_blocks import get_names, get_numbers
+
+BINS: Final = 12
+"""Largest number of bins of a picture."""
+BINS_OF_CAR: Final = 5
+"""Largest number of bins of the picture of one car."""
+MOST_CARS: Final = 12
+"""Largest number of cars that are shown one by one: those with the most windows."""
+LEAST_WINDOWS: Final = 5
+"""Least mean number of windows in a bin."""
+LEAST_KM: Final = 0.02
+"""Distance below which a window has no energy per kilometre. [km]"""
+WH: Final = 1000.0
+"""Watt-hours in a kilowatt-hour. [Wh/kWh]"""
+
+
+def compute_partial_residual(selection: ForwardSelection, finding: MissingEffect) -> dict[str, Any]:
+    """Return the partial residual of a missing effect in bins of its regressor.
+
+    Parameters
+    ----------
+    selection : ForwardSelection
+        The finished selection.
+    finding : MissingEffect
+        One of its missing effects.
+
+    Returns
+    -------
+    dict
+        `per` ("h" or "km": values are in W or in Wh/km), `quantity` and `unit` of the coefficient, `slope` with its
+        interval `slope_ci95`, and in bins of the regressor `x`: `before` and `after` the effect is added, the half
+        width `ci95` of their 95 % intervals, and the numbers of `windows` and of vehicle-`days`. `cars` holds the same
+        of each car, in fewer bins, with the slope that the car alone shows.
+
+    Notes
+    -----
+    All other coefficients have the values that they have beside the effect, so both series have the same interval.
+    """
+    base, seen = selection.base, selection.base.windows
+    effect = effects.get(finding.selected.variant)
+    per = "km" if effect.per == "distance" else "h"
+    amount = get_numbers(seen.table, "distance_km") if per == "km" else get_numbers(seen.table, "duration_s") / 3600.0
+    column, value = finding.selected.column[:, 0], float(finding.evidence.coefficient[0])
+    left = base.convert_to_energy(selection.compute_residual(selection.build_basis()))
+    rows = np.flatnonzero(amount > (LEAST_KM if per == "km" else 0.0))
+    regressor, after = (WH * energy[rows] / amount[rows] for energy in (column, left))
+    weight = base.weight[rows] * amount[rows] ** 2
+    low, high = finding.evidence.compute_interval(0)
+
+    def bin_rows(at: Ints, most: int) -> dict[str, Any]:
+        return _bin(regressor[at], after[at], value, weight[at], seen.day[rows][at], most)
+
+    space = selection.build_space(finding.selected)
+    projected = space.project_out(finding.selected.column)
+    names = get_names(seen.table, "vehicle_id")
+    cars = []
+    for car in _list_cars(seen.vehicle):
+        here = np.flatnonzero(seen.vehicle == car)
+        slope, ends = _fit_slope(space.residual[here], projected[here], seen.day[here])
+        name = str(names[here[0]])
+        of_car = bin_rows(np.flatnonzero(seen.vehicle[rows] == car), BINS_OF_CAR)
+        cars.append({"car": name, "slope": slope, "slope_ci95": ends, **of_car})
+    return {
+        "per": per,
+        "quantity": effect.coefficient,
+        "summary": effect.summary,
+        "unit": effect.unit,
+        "slope": value,
+        "slope_ci95": [low, high],
+        **bin_rows(np.arange(len(rows)), BINS),
+        "cars": sorted(cars, key=lambda each: str(each["car"])),
+    }
+
+
+def _list_cars(vehicle: Ints) -> list[int]:
+    """Return the codes of the cars with the most windows."""
+    count = np.bincount(vehicle)
+    return [int(car) for car in np.argsort(-count, kind="stable")[:MOST_CARS] if count[car] >= 2 * LEAST_WINDOWS]
+
+
+def _fit_slope(residual: Floats, column: Floats, day: Ints) -> tuple[float | None, list[float] | None]:
+    """Return the coefficient that weighted, projected windows of one car show, with its interval; None if unknown."""
+    evidence = compute_evidence(
+        residual, column, np.zeros(1, dtype=np.int64), ClusterSums(np.unique(day, return_inverse=True)[1])
+    )
+    ends = evidence.compute_interval(0)
+    known = float((column**2).sum()) > 0.0 and bool(np.isfinite(ends).all())
+    return (float(evidence.coefficient[0]), list(ends)) if known else (None, None)
+
+
+def _bin(x: Floats, after: Floats, slope: float, weight: Floats, day: Ints, most: int) -> dict[str, Any]:
+    """Return the residual with and without the contribution of an effect, in bins of its regressor."""
+    if not len(x):
+        return {name: [] for name in ("x", "before", "after", "ci95", "windows", "days")}
+    place, bins = assign_bins(x, max(1, min(most, len(x) // LEAST_WINDOWS)))
+    means = average_in_bins(place, bins, after, weight, day)
+    middle = np.bincount(place, weight * x, bins) / np.bincount(place, weight, bins)
+    return {
+        "x": middle.tolist(),
+        "before": (means.value + slope * middle).tolist(),
+        "after": means.value.tolist(),
+        "ci95": [half if np.isfinite(half) else None for half in means.ci95.tolist()],
+        "windows": means.windows.tolist(),
+        "days": means.days.tolist(),
+    }

@@ -1,0 +1,66 @@
+"""Draw the probabilities of the causes of an error."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from tools.report.evaluation.illustrations import Illustration
+from tools.report.evaluation.result import get_number
+from tools.report.figure_style import draw_bars, escape_label, get_style, make_figure
+
+PERCENT: Final = 100.0
+ROW: Final = 28
+"""Height of a row. [px]"""
+MOST: Final = 12
+"""Largest number of bars; the less probable causes share the last one."""
+APART: Final = ("several", "not in the library", "none")
+"""Entries that are no effect of the library, shown below the effects, in grey."""
+
+
+def draw_causes(
+    causes: Sequence[Mapping[str, Any]], *, key: str = "causes", title: str = "Probable causes"
+) -> list[Illustration]:
+    """Draw the probability of each cause as a bar: effects first, then `several`, `not in the library` and `none`.
+
+    Parameters
+    ----------
+    causes : sequence of mapping
+        `effect` and its `probability`. [1]
+    key, title : str
+        Key and title of the figure.
+
+    Returns
+    -------
+    list of Illustration
+        One figure; none without a known probability.
+    """
+    known = [(str(one.get("effect")), get_number(one.get("probability"))) for one in causes]
+    rows = sorted(((name, p) for name, p in known if p is not None), key=lambda row: -row[1])
+    named = [row for row in rows if row[0] not in APART]
+    apart = [row for row in rows if row[0] in APART]
+    if not rows:
+        return []
+    if len(named) > MOST:
+        rest = named[MOST - 1 :]
+        named = [*named[: MOST - 1], (f"{len(rest)} others", sum(p for _, p in rest))]
+    traces = [
+        draw_bars(
+            name,
+            get_style(style),
+            [escape_label(label.replace("_", " ")) for label, _ in group],
+            [PERCENT * p for _, p in group],
+            text=[f"{PERCENT * p:.0f} %" for _, p in group],
+            textposition="outside",
+            cliponaxis=False,
+        )
+        for name, style, group in (("effect of the library", 2, named), ("other", 0, apart))
+        if group
+    ]
+    made = make_figure(traces, 100 + ROW * (len(named) + len(apart)))
+    made.update_layout(barmode="overlay", showlegend=False)
+    made.update_xaxes(title_text="Probability [%]", range=[0.0, 108.0], tickvals=[0, 20, 40, 60, 80, 100])
+    made.update_yaxes(title_text="Cause", type="category", autorange="reversed")
+    caption = (
+        "Probability of each cause, given these rides and the plausible range of each coefficient. Several: more than "
+        "one of the effects above. Not in the library: no effect of the library causes the error."
+    )
+    return [Illustration(key, title, caption, made)]

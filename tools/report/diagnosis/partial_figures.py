@@ -1,0 +1,320 @@
+"""Draw each missing effect: measured less predicted against its regressor, before and after it is added, and by car."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from tools.report.diagnosis import sentences
+from tools.report.evaluation.illustrations import Illustration
+from tools.report.evaluation.result import Result, get_mapping, get_number
+from tools.report.figure_style import REFERENCE_LINE, Style, apply_layout, escape_label, get_style
+
+POWER: Final = {"h": "W", "km": "Wh/km"}
+"""Unit of the residual, by what it is divided by."""
+NAMES: Final = {"h": "power", "km": "energy per km"}
+BAND: Final = "rgba(31,158,119,0.2)"
+"""Colour of the band around a fitted line."""
+SHADE: Final = "rgba(138,138,138,0.2)"
+"""Colour of a plausible range."""
+BEFORE: Final = Style("#d1571f", "solid", "circle", "")
+AFTER: Final = Style("#0b76c4", "dot", "square-open", "")
+LINE: Final = "#1f9e77"
+PANEL: Final = 170
+"""Height of the panel of one car. [px]"""
+SUPERSCRIPTS: Final = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+
+
+def name_figure(place: int) -> str:
+    """Return the key of the figure of the missing effect at a place, from 0."""
+    return f"partial-{place}"
+
+
+def format_unit(unit: str) -> str:
+    """Return a unit as it is printed: `m^2` is m², and `1` is empty.
+
+    Examples
+    --------
+    >>> format_unit("m^2"), format_unit("W/K"), format_unit("1"), format_unit("s^-1 / m**2")
+    ('m²', 'W/K', '', 's⁻¹ / m²')
+    """
+    head, *rest = unit.replace("**", "^").split("^")
+    words = head
+    for part in rest:
+        digits = len(part) - len(part.lstrip("-0123456789"))
+        words += part[:digits].translate(SUPERSCRIPTS) + part[digits:]
+    return "" if words == "1" else words
+
+
+def is_drawn(part: Mapping[str, Any]) -> bool:
+    """Return whether a partial residual has all that its figure shows."""
+    return (
+        all(part.get(name) for name in ("x", "before", "after", "windows"))
+        and get_number(part.get("slope")) is not None
+    )
+
+
+def draw_partial_residuals(result: Result) -> list[Illustration]:
+    """Draw the partial residual of each missing effect, all cars together and car by car."""
+    shown = []
+    for place, one in enumerate(result.get("missing") or ()):
+        part = get_mapping(one, "partial_residual")
+        if not is_drawn(part):
+            continue
+        name = sentences.name_effect(one)
+        per = str(part.get("per") or "h")
+        shown.append(
+            Illustration(
+                name_figure(place),
+                f"{place + 1}. {name}: measured less predicted, before and after it is added",
+                f"Measured less predicted {NAMES[per]} of windows, in bins of the {NAMES[per]} that {name} takes per "
+                f"unit of its coefficient, {describe_coefficient(part)}. Filled: by the model without {name}. "
+                "Outlines: with it. The slope of the line is the coefficient; points that bend away from it show that "
+                "the formula does not hold. Error bars and band: 95 % intervals. Below: the windows in each bin.",
+                _draw_all_cars(part),
+            )
+        )
+        if cars := [car for car in part.get("cars") or () if car.get("x") and car.get("before")]:
+            shown.append(
+                Illustration(
+                    f"partial-cars-{place}",
+                    f"{place + 1}. {name}, car by car",
+                    "The same for each car, without the effect, with the number of windows in parentheses. The line is "
+                    "that of all cars. Error bars: 95 % intervals.",
+                    _draw_cars(part, cars),
+                )
+            )
+            shown += _draw_slopes(place, name, one, part, cars)
+    return shown
+
+
+def describe_coefficient(part: Mapping[str, Any]) -> str:
+    """Return the meaning of a coefficient, with its unit if it has one."""
+    unit = format_unit(str(part.get("unit") or ""))
+    return f"the {part.get('quantity') or 'coefficient'}{f' [{unit}]' if unit else ''}"
+
+
+def _title_regressor(part: Mapping[str, Any]) -> str:
+    """Return the title of the axis of the regressor, with its unit."""
+    unit, per = format_unit(str(part.get("unit") or "")), str(part.get("per") or "h")
+    what = f" per {unit}" if unit else ", coefficient 1"
+    simple = unit.isalpha() or (unit[:-1].isalpha() and unit[-1:] in "²³")
+    divided = POWER[per] if not unit else f"{POWER[per]}/{unit}" if simple else f"{POWER[per]}/({unit})"
+    if per == "km" and unit:
+        divided = f"Wh/(km {unit})" if simple else f"Wh/km/({unit})"
+    return escape_label(f"{NAMES[per].capitalize()}{what} [{divided}]")
+
+
+def _draw_all_cars(part: Mapping[str, Any]) -> go.Figure:
+    """Draw the points before and after, the fitted line with its band, and the counts below."""
+    per = str(part.get("per") or "h")
+    made = make_subplots(rows=2, cols=1, shared_xaxes=True, row_heights=[0.8, 0.2], vertical_spacing=0.06)
+    for trace in _draw_line(part, part["x"]):
+        made.add_trace(trace, row=1, col=1)
+    for name, look, values in (
+        ("before it is added", BEFORE, part["before"]),
+        ("after it is added", AFTER, part["after"]),
+    ):
+        made.add_trace(_draw_points(name, look, part, values), row=1, col=1)
+    counts = list(part.get("windows") or ())
+    made.add_trace(
+        go.Bar(
+            name="windows",
+            x=list(part["x"]),
+            y=counts,
+            marker={"color": "#8a8a8a", "pattern": {"shape": ""}},
+            showlegend=False,
+            width=_bar_width(part["x"]),
+            hovertemplate="%{y} windows<extra></extra>",
+        ),
+        row=2,
+        col=1,
+    )
+    apply_layout(made, 500)
+    made.add_hline(y=0.0, line={**REFERENCE_LINE, "width": 1}, row=1, col=1)
+    made.update_xaxes(title_text=_title_regressor(part), row=2, col=1)
+    made.update_yaxes(title_text=f"Measured less predicted [{POWER[per]}]", row=1, col=1)
+    made.update_yaxes(title_text="Windows [1]", rangemode="tozero", nticks=3, row=2, col=1)
+    return made
+
+
+def _bar_width(x: Sequence[float]) -> float:
+    """Return a width of bars that keeps them visible and apart where that is possible."""
+    span = max(x) - min(x)
+    return span / 60.0 if span > 0.0 else 1.0
+
+
+def _draw_line(part: Mapping[str, Any], x: Sequence[float], *, legend: bool = True) -> list[go.Scatter]:
+    """Return the fitted line through the origin, and its band."""
+    slope, ends = get_number(part.get("slope")), sentences.read_interval(part.get("slope_ci95"))
+    if slope is None:
+        return []
+    low, high = min(0.0, *x), max(0.0, *x)
+    across = [low, 0.0, high]
+    traces = []
+    if ends is not None:
+        upper = [max(end * at for end in ends) for at in across]
+        lower = [min(end * at for end in ends) for at in across]
+        traces.append(
+            go.Scatter(
+                name="95 % band",
+                x=[*across, *across[::-1]],
+                y=[*upper, *lower[::-1]],
+                mode="lines",
+                line={"width": 0},
+                fill="toself",
+                fillcolor=BAND,
+                hoverinfo="skip",
+                showlegend=legend,
+            )
+        )
+    line = {"color": LINE, "width": 2, "dash": "solid"}
+    traces.append(
+        go.Scatter(
+            name="fitted line",
+            x=across,
+            y=[slope * at for at in across],
+            mode="lines",
+            line=line,
+            showlegend=legend,
+            hoverinfo="skip",
+        )
+    )
+    return traces
+
+
+def _draw_points(
+    name: str, look: Style, part: Mapping[str, Any], values: Sequence[Any], *, legend: bool = True
+) -> go.Scatter:
+    """Return the points of bins with their error bars and counts."""
+    spread = list(part.get("ci95") or [])
+    counts = zip(part.get("windows") or (), part.get("days") or (), strict=False)
+    return go.Scatter(
+        name=name,
+        x=list(part["x"]),
+        y=list(values),
+        mode="markers",
+        marker={"symbol": look.symbol, "size": 9, "color": look.colour, "line": {"width": 1.5, "color": look.colour}},
+        error_y={"type": "data", "array": spread, "thickness": 1.2, "width": 3} if any(spread) else None,
+        text=[f"{windows:,} windows of {days:,} vehicle-days" for windows, days in counts],
+        hovertemplate="%{y:.3g}, %{text}<extra></extra>",
+        showlegend=legend,
+    )
+
+
+def _draw_cars(part: Mapping[str, Any], cars: Sequence[Mapping[str, Any]]) -> go.Figure:
+    """Draw one panel for each car, with common axes."""
+    columns = min(2, len(cars))
+    rows = -(-len(cars) // columns)
+    titles = [escape_label(f"{car.get('car')} ({sum(car.get('windows') or ()):,})") for car in cars]
+    height = 90 + PANEL * rows
+    made = make_subplots(
+        rows=rows,
+        cols=columns,
+        shared_xaxes="all",
+        shared_yaxes="all",
+        subplot_titles=titles,
+        vertical_spacing=min(34 / (PANEL * rows), 1.0 / max(rows - 1, 1)),
+        horizontal_spacing=0.04,
+    )
+    every = [x for car in cars for x in car["x"]]
+    for i, car in enumerate(cars):
+        at = {"row": i // columns + 1, "col": i % columns + 1}
+        for trace in _draw_line(part, every, legend=i == 0):
+            made.add_trace(trace, **at)
+        made.add_trace(_draw_points("before it is added", BEFORE, car, car["before"], legend=i == 0), **at)
+    apply_layout(made, height)
+    made.update_annotations(font_size=12)
+    made.update_xaxes(nticks=6)
+    made.update_yaxes(nticks=5)
+    made.add_annotation(
+        text=_title_regressor(part), x=0.5, y=0, xref="paper", yref="paper", yshift=-30, yanchor="top", showarrow=False
+    )
+    if len(cars) % columns:
+        made.update_xaxes(showticklabels=True, row=rows - 1, col=columns)
+    unit = POWER[str(part.get("per") or "h")]
+    made.add_annotation(
+        text=f"Measured less predicted [{unit}]",
+        x=0,
+        y=0.5,
+        xref="paper",
+        yref="paper",
+        xshift=-58,
+        textangle=-90,
+        showarrow=False,
+    )
+    made.update_layout(margin={"l": 85})
+    return made
+
+
+def _draw_slopes(
+    place: int, name: str, one: Mapping[str, Any], part: Mapping[str, Any], cars: Sequence[Mapping[str, Any]]
+) -> list[Illustration]:
+    """Draw the coefficient that each car alone shows, over that of all cars and the plausible range."""
+    known = [car for car in cars if get_number(car.get("slope")) is not None]
+    if len(known) < 2:
+        return []
+    rows = [*((str(car.get("car")), car.get("slope"), car.get("slope_ci95")) for car in known)]
+    rows.append(("all cars", part.get("slope"), part.get("slope_ci95")))
+    made = draw_coefficient_rows(rows, get_mapping(one, "coefficient"), describe_coefficient(part), "Car")
+    caption = (
+        "Points: the coefficient that the windows of one car show. Lines: 95 % intervals. Shaded: the plausible range. "
+        "An interval far from that of all cars suggests that the effect differs between cars."
+    )
+    return [Illustration(f"partial-slopes-{place}", f"{place + 1}. {name}: coefficient by car", caption, made)]
+
+
+def draw_coefficient_rows(
+    rows: Sequence[tuple[str, Any, Any]], coefficient: Mapping[str, Any], quantity: str, axis: str
+) -> go.Figure:
+    """Draw values of a coefficient with their intervals in its own unit, over its plausible range.
+
+    Parameters
+    ----------
+    rows : sequence of (str, float, [float, float])
+        Name, value and interval of each row, from the top. [unit of the coefficient]
+    coefficient : mapping
+        `low` and `high`, the plausible range, and `unit`.
+    quantity : str
+        What the coefficient is.
+    axis : str
+        Title of the vertical axis.
+    """
+    values = [float(value) for _, value, _ in rows]
+    ends = [
+        sentences.read_interval(interval) or (value, value)
+        for value, (_, _, interval) in zip(values, rows, strict=True)
+    ]
+    unit = format_unit(str(coefficient.get("unit") or "")) or "1"
+    look = get_style(6)
+    points = go.Scatter(
+        name="coefficient",
+        x=values,
+        y=[escape_label(name) for name, _, _ in rows],
+        mode="markers",
+        marker={"symbol": look.symbol, "size": 10, "color": look.colour},
+        error_x={
+            "type": "data",
+            "array": [high - value for value, (_, high) in zip(values, ends, strict=True)],
+            "arrayminus": [value - low for value, (low, _) in zip(values, ends, strict=True)],
+            "symmetric": False,
+            "thickness": 1.5,
+            "width": 4,
+        },
+    )
+    made = apply_layout(go.Figure([points]), 100 + 30 * len(rows))
+    low, high = get_number(coefficient.get("low")), get_number(coefficient.get("high"))
+    if low is not None and high is not None:
+        made.add_vrect(x0=low, x1=high, fillcolor=SHADE, line_width=0, layer="below")
+    inside = [value for value in (low, high) if value is not None]
+    across = [*values, *(end for pair in ends for end in pair), *inside, 0.0]
+    room = 0.04 * (max(across) - min(across) or 1.0)
+    title = quantity.removeprefix("the ").partition(" [")[0]
+    made.update_xaxes(
+        title_text=escape_label(f"{title[:1].upper()}{title[1:]} [{unit}]"),
+        range=[min(across) - room, max(across) + room],
+    )
+    made.update_yaxes(title_text=axis, type="category", autorange="reversed")
+    made.update_layout(showlegend=False)
+    return made
