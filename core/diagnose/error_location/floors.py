@@ -13,11 +13,11 @@ FLOORS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
 )
 """Sizes that rides, days and cars show without any hidden load: kW, otherwise a share of the energy by catalogue.
 
-Those of rides and days are at least 1.2 times the largest in simulated fleets (seeds 21 to 23 of the benchmark of hidden
-effects). They come from power that is sampled every few seconds: in such a fleet, rides seem to differ by 16 % of their
-drag and 3 % of the braking energy; with the true energy in place of the measured one, by 0 and 0.6 %. The noise of
-sampled power grows with speed more than its model does, which accounts for about a third of it. Those of cars are the
-usual differences between cars of a model.
+Those of rides and days are at least 1.2 times the largest in simulated fleets (seeds 21 to 23 of the benchmark of
+hidden effects). They come from power that is sampled every few seconds: in such a fleet, rides seem to differ by 16 %
+of their drag and 3 % of the braking energy; with the true energy in place of the measured one, by 0 and 0.6 %. The
+noise of sampled power grows with speed more than its model does, which accounts for about a third of it. Those of cars
+are the usual differences between cars of a model.
 """
 DISTORTED: Final = (("ride", "drag"), ("ride", "braking"))
 """Loads that sampled power seems to show in all drives. They are part of each model, up to their floor."""

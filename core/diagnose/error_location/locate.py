@@ -80,8 +80,8 @@ class ErrorLocation:
     estimates : tuple of LocatedLoad
         All levels and kinds that the data can tell, with claimed ones among them.
     shares : mapping of str to float
-        Shares of the squared error of rides, refitted for each car: `measurement`, `scatter` (what varies by chance
-        beyond it), and each level with a claimed load. Their sum is 1. [1]
+        Shares of the squared error of rides, refitted for each car: `measurement`, `scatter` (what varies within
+        rides beyond it), and each level with a claimed load. Their sum is 1. [1]
     levels : tuple of str
         Levels that the data can tell.
     absent_kinds, absent_signals : tuple of str

@@ -160,15 +160,12 @@ def describe_shares(location: Mapping[str, Any]) -> list[str]:
     parts = [f"{format_percent(shares.pop('measurement', 0.0), 0)} is measurement noise"]
     scatter = shares.pop("scatter", 0.0)
     if scatter >= LEAST_SHARE:
-        parts.append(f"{format_percent(scatter, 0)} varies by chance from window to window")
+        parts.append(f"{format_percent(scatter, 0)} is unexplained within rides")
     parts += [
         f"{format_percent(share, 0)} is unexplained and differs from {LEVEL_NAMES[name]} to {LEVEL_NAMES[name]}"
         for name, share in shares.items()
         if share >= LEAST_SHARE
     ]
-    if not any(share >= LEAST_SHARE for share in shares.values()):
-        parts.append("none follows rides or days")
-    text = f"{', '.join(parts[:-1])} and {parts[-1]}"
-    return [
-        f"With all terms refitted for each vehicle, and any smooth curve of temperature, of the squared error {text}."
-    ]
+    text = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
+    how = "all terms refitted for each vehicle, with any smooth curve of temperature"
+    return [f"Of the squared error of rides ({how}), {text}."]
