@@ -12,7 +12,7 @@ Each step is a module of its own:
 8. `partial_residual`, `residual_profile` and `error_steps` compute the data of the report's figures.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -68,6 +68,7 @@ def diagnose(
     without: Collection[str] = (),
     least_gain: float = LEAST_GAIN,
     places: bool = True,
+    groups: Mapping[str, str] | None = None,
     seed: int = 0,
 ) -> dict[str, Any]:
     """Return where a model fails, which effects it lacks, and what error remains.
@@ -85,6 +86,8 @@ def diagnose(
         rides or of windows, whichever falls more. [1]
     places : bool
         Whether to test whether single cars deviate from their siblings, and what changed since a date.
+    groups : mapping of str to str, optional
+        Group of each vehicle, such as its depot; groups are compared like cars.
     seed : int
         Seed of the assignment of vehicle-days to folds and halves.
 
@@ -102,11 +105,19 @@ def diagnose(
         There are too few data, see `core.diagnose.dataset.gather_windows`.
     """
     with threadpool_limits(1):  # matrices are small, so threads would wait, and sums would depend on their number
-        return _diagnose(gather_windows(rides, windows, model), model, without, least_gain, places=places, seed=seed)
+        seen = gather_windows(rides, windows, model)
+        return _diagnose(seen, model, without, least_gain, groups, places=places, seed=seed)
 
 
 def _diagnose(
-    seen: Windows, model: LinearModel, without: Collection[str], least_gain: float, *, places: bool, seed: int
+    seen: Windows,
+    model: LinearModel,
+    without: Collection[str],
+    least_gain: float,
+    groups: Mapping[str, str] | None,
+    *,
+    places: bool,
+    seed: int,
 ) -> dict[str, Any]:
     """Return the result of `diagnose` for windows."""
     base, candidates = BaseProjection(seen, model), build_candidates(seen, model, without)
@@ -118,7 +129,7 @@ def _diagnose(
     local: dict[str, list[dict[str, Any]]] = {"deviations": [], "cars": []}
     if places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES:
         known = np.column_stack([np.empty((len(seen.measured), 0)), *(named.column for named in selection.selected)])
-        local = diagnose_deviations(selection.base, model, known, without)
+        local = diagnose_deviations(selection.base, model, known, without, groups)
     base = selection.base
     missing = selection.list_missing_effects()
     remains = residual_structure.measure_residual_structure(selection, missing)

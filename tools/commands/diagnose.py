@@ -1,7 +1,7 @@
 """Run `socast diagnose`: find where a model fails and why; with `--auto`, add effects until none is missing."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +16,7 @@ from core.diagnose.add.holdout import select_final_days
 from core.diagnose.add.terms import build_term_columns
 from core.diagnose.dataset import gather_windows
 from core.diagnose.ranking import LEAST_GAIN
+from core.diagnose.siblings.groups import read_groups
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError, SettingsError
 from core.evaluate.paper.results import to_json_values
@@ -68,6 +69,10 @@ def diagnose_rides(
         Path | None, typer.Option(metavar="FILE.py", help="Write the suggested effect, if any, to a file.")
     ] = None,
     least_gain: LeastGain = LEAST_GAIN,
+    groups: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Groups of vehicles to compare: columns vehicle_id,group."),
+    ] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Add the first missing effect and repeat.")] = False,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="M2", help="With --auto: the model file to write.")
@@ -76,6 +81,8 @@ def diagnose_rides(
     """Find where a model fails, which physical effects it lacks, and what error remains."""
     if auto != (out is not None):
         raise SettingsError("--auto writes the final model: give --auto and -o M2 together, or neither")
+    if auto and groups:
+        raise SettingsError("--groups has no effect with --auto, because no term of a model holds for a group")
     loaded = models.load(model)
     check_outputs(
         [*read_files(rides), *select_model_files([model]), *(effects_file or ())], json_file, html_file, suggest, out
@@ -92,7 +99,8 @@ def diagnose_rides(
         loaded, result = _auto(loaded, table, windows, least_gain, console)
         models.save(loaded, out)
     else:
-        result = _diagnose(loaded, *_drop_known_final_days(loaded, table, windows, console), least_gain)
+        of_vehicle = read_groups(groups) if groups else None
+        result = _diagnose(loaded, *_drop_known_final_days(loaded, table, windows, console), least_gain, of_vehicle)
         insert_commands(result, model, rides, effects_file or ())
     write_json(json_file, "diagnose", result)
     show_report("diagnosis.page", result, html_file, json_file, suggested=_write_suggestion(result, suggest))
@@ -201,11 +209,17 @@ def parse_term(entry: dict[str, Any]) -> tuple[str, list[str]]:
     return names[0] if names else str(entry.get("variant") or entry["effect"]), [c for c in columns if is_scope(c)]
 
 
-def _diagnose(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, least_gain: float) -> dict[str, Any]:
+def _diagnose(
+    model: LinearModel,
+    rides: pd.DataFrame,
+    windows: pd.DataFrame,
+    least_gain: float,
+    groups: Mapping[str, str] | None = None,
+) -> dict[str, Any]:
     """Return the diagnosis as JSON values."""
     from core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
 
-    result: dict[str, Any] = to_json_values(diagnose(rides, windows, model, least_gain=least_gain))
+    result: dict[str, Any] = to_json_values(diagnose(rides, windows, model, least_gain=least_gain, groups=groups))
     return result
 
 

@@ -6,7 +6,7 @@
 4. `causes` weighs causes and dates.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
 
@@ -27,6 +27,7 @@ from core.diagnose.siblings.causes import (
     weigh_causes,
     weigh_dates,
 )
+from core.diagnose.siblings.groups import list_groups
 from core.diagnose.siblings.search import Question, Search, find_deviations, make_shift_weights
 from core.diagnose.siblings.spread import SiblingBase, estimate_spread_without
 from core.diagnose.siblings.sums import DIRECTIONS, Siblings, gather_siblings
@@ -37,11 +38,14 @@ MONTH: Final = 365.25 / 12.0
 """Length of a month. [days]"""
 NORMAL: Final = 1.96
 """Half width of a 95 % interval of a normal estimate. [standard errors]"""
-ALL_CARS: Final = "all"
 
 
 def diagnose_deviations(
-    base: BaseProjection, model: LinearModel, known: Floats, without: Collection[str] = ()
+    base: BaseProjection,
+    model: LinearModel,
+    known: Floats,
+    without: Collection[str] = (),
+    of_vehicle: Mapping[str, str] | None = None,
 ) -> dict[str, list[dict[str, Any]]]:
     """Return what distinguishes cars from their siblings, what changed, and all cars in order of their deviation.
 
@@ -55,6 +59,8 @@ def diagnose_deviations(
         Effects that all cars have beyond the model. [kWh per unit]
     without : collection of str
         Effects of the library that are not tested.
+    of_vehicle : mapping of str to str, optional
+        Group of each vehicle, see `core.diagnose.siblings.groups`.
 
     Returns
     -------
@@ -63,7 +69,8 @@ def diagnose_deviations(
     """
     candidates = keep_declared_values(build_candidates(base.windows, model, without, scopes=True))
     groups = gather_siblings(base, candidates, known)
-    found, first = find_deviations(groups, candidates.sign)
+    ways = list_groups(base.windows, groups, of_vehicle or {})
+    found, first = find_deviations(groups, candidates.sign, ways)
     return {
         "deviations": [_describe(question, search, candidates) for question, search in found],
         "cars": rank_cars(first, candidates.sign),
@@ -97,9 +104,10 @@ def rank_cars(search: Search, sign: Ints) -> list[dict[str, Any]]:
         Sign that physics demands of each candidate.
     """
     rows = []
-    always = {(q.group, q.car): q for q in search.questions if q.scan.kind == "always"}
-    for (g, car), question in always.items():
+    for question in [q for q in search.questions if q.family == "always"]:
+        g = next(i for i, there in enumerate(question.members) if there.any())
         siblings = search.groups[g]
+        car = siblings.cars.index(question.who)
         variance = estimate_spread_without(search.groups, g, car)
         deviations = SiblingBase(siblings, variance).expect_deviations()
         mean, error = deviations.mean[car], np.sqrt(deviations.variance[car])
@@ -143,10 +151,9 @@ def _describe(question: Question, search: Search, candidates: Candidates) -> dic
     place = int(np.searchsorted(np.cumsum(dates), 0.5))
     unit = float(scan.unit[:, best] @ of_best)
     effect = effects.get(candidates.variants[best])
-    who = ALL_CARS if question.car < 0 else search.groups[question.group].cars[question.car]
     out: dict[str, Any] = {
-        "who": who,
-        "of": "all" if question.car < 0 else "car",
+        "who": question.who,
+        "of": question.of,
         "kind": scan.kind,
         "effect": candidates.names[best],
         "causes": [
@@ -166,13 +173,15 @@ def _describe(question: Question, search: Search, candidates: Candidates) -> dic
         "since_ci90": None,
         "columns": [f"{EFFECT_PREFIX}{candidates.variants[best]}"],
     }
-    if question.car >= 0:
-        out["columns"].append(f"{VEHICLE_SCOPE}{who}")
+    if question.of == "car":
+        out["columns"].append(f"{VEHICLE_SCOPE}{question.who}")
     if scan.kind != "always":
         low, high = select_credible_range(dates)
         out["since"] = _format_date(scan.begin[place])
         out["since_ci90"] = [_format_date(scan.after[low]), _format_date(scan.begin[high])]
-        out["columns"] = [*out["columns"], f"{SINCE_SCOPE}{out['since']}"] if scan.kind == "step" else []
+        out["columns"].append(f"{SINCE_SCOPE}{out['since']}")
+    if scan.kind == "ramp" or question.of == "group":
+        out["columns"] = []  # no term holds a ramp or a group
     return out | _describe_size(question, search, (causes, dates), evidence) | _trace(question, search, best, place)
 
 
@@ -189,7 +198,7 @@ def _describe_size(
 ) -> dict[str, Any]:
     """Return the net energy of a deviation: as a share, per km and per month, averaged over causes and dates."""
     scan, (causes, _) = question.scan, weights
-    groups = search.groups if question.group < 0 else [search.groups[question.group]]
+    groups = search.groups
     shares, errors, chances = [], [], []
     for cause in np.flatnonzero(causes > 0.01 * causes.max()).tolist():
         dates = weigh_dates(scan, evidence[:, [cause]], np.ones(1))
@@ -246,8 +255,7 @@ def _sum_scope(
     """Return net energy per unit [kWh], measured energy [kWh], distance [km] and days within a scope."""
     net = measured = distance = 0.0
     days = 1.0
-    for siblings in groups:
-        weight = make_shift_weights(siblings, question, place)
+    for siblings, weight in zip(groups, make_shift_weights(groups, question, place), strict=True):
         there = weight > 0.0
         net += float((there if full else weight) @ siblings.net[:, cause])
         measured += float(siblings.measured[there].sum())
@@ -259,15 +267,16 @@ def _sum_scope(
 
 def _trace(question: Question, search: Search, cause: int, place: int) -> dict[str, Any]:
     """Return the size of a cause in each shift, estimated from this shift alone, for a figure."""
-    if question.car < 0:
+    if question.of != "car":
         return {"shifts": []}
-    siblings = search.groups[question.group]
+    g = next(i for i, there in enumerate(question.members) if there.any())
+    siblings = search.groups[g]
     base = SiblingBase(siblings, search.spread)
-    score, information = base.estimate_shifts(question.car, cause)
-    there = np.flatnonzero(siblings.car == question.car)
+    score, information = base.estimate_shifts(siblings.cars.index(question.who), cause)
+    there = np.flatnonzero(question.members[g])
     known = (information > 0.0) & (siblings.size[there, cause] > 0.0)
     unit = np.divide(siblings.net[there, cause], siblings.measured[there])
-    weight = make_shift_weights(siblings, question, place)[there]
+    weight = make_shift_weights(search.groups, question, place)[g][there]
     return {
         "shifts": [
             {"start_s": float(start), "share": float(u * b / a), "error": float(abs(u) / np.sqrt(a)), "size": float(w)}

@@ -10,11 +10,11 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
+from scipy.special import log_ndtr, stdtr
 
 from core.batch import Floats, Ints
 from core.columns import SECONDS_PER_DAY
-from core.diagnose.siblings.spread import Projected, SiblingBase
+from core.diagnose.siblings.spread import PRIOR_CARS, Projected, SiblingBase
 
 Kind = Literal["always", "step", "ramp"]
 LEAST_LEFT: Final = 0.01
@@ -25,6 +25,10 @@ PRIOR_SHARE: Final = 0.05
 """Standard deviation of the size of a deviation beforehand, as a share of the energy. [1]"""
 NEGATIVE: Final = 0.25
 """Probability beforehand that a change takes away what a car has always had, rather than adding."""
+
+
+CERTAIN: Final = np.array(np.inf)
+"""Degrees of freedom of standard errors that many windows determine."""
 
 
 class Scan(NamedTuple):
@@ -46,6 +50,8 @@ class Scan(NamedTuple):
         Coefficient that makes the absolute energy equal to the measured energy within the scope.
     whole_score, whole_information : (m, k) float
         As `score` and `information`, without the removal of what the car has always had.
+    freedom : (k,) or () float
+        Degrees of freedom of the standard errors, which are few where the spread between few cars determines them.
     """
 
     kind: Kind
@@ -57,6 +63,7 @@ class Scan(NamedTuple):
     unit: Floats
     whole_score: Floats
     whole_information: Floats
+    freedom: Floats = CERTAIN
 
     @property
     def estimate(self) -> Floats:
@@ -78,6 +85,8 @@ class Scan(NamedTuple):
 
             p = 2 Φ(-z) + 2 V exp(-z²/2) / √(8π).
 
+        With few degrees of freedom, Φ is the distribution of Student's t. Such tests have one place, and V is zero.
+
         References
         ----------
         Davies, Biometrika 74 (1987) 33, DOI 10.1093/biomet/74.1.33, eq. (3.4).
@@ -85,7 +94,7 @@ class Scan(NamedTuple):
         z = self.z
         most = np.abs(z).max(axis=0, initial=0.0)
         variation = np.abs(np.diff(z, axis=0)).sum(axis=0)
-        chance = 2.0 * (np.exp(log_ndtr(-most)) + variation * np.exp(-0.5 * most**2) / np.sqrt(8.0 * np.pi))
+        chance = 2.0 * (stdtr(self.freedom, -most) + variation * np.exp(-0.5 * most**2) / np.sqrt(8.0 * np.pi))
         return np.asarray(np.minimum(chance, 1.0))
 
     def compute_evidence(self, sign: Ints, *, whole: bool = False) -> Floats:
@@ -118,15 +127,28 @@ class Scan(NamedTuple):
         )
 
 
-def scan_always(base: SiblingBase, car: int) -> Scan:
+def scan_always(base: SiblingBase, car: int, alike: SiblingBase, cars: int) -> Scan:
     """Return the tests of the candidates within one car over all its shifts.
 
     Parameters
     ----------
     base : SiblingBase
-        The cars of one model, with the spread of the car under test.
+        The cars of one model, with the spread between cars that was estimated without this one.
     car : int
         Index of the car.
+    alike : SiblingBase
+        The same cars without any spread between them.
+    cars : int
+        Number of other cars from which the spread was estimated.
+
+    Notes
+    -----
+    With v the variance of an estimate and v0 that without a spread between cars, the degrees of freedom are
+    ν v² / (v - v0)² by Satterthwaite, with ν those of the spread: its prior and its cars.
+
+    References
+    ----------
+    Satterthwaite, Biometrics Bulletin 2 (1946) 110, DOI 10.2307/3002019.
     """
     siblings = base.siblings
     there = siblings.car == car
@@ -138,7 +160,10 @@ def scan_always(base: SiblingBase, car: int) -> Scan:
     unit = _divide(siblings.measured[there].sum(), siblings.size[there].sum(axis=0))[np.newaxis]
     start = siblings.start[there]
     kept = found.information > LEAST_LEFT * square
-    return _scale("always", start[:1], start[:1], start[-1], (found.score, found.information, kept), unit, found)
+    certain = alike.project(car, rows, square, at).information
+    share = 1.0 - np.divide(found.information, certain, out=np.ones(len(at)), where=certain > 0.0)
+    scan = _scale("always", start[:1], start[:1], start[-1], (found.score, found.information, kept), unit, found)
+    return scan._replace(freedom=(PRIOR_CARS + cars) / np.clip(share, 1e-3, 1.0) ** 2)
 
 
 def scan_changes(base: SiblingBase, car: int, kind: Kind) -> Scan:
@@ -159,7 +184,8 @@ def scan_changes(base: SiblingBase, car: int, kind: Kind) -> Scan:
     k, first = siblings.size.shape[1], 0 if kind == "ramp" else LEAST_SHIFTS
     places = np.arange(first, len(there) - LEAST_SHIFTS + 1)
     if not len(places):
-        return Scan(kind, start[:0], start[:0], start[-1], *np.zeros((5, 0, k)))
+        none = np.zeros((0, k))
+        return Scan(kind, start[:0], start[:0], start[-1], none, none, none, none, none)
     weights = make_weights(start, places, kind)
     candidates = siblings.places.candidates
     rows = np.tensordot(weights, siblings.sums[there][:, candidates, :], axes=1)
@@ -175,33 +201,49 @@ def scan_changes(base: SiblingBase, car: int, kind: Kind) -> Scan:
     return _scale(kind, start[places], after, start[-1], (score, information, kept), unit, found)
 
 
-def scan_all_cars(bases: Sequence[SiblingBase], dates: Floats) -> Scan:
-    """Return the tests of steps in all cars at each of some times.
+def scan_group(
+    bases: Sequence[SiblingBase], members: Sequence[NDArray[np.bool_]], dates: Floats, *, own_past: bool
+) -> Scan:
+    """Return the tests of the candidates in shifts of several cars: always, or as steps at some times.
 
     Parameters
     ----------
     bases : sequence of SiblingBase
         The cars of each model.
+    members : sequence of (s,) bool
+        Shifts that belong to the group, of each model.
     dates : (m,) float
-        Unix times. [s]
+        Unix times of steps; none tests the whole group always. [s]
+    own_past : bool
+        Whether to remove what the group has always had. Not for all cars, whose past is in the base.
     """
-    k = bases[0].siblings.size.shape[1]
-    score, information, square = np.zeros((3, len(dates), k))
-    energy, size = np.zeros(len(dates)), np.zeros((len(dates), k))
-    for base in bases:
+    k, steps = bases[0].siblings.size.shape[1], max(len(dates), 1)
+    score, information, whole_score, whole_information, raw, size = np.zeros((6, steps, k))
+    energy = np.zeros(steps)
+    for base, inside in zip(bases, members, strict=True):
         siblings = base.siblings
-        later = (siblings.start >= dates[:, np.newaxis]).astype(np.float64)
-        energy += later @ siblings.measured
-        size += later @ siblings.size
-        found = base.project_all(later)
-        score += found[0]
-        information += found[1]
-        square += found[2]
-    unit = _divide(energy[:, np.newaxis], size)
-    kept = information > LEAST_LEFT * square
-    before = np.r_[dates[0], dates[:-1]]
-    end = max(float(base.siblings.start.max()) for base in bases)
-    return _scale("step", dates, before, end, (score, information, kept), unit)
+        weights = inside[np.newaxis].astype(np.float64)
+        if len(dates):
+            weights = weights * (siblings.start >= dates[:, np.newaxis])
+        if not weights.any():
+            continue
+        found = base.project_all(weights, inside.astype(np.float64))
+        parts = found.remove_whole() if own_past else (found.score, found.information)
+        score, information = score + parts[0], information + parts[1]
+        whole_score, whole_information = whole_score + found.score, whole_information + found.information
+        at = siblings.places.candidates
+        raw += weights**2 @ np.diagonal(siblings.sums[:, at, at], axis1=1, axis2=2)
+        energy += weights @ siblings.measured
+        size += weights @ siblings.size
+    kept = information > LEAST_LEFT * raw
+    start = np.concatenate([base.siblings.start[inside] for base, inside in zip(bases, members, strict=True)])
+    kind: Kind = "step" if len(dates) else "always"
+    begin = dates if len(dates) else np.array([start.min()])
+    before = np.array([start[start < date].max(initial=start.min()) for date in begin])
+    unit = np.where(kept, _divide(energy[:, np.newaxis], size), 0.0)
+    square = unit**2
+    tests = score * unit, information * square, unit, whole_score * unit, whole_information * square
+    return Scan(kind, begin, before, float(start.max()), *tests)
 
 
 def make_weights(start: Floats, places: Ints, kind: Kind) -> Floats:
@@ -235,4 +277,5 @@ def _scale(
     if found is not None:
         whole = found.score.reshape(unit.shape), found.information.reshape(unit.shape)
     square = unit**2
-    return Scan(kind, begin, after, end, score * unit, information * square, unit, whole[0] * unit, whole[1] * square)
+    tests = score * unit, information * square, unit, whole[0] * unit, whole[1] * square
+    return Scan(kind, begin, after, end, *tests)

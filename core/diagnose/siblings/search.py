@@ -2,19 +2,23 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.diagnose.siblings.causes import average_places
-from core.diagnose.siblings.scan import Kind, Scan, make_weights, scan_all_cars, scan_always, scan_changes
+from core.diagnose.siblings.groups import Group
+from core.diagnose.siblings.scan import Scan, make_weights, scan_always, scan_changes, scan_group
 from core.diagnose.siblings.spread import SiblingBase, estimate_spread, estimate_spread_without
 from core.diagnose.siblings.sums import Siblings
 from core.stats.multiple_testing import adjust_false_discovery
 
-LEVEL: Final = 0.03
-"""Expected share of false deviations of a family: always, changes of one car, changes of all cars."""
+LEVELS: Final = {"always": 0.01, "change": 0.05, "all": 0.03, "group": 0.02}
+"""Expected share of false deviations: of cars always, of changes of one car, of changes of all cars, of groups."""
+ALL_CARS: Final = "all"
+"""Name of all cars together."""
 LEAST_SIBLINGS: Final = 2
 """Least number of other cars of the same model against which a car is held."""
 MOST: Final = 6
@@ -23,26 +27,47 @@ EDGE: Final = 0.03
 """Share of the shifts at either end of which no change of all cars is tested."""
 
 
+GROUP_DATES: Final = 40
+"""Largest number of dates at which a change of a group is tested."""
+GROUP_SPREAD: Final = (0.01, 4.0)
+"""Expected spread between groups, as a share of the energy, and the number of groups that it counts as."""
+
+
 @dataclass(frozen=True)
 class Question:
-    """Hold the tests of one car, or of all, in one form.
+    """Hold the tests of one car, of a group, or of all cars, in one form.
 
     Parameters
     ----------
-    group : int
-        Index of the vehicle model; -1 for all.
-    car : int
-        Index of the car in its model; -1 for all.
+    who : str
+        Name of the car or the group.
+    of : {"car", "group", "all"}
+        What it is.
+    members : tuple of (s,) bool
+        Shifts of the car or the group, of each model.
     scan : Scan
         Tests.
     q : (k,) float
         Chance of each candidate, adjusted over cars and causes.
     """
 
-    group: int
-    car: int
+    who: str
+    of: Literal["car", "group", "all"]
+    members: tuple[NDArray[np.bool_], ...]
     scan: Scan
     q: Floats
+
+    @property
+    def family(self) -> str:
+        """Family within which chances are adjusted, a key of `LEVELS`."""
+        if self.of == "car":
+            return "always" if self.scan.kind == "always" else "change"
+        return self.of
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether any candidate is significant."""
+        return float(self.q.min()) < LEVELS[self.family]
 
 
 @dataclass(frozen=True)
@@ -64,32 +89,81 @@ class Search:
     questions: list[Question]
 
 
-def ask(groups: Sequence[Siblings]) -> Search:
-    """Return the tests of all cars.
+def ask(groups: Sequence[Siblings], ways: Sequence[Sequence[Group]] = ()) -> Search:
+    """Return the tests of all cars and groups.
 
     Parameters
     ----------
     groups : sequence of Siblings
         Cars of each model.
+    ways : sequence of sequence of Group
+        Groups of each way of grouping.
     """
-    groups = [siblings for siblings in groups if len(siblings.start)]
     spread = estimate_spread(groups)
-    questions: list[Question] = []
-    for g, siblings in enumerate(groups):
-        for car in range(len(siblings.cars)):
-            base = SiblingBase(siblings, estimate_spread_without(groups, g, car))
-            kinds: tuple[Kind, ...] = ("step", "ramp")
-            if len(siblings.cars) > LEAST_SIBLINGS:
-                questions.append(_make_question(g, car, scan_always(base, car)))
-            questions += [_make_question(g, car, scan_changes(base, car, kind)) for kind in kinds]
+    questions = [question for g in range(len(groups)) for question in _ask_cars(groups, g)]
+    bases = [SiblingBase(siblings, spread) for siblings in groups]
     dates = _list_dates(groups)
     if len(dates) and sum(len(siblings.cars) for siblings in groups) > 1:
-        bases = [SiblingBase(siblings, spread) for siblings in groups]
-        questions.append(_make_question(-1, -1, scan_all_cars(bases, dates)))
-    return Search(groups, spread, list(_adjust(questions)))
+        every = tuple(np.ones(len(siblings.start), np.bool_) for siblings in groups)
+        scan = scan_group(bases, every, dates, own_past=False)
+        questions.append(Question(ALL_CARS, "all", every, scan, scan.compute_chances()))
+    for way in ways:
+        questions += _ask_groups(bases, way)
+    return Search(list(groups), spread, list(_adjust(questions)))
 
 
-def find_deviations(groups: Sequence[Siblings], sign: Ints) -> tuple[list[tuple[Question, Search]], Search]:
+def _ask_cars(groups: Sequence[Siblings], g: int) -> Iterator[Question]:
+    """Yield the tests of the cars of one model."""
+    siblings = groups[g]
+    alike = SiblingBase(siblings, np.zeros(siblings.direction.shape[1]))
+    others = sum(len(each.cars) for each in groups) - 1
+    for car, name in enumerate(siblings.cars):
+        members = tuple(
+            each.car == car if i == g else np.zeros(len(each.car), np.bool_) for i, each in enumerate(groups)
+        )
+        base = SiblingBase(siblings, estimate_spread_without(groups, g, car))
+        scans = [scan_changes(base, car, "step"), scan_changes(base, car, "ramp")]
+        if len(siblings.cars) > LEAST_SIBLINGS:
+            scans.append(scan_always(base, car, alike, others))
+        for scan in scans:
+            yield Question(name, "car", members, scan, scan.compute_chances())
+
+
+def _ask_groups(bases: Sequence[SiblingBase], way: Sequence[Group]) -> Iterator[Question]:
+    """Yield the tests of each group always, beside the spread between groups, and as steps."""
+    always = [scan_group(bases, group.members, np.empty(0), own_past=False) for group in way]
+    for i, group in enumerate(way):
+        others = [scan for j, scan in enumerate(always) if j != i]
+        start = np.concatenate([base.siblings.start[inside] for base, inside in zip(bases, group.members, strict=True)])
+        dates = np.unique(np.quantile(np.sort(start), np.linspace(0.1, 0.9, GROUP_DATES), method="nearest"))
+        for scan in (_widen(always[i], others), scan_group(bases, group.members, dates, own_past=True)):
+            yield Question(group.name, "group", group.members, scan, scan.compute_chances())
+
+
+def _widen(scan: Scan, others: Sequence[Scan]) -> Scan:
+    """Return the tests of a group with the spread between the other groups added to their variance."""
+    expected, count = GROUP_SPREAD
+    known = [other.information > 0.0 for other in others]
+    excess = [
+        np.maximum(
+            other.estimate**2 - np.divide(1.0, other.information, out=np.zeros_like(k, np.float64), where=k), 0.0
+        )
+        for other, k in zip(others, known, strict=True)
+    ]
+    spread = (count * expected**2 + np.sum(excess, axis=0)) / (count + np.sum(known, axis=0))
+    shrink = 1.0 / (1.0 + scan.information * spread)
+    return scan._replace(
+        score=scan.score * shrink,
+        information=scan.information * shrink,
+        whole_score=scan.whole_score * shrink,
+        whole_information=scan.whole_information * shrink,
+        freedom=np.full(scan.score.shape[1], count + len(others)),
+    )
+
+
+def find_deviations(
+    groups: Sequence[Siblings], sign: Ints, ways: Sequence[Sequence[Group]] = ()
+) -> tuple[list[tuple[Question, Search]], Search]:
     """Return the significant deviations, each beside those before it, and the last round.
 
     Parameters
@@ -98,25 +172,27 @@ def find_deviations(groups: Sequence[Siblings], sign: Ints) -> tuple[list[tuple[
         Cars of each model.
     sign : (k,) int64
         Sign that physics demands of each candidate.
+    ways : sequence of sequence of Group
+        Groups of each way of grouping.
     """
     found: list[tuple[Question, Search]] = []
-    search = first = ask(groups)
+    search = first = ask(groups, ways)
     while len(found) < MOST:
         best = _choose(search, sign)
         if best is None:
             break
         found.append((best, search))
-        search = ask(_explain(search.groups, best, sign))
+        search = ask(_explain(search.groups, best, sign), ways)
     return found, first
 
 
 def _choose(search: Search, sign: Ints) -> Question | None:
     """Return the significant question with the most evidence."""
-    significant = [question for question in search.questions if question.q.min() < LEVEL]
+    significant = [question for question in search.questions if question.is_significant]
     if not significant:
         return None
     who = max(significant, key=lambda question: _weigh(question, sign))
-    same = [q for q in significant if (q.group, q.car) == (who.group, who.car)]
+    same = [q for q in significant if q.who == who.who]
     return max(same, key=lambda question: _weigh(question, sign))
 
 
@@ -129,37 +205,33 @@ def _explain(groups: list[Siblings], question: Question, sign: Ints) -> list[Sib
     """Return the cars with a deviation as a column of their base."""
     evidence = question.scan.compute_evidence(sign)
     place, at = np.unravel_index(int(evidence.argmax()), evidence.shape)
-    out = list(groups)
-    for g, siblings in enumerate(groups):
-        if question.group in {-1, g}:
-            out[g] = siblings.add_fixed(int(at), make_shift_weights(siblings, question, int(place)))
+    weights = make_shift_weights(groups, question, int(place))
+    return [
+        siblings.add_fixed(int(at), weight) if weight.any() else siblings
+        for siblings, weight in zip(groups, weights, strict=True)
+    ]
+
+
+def make_shift_weights(groups: Sequence[Siblings], question: Question, place: int) -> list[Floats]:
+    """Return the size of a deviation in each shift of the cars of each model, (s,) each."""
+    out = []
+    for siblings, there in zip(groups, question.members, strict=True):
+        weight = there.astype(np.float64)
+        begin = question.scan.begin[place]
+        if question.scan.kind == "step":
+            weight *= siblings.start >= begin
+        elif question.scan.kind == "ramp" and there.any():
+            start = siblings.start[there]
+            weight[there] = make_weights(start, np.array([int(np.searchsorted(start, begin))]), "ramp")[0]
+        out.append(weight)
     return out
-
-
-def make_shift_weights(siblings: Siblings, question: Question, place: int) -> Floats:
-    """Return the size of a deviation in each shift of the cars of a model, (s,)."""
-    there = np.ones(len(siblings.start), np.bool_) if question.car < 0 else siblings.car == question.car
-    if question.scan.kind == "always":
-        return there.astype(np.float64)
-    begin = question.scan.begin[place]
-    if question.scan.kind == "step":
-        return np.asarray(there & (siblings.start >= begin), dtype=np.float64)
-    start = siblings.start[there]
-    out = np.zeros(len(there))
-    out[there] = make_weights(start, np.array([int(np.searchsorted(start, begin))]), "ramp")[0]
-    return out
-
-
-def _make_question(group: int, car: int, scan: Scan) -> Question:
-    """Return a question with unadjusted chances."""
-    return Question(group, car, scan, scan.compute_chances())
 
 
 def _adjust(questions: list[Question]) -> Iterator[Question]:
-    """Yield the questions with chances adjusted within always, changes of one car, and changes of all cars."""
-    families: dict[tuple[bool, bool], list[Question]] = {}
+    """Yield the questions with chances adjusted within their families."""
+    families: dict[str, list[Question]] = {}
     for question in questions:
-        families.setdefault((question.car < 0, question.scan.kind == "always"), []).append(question)
+        families.setdefault(question.family, []).append(question)
     for family in families.values():
         q = adjust_false_discovery(np.concatenate([question.q for question in family]))
         for question, part in zip(family, np.split(q, len(family)), strict=True):

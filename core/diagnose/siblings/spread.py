@@ -22,8 +22,8 @@ PRIOR_CARS: Final = 4.0
 """Number of cars that the expected spread counts as (ν0)."""
 ROUNDS: Final = 12
 """Number of steps of expectation and maximisation."""
-EVERYWHERE_SHARE: Final = 0.03
-"""Expected size of an effect that all cars of a model have and the model lacks, as a share of the energy. [1]"""
+EVERYWHERE_SHARE: Final = 0.01
+"""Expected size of an effect that all cars of a model have and that was not found, as a share of the energy. [1]"""
 RIDGE: Final = 1e-9
 """Share of the diagonal that is added before a matrix is inverted."""
 
@@ -70,7 +70,7 @@ class Projected(NamedTuple):
 
     def remove_whole(self) -> tuple[Floats, Floats]:
         """Return score and information off the same candidate in all shifts of the car."""
-        share = np.divide(self.beside, self.whole, out=np.zeros(len(self.whole)), where=self.whole > 0.0)
+        share = np.divide(self.beside, self.whole, out=np.zeros(self.whole.shape), where=self.whole > 0.0)
         return self.score - share * self.whole_score, self.information - share * self.beside
 
 
@@ -178,36 +178,56 @@ class SiblingBase:
             whole_score=own[:, -1] - own[:, self._shared] @ self.coefficients,
         )
 
-    def project_all(self, weights: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return products of the candidates in all cars, times weights of the shifts, off the base.
+    def project_all(self, weights: Floats, whole: Floats) -> Projected:
+        """Return products of the candidates in shifts of several cars, times weights, as `project` does.
 
         Parameters
         ----------
         weights : (m, s) float
             Weight of each shift.
+        whole : (s,) float
+            Weight of each shift in the columns that `Projected.whole` refers to.
 
         Returns
         -------
-        score, information, square : (m, k) float
-            Products with the energy and with themselves off the base and off the same candidate in all shifts; products
-            with themselves as they are.
+        Projected
+            With products of shape (m, k), of k candidates.
         """
-        siblings = self.siblings
-        candidates = siblings.places.candidates
-        crossed = np.zeros((len(weights), len(self._c), len(self.total)))
-        inside = np.zeros((len(weights), len(self._c)))
-        own = np.diagonal(siblings.sums[:, candidates, candidates], axis1=1, axis2=2)
+        left, inside = self._sweep_cars(weights)
+        own, own_inside = self._sweep_cars(whole[np.newaxis])
+        siblings, at = self.siblings, self.siblings.places.candidates
+        square = np.diagonal(siblings.sums[:, at, at], axis1=1, axis2=2)
+        shared, own_shared = left[:, :, self._shared], own[0][:, self._shared]
+        solved, own_solved = shared @ self.shared_inverse, own_shared @ self.shared_inverse
+        beside = (weights * whole) @ square
         for car in range(len(siblings.cars)):
             there = siblings.car == car
-            rows = np.tensordot(weights[:, there], siblings.sums[there][:, candidates, :], axes=1)
+            rows = siblings.sums[there][:, at, self._d.min() : self._d.max() + 1]
+            part = np.tensordot(weights[:, there], rows, axes=1)
+            own_part = np.tensordot(whole[there], rows, axes=1)
+            beside -= np.einsum("mkd,de,ke->mk", part, self.inner[car], own_part, optimize=True)
+        return Projected(
+            score=left[:, :, -1] - shared @ self.coefficients,
+            information=weights**2 @ square - inside - (solved * shared).sum(axis=2),
+            beside=beside - (solved * own_shared).sum(axis=2),
+            whole=np.broadcast_to(
+                whole**2 @ square - own_inside[0] - (own_solved * own_shared).sum(axis=1), beside.shape
+            ),
+            whole_score=np.broadcast_to(own[0][:, -1] - own_shared @ self.coefficients, beside.shape),
+        )
+
+    def _sweep_cars(self, weights: Floats) -> tuple[Floats, Floats]:
+        """Return products of weighted candidates with all columns off the deviations of cars, and what these take."""
+        siblings, at = self.siblings, self.siblings.places.candidates
+        left = np.zeros((len(weights), len(self._c), len(self.total)))
+        inside = np.zeros((len(weights), len(self._c)))
+        for car in range(len(siblings.cars)):
+            there = siblings.car == car
+            rows = np.tensordot(weights[:, there], siblings.sums[there][:, at, :], axes=1)
             beside = rows[:, :, self._d]
-            crossed += rows - beside @ self.gain[car]
-            inside -= np.einsum("mkd,de,mke->mk", beside, self.inner[car], beside, optimize=True)
-        square = weights**2 @ own
-        shared = crossed[:, :, self._shared]
-        score = crossed[:, :, -1] - shared @ self.coefficients
-        information = square + inside - ((shared @ self.shared_inverse) * shared).sum(axis=2)
-        return score, information, square
+            left += rows - beside @ self.gain[car]
+            inside += np.einsum("mkd,de,mke->mk", beside, self.inner[car], beside, optimize=True)
+        return left, inside
 
 
 def estimate_spread(bases: Sequence[Siblings]) -> Floats:

@@ -93,7 +93,7 @@ class Readings(NamedTuple):
 
 @dataclass(frozen=True)
 class Scope:
-    """Describe where an effect is hidden: in all cars or in one, always or from a date on.
+    """Describe where an effect is hidden: in all cars, in one or in a group, always or from a date on.
 
     Parameters
     ----------
@@ -104,11 +104,14 @@ class Scope:
     full : str, optional
         ISO date at which an effect that grows from `since` on reaches its size, and beyond which it grows on. Without
         it, the effect has its size from `since` on.
+    group : tuple of str, optional
+        Identifiers of several cars.
     """
 
     vehicle: str | None = None
     since: str | None = None
     full: str | None = None
+    group: tuple[str, ...] = ()
 
     def contains(self, leg: RecordedShift) -> bool:
         """Return whether the effect is hidden in a shift.
@@ -119,7 +122,8 @@ class Scope:
             The shift.
         """
         after = self.since is None or leg.driven.shift.time >= _get_midnight(self.since)
-        return after and self.vehicle in {None, leg.member.name}
+        name = leg.member.name
+        return after and self.vehicle in {None, name} and (not self.group or name in self.group)
 
     def get_size(self, leg: RecordedShift) -> float:
         """Return the size of the effect in a shift that has it, over its full size. [1]

@@ -118,7 +118,7 @@ def _describe_size(one: Mapping[str, Any]) -> str:
 def _describe_date(one: Mapping[str, Any]) -> str:
     """Return the date of a change with its 90 % range, or a clause for what was always there."""
     if not one.get("since"):
-        return " than its siblings"
+        return " than the others" if one.get("of") == "group" else " than its siblings"
     since = date.fromisoformat(str(one["since"]))
     low, high = (date.fromisoformat(str(each)) for each in one.get("since_ci90") or (one["since"], one["since"]))
     first = f"{low.day}" if (low.year, low.month) == (high.year, high.month) else _format_date(low, high)

@@ -11,10 +11,11 @@ SINCE = "since=2018-06-05"
 CAR = "vehicle=taxi-1"
 
 
-def find(shares, *, cars=4, **errors):
+def find(shares, *, cars=4, groups=None, **errors):
     """Return the deviations and the ranking of synthetic cars with planted effects."""
     windows, model = gather_with_model(make_tables(make_windows(cars), shares, **({"of_day": 0.01} | errors)))
-    result = diagnose_deviations(BaseProjection(windows, model), model, np.empty((len(windows.measured), 0)))
+    known = np.empty((len(windows.measured), 0))
+    result = diagnose_deviations(BaseProjection(windows, model), model, known, of_vehicle=groups)
     return result["deviations"], result["cars"]
 
 
@@ -86,3 +87,21 @@ def test_cars_are_described_in_spreads_with_intervals():
     for car in cars:
         assert car["share_ci95"][0] < car["share"] < car["share_ci95"][1]
         assert all(spread["error"] > 0.0 for spread in car["spreads"])
+
+
+def test_group_of_cars_that_changed_is_found_with_its_date():
+    """An effect that begins in two of four cars is one of their group, and not of each of them."""
+    groups = {"taxi-0": "north", "taxi-1": "south", "taxi-2": "south", "taxi-3": "north"}
+    shares = {f"cornering vehicle=taxi-{car} {SINCE}": 0.05 for car in (1, 2)}
+    found, _ = find(shares, groups=groups)
+    first = found[0]
+    assert (first["of"], first["who"], first["kind"]) == ("group", "group south", "step")
+    assert "cornering" in names(first)
+    low, high = first["since_ci90"]
+    assert low <= SINCE.removeprefix("since=") <= high
+    assert first["columns"] == []
+
+
+def test_groups_do_not_differ_without_planted_effect():
+    groups = {"taxi-0": "north", "taxi-1": "south", "taxi-2": "south", "taxi-3": "north"}
+    assert find({}, groups=groups)[0] == []
