@@ -13,6 +13,7 @@ from rich.text import Text
 
 from core.evaluate.paper.results import to_json_values
 from tools.report.diagnosis import deviations, figures, sentences, tables
+from tools.report.diagnosis.deviation_figures import draw_deviations
 from tools.report.diagnosis.location_figure import draw_location
 from tools.report.diagnosis.location_sentences import describe_location
 from tools.report.diagnosis.partial_figures import is_drawn, name_figure
@@ -29,6 +30,7 @@ DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProx
         "error": figures.draw_errors,
         "slices": figures.draw_slices,
         "location": draw_location,
+        "cars": draw_deviations,
         "missing": figures.draw_effects,
         "remains": figures.draw_remainder,
     }
