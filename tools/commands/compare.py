@@ -1,7 +1,8 @@
 """`socast compare`: compare models with the measured energy of rides, in a terminal, as JSON and as one HTML page."""
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -66,13 +67,16 @@ def compare_models(
     if ride is not None:
         result: dict[str, Any] = {"trace": _trace(rides, ride, chosen)}
     else:
-        selected = select_rides(_rides(rides, chosen), chosen)
+        table, read_windows = _read(rides, chosen)
+        selected = select_rides(table, chosen)
         result = compare_predictions(selected)
         _say_commands(result, _words(rides, effects_file or ()), dict(zip(chosen, model, strict=True)))
         if against:
             result["against"] = _against(selected, rides, against, chosen)
     result = to_json_values(result)
     write_json(json_file, "compare", result)
+    if html_file is not None and ride is None:
+        result["traces"] = to_json_values(_trace_worst(result, table, read_windows, chosen))
     show_report("comparison.page", result, html_file, json_file)
 
 
@@ -118,6 +122,33 @@ def _summed(given: Sequence[Path], chosen: Mapping[str, LinearModel]) -> tuple[p
 def _rides(given: Sequence[Path], chosen: Mapping[str, LinearModel]) -> pd.DataFrame:
     """Return the ride table of recordings or of files of rides."""
     return _summed(given, chosen)[0] if _recorded(given) else read(ride_files(given))
+
+
+def _read(
+    given: Sequence[Path], chosen: Mapping[str, LinearModel]
+) -> tuple[pd.DataFrame, Callable[[str], pd.DataFrame]]:
+    """Return the ride table, and a function that reads the windows of a ride by its key."""
+    if _recorded(given):
+        rides, windows = _summed(given, chosen)
+        return rides, lambda _: windows
+    files = ride_files(given)
+    return read(files), lambda key: _windows(files, key)
+
+
+def _trace_worst(
+    result: Mapping[str, Any],
+    rides: pd.DataFrame,
+    read_windows: Callable[[str], pd.DataFrame],
+    chosen: Mapping[str, LinearModel],
+) -> dict[str, Any]:
+    """Return the traces of the rides with the largest errors of all models; without rides that have none."""
+    worst = [ride for of_model in result["models"].values() for listed in of_model["worst"].values() for ride in listed]
+    traces = {}
+    for key in dict.fromkeys(str(ride["ride"]) for ride in worst):
+        row = find_ride(rides, key)
+        with suppress(ModelError, SettingsError):  # no windows beside the table, or too few of this ride
+            traces[key] = trace_ride(row, read_windows(str(row[KEY].iloc[0])), chosen)
+    return traces
 
 
 def _trace(given: Sequence[Path], name: str, chosen: Mapping[str, LinearModel]) -> dict[str, Any]:

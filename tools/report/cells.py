@@ -34,11 +34,12 @@ class Cell(NamedTuple):
 
 
 class Row(NamedTuple):
-    """Hold a row: its name, its cells, and whether it sums up the rows above."""
+    """Hold a row: its name, its cells, whether it sums up the rows above, and the id that its name links to."""
 
     name: str
     cells: tuple[Cell, ...]
     total: bool = False
+    link: str = ""
 
 
 class ReportTable(NamedTuple):

@@ -85,6 +85,15 @@
     return Plotly.newPlot(div, data, layout, { displayModeBar: false }).then(() => fit(plot));
   }
 
+  const waitingFigures = () => [...document.querySelectorAll("figure:not(.drawn)")];
+
+  function show(figure) {
+    if (figure.classList.contains("drawn")) return;
+    figure.classList.add("drawn");
+    near.unobserve(figure);
+    draw(figure);
+  }
+
   let waiting = 0;
   addEventListener("resize", () => {
     clearTimeout(waiting);
@@ -93,6 +102,7 @@
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => plots.forEach((plot) => fit(plot)));
   addEventListener("beforeprint", () => {
     document.documentElement.classList.add("printing");
+    waitingFigures().forEach(show);
     plots.forEach((plot) => fit(plot, PRINTED[plot.small]));
   });
   addEventListener("afterprint", () => {
@@ -100,7 +110,10 @@
     plots.forEach((plot) => fit(plot));
   });
 
-  Promise.all([...document.querySelectorAll("figure")].map(draw)).then(() => {
-    document.documentElement.dataset.drawn = String(plots.length);
-  });
+  /* Figures are drawn when the reader comes near them: a page may hold a hundred. */
+  const near = new IntersectionObserver(
+    (entries) => entries.filter((entry) => entry.isIntersecting).forEach((entry) => show(entry.target)),
+    { rootMargin: "1000px 0px" },
+  );
+  document.querySelectorAll("figure").forEach((figure) => near.observe(figure));
 })();

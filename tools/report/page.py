@@ -216,7 +216,8 @@ def _table(table: ReportTable, *, captioned: bool) -> str:
 
 def _row(row: Row) -> str:
     kind = ' class="total"' if row.total else ""
-    return f'<tr{kind}><th scope="row">{escape(row.name)}</th>{"".join(_cell(cell) for cell in row.cells)}</tr>'
+    name = f'<a href="#{escape(row.link)}">{escape(row.name)}</a>' if row.link else escape(row.name)
+    return f'<tr{kind}><th scope="row">{name}</th>{"".join(_cell(cell) for cell in row.cells)}</tr>'
 
 
 def _cell(cell: Cell) -> str:

@@ -17,6 +17,7 @@ import pandas as pd
 
 from core.batch import Floats
 from core.errors import ModelError
+from core.evaluate.compare import ride_wind
 from core.evaluate.compare.models import RIDE_PROPERTIES
 from core.evaluate.ride_filter import RIDE_NAME_COLUMNS
 from core.models import LinearModel
@@ -35,6 +36,11 @@ SUM_TOLERANCE: Final = (0.01, 0.02)
 """Absolute and relative difference above which a sum of windows is reported as different from the ride. [kWh], [1]"""
 WINDOW_COLUMNS: Final = ("ride_key", "window", "duration_s", "distance_km", "energy_vi_kwh", "energy_soc_kwh")
 """Columns of the window table that a trace needs, in addition to those that models read."""
+CONDITIONS: Final = (
+    *("ambient_c", "gained_m", "lost_m", "stops", "wind_speed_kmh"),
+    *("latitude_start_deg", "longitude_start_deg", "latitude_end_deg", "longitude_end_deg"),
+)
+"""Columns of the windows that a trace shows beside the energies."""
 SUMS: Final = frozenset(
     {
         "duration_s",
@@ -187,9 +193,11 @@ def _describe_windows(of_ride: pd.DataFrame, measured: Floats) -> dict[str, Floa
         "distance_km": distance,
         "measured_kwh": measured,
     }
-    for name in ("ambient_c", "gained_m", "lost_m", "stops"):
+    for name in CONDITIONS:
         if name in of_ride:
             made[name] = of_ride[name].to_numpy(np.float64)
+    if set(ride_wind.COLUMNS) <= set(of_ride):
+        made["headwind_kmh"] = ride_wind.compute_headwind(of_ride)
     return made
 
 

@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term, save, stamp
-from tests.support.html_pages import read_page
+from tests.support.html_pages import assert_axes_are_titled, read_figures, read_page
 from tests.support.paths import ROOT
 from tools.cli import main
 from tools.commands.tables import in_memory
@@ -127,6 +127,28 @@ def test_comparison_is_printed_and_written(folder, tmp_path, capsys):
     assert {"models", "places", "worst", "figure-scatter-0", "figure-scatter-1", "figure-by-0"} <= set(ids)
 
 
+def test_every_worst_ride_links_to_its_trace_on_the_page(folder, result, tmp_path, capsys):
+    ran(capsys, folder, *MODELS, "--html", tmp_path / "c.html")
+    parts, text = page(tmp_path / "c.html"), (tmp_path / "c.html").read_text()
+    worst = {
+        ride["ride"] for of_model in result["models"].values() for rides in of_model["worst"].values() for ride in rides
+    }
+    linked = dict(re.findall(r'<th scope="row"><a href="#(figure-ride-\d+)">([^<]+)</a>', text))
+    assert set(linked.values()) == worst
+    for target, ride in linked.items():
+        assert f'<figure id="{target}"><h3>Ride {ride}</h3>' in text
+    assert {f"{target}-map-1" for target in linked} <= set(parts.ids)
+    assert text.count("plotly.js v") == 1
+    for each in read_figures(text).values():
+        assert_axes_are_titled(each)
+
+
+def test_page_of_tables_without_windows_has_no_traces(folder, tmp_path, capsys):
+    (tmp_path / "rides.parquet").write_bytes((folder / "rides.parquet").read_bytes())
+    ran(capsys, tmp_path, *MODELS, "--html", tmp_path / "c.html")
+    assert not [each for each in page(tmp_path / "c.html").ids if each.startswith("figure-ride") or each == "traces"]
+
+
 def test_every_worst_ride_has_command_that_shows_its_trace(result, tmp_path, capsys):
     for of_model in result["models"].values():
         assert len(of_model["worst"]["absolute"]) == 10
@@ -177,7 +199,10 @@ def test_trace_shows_where_models_and_measurement_differ(folder, result, tmp_pat
     minutes = [line.split()[0] for line in out.splitlines() if re.match(r" \d+\.\d ", line)]
     assert minutes == [f"{minute:.1f}" for minute in trace["windows"]["end_min"]]
     figures = {one for one in page(tmp_path / "t.html").ids if one.startswith("figure-")}
-    assert figures == {"figure-along-min", "figure-along-km", "figure-power", "figure-terms-0", "figure-terms-1"}
+    along = {"figure-along-min", "figure-along-km", "figure-power", "figure-conditions"}
+    assert figures == along | {f"figure-{kind}-{i}" for kind in ("terms", "map") for i in range(2)}
+    for each in read_figures((tmp_path / "t.html").read_text()).values():
+        assert_axes_are_titled(each)
 
 
 def test_recording_gives_same_result_as_its_tables(result, tmp_path):

@@ -127,7 +127,7 @@ def illustrate_conditions(result: Result) -> list[Illustration]:
 
 def draw_errors_by_condition(result: Result, name: str) -> go.Figure:
     """Return a figure of the bias above and the mean absolute error below, of all models."""
-    made = make_stacked_figure(("bias, kWh per ride", "mean absolute error, kWh per ride"), 560)
+    made = make_stacked_figure(("", ""), 560)
     by_model = {
         model: index_bins(get_part(bins_of_model, "by", name))
         for model, bins_of_model in get_mapping(result, "models").items()
@@ -163,9 +163,9 @@ def draw_errors_by_condition(result: Result, name: str) -> go.Figure:
     unit = f" [{UNITS[name]}]" if name in UNITS else ""
     order = [escape_label(format_bin(name, key)) for key in shown]
     made.update_xaxes(type="category", categoryorder="array", categoryarray=order)
-    made.update_xaxes(title_text=f"{name.capitalize()}{unit}", row=2, col=1)
-    made.update_yaxes(title_text="[kWh]")
-    made.update_yaxes(rangemode="tozero", row=2, col=1)
+    made.update_xaxes(title_text=f"{name.capitalize()}{unit}")
+    made.update_yaxes(title_text="Bias [kWh per ride]", row=1, col=1)
+    made.update_yaxes(title_text="Mean absolute<br>error [kWh per ride]", rangemode="tozero", row=2, col=1)
     return made
 
 

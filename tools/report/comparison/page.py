@@ -129,12 +129,13 @@ def build_sections(result: Result, *, commands: bool) -> list[Section]:
             tables.describe_unbiased_conditions([name for name in conditions if name not in biased]),
             [tables.tabulate_errors_by_condition(result, name) for name in biased],
         ),
-        Section("worst", "The worst rides", "Each command shows the trace of its ride." if commands else "", worst),
+        Section("worst", "The worst rides", _explain_worst(result) if commands else "", worst),
+        Section("traces", "Traces of the worst rides", _count_traces(result) if commands else "", []),
     ]
     return [
         section
         for section in sections
-        if any(table.rows for table in section.tables) or (section.key == PLACES and section.text)
+        if any(table.rows for table in section.tables) or (section.key in {PLACES, "traces"} and section.text)
     ]
 
 
@@ -146,6 +147,8 @@ def build_illustrations(result: Result, key: str) -> list[Illustration]:
         return figures.illustrate_conditions(result)
     if key == "against":
         return figures.illustrate_terms(result)
+    if key == "traces":
+        return traced.build_ride_illustrations(get_mapping(result, "traces"))
     return figures.illustrate_datasets(result) if key == "contrast" else []
 
 
@@ -161,6 +164,18 @@ def build_trace_sections(trace: Result) -> list[Section]:
         Section("terms", "Terms of the predictions", "", traced.tabulate_terms(trace)),
         Section("windows", "Window by window", "", [traced.tabulate_windows(trace)]),
     ]
+
+
+def _explain_worst(result: Result) -> str:
+    """Return how to see what happened in a ride."""
+    linked = "Each ride is a link to its trace below. " if get_mapping(result, "traces") else ""
+    return f"{linked}Each command shows the trace of its ride, term by term."
+
+
+def _count_traces(result: Result) -> str:
+    """Return how many rides are traced, or an empty text."""
+    traces = get_mapping(result, "traces")
+    return f"{_counted(len(traces), 'ride')}, in the order of the tables. Power: mean of each window." if traces else ""
 
 
 def _about(about: Result) -> str:

@@ -244,20 +244,30 @@ def _bias_and_error(entry: Mapping[str, Any] | None, *, share: bool) -> Cell:
     return Cell(f"{format_difference(entry.get('bias_kwh'))}{mark} ({error})", strong=bool(mark))
 
 
+def name_ride(place: int) -> str:
+    """Return the key of the figure of the ride at a place among the traced rides, from 0."""
+    return f"ride-{place}"
+
+
 def tabulate_worst_rides(result: Result, model: str, *, commands: bool) -> list[ReportTable]:
-    """Return the rides of a model's largest errors, with the car and the command that traces each if there is room."""
+    """Return the rides of a model's largest errors, with the car and the command that traces each if there is room.
+
+    A ride whose trace is in the result is a link to its figure.
+    """
     worst = get_mapping(result, "models", model, "worst")
+    links = {key: f"figure-{name_ride(i)}" for i, key in enumerate(get_mapping(result, "traces"))}
     return [
-        _worst(f"{model}: the largest errors, kWh", get_part(worst, "absolute") or (), commands=commands),
+        _worst(f"{model}: the largest errors, kWh", get_part(worst, "absolute") or (), links, commands=commands),
         _worst(
             f"{model}: the largest errors relative to measured energy, kWh",
             get_part(worst, "relative") or (),
+            links,
             commands=commands,
         )._replace(notes=(f"Only rides whose energy is measured to within {format_percent(MOST_RELATIVE_SD, 0)}.",)),
     ]
 
 
-def _worst(title: str, rides: Sequence[Mapping[str, Any]], *, commands: bool) -> ReportTable:
+def _worst(title: str, rides: Sequence[Mapping[str, Any]], links: Mapping[str, str], *, commands: bool) -> ReportTable:
     rows = tuple(
         Row(
             str(ride["ride"]),
@@ -270,6 +280,7 @@ def _worst(title: str, rides: Sequence[Mapping[str, Any]], *, commands: bool) ->
                 Cell(format_percent(ride.get("relative"), 0)),
                 *([Cell(str(ride.get("command", "")))] if commands else []),
             ),
+            link=links.get(str(ride["ride"]), ""),
         )
         for ride in rides
     )

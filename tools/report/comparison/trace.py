@@ -8,12 +8,12 @@ import plotly.graph_objects as go
 
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_energy, format_percent, format_signed
 from tools.report.comparison.figures import get_model_style
-from tools.report.comparison.tables import format_estimate
+from tools.report.comparison.ride_figures import MEASURED, draw_conditions, draw_ride, list_maps
+from tools.report.comparison.tables import format_estimate, name_ride
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
 from tools.report.figure_style import Style, escape_label, get_style, make_figure, make_stacked_figure
 
-MEASURED: Final = Style("#8a8a8a", "solid", "circle", "")
 MOST_TERMS: Final = 6
 """Number of terms that are drawn one by one; the others are summed."""
 LEAST_SHOWN: Final = 0.001
@@ -21,6 +21,14 @@ LEAST_SHOWN: Final = 0.001
 OTHERS: Final = "other terms"
 AXES: Final = {"end_min": "Time since the start [min]", "end_km": "Distance [km]"}
 """Columns of the x axis -> its titles."""
+CONDITIONS: Final = (
+    "Means of each window. Elevation is the sum of climbs and descents since the start. Wind against the car is "
+    "positive, from behind negative."
+)
+MAP: Final = (
+    "Each window is a straight line between its ends. Blue: predicted too little. Orange: predicted too much. The bar "
+    "gives the scale; north is up."
+)
 HERE: Final = "◄"
 """Mark of the windows where model and measurement diverge."""
 SECONDS: Final = 3600.0
@@ -170,7 +178,32 @@ def build_illustrations(trace: Result) -> list[Illustration]:
         )
         for i, name in enumerate(get_mapping(trace, "models"))
     ]
-    return [*along, power, *stacks]
+    drawn = draw_conditions(trace)
+    conditions = [] if drawn is None else [Illustration("conditions", "Conditions along the ride", CONDITIONS, drawn)]
+    maps = [
+        Illustration(f"map-{i}", f"{name}: map of the ride by error", MAP, made, small=True)
+        for i, (name, made) in enumerate(list_maps(trace))
+    ]
+    return [*along, power, *conditions, *maps, *stacks]
+
+
+def build_ride_illustrations(traces: Mapping[str, Mapping[str, Any]]) -> list[Illustration]:
+    """Return a figure and the maps of each of several rides.
+
+    Parameters
+    ----------
+    traces : mapping of str to mapping
+        Traces of rides by their keys, in order.
+    """
+    shown = []
+    for i, (key, trace) in enumerate(traces.items()):
+        words = " ".join(f"{name} {of_model['words']}." for name, of_model in get_mapping(trace, "models").items())
+        shown.append(Illustration(name_ride(i), f"Ride {key}", f"{describe_ride(trace)} {words}", draw_ride(trace)))
+        shown += [
+            Illustration(f"{name_ride(i)}-map-{j}", f"Ride {key}: error of {name}", MAP, made, small=True)
+            for j, (name, made) in enumerate(list_maps(trace))
+        ]
+    return shown
 
 
 def _ends(trace: Result, axis: str) -> list[float]:
@@ -180,7 +213,7 @@ def _ends(trace: Result, axis: str) -> list[float]:
 
 def draw_cumulative(trace: Result, axis: str) -> go.Figure:
     """Return a figure of the energy so far above and the error so far below."""
-    made = make_stacked_figure(("energy so far, kWh", "error so far, kWh"), 600)
+    made = make_stacked_figure(("", ""), 600)
     x = _ends(trace, axis)
     made.add_trace(
         _steps("measured", MEASURED, x, _sums(get_part(trace, "windows", "measured_kwh")), width=3), row=1, col=1
@@ -193,8 +226,9 @@ def draw_cumulative(trace: Result, axis: str) -> go.Figure:
         error = [of_model["start_kwh"], *_running(trace, name)]
         made.add_trace(_steps(escape_label(name), look, x, error, showlegend=False), row=2, col=1)
     _shade(made, trace, x)
-    made.update_xaxes(title_text=AXES[axis], row=2, col=1)
-    made.update_yaxes(title_text="[kWh]")
+    made.update_xaxes(title_text=AXES[axis])
+    made.update_yaxes(title_text="Energy so far [kWh]", row=1, col=1)
+    made.update_yaxes(title_text="Error so far [kWh]", row=2, col=1)
     return made
 
 

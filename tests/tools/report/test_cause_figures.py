@@ -1,0 +1,34 @@
+"""Test the figure of the probabilities of causes."""
+
+import pytest
+
+from tests.support.html_pages import assert_axes_are_titled
+from tools.report.diagnosis.cause_figures import MOST, draw_causes
+
+CAUSES = [
+    {"effect": "none", "probability": 0.05},
+    {"effect": "headwind", "probability": 0.6},
+    {"effect": "not in the library", "probability": 0.1},
+    {"effect": "crosswind_yaw", "probability": 0.25},
+    {"effect": "unknown", "probability": None},
+]
+
+
+def test_bars_are_sorted_with_effects_first():
+    [one] = draw_causes(CAUSES)
+    rows = [(name, share) for trace in one.figure.data for name, share in zip(trace.y, trace.x, strict=True)]
+    assert [name for name, _ in rows] == ["headwind", "crosswind yaw", "not in the library", "none"]
+    assert [share for _, share in rows] == pytest.approx([60.0, 25.0, 10.0, 5.0])
+    assert one.figure.data[0].text[0] == "60 %"
+    assert_axes_are_titled(one.figure)
+
+
+def test_many_causes_share_the_last_bar():
+    [one] = draw_causes([{"effect": f"cause {i}", "probability": 0.05} for i in range(20)])
+    assert len(one.figure.data[0].y) == MOST
+    assert one.figure.data[0].y[-1] == f"{20 - MOST + 1} others"
+    assert sum(one.figure.data[0].x) == pytest.approx(100.0)
+
+
+def test_nothing_is_drawn_without_probabilities():
+    assert draw_causes([]) == draw_causes([{"effect": "headwind", "probability": None}]) == []
