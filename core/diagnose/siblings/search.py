@@ -23,6 +23,10 @@ LEAST_SIBLINGS: Final = 2
 """Least number of other cars of the same model against which a car is held."""
 MOST: Final = 6
 """Largest number of deviations."""
+LEAST_BROAD: Final = 3.0
+"""Standard errors by which a deviation of a car must differ from zero when any one of its shifts is left out.
+
+A few windows may determine a coefficient, such as sharp bends by a fault of the positions. A deviation lasts."""
 EDGE: Final = 0.03
 """Share of the shifts at either end of which no change of all cars is tested."""
 
@@ -188,12 +192,29 @@ def find_deviations(
 
 def _choose(search: Search, sign: Ints) -> Question | None:
     """Return the significant question with the most evidence."""
-    significant = [question for question in search.questions if question.is_significant]
+    significant = [
+        question for question in search.questions if question.is_significant and _is_broad(search, question, sign)
+    ]
     if not significant:
         return None
     who = max(significant, key=lambda question: _weigh(question, sign))
     same = [q for q in significant if q.who == who.who]
     return max(same, key=lambda question: _weigh(question, sign))
+
+
+def _is_broad(search: Search, question: Question, sign: Ints) -> bool:
+    """Return whether a deviation of a car remains when any one of its shifts is left out."""
+    if question.of != "car":
+        return True
+    g = next(i for i, there in enumerate(question.members) if there.any())
+    siblings = search.groups[g]
+    evidence = question.scan.compute_evidence(sign)
+    place, at = np.unravel_index(int(evidence.argmax()), evidence.shape)
+    weight = make_shift_weights(search.groups, question, int(place))[g][question.members[g]]
+    car = siblings.cars.index(question.who)
+    base = SiblingBase(siblings, estimate_spread_without(search.groups, g, car))
+    least = base.test_without_shifts(car, int(at), weight, own_past=question.scan.kind != "always")
+    return least > LEAST_BROAD
 
 
 def _weigh(question: Question, sign: Ints) -> float:

@@ -148,6 +148,37 @@ class SiblingBase:
         rows = self.siblings.sums[self.siblings.car == car][:, down, :]
         return rows @ residual, rows[:, down]
 
+    def test_without_shifts(self, car: int, at: int, weight: Floats, *, own_past: bool) -> float:
+        """Return the least |z| of a candidate within one car when any one of its shifts is left out.
+
+        Parameters
+        ----------
+        car : int
+            Index of the car.
+        at : int
+            Candidate.
+        weight : (shifts,) float
+            Size of the candidate in each shift of the car.
+        own_past : bool
+            Whether what the car has always had is removed.
+
+        Notes
+        -----
+        The score is a sum over shifts, because the residual is orthogonal to the base. The information is divided
+        among shifts like the squares of the column.
+        """
+        score, square = self.estimate_shifts(car, at)
+        down = self.siblings.places.candidates.start + at
+        rows = weight @ self.siblings.sums[self.siblings.car == car][:, down, :]
+        found = self.project(car, rows[np.newaxis], np.array([weight**2 @ square]), np.array([at]))
+        information, left = float(found.information[0]), weight
+        if own_past:
+            left = weight - float(found.beside[0] / found.whole[0])
+            information = float(found.remove_whole()[1][0])
+        parts, own = left * score, left**2 * square
+        own = own * information / own.sum()
+        return float(np.min(np.abs(parts.sum() - parts) / np.sqrt(np.maximum(information - own, 1e-300))))
+
     def project(self, car: int, rows: Floats, square: Floats, at: Ints) -> Projected:
         """Return the products of columns within one car off the spread between cars and off what they share.
 

@@ -77,6 +77,16 @@ def test_nothing_is_found_without_planted_effect(seed):
     assert len(cars) == 4
 
 
+def test_fault_of_one_day_is_no_deviation():
+    """A single day with much energy in bends determines the coefficient of bends of its car."""
+    table = make_windows(4)
+    day = (table["vehicle_id"] == "taxi-1") & (table["date"] == table["date"].iloc[-1])
+    unknown = 0.15 * table["effect_cornering"] / table["effect_cornering"].mean() * table["distance_km"].mean() * 0.15
+    windows, model = gather_with_model(make_tables(table, unknown=np.where(day, unknown, 0.0), of_day=0.01))
+    result = diagnose_deviations(BaseProjection(windows, model), model, np.empty((len(windows.measured), 0)))
+    assert result["deviations"] == []
+
+
 def test_two_deviating_cars_are_both_found():
     found, _ = find({f"night_lights {CAR}": 0.06, "headwind vehicle=taxi-2": 0.06})
     assert {one["who"] for one in found} == {"taxi-1", "taxi-2"}
