@@ -59,6 +59,14 @@ def make_profile(feature: str, unit: str, x: list[Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def make_located_load(level="ride", *, claimed=True):
+    """Return the entry of a constant load of ±640 W of each unit of a level."""
+    size = {"size": 640.0, "low": 610.0, "high": 672.0, "unit": "W"}
+    watts = {f"{name}_w": value for name, value in size.items() if name != "unit"}
+    rivals = {"other_kinds": [], "other_levels": []}
+    return {"level": level, "kind": "constant", **size, **watts, "gain": 90.0, "claimed": claimed, **rivals}
+
+
 def make_diagnosis(**changes: Any) -> dict[str, Any]:
     """Return a complete diagnosis: two missing effects, and structure that no effect explains."""
     of_one = make_missing_effect(
@@ -77,6 +85,14 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
         "error": {
             "mae_kwh": 0.062, "relative": 0.09, "bias_kwh": -0.012, "mae_refitted_kwh": 0.055,
             "noise_floor_kwh": 0.037,
+        },
+        "error_location": {
+            "loads": [make_located_load()],
+            "estimates": [make_located_load(), make_located_load("day", claimed=False)],
+            "shares": {"measurement": 0.34, "scatter": 0.26, "ride": 0.4},
+            "levels": ["ride", "day"],
+            "absent_kinds": [],
+            "absent_signals": ["wind", "climate power"],
         },
         "slices": [
             {"where": "below 0 °C and longer than 10 km", "conditions": ["below 0 °C", "longer than 10 km"],
@@ -154,6 +170,7 @@ def make_empty_diagnosis() -> dict[str, Any]:
     """Return a diagnosis without missing effects, slices and structure."""
     whole = make_diagnosis()
     return whole | {
+        "error_location": {**whole["error_location"], "loads": []},
         "slices": [], "missing": [], "verdict": None, "structure_remains": False, "suggestion": None,
         "suggestion_file": None, "steps": whole["steps"][:1], "deviations": [], "cars": [],
         "structure": {"before": 0.01, "after": 0.01, "taken": None, "least": 0.8, "signs": []},

@@ -75,8 +75,10 @@ class TestPromise:
     def test_result_has_every_key_that_reports_read(self, diagnosis):
         expected = made_up()
         assert set(diagnosis) == set(expected)
-        for name in ("model", "data", "error", "structure"):
+        for name in ("model", "data", "error", "error_location", "structure"):
             assert set(diagnosis[name]) >= set(expected[name]), name
+        load = expected["error_location"]["estimates"][0]
+        assert all(set(one) == set(load) for one in diagnosis["error_location"]["estimates"])
         for name in ("missing", "candidates", "steps"):
             assert diagnosis[name], name
             for row in diagnosis[name]:
