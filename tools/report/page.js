@@ -2,6 +2,7 @@
 (() => {
   const PRINTED = { wide: 670, small: 325 };
   const NARROW = 520;
+  const LINE = 18;
   const NAMES = "Model";
   const plots = [];
 
@@ -52,10 +53,11 @@
     return changes;
   }
 
-  /* Make room below the plot for a legend of whatever height it takes at this width. */
+  /* Make room below the plot for a legend and a title of whatever height they take at this width. */
   function room(plot) {
     const legend = plot.div.querySelector(".legend .bg");
-    const height = legend ? Math.ceil(legend.getBoundingClientRect().height) + 8 : 0;
+    const lines = Object.keys(plot.titles).map((name) => plot.div.layout[name].title.text.split("<br>").length);
+    const height = (legend ? Math.ceil(legend.getBoundingClientRect().height) + 8 : 0) + LINE * (Math.max(1, ...lines) - 1);
     return { height: plot.height + height, "margin.b": plot.bottom + height };
   }
 

@@ -95,7 +95,9 @@ def draw_coefficients(rows: Sequence[Mapping[str, Any]]) -> list[Illustration]:
             continue
         name = sentences.name_effect(one)
         quantity = describe_coefficient(get_mapping(one, "partial_residual"))
-        made = draw_coefficient_rows([(name, value, coefficient.get("ci95"))], coefficient, quantity, "Effect")
+        made = draw_coefficient_rows(
+            [(str(one.get("effect")), value, coefficient.get("ci95"))], coefficient, quantity, "Effect"
+        )
         caption = "Line: 95 % interval. Shaded: the plausible range. A coefficient outside it may have another cause."
         title = f"{place + 1}. {name}: coefficient and plausible range"
         shown.append(Illustration(f"coefficient-{place}", title, caption, made, small=True))

@@ -1,6 +1,7 @@
 """Draw each missing effect: measured less predicted against its regressor, before and after it is added, and by car."""
 
 from collections.abc import Mapping, Sequence
+from math import log10
 from typing import Any, Final
 
 import plotly.graph_objects as go
@@ -23,6 +24,8 @@ AFTER: Final = Style("#0b76c4", "dot", "square-open", "")
 LINE: Final = "#1f9e77"
 PANEL: Final = 170
 """Height of the panel of one car. [px]"""
+MOST_UNEVEN: Final = 8
+"""Ratio of the numbers of windows in bins above which they are drawn on a logarithmic axis."""
 SUPERSCRIPTS: Final = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 
@@ -71,11 +74,13 @@ def draw_partial_residuals(result: Result) -> list[Illustration]:
                 f"Measured less predicted {NAMES[per]} of windows, in bins of the {NAMES[per]} that {name} takes per "
                 f"unit of its coefficient, {describe_coefficient(part)}. Filled: by the model without {name}. "
                 "Outlines: with it. The slope of the line is the coefficient; points that bend away from it show that "
-                "the formula does not hold. Error bars and band: 95 % intervals. Below: the windows in each bin.",
+                "the formula does not hold. Error bars and band: 95 % intervals; a point of too few vehicle-days has "
+                "none. Below: the windows in each bin.",
                 _draw_all_cars(part),
             )
         )
-        if cars := [car for car in part.get("cars") or () if car.get("x") and car.get("before")]:
+        cars = [car for car in part.get("cars") or () if car.get("x") and car.get("before")]
+        if len(cars) > 1:
             shown.append(
                 Illustration(
                     f"partial-cars-{place}",
@@ -98,12 +103,28 @@ def describe_coefficient(part: Mapping[str, Any]) -> str:
 def _title_regressor(part: Mapping[str, Any]) -> str:
     """Return the title of the axis of the regressor, with its unit."""
     unit, per = format_unit(str(part.get("unit") or "")), str(part.get("per") or "h")
-    what = f" per {unit}" if unit else ", coefficient 1"
-    simple = unit.isalpha() or (unit[:-1].isalpha() and unit[-1:] in "²³")
-    divided = POWER[per] if not unit else f"{POWER[per]}/{unit}" if simple else f"{POWER[per]}/({unit})"
-    if per == "km" and unit:
-        divided = f"Wh/(km {unit})" if simple else f"Wh/km/({unit})"
+    what = f" per {unit}" if unit else " at a coefficient of 1"
+    divided = divide_units(POWER[per], unit)
     return escape_label(f"{NAMES[per].capitalize()}{what} [{divided}]")
+
+
+def divide_units(above: str, below: str) -> str:
+    """Return the unit of a quotient.
+
+    Examples
+    --------
+    >>> divide_units("W", "m²"), divide_units("Wh/km", "m²"), divide_units("Wh/km", "1/K"), divide_units("W", "J/K")
+    ('W/m²', 'Wh/(km m²)', 'Wh K/km', 'W K/J')
+    >>> divide_units("W", ""), divide_units("W", "W m^-2 K")
+    ('W', 'W/(W m^-2 K)')
+    """
+    over, _, under = above.partition("/")
+    top, _, bottom = below.partition("/")
+    if " " in below or "/" in bottom or "(" in below:
+        return f"{above}/({below})"
+    factors = [unit for unit in (under, top) if unit and unit != "1"]
+    left = f"{over} {bottom}".strip()
+    return f"{left}/{factors[0]}" if len(factors) == 1 else f"{left}/({' '.join(factors)})" if factors else left
 
 
 def _draw_all_cars(part: Mapping[str, Any]) -> go.Figure:
@@ -136,6 +157,9 @@ def _draw_all_cars(part: Mapping[str, Any]) -> go.Figure:
     made.update_xaxes(title_text=_title_regressor(part), row=2, col=1)
     made.update_yaxes(title_text=f"Measured less predicted [{POWER[per]}]", row=1, col=1)
     made.update_yaxes(title_text="Windows [1]", rangemode="tozero", nticks=3, row=2, col=1)
+    if max(counts) > MOST_UNEVEN * min(counts):
+        ends = [log10(min(counts)) - 0.7, log10(max(counts)) + 0.2]
+        made.update_yaxes(type="log", dtick=1, range=ends, row=2, col=1)
     return made
 
 
@@ -196,7 +220,7 @@ def _draw_points(
         y=list(values),
         mode="markers",
         marker={"symbol": look.symbol, "size": 9, "color": look.colour, "line": {"width": 1.5, "color": look.colour}},
-        error_y={"type": "data", "array": spread, "thickness": 1.2, "width": 3} if any(spread) else None,
+        error_y={"type": "data", "array": spread, "thickness": 1.2, "width": 0} if any(spread) else None,
         text=[f"{windows:,} windows of {days:,} vehicle-days" for windows, days in counts],
         hovertemplate="%{y:.3g}, %{text}<extra></extra>",
         showlegend=legend,
@@ -226,7 +250,7 @@ def _draw_cars(part: Mapping[str, Any], cars: Sequence[Mapping[str, Any]]) -> go
         made.add_trace(_draw_points("before it is added", BEFORE, car, car["before"], legend=i == 0), **at)
     apply_layout(made, height)
     made.update_annotations(font_size=12)
-    made.update_xaxes(nticks=6)
+    made.update_xaxes(nticks=4, tickangle=0)
     made.update_yaxes(nticks=5)
     made.add_annotation(
         text=_title_regressor(part), x=0.5, y=0, xref="paper", yref="paper", yshift=-30, yanchor="top", showarrow=False
@@ -260,7 +284,8 @@ def _draw_slopes(
     made = draw_coefficient_rows(rows, get_mapping(one, "coefficient"), describe_coefficient(part), "Car")
     caption = (
         "Points: the coefficient that the windows of one car show. Lines: 95 % intervals. Shaded: the plausible range. "
-        "An interval far from that of all cars suggests that the effect differs between cars."
+        "An interval far from that of all cars suggests that the effect differs between cars. A wide one leaves the "
+        "figure."
     )
     return [Illustration(f"partial-slopes-{place}", f"{place + 1}. {name}: coefficient by car", caption, made)]
 
@@ -307,9 +332,10 @@ def draw_coefficient_rows(
     low, high = get_number(coefficient.get("low")), get_number(coefficient.get("high"))
     if low is not None and high is not None:
         made.add_vrect(x0=low, x1=high, fillcolor=SHADE, line_width=0, layer="below")
-    inside = [value for value in (low, high) if value is not None]
-    across = [*values, *(end for pair in ends for end in pair), *inside, 0.0]
-    room = 0.04 * (max(across) - min(across) or 1.0)
+    across = [*values, *(value for value in (low, high) if value is not None), 0.0]
+    reach = max(across) - min(across) or 1.0
+    near = [end for pair in ends for end in pair if min(across) - reach <= end <= max(across) + reach]
+    across, room = [*across, *near], 0.04 * reach
     title = quantity.removeprefix("the ").partition(" [")[0]
     made.update_xaxes(
         title_text=escape_label(f"{title[:1].upper()}{title[1:]} [{unit}]"),
