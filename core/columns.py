@@ -122,6 +122,12 @@ SIGNALS: Final = (
         "force at the wheels by the car's own road load; negative when braking, 0 when standing",
         "signals, from motion and vehicle message",
     ),
+    Column(
+        "wheel_power",
+        "W",
+        "power at the wheels by the car's own road load, mean over the step and the one before",
+        "signals, from motion and vehicle message",
+    ),
     Column("braking_force", "N", "braking at the wheels, mean over the step", "signals, from traction", 0.0),
     Column("charge", "1", "state of charge, one half where unknown", "cleaning", 0.0, 1.0),
     Column("pack_temperature", "K", "battery temperature, else the outside temperature", "cleaning, signals"),

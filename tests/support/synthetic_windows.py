@@ -124,6 +124,7 @@ def _signals(start, day, ride, car, vehicle: VehicleModel, seed: int) -> dict[st
         "mass": mass,
         "tyre_load": load,
         "traction": force,
+        "wheel_power": force * speed,
         "braking_force": np.maximum(-force, 0.0),
         "turn_rate": rng.normal(0.0, 0.03, m),
         "headwind": wind * np.cos(towards),

@@ -82,7 +82,7 @@ def test_unknown_argument_gives_nan_only_in_its_row(each, argument):
 
 
 def test_effects_per_distance_are_zero_for_a_standing_car():
-    standing = {**rows(1, 8), "speed": np.zeros(8), "traction": np.zeros(8), "braking_force": np.zeros(8)}
+    standing = {**rows(1, 8), **dict.fromkeys(("speed", "traction", "wheel_power", "braking_force"), np.zeros(8))}
     for each in EACH:
         if each.per == "distance":
             assert not each.power(standing).any(), each.name
