@@ -17,7 +17,7 @@ from core.pipeline import Pipeline
 from core.settings import Settings
 from core.wire.messages import Telemetry, Weather, encode
 from tools.bench.hidden import cases as cases_module
-from tools.bench.hidden.cases import RIGHT_NAMES, Case, SeedData, get_right_names, strip_shape
+from tools.bench.hidden.cases import RIGHT_NAMES, Case, SeedData, get_right_names
 from tools.bench.hidden.drives import FLEET, Scope, simulate_drives
 from tools.bench.hidden.errors import compute_errors, predict_held_out
 from tools.bench.hidden.evaluation import compute_true_energy, evaluate_case, grade_names, is_scope_right
@@ -26,7 +26,7 @@ from tools.bench.hidden.recording import add_weather_noise, record_drives
 from tools.bench.hidden.running import make_tasks, run_cases
 from tools.simulator.fleet import simulate
 from tools.simulator.hidden import EFFECTS
-from tools.simulator.hidden_shapes import OTHER_SHAPES
+from tools.simulator.hidden_shapes import OTHER_SHAPES, strip_shape
 from tools.simulator.settings import STEPS_PER_SAMPLE, Hidden
 
 SMALL = replace(FLEET, seed=3, vehicles=2, days=2, day_step=100)
@@ -168,7 +168,7 @@ class TestNames:
         assert set(RIGHT_NAMES) | set(ABSORBED) <= set(EFFECTS)
         for effect in EFFECTS:
             assert all(name in effects.get_library() for name in get_right_names(effect))
-        assert strip_shape("snow~other") == "snow"
+        assert [strip_shape(f"snow{end}") for end in ("", "~other", "~bent7")] == ["snow"] * 3
         assert get_right_names("snow~other") == ("snow",)
 
 

@@ -5,10 +5,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from tools.bench.hidden.cases import strip_shape
 from tools.bench.hidden.evaluation import Record
 from tools.bench.hidden.parts import ABSORBED, PAIR_SHARE, SHARES
-from tools.simulator.hidden_shapes import OTHER
+from tools.simulator.hidden_shapes import OTHER, strip_shape
 
 GOOD: Final = frozenset({"right", "group"})
 LEAST: Final = {"vi": 0.015, "soc": 0.03}

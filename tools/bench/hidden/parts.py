@@ -9,11 +9,11 @@ from typing import Final
 
 import numpy as np
 
-from tools.bench.hidden.cases import BARE, Case, Weather, get_right_names, strip_shape
+from tools.bench.hidden.cases import BARE, Case, Weather, get_right_names
 from tools.bench.hidden.drives import FLEET, Scope
 from tools.bench.hidden.recording import Measurement
 from tools.simulator.hidden import EFFECTS
-from tools.simulator.hidden_shapes import OTHER
+from tools.simulator.hidden_shapes import OTHER, strip_shape
 from tools.simulator.settings import Hidden
 
 SHARES: Final = (0.0075, 0.015, 0.03, 0.06)
