@@ -59,6 +59,7 @@ ORDINARY_DRIVING: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
         "water": (0.0, 0.01),
         "snow": (0.0, 0.1),
         "darkness": (0.0, 1.0),
+        "sun_sine": (-1.0, 1.0),
     }
 )
 """Lowest and highest value of each column in ordinary driving, over which an effect must be finite. [its unit]"""

@@ -44,6 +44,8 @@ NIGHT: Final = 8 * 3600.0
 HALF_CHARGED: Final = 0.5
 """Assumed state of charge of a car that does not report it. [1]"""
 SQRT_TWO_PI: Final = (2.0 * np.pi) ** 0.5
+NO_SUN: Final = 1.0
+"""Sine of the elevation of the sun where it is unknown: no effect of darkness. [1]"""
 CIVIL_DUSK: Final = 6.0
 """Depth of the sun below the horizon at the end of civil twilight. [deg]"""
 
@@ -265,9 +267,13 @@ def darkness(signals: Signals) -> Floats:
 
     During twilight, it is proportional to the sine of the depth of the sun.
     """
+    return np.clip(-signals["sun_sine"] / np.sin(np.radians(CIVIL_DUSK)), 0.0, 1.0)
+
+
+def sun_sine(signals: Signals) -> Floats:
+    """Return the sine of the elevation of the sun, `NO_SUN` where the position is unknown. [1]"""
     clean = signals.clean
-    depth = -sine_of_elevation(clean.time, clean.latitude, clean.longitude)
-    return np.clip(np.nan_to_num(depth) / np.sin(np.radians(CIVIL_DUSK)), 0.0, 1.0)
+    return np.nan_to_num(sine_of_elevation(clean.time, clean.latitude, clean.longitude), nan=NO_SUN)
 
 
 def water(signals: Signals) -> Floats:
@@ -306,5 +312,6 @@ _DERIVED: Final[dict[str, Callable[[Signals], Floats]]] = {
     "water": water,
     "snow": compute_snow,
     "darkness": darkness,
+    "sun_sine": sun_sine,
 }
 """Function of every signal that is not a column of `Clean`."""

@@ -136,7 +136,7 @@ def _signals(start, day, ride, car, vehicle: VehicleModel, seed: int) -> dict[st
         "water": np.where(ambient > ZERO_CELSIUS, fallen, 0.0),
         "snow": np.where(ambient > ZERO_CELSIUS, 0.0, 8.0 * fallen),
         "solar": of_days(rng.uniform(0.2, 1.0, days)) * 700.0 * np.maximum(height, 0.0),
-        "darkness": stretched(rng.random(n) < 0.3).astype(float),
+        "sun_sine": 0.4 - 0.8 * stretched(rng.random(n) < 0.3).astype(float),
         "elapsed": stretched((start - start[np.searchsorted(ride, ride)]) + 30.0),
         "parked": stretched(rng.exponential(5000.0, ride[-1] + 1)[ride]),
         "stop_rate": (rng.random(m) < 0.1) / STRETCH_S,
