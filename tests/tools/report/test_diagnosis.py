@@ -78,7 +78,7 @@ def test_terminal_shows_all_parts_in_order():
 
 def test_diagnosis_without_missing_effect_states_it():
     output = printed(make_empty_diagnosis())
-    assert "No effect of the library is missing beyond chance." in output
+    assert "No effect of the library is probable enough to be named." in output
     assert "No group of rides by weather, time, speed or vehicle differs from the others" in output
     assert "These rides show no missing effect." in output
     assert "Write an effect of your own" in printed(make_empty_diagnosis() | {"structure_remains": True})

@@ -170,16 +170,14 @@ def describe_causes(causes: Any, most: int = MOST_CAUSES) -> str:
 
 
 def describe_verdict(result: Result) -> list[str]:
-    """Return the sentence with which a report begins: the probable causes of the error, and what is to be concluded."""
+    """Return the sentences with which a report begins: the probable causes, and among which the largest one is."""
     causes = result.get("causes") or ()
     if not causes:
         return []
     lines = [f"Probable cause of the error: {describe_causes(causes)}."]
-    credible = [str(name) for name in result.get("credible_set") or ()]
-    effects = [name for name in credible if name not in CAUSE_NAMES]
-    if len(credible) > 1 and effects:
-        names = [CAUSE_NAMES.get(name, name) for name in credible]
-        lines.append(f"With a probability of 90 %, the largest cause is one of: {', '.join(names)}.")
+    credible = [CAUSE_NAMES.get(str(name), str(name)) for name in result.get("credible_set") or ()]
+    if len(credible) > 1:
+        lines.append(f"With a probability of 90 %, the largest cause is one of these: {', '.join(credible)}.")
     return lines
 
 
@@ -271,9 +269,11 @@ def describe_next_step(result: Result) -> list[str]:
     """Return what to do next, with the command where there is one."""
     chosen = result.get("verdict")
     if not chosen:
-        if result.get("structure_remains"):
+        unknown = UNKNOWN in (result.get("credible_set") or ())[:1]
+        if unknown or result.get("structure_remains"):
             hint = "Write an effect of your own for the structure that remains: socast effects new."
-            return [f"No effect of the library is missing. {hint}"]
+            why = "The cause is probably not in the library" if unknown else "No effect of the library is missing"
+            return [f"{why}. {hint}"]
         return ["These rides show no missing effect."]
     first: Mapping[str, Any] = next((m for m in result.get("missing") or () if m.get("effect") == chosen), {})
     lines = [f"Add {chosen}, {describe_scope(first)}."]

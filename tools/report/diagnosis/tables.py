@@ -15,8 +15,8 @@ BIAS_NOTE: Final = (
 MISSING_NOTE: Final = (
     "Best first, each in the presence of those above it. Gain: reduction of the squared error that the "
     "terms of the model "
-    "cannot explain, on days to which the coefficient was not fitted. ± and ranges are 95 % intervals. Or else: the other "
-    "causes among which the effect is with a probability of 90 %."
+    "cannot explain, on days to which the coefficient was not fitted. ± and ranges are 95 % intervals. "
+    "Or else: the other causes among which the effect is with a probability of 90 %."
 )
 CANDIDATES_NOTE: Final = (
     "Each effect alone before any is added, with the parameter value that fits best. z has the sign that physics "
