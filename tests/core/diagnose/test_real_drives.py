@@ -159,8 +159,9 @@ def test_diagnosis_of_leaf_ranks_cabin_heating_first():
 def test_diagnosis_of_i3_ranks_cabin_heat_first():
     """The most probable effect is warming up after parking, then heating by temperature, which is the goal.
 
-    That the cause is not in the library is about as probable: no effect has the shape of this heater. The heater took 3.9 kW over the first five minutes, 1.5 kW over the next five, then 1.2 kW, as measured at 3
-    to 9 °C outside. With 17 dates of one car, these two effects and door heat loss are not distinguishable.
+    That the cause is not in the library is about as probable: no effect has the shape of this heater. It took 3.9 kW
+    over the first five minutes, 1.5 kW over the next five, then 1.2 kW, as measured at 3 to 9 °C outside. With 17
+    dates of one car, the effects that heat the cabin are hardly distinguishable.
     """
     diagnosis = diagnose_car("bmw-i3").diagnosis
     best = sorted((row for row in diagnosis["candidates"] if row["gain"]), key=lambda row: -row["gain"])[:3]

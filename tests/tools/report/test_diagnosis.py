@@ -128,7 +128,7 @@ def test_page_has_every_figure_and_table(tmp_path):
     reader = page(make_diagnosis(), tmp_path, suggested="mine.py")
     figures = {name.removeprefix("figure-") for name in reader.ids if name.startswith("figure-")}
     assert figures == {
-        *("errors", "slices", "location", "effects", "coefficient-0", "coefficient-1", "structure"),
+        *("causes", "errors", "slices", "location", "effects", "coefficient-0", "coefficient-1", "structure"),
         *("partial-0", "partial-cars-0", "partial-slopes-0", "partial-1", "partial-cars-1", "partial-slopes-1"),
         *("profile-average_speed_kmh", "profile-vehicle_id"),
         *("cars", "change-0"),
