@@ -136,7 +136,6 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
             make_profile("average_speed_kmh", "km/h", [10.0, 30.0, 60.0]),
             make_profile("vehicle_id", "", ["taxi-001", "taxi-002", "taxi-003"]),
         ],
-        "error_location": {},
         "causes": make_causes(),
         "credible_set": ["cold_rolling", "air_density"],
         "further": [{"effect": "none", "probability": 0.8}, {"effect": "not in the library", "probability": 0.2}],

@@ -21,8 +21,8 @@ from core.diagnose.plain_shapes import build_plain_shapes
 from core.diagnose.posterior.families import BEND, Families, build_families
 from core.diagnose.posterior.marginal_likelihood import (
     ABSENT,
-    Evidence,
     LogDensity,
+    LogEvidence,
     Products,
     compute_log_evidence,
 )
@@ -179,7 +179,7 @@ class _Known(NamedTuple):
 class _Singles(NamedTuple):
     """Hold the evidence of each effect, that without bends, and the most probable variant of each."""
 
-    evidence: dict[str, Evidence]
+    evidence: dict[str, LogEvidence]
     stiff: dict[str, float]
     variants: dict[str, str]
 
@@ -246,7 +246,7 @@ class _Comparison:
             self._weigh(at) if families.names[int(families.effects[at])] not in taken else ABSENT
             for at in range(len(families.variants))
         ]
-        evidence: dict[str, Evidence] = {}
+        evidence: dict[str, LogEvidence] = {}
         stiff: dict[str, float] = {}
         variants: dict[str, str] = {}
         for number, name in enumerate(families.names):
@@ -255,12 +255,12 @@ class _Comparison:
                 continue
             best = max(own, key=lambda at: by_variant[at].log_evidence)
             mean = np.logaddexp.reduce([by_variant[at].log_evidence for at in own]) - np.log(len(own))
-            evidence[name] = Evidence(float(mean), by_variant[best].coefficient)
+            evidence[name] = LogEvidence(float(mean), by_variant[best].coefficient)
             stiff[name] = self._weigh(best, 0.0).log_evidence
             variants[name] = families.variants[best]
         return _Singles(evidence, stiff, variants)
 
-    def _weigh(self, at: int, bend: float = BEND) -> Evidence:
+    def _weigh(self, at: int, bend: float = BEND) -> LogEvidence:
         """Return the evidence of one form with its bends."""
         families, place = self._families, self._families.locate(at)
         if families.left[at] < LEAST_LEFT:

@@ -39,7 +39,7 @@ class Products(NamedTuple):
     residual: Floats
 
 
-class Evidence(NamedTuple):
+class LogEvidence(NamedTuple):
     """Hold the log evidence of a family.
 
     Parameters
@@ -54,11 +54,13 @@ class Evidence(NamedTuple):
     coefficient: float
 
 
-ABSENT: Final = Evidence(float("-inf"), 0.0)
-"""Evidence of a family that cannot be identified beside the model."""
+ABSENT: Final = LogEvidence(float("-inf"), 0.0)
+"""LogEvidence of a family that cannot be identified beside the model."""
 
 
-def compute_log_evidence(products: Products, scale: float, sign: int, log_density: LogDensity, bend: float) -> Evidence:
+def compute_log_evidence(
+    products: Products, scale: float, sign: int, log_density: LogDensity, bend: float
+) -> LogEvidence:
     """Return the log evidence of a family of shapes.
 
     Parameters
@@ -76,7 +78,7 @@ def compute_log_evidence(products: Products, scale: float, sign: int, log_densit
 
     Returns
     -------
-    Evidence
+    LogEvidence
     """
     size, match = float(products.own[0, 0]), float(products.residual[0])
     if not size > 0.0:
@@ -90,7 +92,7 @@ def compute_log_evidence(products: Products, scale: float, sign: int, log_densit
     top = float(likelihood.max())
     integral = float(np.trapezoid(np.exp(likelihood - top), np.log(values), axis=1).sum())
     best = np.unravel_index(int(likelihood.argmax()), likelihood.shape)
-    return Evidence(top + float(np.log(max(integral, 1e-300))), float(signs[best[0]] * values[best[1]]))
+    return LogEvidence(top + float(np.log(max(integral, 1e-300))), float(signs[best[0]] * values[best[1]]))
 
 
 def _integrate_bends(products: Products, values: Floats, bend: float) -> Floats:
