@@ -24,7 +24,7 @@ from core.diagnose.posterior.marginal_likelihood import (
     LogDensity,
     LogEvidence,
     Products,
-    compute_log_evidence,
+    compute_marginal_likelihood,
 )
 from core.diagnose.projection import BaseProjection
 from core.diagnose.ranking import LEAST_LEFT
@@ -270,7 +270,7 @@ class _Comparison:
         match = (columns.T @ self._base.residual - along.T @ self._along_residual[:, 0]) / self._noise
         scale = float(self._base.windows.measured.sum()) / families.energy[at]
         density = make_prior(scale, families.plausible[at])
-        return compute_log_evidence(Products(own, match), scale, int(families.signs[at]), density, bend)
+        return compute_marginal_likelihood(Products(own, match), scale, int(families.signs[at]), density, bend)
 
     def weigh_unknown(self) -> float:
         """Return the evidence of one plain shape that no effect has, or of many shapes together."""
@@ -283,7 +283,7 @@ class _Comparison:
         for at in np.flatnonzero(self._unlike).tolist():
             products = Products(own[at : at + 1, at : at + 1], match[at : at + 1])
             prior = make_prior(float(scale[at]))
-            logs.append(compute_log_evidence(products, float(scale[at]), 0, prior, 0.0).log_evidence)
+            logs.append(compute_marginal_likelihood(products, float(scale[at]), 0, prior, 0.0).log_evidence)
         one = float(np.logaddexp.reduce(logs) - np.log(len(logs))) if logs else float("-inf")
         return float(np.logaddexp(one, _weigh_together(own * np.outer(scale, scale), match * scale)) - np.log(2.0))
 

@@ -58,7 +58,7 @@ ABSENT: Final = LogEvidence(float("-inf"), 0.0)
 """LogEvidence of a family that cannot be identified beside the model."""
 
 
-def compute_log_evidence(
+def compute_marginal_likelihood(
     products: Products, scale: float, sign: int, log_density: LogDensity, bend: float
 ) -> LogEvidence:
     """Return the log evidence of a family of shapes.
