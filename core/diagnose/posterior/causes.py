@@ -40,10 +40,14 @@ HEAVINESS: Final = 3.0
 """Exponent of that fall: a coefficient twice too large is 25 times less probable."""
 DISTORTED: Final = "drivetrain_loss_power"
 """Effect whose form samples every few seconds distort."""
-DISTORTION: Final = 0.03
-"""Standard deviation of that distortion, as a share of the energy; 0.015 to 0.032 with nothing hidden, with samples
-every 3 s (simulated fleets, seeds 400 to 404 and 500). [1]"""
-DISTORTION_BEND: Final = 0.5
+DISTORTION: Final = 0.004
+"""Standard deviation of that distortion, as a share of the energy. [1]
+
+With `DISTORTION_BEND`, it maximises the likelihood of simulated fleets without hidden effects that sample every 3 s
+(seeds 400 to 409); the logarithm of the likelihood is 1.8 less without a distortion. In drives of a BMW i3
+(DOI 10.21227/6jr9-5235), such samples add 0.008 ± 0.003 of the energy.
+"""
+DISTORTION_BEND: Final = 0.25
 """Standard deviation of its bends, relative to the distortion. [1]"""
 RIVALS: Final = 5
 """Number of effects beside each of which a second effect is sought."""
