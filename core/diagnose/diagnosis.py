@@ -158,6 +158,7 @@ def _diagnose(
         "causes": _describe_causes(causes),
         "credible_set": causes.list_credible_set(),
         "further": _describe_causes(selection.remaining),
+        "further_credible_set": [] if selection.remaining is None else selection.remaining.list_credible_set(),
         "structure_remains": remains.exists,
         "structure": _describe_structure(remains),
         "suggestion": None if suggested is None else suggested.formula,
