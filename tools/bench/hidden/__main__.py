@@ -16,6 +16,7 @@ from rich.progress import Progress
 from core.diagnose.diagnosis import diagnose
 from core.errors import SettingsError, SocastError
 from tools.bench.hidden.cases import Weather
+from tools.bench.hidden.export import export_tasks
 from tools.bench.hidden.figures import compute_figures, summarise_timing
 from tools.bench.hidden.grading import Record
 from tools.bench.hidden.page import make_section, replace_section
@@ -55,6 +56,10 @@ def main(arguments: list[str] | None = None) -> int:
             task for part in parts for task in make_tasks(part, draw_sample(list(PARTS[part](choice)), sizes.get(part)))
         ]
         todo.sort(key=lambda task: task[1][0].seed)  # so that the drives of a seed are simulated once for all parts
+        if options.export:
+            count = export_tasks(todo, options.export, options.processes)
+            console.print(f"{count:,} data sets written to {options.export}", highlight=False)
+            return 0
         records = collect_records(todo, options.keep, options.processes, console)
     except SocastError as error:
         print(error, file=sys.stderr)
@@ -86,6 +91,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--keep", type=Path, help="folder for records; existing records are not made again")
     parser.add_argument("--processes", type=int, default=PROCESSES, help="number of processes")
     parser.add_argument("--json", type=Path, help=f"file for all records; default {RECORDS}")
+    parser.add_argument("--export", type=Path, help="folder for the data sets as Parquet files; nothing is diagnosed")
     parser.add_argument("--dry", action="store_true", help=f"do not write {PAGE}")
     return parser
 

@@ -17,6 +17,7 @@ from importlib.util import find_spec
 from math import log, sqrt
 from types import MappingProxyType
 from typing import Final
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingRegressor
@@ -106,7 +107,9 @@ def rank_by_pysindy(base: BaseProjection, candidates: Candidates) -> list[str]:
     state = np.random.get_state()  # noqa: NPY002 - PySINDy draws from the global generator
     np.random.seed(SEED)  # noqa: NPY002
     try:
-        ensemble.fit(scaled, base.residual[:, np.newaxis])
+        with catch_warnings():  # where nothing exceeds the threshold, the ranking is empty
+            simplefilter("ignore", UserWarning)
+            ensemble.fit(scaled, base.residual[:, np.newaxis])
     finally:
         np.random.set_state(state)  # noqa: NPY002
     found = np.abs(np.array(ensemble.coef_list)[:, 0, :])

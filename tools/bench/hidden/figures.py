@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.stats.proportions import compute_wilson_interval
+from core.stats.clustered import compute_wilson_interval
 from tools.bench.hidden.grading import Record
 from tools.bench.hidden.parts import ABSORBED
 from tools.bench.hidden.reliability import Stated, compute_calibration_error
@@ -247,14 +247,14 @@ def format_rate(successes: Sequence[bool]) -> str:
     """
     if not successes:
         return ""
-    low, high = compute_wilson_interval(sum(successes), len(successes))
-    return f"{100 * sum(successes) / len(successes):.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+    share = sum(successes) / len(successes)
+    low, high = compute_wilson_interval(share, len(successes))
+    return f"{100 * share:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
 
 
 def _share(what: str, successes: Sequence[bool], least: float = 0.0, most: float = 1.0) -> Figure:
     """Return the figure of a share, with a goal where a bound is given."""
     value = sum(successes) / len(successes) if successes else nan
-    low, high = compute_wilson_interval(sum(successes), len(successes))
     if least == 0.0 and most == 1.0:
         goal = ""
     elif least == 0.0:
@@ -262,8 +262,17 @@ def _share(what: str, successes: Sequence[bool], least: float = 0.0, most: float
     else:
         goal = f"{100 * least:g} % or more" if most == 1.0 else f"{100 * least:g} to {100 * most:g} %"
     text = "" if isnan(value) else f"{100 * value:.1f} %"
-    interval = "" if isnan(value) else f"{100 * low:.1f} to {100 * high:.1f} %"
-    return Figure(what, goal, value, text, interval, len(successes), least <= value <= most)
+    return Figure(
+        what, goal, value, text, _format_interval(value, len(successes)), len(successes), least <= value <= most
+    )
+
+
+def _format_interval(share: float, count: int) -> str:
+    """Return Wilson's 95 % interval of a share as text; empty without data sets."""
+    if not count:
+        return ""
+    low, high = compute_wilson_interval(share, count)
+    return f"{100 * low:.1f} to {100 * high:.1f} %"
 
 
 def _median_size(records: Sequence[Record]) -> Figure:
@@ -284,13 +293,14 @@ def _claims(none: Sequence[Record]) -> Figure:
     """Return the figure of names given as likely although nothing is hidden."""
     counts = [sum(name["probability"] >= LIKELY for name in r["names"]) for r in none]
     value = sum(counts) / len(counts) if counts else nan
-    low, high = compute_wilson_interval(sum(count > 0 for count in counts), len(counts))
+    any_name = sum(count > 0 for count in counts) / len(counts) if counts else nan
+    interval = f"data sets with any: {_format_interval(any_name, len(counts))}" if counts else ""
     return Figure(
         "nothing hidden: names with 50 % or more per data set",
         "0.02 or less",
         value,
         "" if isnan(value) else f"{value:.3f}",
-        "" if isnan(value) else f"data sets with any: {100 * low:.1f} to {100 * high:.1f} %",
+        interval,
         len(counts),
         value <= 0.02,
     )

@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.stats.proportions import compute_wilson_interval
+from core.stats.clustered import compute_wilson_interval
 
 BINS: Final = 10
 Stated = Sequence[tuple[float, bool]]
@@ -40,7 +40,7 @@ class Bin(NamedTuple):
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval of the share of right names. [1]"""
-        return compute_wilson_interval(self.right * self.effective, self.effective)
+        return compute_wilson_interval(self.right, self.effective)
 
 
 def bin_probabilities(stated: Stated, weights: Sequence[float] | None = None, bins: int = BINS) -> list[Bin]:
