@@ -27,8 +27,9 @@ CONDITIONS: Final = MappingProxyType(
 CARD: Final = """\
 # Hidden effects in the energy of electric cars
 
-{count} simulated data sets: {parts}. In each, the energy of a small fleet holds an effect that the base model lacks,
-two of them, or none. The task: name the missing effect from the measured energy.
+{count} simulated data sets: {parts}.
+In each, the energy of a small fleet holds an effect that the base model lacks, two of them, or none. The task: name the
+missing effect from the measured energy.
 
 ## Files
 
@@ -48,7 +49,10 @@ two of them, or none. The task: name the missing effect from the measured energy
 | `base_TERM` | energy of a term of the base model [kWh per unit of its coefficient] |
 | `effect_VARIANT` | energy of a candidate effect [kWh per unit of its coefficient] |
 
-A candidate may have several variants, `EFFECT@PARAMETER=VALUE`. The answer is the name of the effect.
+A candidate may have several variants, `EFFECT@PARAMETER=VALUE`. The answer is the name of the effect. Every data set
+lacks the candidates of one effect at random, so a missing column says nothing about the truth. Cars whose base model is
+`road_load_constant` have no climate control, and only heating or cooling of the cabin is hidden in them; a method must
+not use that.
 
 | effect | unit of the coefficient | power |
 |---|---|---|
@@ -68,7 +72,7 @@ same data.
 
 Write a JSON file with a ranking for each data set:
 
-    {{"one-700-000": ["snow", "wet_road"], "none-1700-000": []}}
+    {{"00000": ["snow", "wet_road"], "00001": []}}
 
 The first name counts; of two effects, the first two. Answer `none` or an empty list where nothing is missing, and
 `not in the library` where no candidate fits. Then run in the repository:

@@ -67,7 +67,7 @@ def judge(answers: Answers, truths: Mapping[str, Truth]) -> list[Score]:
     Examples
     --------
     >>> truth = {"part": "none", "truths": [["none"]], "absorbed": False}
-    >>> judge({"none-1700-000": ["snow"]}, {"none-1700-000": truth, "none-1701-000": truth})
+    >>> judge({"00000": ["snow"]}, {"00000": truth, "00001": truth})
     [Score(what='nothing hidden: no name', right=1, of=2)]
     """
     for name, ranking in answers.items():
@@ -102,8 +102,9 @@ def is_answer_right(ranking: Sequence[str], truth: Truth) -> bool:
 
 def _is_counted(truth: Truth, measurement: str) -> bool:
     """Return whether a data set with one effect is large enough to count."""
-    share = truth["hidden"][0][1] if truth["hidden"] else 0.0
-    return bool(truth["part"] == "one" and truth["measurement"] == measurement and share >= LEAST[measurement])
+    if truth["part"] != "one" or truth["measurement"] != measurement:
+        return False
+    return bool(truth["hidden"][0][1] >= LEAST[measurement])
 
 
 GOALS: Final[Mapping[str, Callable[[Truth], bool]]] = MappingProxyType(

@@ -1,14 +1,16 @@
 """Exported data sets hold what others need to name a hidden effect, and the judge grades their answers."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from core.effects import get_library
 from core.errors import SettingsError
 from tools.bench.hidden.cases import Case
-from tools.bench.hidden.export import export_tasks
+from tools.bench.hidden.export import draw_decoy, export_tasks
 from tools.bench.hidden.judge import is_answer_right, judge, main
 from tools.simulator.settings import Hidden
 
@@ -24,9 +26,20 @@ def folder(source, tmp_path_factory):
     return out
 
 
+def get_name(folder, part):
+    """Return the name of the data set of a part."""
+    truths = json.loads((folder / "truth.json").read_text())
+    return next(name for name, truth in truths.items() if truth["part"] == part)
+
+
+def read_table(folder, part, kind="windows"):
+    """Return the windows or the truth of the data set of a part."""
+    return pd.read_parquet(folder / kind / f"{get_name(folder, part)}.parquet")
+
+
 def test_windows_hold_base_candidates_and_measured_energy(folder):
-    table = pd.read_parquet(folder / "windows" / "one-5-000.parquet")
-    truth = pd.read_parquet(folder / "truth" / "one-5-000.parquet")
+    table = read_table(folder, "one")
+    truth = read_table(folder, "one", "truth")
     assert {"ride", "vehicle", "day", "measured_kwh", "predicted_kwh", "base_rolling", "effect_headwind"} <= set(table)
     assert list(truth) == ["hidden_headwind"]
     assert len(truth) == len(table) > 100
@@ -34,17 +47,31 @@ def test_windows_hold_base_candidates_and_measured_energy(folder):
     assert np.isfinite(table.filter(like="effect_")).all().all()
 
 
-def test_windows_do_not_hold_the_truth(folder):
+def test_files_do_not_tell_the_truth(folder):
     cases = json.loads((folder / "cases.json").read_text())
-    assert set(cases["one-5-000"]) == {"part", "measurement", "weather", "recipe", "without"}
-    outside = pd.read_parquet(folder / "windows" / "outside-5-000.parquet")
-    assert "effect_snow" not in outside
-    assert cases["outside-5-000"]["without"] == ["snow"]
-    assert pd.read_parquet(folder / "truth" / "none-5-000.parquet").empty
+    assert sorted(cases) == ["00000", "00001", "00002"]
+    assert all(set(case) == {"measurement", "weather", "recipe"} for case in cases.values())
+    assert "effect_snow" not in read_table(folder, "outside")
+    assert read_table(folder, "none", "truth").empty
+
+
+def test_every_data_set_lacks_one_effect_of_the_library(folder):
+    effects = {
+        p: {c.partition("@")[0] for c in read_table(folder, p).filter(like="effect_")} for p in ("one", "outside")
+    }
+    assert effects["outside"] - effects["one"]
+    assert "effect_headwind" in effects["one"]
+
+
+def test_effect_that_is_left_out_is_random_and_never_a_hidden_one():
+    library = SimpleNamespace(names=tuple(get_library()))
+    drawn = [draw_decoy(Case(seed, (Hidden("humidity~other", 0.03),)), library) for seed in range(100)]
+    assert len(set(drawn)) > 10
+    assert not {name for names in drawn for name in names} & {"humidity", "demisting"}
 
 
 def test_effect_can_be_found_from_the_files_alone(folder):
-    table = pd.read_parquet(folder / "windows" / "one-5-000.parquet")
+    table = read_table(folder, "one")
     base = table.filter(regex="^base_").to_numpy(np.float64)
     falls = {}
     for name in table.filter(regex="^effect_"):
@@ -57,7 +84,7 @@ def test_effect_can_be_found_from_the_files_alone(folder):
 
 def test_card_names_every_column_and_how_to_be_judged(folder):
     card = (folder / "README.md").read_text()
-    table = pd.read_parquet(folder / "windows" / "one-5-000.parquet")
+    table = read_table(folder, "one")
     for name in table:
         assert f"`{name}`" in card or name.startswith(("base_", "effect_"))
     for name in table.filter(regex="^effect_"):
@@ -68,7 +95,7 @@ def test_card_names_every_column_and_how_to_be_judged(folder):
 
 def test_judge_counts_first_names(folder, tmp_path, capsys):
     truths = json.loads((folder / "truth.json").read_text())
-    answers = {"one-5-000": ["headwind", "snow"], "outside-5-000": ["wet_road"]}
+    answers = {get_name(folder, "one"): ["headwind", "snow"], get_name(folder, "outside"): ["wet_road"]}
     scores = {score.what: (score.right, score.of) for score in judge(answers, truths)}
     assert scores["V·I, 1.5 % or more, visible: truth first"] == (1, 1)
     assert scores["truth not in the library: no effect first"] == (0, 1)
@@ -89,7 +116,7 @@ def test_two_effects_must_be_the_first_two():
     assert not is_answer_right([], truth)
 
 
-@pytest.mark.parametrize("answers", [{"one-9-000": ["snow"]}, {"none-5-000": "snow"}])
+@pytest.mark.parametrize("answers", [{"00009": ["snow"]}, {"00000": "snow"}])
 def test_answers_that_belong_to_nothing_are_refused(answers):
     with pytest.raises(SettingsError):
-        judge(answers, {"none-5-000": {"part": "none", "truths": [["none"]], "absorbed": False}})
+        judge(answers, {"00000": {"part": "none", "truths": [["none"]], "absorbed": False}})
