@@ -17,11 +17,12 @@ from core.diagnose.diagnosis import diagnose
 from core.errors import SettingsError, SocastError
 from tools.bench.hidden.cases import Weather
 from tools.bench.hidden.export import export_tasks
-from tools.bench.hidden.figures import compute_figures, summarise_timing
+from tools.bench.hidden.figures import compute_figures, list_stated, summarise_timing
 from tools.bench.hidden.grading import Record
 from tools.bench.hidden.page import make_section, replace_section
 from tools.bench.hidden.parts import PARTS, SEEDS, SHAPES, SHARES, Selection, draw_sample
 from tools.bench.hidden.recording import Measurement
+from tools.bench.hidden.reliability_figure import FILE, draw_reliability
 from tools.bench.hidden.running import PROCESSES, Task, make_tasks, run_tasks
 from tools.simulator.hidden import EFFECTS
 from tools.terminal.rich_table import Column, make_table
@@ -72,6 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
         run = f"drawn at random: {drawn}" if drawn else "all data sets"
         new = make_section(records, f"{choice.seeds} seeds from {choice.first}, {run}")
         path.write_text(replace_section(path.read_text(encoding="utf-8"), new), encoding="utf-8")
+        (ROOT / FILE).write_text(draw_reliability(list_stated(records)), encoding="utf-8")
     return 0
 
 

@@ -11,6 +11,7 @@ from tools.bench.hidden.figures import compute_figures, list_stated, summarise_t
 from tools.bench.hidden.grading import Record
 from tools.bench.hidden.parts import ABSORBED
 from tools.bench.hidden.reliability import tabulate_reliability
+from tools.bench.hidden.reliability_figure import FILE
 from tools.bench.hidden.tables import (
     tabulate_baselines,
     tabulate_by_effect,
@@ -75,7 +76,7 @@ def make_section(records: Sequence[Record], description: str) -> str:
         ),
     ]
     for title, table in (
-        ("How often a stated probability is right", tabulate_reliability(list_stated(records))),
+        ("How often a stated probability is right", _show_reliability(records)),
         ("Other methods on the same windows: truth first among visible effects", tabulate_baselines(records)),
         ("By share: right, wrong, none, in %", tabulate_by_share(records)),
         ("By effect: right in %, first / other / bent shape, by measurement and share in %",
@@ -86,6 +87,13 @@ def make_section(records: Sequence[Record], description: str) -> str:
         if len(table) > 2:
             lines += ["", f"### {title}", "", *table]
     return "\n".join([*lines, "", end])
+
+
+def _show_reliability(records: Sequence[Record]) -> list[str]:
+    """Return the table of stated probabilities and a link to its figure; no lines without names."""
+    stated = list_stated(records)
+    text = "Share of right names against the stated probability; the numbers count names"
+    return [*tabulate_reliability(stated), "", f"![{text}]({FILE})"] if stated else []
 
 
 def _describe_run(records: Sequence[Record], description: str) -> str:

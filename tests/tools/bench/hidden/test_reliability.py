@@ -1,11 +1,13 @@
 """Stated probabilities are compared with how often they are right."""
 
 from math import isnan
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 
 from tools.bench.hidden.reliability import bin_probabilities, compute_calibration_error, tabulate_reliability
+from tools.bench.hidden.reliability_figure import BOTTOM, LEFT, RIGHT, TOP, draw_reliability
 
 
 def test_calibrated_probabilities_have_a_small_error():
@@ -34,3 +36,13 @@ def test_weights_count_names_more_or_less():
 
 def test_table_has_a_row_for_each_bin_with_names():
     assert tabulate_reliability([(0.95, True)] * 3)[2:] == ["| 90 to 100 % | 95 % | 100 % | 44 to 100 % | 3 |"]
+
+
+def test_figure_places_each_bin_at_its_stated_and_right_share():
+    drawn = ET.fromstring(draw_reliability([(0.75, True), (0.75, False), (0.5, True)]))
+    points = [(float(c.get("cx")), float(c.get("cy"))) for c in drawn.iter() if c.tag.endswith("circle")]
+    expected = [
+        (LEFT + (RIGHT - LEFT) * stated, BOTTOM - (BOTTOM - TOP) * right) for stated, right in ((0.5, 1.0), (0.75, 0.5))
+    ]
+    assert points == [pytest.approx(place, abs=0.1) for place in expected]
+    assert len(list(ET.fromstring(draw_reliability([])).iter())) > 5
