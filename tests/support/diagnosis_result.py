@@ -139,6 +139,7 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
         "causes": make_causes(),
         "credible_set": ["cold_rolling", "air_density"],
         "further": [{"effect": "none", "probability": 0.8}, {"effect": "not in the library", "probability": 0.2}],
+        "further_credible_set": ["none", "not in the library"],
         "deviations": [make_deviation()],
         "cars": [make_ranked_car("taxi-005", 0.031), make_ranked_car("taxi-002", -0.01)],
     } | changes  # fmt: skip

@@ -38,7 +38,7 @@ SECTION: Final = "bench-siblings"
 """Name of the section of the page."""
 ANY: Final = tuple(effect for effect in EFFECTS if effect not in BARE)
 """Effects that are hidden."""
-OUTSIDE: Final = tuple(effect for effect in ANY if effect not in {*ABSORBED, "age"})
+OUTSIDE: Final = tuple(effect for effect in ANY if effect not in ABSORBED)
 """Effects whose shape the base does not hold."""
 OF_ALL: Final = (*OUTSIDE, "standby")
 """Effects that all cars may get on one date; the others have a different size in each car, and are zero in some."""
