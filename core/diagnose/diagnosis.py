@@ -96,9 +96,10 @@ def diagnose(
     -------
     dict
         `model`, `data`, `error`, `error_location`, `slices`, `missing` (best first, each beside the others),
-        `candidates`, `verdict`, `structure_remains`, `structure`, `suggestion`, `suggestion_file`, `steps`,
-        `profiles`, `deviations` and `cars` (see `core.diagnose.siblings.deviations`). The values are plain Python
-        values; an unknown number is NaN or None.
+        `candidates`, `verdict`, `causes` and `credible_set` (before any effect is selected), `further` and
+        `further_credible_set` (beside the selected effects), `structure_remains`, `structure`, `suggestion`,
+        `suggestion_file`, `steps`, `profiles`, `deviations` and `cars` (see `core.diagnose.siblings.deviations`). The
+        values are plain Python values; an unknown number is NaN or None.
 
     Raises
     ------
