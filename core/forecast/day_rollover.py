@@ -109,6 +109,11 @@ class DayRollover:
         self._place = (self._place + len(lane)) % WINDOW_SAMPLES
         return rollovers
 
+    @property
+    def midnight(self) -> float:
+        """Return the midnight at which the present day ends; -inf before the first day. [Unix s]"""
+        return self._midnight
+
     def compute_silence(self, lane: int) -> float:
         """Return how long a car has been silent, by the stamps of most active cars; 0 for an active car. [s]
 

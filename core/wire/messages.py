@@ -287,6 +287,44 @@ class ModelErrors(Wire, omit_defaults=False):
     ]
 
 
+class Cause(Wire, omit_defaults=False):
+    """Possible cause of what a diagnosis found."""
+
+    effect: Annotated[str, Meta(description="Name of the effect.")]
+    probability: Annotated[float, Meta(description="Probability that it is the cause. [1]")]
+
+
+class Finding(Wire, omit_defaults=False):
+    """What the nightly diagnosis found: `findings/{who}/{effect}`, when it becomes sure and when it is gone."""
+
+    who: Annotated[str, Meta(description="Vehicle, group or driver that it is about; `all` for all vehicles.")]
+    effect: Annotated[str, Meta(description="Most probable cause when it was first found.")]
+    time_s: Annotated[float, Meta(description="End of the last day that was diagnosed. [Unix s]")]
+    status: Annotated[
+        Literal["proposed", "sure", "gone"],
+        Meta(description="`sure` from a probability of 90 % on; `gone` if a later diagnosis no longer finds it."),
+    ]
+    probability: Annotated[float, Meta(description="Probability that the finding is real. [1]")]
+    causes: Annotated[list[Cause], Meta(description="Causes that hold 90 % of the probability.")]
+    first_seen: Annotated[str, Meta(description="Last day of the diagnosis that found it first. [UTC date]")]
+    sure_since: Annotated[str | None, Meta(description="Last day of the diagnosis that was sure first. [UTC date]")]
+    since: Annotated[str | None, Meta(description="Day on which a change began; null for no change. [UTC date]")]
+    share: Annotated[float | None, Meta(description="Energy that it takes, over all energy. [1]")]
+    share_lower: Annotated[float | None, Meta(description="Lower end of the 95 % interval of the share. [1]")]
+    share_upper: Annotated[float | None, Meta(description="Upper end of the 95 % interval of the share. [1]")]
+    kwh_per_month: Annotated[float | None, Meta(description="Energy that it takes in a month. [kWh]")]
+    range_km_per_month: Annotated[
+        float | None, Meta(description="Distance that the fleet drives with this energy on average. [km]")
+    ]
+    words: Annotated[str, Meta(description="The finding as a sentence.")]
+    commands: Annotated[
+        list[str],
+        Meta(
+            description="Commands that add it to the model and run this model as a shadow; empty if no term holds it."
+        ),
+    ]
+
+
 OF_VEHICLES: Final[dict[str, type[Wire]]] = {
     "telemetry": Telemetry,
     "vehicle": Vehicle,
@@ -295,12 +333,15 @@ OF_VEHICLES: Final[dict[str, type[Wire]]] = {
     "forecast": Forecast,
 }
 """Last chunk of a vehicle's key -> struct of its message."""
-KINDS: Final[dict[str, type[Wire]]] = OF_VEHICLES | {"weather": Weather, "errors": ModelErrors}
+KINDS: Final[dict[str, type[Wire]]] = OF_VEHICLES | {"weather": Weather, "errors": ModelErrors, "finding": Finding}
 """Kind of message -> its struct."""
 
 
 class Address(NamedTuple):
-    """Parts of a key: the kind of message, and the vehicle, station or model (with its version) that it is about."""
+    """Parts of a key: the kind of message, and the vehicle, station, model or finding that it is about.
+
+    A model includes its version, and a finding consists of who and effect.
+    """
 
     kind: str
     identity: str
@@ -316,6 +357,8 @@ def address(key: str) -> Address | None:
     Address(kind='weather', identity='yul')
     >>> address("models/hybrid/2/errors")
     Address(kind='errors', identity='hybrid/2')
+    >>> address("findings/taxi-7/tyre_pressure")
+    Address(kind='finding', identity='taxi-7/tyre_pressure')
     >>> address("fleet/taxi-7/lunch") is None
     True
     """
@@ -331,6 +374,8 @@ def address(key: str) -> Address | None:
         and all(map(IDENTITY.fullmatch, chunks[-3:-1]))
     ):
         return Address("errors", "/".join(chunks[-3:-1]))
+    if len(chunks) >= 3 and chunks[-3] == "findings" and all(map(IDENTITY.fullmatch, chunks[-2:])):
+        return Address("finding", "/".join(chunks[-2:]))
     return None
 
 
@@ -341,11 +386,20 @@ def identify_model(model: str) -> str:
     'hybrid_interactions/2'
     """
     name, _, version = model.rpartition("/")
-    return "/".join(re.sub(r"[^A-Za-z0-9_.-]", "_", part)[:64] or "_" for part in (name, version))
+    return join_chunks(name, version)
+
+
+def join_chunks(*names: str) -> str:
+    """Return names as chunks of a key, with all characters replaced that a name on the wire does not have.
+
+    >>> join_chunks("depot north", "tyre_pressure")
+    'depot_north/tyre_pressure'
+    """
+    return "/".join(re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:64] or "_" for name in names)
 
 
 def identity(value: Wire) -> str:
-    """Return the vehicle, station or model that a message is about, as its key names it."""
+    """Return the vehicle, station, model or finding that a message is about, as its key names it."""
     named = _NAMES.get(type(value))
     if named is None:
         raise TypeError(f"{type(value).__name__} does not travel by itself")
@@ -356,6 +410,7 @@ _NAMES: Final[dict[type[Wire], Callable[[Any], str]]] = {
     **dict.fromkeys(OF_VEHICLES.values(), attrgetter("vehicle_id")),
     Weather: attrgetter("station_id"),
     ModelErrors: lambda errors: identify_model(errors.model),
+    Finding: lambda finding: join_chunks(finding.who, finding.effect),
 }
 """Struct -> function that returns the identity in a message."""
 

@@ -67,4 +67,5 @@ def test_wire_page_has_every_key():
     assert {f"`fleet/{{vehicle}}/{kind}`" in keys for kind in OF_VEHICLES} == {True}
     assert "`weather/{station}`" in keys
     assert "`models/{name}/{version}/errors`" in keys
-    assert set(KINDS) == {*OF_VEHICLES, "weather", "errors"}
+    assert "`findings/{who}/{effect}`" in keys
+    assert set(KINDS) == {*OF_VEHICLES, "weather", "errors", "finding"}

@@ -1,5 +1,8 @@
 """A shift of a few cars, as messages, for tests of what carries them."""
 
+import json
+
+from core.columns import SECONDS_PER_DAY
 from core.wire.messages import Message, Telemetry, Vehicle, Weather, encode
 
 BEGIN = 1_516_017_600
@@ -32,3 +35,18 @@ def shift(samples: int = 400, cars: int = 3) -> list[Message]:
             out += [Message(f"fleet/car-{c}/telemetry", encode(sample), 0)] * (2 if i % 89 == 7 else 1)
     out.insert(len(out) // 2, Message("fleet/car-0/telemetry", b"{not json", 0))
     return [m._replace(receipt_ns=BEGIN * 10**9 + n * 10**7) for n, m in enumerate(out)]
+
+
+def make_two_days() -> list[Message]:
+    """Make the same shift on two successive days."""
+    return [*shift(), *(_move_by_a_day(message) for message in shift())]
+
+
+def _move_by_a_day(message: Message) -> Message:
+    """Return a message of the next day; a payload that is no JSON stays as it is."""
+    try:
+        content = json.loads(message.payload)
+    except ValueError:
+        return message
+    content["time_s"] += SECONDS_PER_DAY
+    return Message(message.key, json.dumps(content).encode(), message.receipt_ns + round(SECONDS_PER_DAY * 1e9))

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Mapping, Sequence
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,6 +16,7 @@ from core.diagnose.add import add
 from core.diagnose.add.holdout import select_final_days
 from core.diagnose.add.terms import build_term_columns
 from core.diagnose.dataset import gather_windows
+from core.diagnose.findings import list_findings, measure_fleet_use, merge_findings
 from core.diagnose.ranking import LEAST_GAIN
 from core.diagnose.siblings.groups import read_groups
 from core.effects.road_load import ROAD_LOAD
@@ -25,8 +27,10 @@ from core.fit.measurement_noise import compute_noise_floor, compute_noise_varian
 from core.fit.ride_blocks import get_names
 from core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from core.models.features import EFFECT_PREFIX, FEATURES, is_scope
+from core.wire.messages import Finding
 from tools.commands.fit import RECORDING, Rides, inputs
 from tools.commands.tables import WINDOWS, in_memory
+from tools.terminal.findings_file import read_findings, show_changes, write_findings
 from tools.terminal.output import (
     EffectFiles,
     HtmlFile,
@@ -73,21 +77,28 @@ def diagnose_rides(
         Path | None,
         typer.Option(metavar="FILE.csv", help="Groups of vehicles to compare: columns vehicle_id,group."),
     ] = None,
+    since: Annotated[
+        str | None, typer.Option(metavar="DATE", help="Diagnose only rides from this UTC date on, such as 2018-11-01.")
+    ] = None,
+    findings: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Keep what was found in this file, and report what is new and what is gone."),
+    ] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Add the first missing effect and repeat.")] = False,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="M2", help="With --auto: the model file to write.")
     ] = None,
 ) -> None:
     """Find where a model fails, which physical effects it lacks, and what error remains."""
-    if auto != (out is not None):
-        raise SettingsError("--auto writes the final model: give --auto and -o M2 together, or neither")
-    if auto and groups:
-        raise SettingsError("--groups has no effect with --auto, because no term of a model holds for a group")
+    _check_options(auto, out, groups, findings)
+    first_day = _parse_date(since) if since else None
     loaded = models.load(model)
-    check_outputs(
-        [*read_files(rides), *select_model_files([model]), *(effects_file or ())], json_file, html_file, suggest, out
-    )
+    inputs = [*read_files(rides), *select_model_files([model]), *(effects_file or ())]
+    check_outputs(inputs, json_file, html_file, suggest, findings, out)
+    earlier = read_findings(findings) if findings else []
     table, windows = read_tables(rides, loaded)
+    if first_day is not None:
+        table, windows = select_since(table, windows, first_day)
     console = make_console(json_file)
     for name in list_lacking_effects(effects_file or (), windows):
         console.print(
@@ -102,12 +113,16 @@ def diagnose_rides(
         of_vehicle = read_groups(groups) if groups else None
         result = _diagnose(loaded, *_drop_known_final_days(loaded, table, windows, console), least_gain, of_vehicle)
         insert_commands(result, model, rides, effects_file or ())
+        if findings:
+            after = _keep_findings(result, table, earlier, findings, model)
     write_json(json_file, "diagnose", result)
     show_report("diagnosis.page", result, html_file, json_file, suggested=_write_suggestion(result, suggest))
     if html_file is not None:
         from tools.report.diagnosis.page import print_links  # noqa: PLC0415 - figures take seconds to import
 
         print_links(result, html_file, console)
+    if findings:
+        show_changes(earlier, after, console)
     if out is not None:
         message = f"{out}: version {loaded.version}; show its steps: socast history {out}"
         console.print(message, markup=False, highlight=False, soft_wrap=True)
@@ -187,6 +202,22 @@ def drop_days(rides: pd.DataFrame, windows: pd.DataFrame, days: tuple[str, ...])
     return kept, windows.loc[windows["ride_key"].isin(kept["ride_key"])]
 
 
+def select_since(rides: pd.DataFrame, windows: pd.DataFrame, first: date) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the ride and window tables from a UTC date on.
+
+    Raises
+    ------
+    SettingsError
+        There are no rides from this date on.
+    """
+    dates = get_names(rides, "date")
+    kept = rides.loc[[day >= first.isoformat() for day in dates]]
+    if kept.empty:
+        last = max(dates, default="no date")
+        raise SettingsError(f"--since is {first}, and the last ride is on {last}: give an earlier date")
+    return kept, windows.loc[windows["ride_key"].isin(kept["ride_key"])]
+
+
 def insert_commands(
     result: dict[str, Any], model: str, data: Sequence[Path], effect_files: Sequence[Path] = ()
 ) -> None:
@@ -207,6 +238,38 @@ def parse_term(entry: dict[str, Any]) -> tuple[str, list[str]]:
     columns = [str(column) for column in entry.get("columns") or ()]
     names = [column.removeprefix(EFFECT_PREFIX) for column in columns if column.startswith(EFFECT_PREFIX)]
     return names[0] if names else str(entry.get("variant") or entry["effect"]), [c for c in columns if is_scope(c)]
+
+
+def _keep_findings(
+    result: dict[str, Any], rides: pd.DataFrame, earlier: list[Finding], file: Path, model: str
+) -> list[Finding]:
+    """Merge what a diagnosis found into the findings of a file, and return them."""
+    for entry in [*(result.get("missing") or ()), *(result.get("deviations") or ())]:
+        if command := entry.get("command"):
+            shadow = shlex.join(["socast", "live", "--model", model, "--model", shlex.split(command)[-1]])
+            entry["commands"] = [command, shadow]
+    use = measure_fleet_use(rides)
+    merged = merge_findings(earlier, list_findings(result, use), use)
+    write_findings(file, merged)
+    return merged
+
+
+def _check_options(auto: bool, out: Path | None, groups: Path | None, findings: Path | None) -> None:
+    """Refuse options that contradict each other."""
+    if auto != (out is not None):
+        raise SettingsError("--auto writes the final model: give --auto and -o M2 together, or neither")
+    if auto and groups:
+        raise SettingsError("--groups has no effect with --auto, because no term of a model holds for a group")
+    if auto and findings:
+        raise SettingsError("--findings has no effect with --auto, which adds what it finds: give one of the two")
+
+
+def _parse_date(text: str) -> date:
+    """Return the date of --since, or raise `SettingsError`."""
+    try:
+        return date.fromisoformat(text)
+    except ValueError:
+        raise SettingsError(f"--since is '{text}'; give a date such as 2018-11-01") from None
 
 
 def _diagnose(

@@ -35,7 +35,9 @@ Tables = Annotated[
 
 Rides = Annotated[
     list[Path],
-    typer.Argument(metavar="TABLES|REC", help="Folders that `socast tables` made, or MCAP recordings."),
+    typer.Argument(
+        metavar="TABLES|REC", help="Folders that `socast tables` made, or MCAP recordings and their folders."
+    ),
 ]
 RECORDING = ".mcap"
 RECOMMENDED = "fitted_physical"
@@ -134,7 +136,7 @@ def inputs(given: Sequence[Path]) -> list[Path]:
     Parameters
     ----------
     given : sequence of Path
-        Recordings, or folders of tables and Parquet files of rides.
+        Recordings and folders of recordings, or folders of tables and Parquet files of rides.
 
     Returns
     -------
@@ -145,13 +147,19 @@ def inputs(given: Sequence[Path]) -> list[Path]:
     SettingsError
         If recordings are mixed with tables, or if a file of rides does not exist or is given twice.
     """
-    recordings = [path for path in given if path.suffix == RECORDING]
+    files = [file for path in given for file in _list_recordings(path) or [path]]
+    recordings = [path for path in files if path.suffix == RECORDING]
     if not recordings:
         return ride_files(given)
-    if len(recordings) < len(given):
-        other = next(path for path in given if path.suffix != RECORDING)
+    if len(recordings) < len(files):
+        other = next(path for path in files if path.suffix != RECORDING)
         raise SettingsError(f"{recordings[0]} is a recording and {other} is none; give recordings or tables, not both")
     return recordings
+
+
+def _list_recordings(folder: Path) -> list[Path]:
+    """Return the recordings in a folder in the order of their names, none if it holds tables."""
+    return [] if (folder / RIDES).exists() else sorted(folder.glob(f"*{RECORDING}"))
 
 
 def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:

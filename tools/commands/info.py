@@ -71,7 +71,7 @@ def describe_recording(source: McapSource, step: Callable[[], None] = lambda: No
         step()
     addresses = {topic: address(topic) for topic in counts}
     kinds: Counter[str] = Counter()
-    named: dict[str, set[str]] = {"vehicle": set(), "weather": set(), "errors": set()}
+    named: dict[str, set[str]] = {"vehicle": set(), "weather": set(), "errors": set(), "finding": set()}
     for topic, count in counts.items():
         where = addresses[topic]
         kinds[where.kind if where else OTHER] += count

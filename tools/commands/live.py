@@ -5,6 +5,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -16,15 +17,20 @@ from core.pipeline import Pipeline
 from core.wire.messages import Message, Telemetry, encode
 from stream.latest_only_sink import LatestOnlySink
 from stream.loop import PUBLISH_S, REPORT_S, Tally, run, stop_on_signals
+from stream.nightly_diagnosis import NightlyDiagnosis
 from stream.query_service import QueryService
 from stream.recorder import FILE_BYTES, FILE_S, FLUSH_S, Recorder
+from stream.source import Sink
 from stream.structured_log import event_fields, flatten_counts, log_lines
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
 from stream.zenoh_queryable import ZenohQueryable
-from stream.zenoh_session import LOOPBACK, Connection, Mode, Node
+from stream.zenoh_session import LOOPBACK, Connection, Mode, Node, parse_prefix
+from tools.terminal.diagnosis_process import DiagnosisProcess
+from tools.terminal.findings_file import make_finding_fields, read_findings
 from tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
 from tools.terminal.live_table import LiveTable, add_predictions, make_ride_records
-from tools.terminal.model_comparison import load_models, make_log_fields
+from tools.terminal.model_comparison import DEFAULT_MODEL, load_models, make_log_fields
+from tools.terminal.output import check_outputs
 
 TAKE_S = 1.0
 """Time between two checks for rides that have ended. [s]"""
@@ -66,6 +72,10 @@ def live(
     state: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Keep the state of every car here, and continue from it.")
     ] = None,
+    watch: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Diagnose the first model every night on --record, and keep findings here."),
+    ] = None,
     report: Annotated[float, typer.Option(metavar="S", help="Time between two log lines of counters.")] = REPORT_S,
     json_log: Annotated[bool, typer.Option("--json-log", help="Log JSON instead of key=value.")] = False,
 ) -> None:
@@ -77,13 +87,18 @@ def live(
     Of several models the first makes the forecasts, and the error of each is published as rides end. --warm-up is
     ignored where the file of --state exists.
 
+    With --watch, `socast diagnose` runs after every midnight UTC in a process of its own, on all recordings of
+    --record. What it becomes sure of is logged, and published under findings/WHO/EFFECT.
+
     Examples
     --------
     socast live --listen tcp/0.0.0.0:7447 --record kept --state fleet.state
     socast live --connect tcp/router.example:7447 --prefix montreal --json-log 2>live.log
     socast live --model fitted.json --model extended_physical --warm-up january.mcap
+    socast live --model fitted.json --record kept --watch findings.json
     """
     log_lines(as_json=json_log)
+    _check_watch(options, record, watch)
     models = load_models(options.models)
     compile_kernels(*models)
     restored = state is not None and state.exists()
@@ -102,18 +117,52 @@ def live(
         beside = {"shadows": ",".join(shadow.name for shadow in models[1:])} if models[1:] else {}
         beside |= {"elevation_map": pipeline.cleaner.map_lookup.identity} if options.elevation else {}
         _log.info("listening", extra=event_fields(endpoints=endpoints, model=models[0].name, **beside))
-        with LiveTable(pipeline, "Live", silent=not sys.stdout.isatty()) as table:
+        sink = LatestOnlySink(ZenohSink(node))
+        nightly = make_nightly_diagnosis(options, pipeline, sink, record, watch) if record and watch else None
+        with LiveTable(pipeline, "Live", silent=not sys.stdout.isatty()) as table, ExitStack() as ending:
+            if nightly:
+                ending.callback(nightly.end)
             run(
                 source,
                 keeper if state else pipeline,
-                [LatestOnlySink(ZenohSink(node))],
+                [sink],
                 recorder=recorder,
                 publish_s=PUBLISH_S,
-                watch=combine_watches(service, keeper, table),
+                watch=combine_watches(service, keeper, table, *([nightly] if nightly else [])),
                 report_s=report,
             )
         service.end()
         keeper.end()
+
+
+def make_nightly_diagnosis(
+    options: ForecastOptions, pipeline: Pipeline, sink: Sink, record: Path, file: Path
+) -> NightlyDiagnosis:
+    """Return the diagnosis of the first model after every midnight, on the recordings of a folder.
+
+    Parameters
+    ----------
+    options : ForecastOptions
+    pipeline : Pipeline
+        Pipeline that detects the end of a day; it is not changed.
+    sink : Sink
+        Sink of what is published.
+    record : Path
+        Folder of the recordings.
+    file : Path
+        File that keeps the findings.
+    """
+    arguments = [str(record), "--model", options.models[0] if options.models else DEFAULT_MODEL]
+    arguments += [word for path in options.effect_files for word in ("--effects", str(path))]
+    arguments += ["--findings", str(file)]
+    return NightlyDiagnosis(
+        lambda: pipeline.day_rollover.midnight,
+        lambda: DiagnosisProcess(arguments),
+        lambda: read_findings(file),
+        sink,
+        make_finding_fields,
+        parse_prefix(options.prefix),
+    )
 
 
 def compile_kernels(*models: Model) -> None:
@@ -237,6 +286,16 @@ def combine_watches(*watches: Callable[[Tally], None]) -> Callable[[Tally], None
             each(tally)
 
     return watch
+
+
+def _check_watch(options: ForecastOptions, record: Path | None, watch: Path | None) -> None:
+    """Refuse --watch without recordings, and a file that holds no findings or cannot be written."""
+    if watch is None:
+        return
+    if record is None:
+        raise SettingsError("--watch diagnoses what --record keeps: give --record DIR too")
+    check_outputs(options.files, watch)
+    read_findings(watch)
 
 
 def _parse_mode(text: str | None) -> Mode | None:

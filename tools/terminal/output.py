@@ -28,6 +28,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "elevation": 1,
     "evaluate": 1,
     "evaluate-soc": 1,
+    "findings": 1,
     "fit": 1,
     "history": 1,
     "info": 1,

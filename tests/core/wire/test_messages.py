@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from core.wire.messages import (
     OF_VEHICLES,
+    Cause,
+    Finding,
     Forecast,
     Gain,
     Interval,
@@ -101,6 +103,20 @@ STRUCTS = st.one_of(
         time_s=number,
         overall=ERRORS,
         by_vehicle_model=st.lists(ERRORS, max_size=3),
+    ),
+    struct(
+        Finding,
+        who=name,
+        effect=name,
+        time_s=number,
+        status=st.sampled_from(["proposed", "sure", "gone"]),
+        probability=number,
+        causes=st.lists(st.builds(Cause, name, number), max_size=3),
+        first_seen=name,
+        sure_since=st.none() | name,
+        since=st.none() | name,
+        words=st.text(max_size=20),
+        commands=st.lists(st.text(max_size=20), max_size=2),
     ),
 )
 

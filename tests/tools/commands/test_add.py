@@ -307,3 +307,42 @@ def test_suggestion_is_written_to_given_file(made_up, here, capsys):
     assert f"socast effects check {here / 'mine.py'}" in capsys.readouterr().out.replace("\n", "")
     done("diagnose", here / "tables", "--model", here / "base.json", "--suggest", here / "none.py")
     assert not (here / "none.py").exists()
+
+
+def test_findings_are_kept_and_announced_once(made_up, here, capsys):
+    made_up += [cold(), cold(), make_empty_diagnosis()]
+    printed = []
+    for _ in range(3):
+        done("diagnose", here / "tables", "--model", here / "base.json", "--findings", here / "findings.json")
+        printed.append(capsys.readouterr().out)
+    assert "Sure (100 %): the model lacks cold_rolling" in printed[0]
+    assert f"socast live --model {here / 'base.json'} --model {here / 'base-cold_rolling.json'}" in printed[0]
+    assert "No finding became sure, and none is gone." in printed[1]
+    assert "Gone: the model lacks cold_rolling" in printed[2]
+    kept = json.loads((here / "findings.json").read_text())["findings"]
+    assert kept[0]["status"] == "gone"
+
+
+def test_diagnosis_since_a_date_reads_later_rides_only(here, monkeypatch):
+    seen = []
+    monkeypatch.setattr(
+        diagnosing, "diagnose", lambda rides, windows, *_, **__: (seen.append((rides, windows)), cold())[1]
+    )
+    dates = sorted(set(pd.read_parquet(here / "tables" / "rides.parquet")["date"]))
+    first = dates[len(dates) // 2]
+    done("diagnose", here / "tables", "--model", here / "base.json", "--since", first)
+    rides, windows = seen[0]
+    assert sorted(set(rides["date"])) == dates[len(dates) // 2 :]
+    assert set(windows["ride_key"]) <= set(rides["ride_key"])
+
+
+@pytest.mark.parametrize(
+    ("more", "part"),
+    [
+        (["--since", "yesterday"], "--since is 'yesterday'"),
+        (["--since", "2999-01-01"], "the last ride is on "),
+        (["--auto", "-o", "m2.json", "--findings", "f.json"], "--findings has no effect with --auto"),
+    ],
+)
+def test_wrong_date_and_findings_of_the_loop_are_refused(here, capsys, more, part):
+    assert part in refused(capsys, "diagnose", here / "tables", "--model", here / "base.json", *more)

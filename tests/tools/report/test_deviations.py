@@ -11,7 +11,8 @@ from tools.report.diagnosis.deviations import describe_deviation, describe_devia
 def test_change_is_stated_with_size_date_and_causes():
     first, amounts, *remedies = describe_deviation(make_deviation())
     assert first == (
-        "taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018 (12 to 16 November): low tyre pressure or brake drag"
+        "taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018 (12 to 16 November): "
+        "low tyre pressure 52 %, brake drag 41 %"
     )
     assert amounts == "- +6.2 Wh/km, +12.1 kWh per month of the rides that were diagnosed"
     assert remedies == ["- to distinguish the causes, record drives with loads that differ"]
@@ -31,7 +32,7 @@ def test_less_energy_of_all_cars_is_called_less():
 def test_many_causes_are_counted():
     causes = [{"effect": f"cause_{i}", "probability": 0.2, "shown_by": ""} for i in range(5)]
     assert describe_deviation(make_deviation(causes=causes))[0].endswith(
-        ": cause 0, cause 1, cause 2 or one of 2 others (these 3: 60 %)"
+        ": cause 0 20 %, cause 1 20 %, cause 2 20 %, or one of 2 others"
     )
 
 

@@ -6,8 +6,9 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
+from core.diagnose.deviation_words import PERCENT
 from tools.report.diagnosis import sentences
-from tools.report.diagnosis.deviations import PERCENT, describe_deviation
+from tools.report.diagnosis.deviations import describe_deviation
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, get_number
 from tools.report.figure_style import add_reference_line, escape_label, get_style, make_figure

@@ -1,29 +1,17 @@
 """Describe cars that deviate from their siblings or change, in sentences."""
 
-from collections.abc import Mapping, Sequence
-from datetime import date
+from collections.abc import Mapping
 from typing import Any, Final
 
-from tools.report.cells import format_percent
+from core.diagnose.deviation_words import SEVERAL, word_deviation
 from tools.report.evaluation.result import Result, get_number
 
-PERCENT: Final = 100.0
 WH: Final = 1000.0
 """Watt-hours in a kilowatt-hour. [Wh/kWh]"""
-SEVERAL: Final = 3
-"""Number of causes above which a sentence names only the most probable ones."""
 NOTABLE: Final = 1.0
 """Deviation from which a car that was not named is described. [spreads]"""
 MOST_CARS: Final = 3
 """Number of cars that the terminal describes in spreads."""
-CAUSES: Final = {
-    "tyre_pressure": "low tyre pressure",
-    "brake_drag": "brake drag",
-    "roof_load": "a load on the roof",
-    "standby": "standby power",
-    "age": "worn drivetrain or battery",
-}
-"""Words for effects whose names read badly in a sentence."""
 DIRECTIONS: Final = {
     "rolling": ("rolls harder", "rolls more easily"),
     "drag": ("has more drag", "has less drag"),
@@ -63,13 +51,12 @@ def describe_deviation(one: Mapping[str, Any]) -> list[str]:
     >>> describe_deviation({
     ...     "who": "taxi-005", "kind": "step", "share": 0.041, "share_ci95": [0.032, 0.05], "since": "2018-11-14",
     ...     "since_ci90": ["2018-11-12", "2018-11-16"],
-    ...     "causes": [{"effect": "tyre_pressure", "probability": 0.6}, {"effect": "brake_drag", "probability": 0.4}],
+    ...     "causes": [{"effect": "tyre_pressure", "probability": 0.94}],
     ... })
-    ['taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018 (12 to 16 November): low tyre pressure or brake drag']
+    ['taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018 (12 to 16 November): low tyre pressure 94 %']
     """
-    who = "All cars use" if one.get("of") == "all" else f"{one.get('who')} uses"
     causes = one.get("causes") or ()
-    lines = [f"{who} {_describe_size(one)}{_describe_date(one)}: {_name_causes(causes)}"]
+    lines = [word_deviation(one)]
     amounts = []
     if (per_km := get_number(one.get("kwh_per_km"))) is not None:
         amounts.append(f"{WH * per_km:+.3g} Wh/km")
@@ -100,42 +87,3 @@ def describe_spread(car: Mapping[str, Any]) -> str:
     size = f"{abs(most['value']):.1f} ± {most['error']:.1f} spreads between cars"
     usual = ", which is not unusual" if abs(most["value"]) < 2.0 * NOTABLE else ""
     return f"{car.get('car')} {words} than its siblings by {size}{usual}"
-
-
-def _describe_size(one: Mapping[str, Any]) -> str:
-    """Return how much more or less is used: a share of the energy, or a rate for a ramp."""
-    ramp = one.get("kind") == "ramp"
-    name = "share_per_month" if ramp else "share"
-    share = get_number(one.get(name)) or 0.0
-    low, high = one.get(f"{name}_ci95") or (share, share)
-    direction = "more" if share >= 0.0 else "less"
-    half = 0.5 * PERCENT * (high - low)
-    digits = 1 if half < 10.0 else 0
-    size = f"{PERCENT * abs(share):.{digits}f} ± {half:.{digits}f} % {direction}"
-    return f"{size} each month" if ramp else size
-
-
-def _describe_date(one: Mapping[str, Any]) -> str:
-    """Return the date of a change with its 90 % range, or a clause for what was always there."""
-    if not one.get("since"):
-        return " than the others" if one.get("of") == "group" else " than its siblings"
-    since = date.fromisoformat(str(one["since"]))
-    low, high = (date.fromisoformat(str(each)) for each in one.get("since_ci90") or (one["since"], one["since"]))
-    first = f"{low.day}" if (low.year, low.month) == (high.year, high.month) else _format_date(low, high)
-    return f" since {_format_date(since)} ({first} to {_format_date(high, since)})"
-
-
-def _format_date(day: date, beside: date | None = None) -> str:
-    """Return a date in words, without its year where that of another date is the same."""
-    year = "" if beside is not None and beside.year == day.year else f" {day.year}"
-    return f"{day.day} {day:%B}{year}"
-
-
-def _name_causes(causes: Sequence[Mapping[str, Any]]) -> str:
-    """Return the causes of a credible set, the most probable first."""
-    names = [CAUSES.get(str(cause.get("effect")), str(cause.get("effect")).replace("_", " ")) for cause in causes]
-    if len(names) > SEVERAL:
-        total = sum(float(cause["probability"]) for cause in causes[:SEVERAL])
-        rest = len(names) - SEVERAL
-        names = [*names[:SEVERAL], f"one of {rest} others (these {SEVERAL}: {format_percent(total, 0)})"]
-    return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

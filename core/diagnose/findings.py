@@ -1,0 +1,236 @@
+"""Turn diagnoses of successive nights into findings: proposed, sure, and gone.
+
+A finding is real with a probability: that of a missing effect, or one minus the rate of false discoveries of a
+deviation. From `SURE` on it is sure. It stays sure until a diagnosis no longer finds it.
+"""
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, date, datetime
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from core.columns import SECONDS_PER_DAY
+from core.diagnose.deviation_words import word_deviation
+from core.fit.ride_blocks import get_names, get_numbers
+from core.models.features import VEHICLE_SCOPE
+from core.wire.messages import Cause, Finding, Message, encode, identity
+
+SURE: Final = 0.9
+"""Probability from which a finding is sure. [1]"""
+ALL: Final = "all"
+"""Name of all vehicles together."""
+MONTH: Final = 365.25 / 12.0
+"""Length of a month. [days]"""
+
+
+class FleetUse(NamedTuple):
+    """Hold what a fleet used on its rides.
+
+    Parameters
+    ----------
+    energy : float
+        Measured energy. [kWh]
+    distance : float
+        Distance of the rides with measured energy. [km]
+    months : float
+        Time from the first to the last day. [months]
+    last_day : date
+        Last day, UTC.
+    """
+
+    energy: float
+    distance: float
+    months: float
+    last_day: date
+
+
+def measure_fleet_use(rides: pd.DataFrame) -> FleetUse:
+    """Return what a fleet used.
+
+    Parameters
+    ----------
+    rides : DataFrame
+        Ride table with at least one date.
+    """
+    energy, distance = get_numbers(rides, "energy_kwh"), get_numbers(rides, "distance_km")
+    known = np.isfinite(energy) & np.isfinite(distance)
+    days = sorted(date.fromisoformat(day) for day in set(get_names(rides, "date")) if day)
+    months = ((days[-1] - days[0]).days + 1) / MONTH
+    return FleetUse(float(energy[known].sum()), float(distance[known].sum()), months, days[-1])
+
+
+def list_findings(result: Mapping[str, Any], use: FleetUse) -> list[Finding]:
+    """Return the findings of one diagnosis, each proposed or sure.
+
+    Parameters
+    ----------
+    result : mapping
+        Diagnosis as plain values. The entries of `missing` and `deviations` may have a list `commands`.
+    use : FleetUse
+        What the fleet used on the rides that were diagnosed.
+    """
+    missing = [_make_finding(one, use, **_measure_missing(one, use)) for one in result.get("missing") or ()]
+    return missing + [_make_finding(one, use, **_measure_deviation(one)) for one in result.get("deviations") or ()]
+
+
+def merge_findings(earlier: Sequence[Finding], found: Sequence[Finding], use: FleetUse) -> list[Finding]:
+    """Return the findings after a diagnosis: those that it made, and those that were sure once and are gone.
+
+    Parameters
+    ----------
+    earlier : sequence of Finding
+        Findings after the diagnosis before.
+    found : sequence of Finding
+        Findings of this diagnosis alone.
+    use : FleetUse
+        What the fleet used on the rides that were diagnosed.
+
+    Notes
+    -----
+    A finding is the same as an earlier one about the same vehicle if the earlier effect is among its causes. It then
+    keeps its effect, which names its key, and its dates. A proposed finding that vanishes leaves no trace.
+    """
+    merged: list[Finding] = []
+    left = list(earlier)
+    for finding in found:
+        before = next((one for one in left if _is_same(one, finding)), None)
+        if before is None:
+            merged.append(finding)
+            continue
+        left.remove(before)
+        stays = before.status == "sure" or finding.status == "sure"
+        merged.append(
+            _replace(
+                finding,
+                effect=before.effect,
+                status="sure" if stays else "proposed",
+                first_seen=before.first_seen,
+                sure_since=before.sure_since if before.status == "sure" else finding.sure_since,
+            )
+        )
+    time = _find_end(use.last_day)
+    gone = [one if one.status == "gone" else _replace(one, status="gone", time_s=time) for one in left]
+    return merged + [one for one in gone if one.sure_since]
+
+
+def list_changes(before: Sequence[Finding], after: Sequence[Finding]) -> list[Finding]:
+    """Return the findings that became sure, and those that were sure and are gone.
+
+    Parameters
+    ----------
+    before, after : sequence of Finding
+        Findings after two successive diagnoses.
+    """
+    status = {identity(one): one.status for one in before}
+    return [one for one in after if one.status != "proposed" and status.get(identity(one)) != one.status]
+
+
+def make_finding_message(finding: Finding, prefix: str = "") -> Message:
+    """Return the message of a finding.
+
+    Parameters
+    ----------
+    finding : Finding
+    prefix : str
+        Chunks before `findings` in the key, with a slash at the end.
+    """
+    return Message(f"{prefix}findings/{identity(finding)}", encode(finding), int(finding.time_s * 1e9))
+
+
+def _make_finding(
+    one: Mapping[str, Any], use: FleetUse, *, who: str, words: str, size: tuple[float, float, float], kwh: float
+) -> Finding:
+    """Return the finding of an entry of a diagnosis; `size` is its share with the ends of its interval."""
+    probability = float(one["probability"]) if one.get("probability") is not None else 1.0 - float(one["q"])
+    share, low, high = (_get_known(value) for value in size)
+    day, sure = use.last_day.isoformat(), probability >= SURE
+    return Finding(
+        who=who,
+        effect=str(one["effect"]),
+        time_s=_find_end(use.last_day),
+        status="sure" if sure else "proposed",
+        probability=probability,
+        causes=_list_causes(one, probability),
+        first_seen=day,
+        sure_since=day if sure else None,
+        since=one.get("since"),
+        share=share,
+        share_lower=low,
+        share_upper=high,
+        kwh_per_month=_get_known(kwh),
+        range_km_per_month=_get_known(_find_range(kwh, use)),
+        words=words + _word_savings(one, kwh, use),
+        commands=list(one.get("commands") or ()),
+    )
+
+
+def _measure_missing(one: Mapping[str, Any], use: FleetUse) -> dict[str, Any]:
+    """Return who lacks a missing effect, its words and its size, with the relative interval of its coefficient."""
+    scopes = [column.removeprefix(VEHICLE_SCOPE) for column in one["columns"] if column.startswith(VEHICLE_SCOPE)]
+    share, value = _get_number(one["energy_share"]), _get_number(one["coefficient"]["value"])
+    ends = [share * _get_number(end) / value if value else float("nan") for end in one["coefficient"]["ci95"]]
+    return {
+        "who": scopes[0] if scopes else ALL,
+        "words": f"the model lacks {one['effect']}: {one['words']}",
+        "size": (share, min(ends), max(ends)),
+        "kwh": share * use.energy / use.months,
+    }
+
+
+def _measure_deviation(one: Mapping[str, Any]) -> dict[str, Any]:
+    """Return who deviates, the words and the size of the deviation."""
+    return {
+        "who": str(one["who"]),
+        "words": word_deviation(one),
+        "size": tuple(_get_number(value) for value in (one["share"], *one["share_ci95"])),
+        "kwh": _get_number(one["kwh_per_month"]),
+    }
+
+
+def _list_causes(one: Mapping[str, Any], probability: float) -> list[Cause]:
+    """Return the causes in the credible set; of an entry without causes, its effect."""
+    causes = one.get("causes") or [{"effect": one["effect"], "probability": probability}]
+    credible = one.get("credible_set") or [cause["effect"] for cause in causes]
+    return [Cause(str(each["effect"]), float(each["probability"])) for each in causes if each["effect"] in credible]
+
+
+def _word_savings(one: Mapping[str, Any], kwh: float, use: FleetUse) -> str:
+    """Return what mending a deviation would save, or nothing for what cannot be mended."""
+    range_km = _find_range(kwh, use)
+    if "share_ci95" not in one or not (np.isfinite(range_km) and kwh > 0.0):
+        return ""
+    return f"; mending it would save {kwh:.3g} kWh or {range_km:.3g} km of range a month"
+
+
+def _find_range(kwh: float, use: FleetUse) -> float:
+    """Return the distance that the fleet drives with an energy, NaN where its rides have no energy. [km]"""
+    return kwh * use.distance / use.energy if use.energy > 0.0 else float("nan")
+
+
+def _is_same(earlier: Finding, finding: Finding) -> bool:
+    """Return whether a finding is the same as an earlier one."""
+    causes = {finding.effect, *(cause.effect for cause in finding.causes)}
+    change = earlier.since is not None, finding.since is not None
+    return earlier.who == finding.who and change[0] == change[1] and earlier.effect in causes
+
+
+def _find_end(day: date) -> float:
+    """Return the midnight at which a UTC day ends. [Unix s]"""
+    return datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp() + SECONDS_PER_DAY
+
+
+def _get_number(value: Any) -> float:
+    """Return a number of a diagnosis, NaN where it is unknown."""
+    return float("nan") if value is None else float(value)
+
+
+def _get_known(value: float) -> float | None:
+    """Return a number, None where it is not finite."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _replace(finding: Finding, **changes: Any) -> Finding:
+    """Return a finding with other values in some fields."""
+    return Finding(**{name: getattr(finding, name) for name in Finding.__struct_fields__} | changes)

@@ -1,0 +1,142 @@
+"""A diagnosis begins after each midnight, never holds up the loop, and announces what changed."""
+
+import json
+import logging
+from math import inf
+
+import pytest
+
+from core.errors import SettingsError
+from core.models import EXTENDED_PHYSICAL
+from core.pipeline import Pipeline
+from stream.loop import Tally, run
+from stream.memory import MemorySink, MemorySource
+from stream.nightly_diagnosis import NightlyDiagnosis
+from tests.support.findings import make_finding
+from tests.support.recorded_shift import make_two_days
+from tools.terminal.findings_file import make_finding_fields
+
+DAY = 86_400.0
+
+
+class Nights:
+    """A fleet whose days end on demand, and diagnoses that end on demand."""
+
+    def __init__(self):
+        self.midnight, self.code, self.findings, self.jobs, self.ended = -inf, 0, [], 0, 0
+        self.sink = MemorySink()
+        self.watch = self.make_watch(lambda: self.midnight)
+
+    def make_watch(self, get_midnight):
+        return NightlyDiagnosis(get_midnight, self.start, self.read, self.sink, make_finding_fields, "p/")
+
+    def start(self):
+        self.jobs += 1
+        return self
+
+    def read(self):
+        return self.findings
+
+    def poll(self):
+        return self.code
+
+    def get_error(self):
+        return "socast: too few rides"
+
+    def end(self):
+        self.ended += 1
+
+    def look(self, midnight=None):
+        self.midnight = self.midnight if midnight is None else midnight
+        self.watch(Tally())
+
+
+@pytest.fixture
+def nights():
+    return Nights()
+
+
+@pytest.fixture
+def log(caplog, monkeypatch):
+    monkeypatch.setattr(logging.getLogger("socast"), "propagate", True)
+    caplog.set_level(logging.INFO, "socast")
+    return caplog
+
+
+def test_diagnosis_begins_when_a_day_ends_and_not_with_the_first_day(nights):
+    began = []
+    for midnight in (-inf, DAY, DAY, 2 * DAY, 2 * DAY, DAY, DAY):
+        nights.look(midnight)
+        began.append(nights.jobs)
+    assert began == [0, 0, 0, 1, 1, 1, 1]
+
+
+def test_change_is_published_and_logged_once(nights, log):
+    for night in (1, 2, 3):
+        nights.look(night * DAY)
+        nights.findings = [make_finding()]
+        nights.look()
+    (message,) = nights.sink.messages
+    assert message.key == "p/findings/taxi-005/tyre_pressure"
+    assert json.loads(message.payload)["kwh_per_month"] == 12.1
+    (line,) = [record.fields for record in log.records if record.message == "finding"]
+    assert (line["status"], line["add"], line["shadow"]) == ("sure", "socast add tyre_pressure", "socast live")
+    assert nights.ended == nights.jobs == 2
+
+
+def test_finding_that_is_gone_is_withdrawn(nights):
+    nights.findings = [make_finding()]
+    nights.watch = nights.make_watch(lambda: nights.midnight)
+    nights.look(DAY)
+    nights.look(2 * DAY)
+    nights.findings = [make_finding(status="gone")]
+    nights.look()
+    assert [json.loads(message.payload)["status"] for message in nights.sink.messages] == ["gone"]
+
+
+def test_diagnosis_that_takes_longer_than_a_day_is_not_started_twice(nights, log):
+    nights.code = None
+    for night in (1, 2, 3):
+        nights.look(night * DAY)
+    assert nights.jobs == 1
+    assert "still runs" in log.text
+    nights.watch.end()
+    assert nights.ended == 1
+
+
+def test_failure_is_logged_and_the_next_night_diagnoses_again(nights, log):
+    nights.code = 2
+    for night in (1, 2, 3):
+        nights.look(night * DAY)
+        nights.look()
+    reasons = [record.fields["reason"] for record in log.records if record.message == "diagnosis failed"]
+    assert reasons == ["socast: too few rides"] * 2
+    assert nights.sink.messages == []
+
+
+def test_findings_that_cannot_be_read_are_logged(nights, log):
+    nights.look(DAY)
+    nights.look(2 * DAY)
+
+    def fail():
+        raise SettingsError("findings.json is no file of findings")
+
+    nights.watch._read = fail
+    nights.look()
+    assert "diagnosis failed" in log.text
+
+
+def run_two_days(nights):
+    """Return what the loop sends on two days of driving."""
+    pipeline, sink = Pipeline(EXTENDED_PHYSICAL), MemorySink()
+    watch = nights.make_watch(lambda: pipeline.day_rollover.midnight) if nights else lambda _: None
+    run(MemorySource(make_two_days(), 200), pipeline, [sink], watch=watch)
+    return sink.messages
+
+
+def test_live_loop_diagnoses_after_midnight_and_forecasts_the_same_to_the_bit(nights):
+    nights.findings = []
+    plain = run_two_days(None)
+    assert run_two_days(nights) == plain
+    assert len(plain) > 100
+    assert nights.jobs == 1
