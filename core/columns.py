@@ -122,6 +122,12 @@ SIGNALS: Final = (
         "force at the wheels by the car's own road load; negative when braking, 0 when standing",
         "signals, from motion and vehicle message",
     ),
+    Column(
+        "wheel_power",
+        "W",
+        "power at the wheels by the car's own road load, mean over the step and the one before",
+        "signals, from motion and vehicle message",
+    ),
     Column("braking_force", "N", "braking at the wheels, mean over the step", "signals, from traction", 0.0),
     Column("charge", "1", "state of charge, one half where unknown", "cleaning", 0.0, 1.0),
     Column("pack_temperature", "K", "battery temperature, else the outside temperature", "cleaning, signals"),
@@ -129,6 +135,7 @@ SIGNALS: Final = (
     Column("water", "m", "depth of rain on the road, from rainfall and drying", "weather message", 0.0),
     Column("snow", "m", "depth of melted snow on the road, from snowfall and clearing", "weather message", 0.0),
     Column("darkness", "1", "0 while the sun is up, 1 after civil twilight", "signals, from time and place", 0.0, 1.0),
+    Column("sun_sine", "1", "sine of the elevation of the sun, 1 where unknown", "signals, from time and place", -1.0),
 )
 """Columns that an effect may take as arguments; NaN where unknown."""
 

@@ -95,6 +95,8 @@ class Clean(NamedTuple):
         Over the step, of the reported speed or of its moving average. [m/s], [m/s^2]
     acceleration_spread : (n,) float64
         Standard deviation of the acceleration within the step; 0 where unknown. [m/s^2]
+    wide_speed, wide_acceleration : (n,) float64
+        Over the step and the one before, or over the step where that is unknown. [m/s], [m/s^2]
     latitude, longitude, heading, turn_rate : (n,) float64
         Of the last accepted fix. [rad], the last one [rad/s]
     elevation : (n,) float64
@@ -138,6 +140,8 @@ class Clean(NamedTuple):
     speed: Floats
     acceleration: Floats
     acceleration_spread: Floats
+    wide_speed: Floats
+    wide_acceleration: Floats
     latitude: Floats
     longitude: Floats
     heading: Floats

@@ -54,6 +54,9 @@ FIELDS: Final = (
     "smooth",  # last smoothed speed [m/s]
     "rough",  # number of samples for which speeds are averaged, because one of the last ones is rough
     "acceleration",  # over the last step, NaN where the speed at one of its ends is unknown [m/s^2]
+    "last_run",  # distance at the mean speed of the last step [m], 0 where the same is unknown
+    "last_travel",  # time of that step, 0 there [s]
+    "last_rise",  # change of half the square of the speed in it, 0 there [m^2/s^2]
     "place",  # next place in the ring below
     ("ring", RING),  # accepted speeds of the last samples, NaN where there was none [m/s]
     "has_speed",  # 1 once the car has sent a speed
@@ -271,6 +274,18 @@ def integrate_speed(state: Any, speed: float, dt: float, fixed: bool, witnessed:
 
 
 @njit(cache=False)
+def join_last_step(state: Any, row: Any, run: float, rise: float, known: bool) -> None:
+    """Fill in speed and acceleration over this step and the last one, or over this step where the last is unknown."""
+    if not known:
+        state.last_run = state.last_travel = state.last_rise = 0.0
+    both, time = run + state.last_run, row.travel + state.last_travel
+    row.wide_speed = both / time if time > 0.0 else row.speed
+    row.wide_acceleration = (rise + state.last_rise) / both if both > 0.0 else 0.0
+    if known:
+        state.last_run, state.last_travel, state.last_rise = run, row.travel, rise
+
+
+@njit(cache=False)
 def accept_speed(state: Any, row: Any, settings: Any) -> float:
     """Return the reported speed, NaN where it is rejected or missing. [m/s]"""
     reported = row.raw_speed
@@ -323,7 +338,9 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     elif derived > 0.0 and state.has_speed == 0.0:
         row.travel = age if age <= HOLE * settings.period else min(age, row.distance / row.speed)
     run = row.speed * row.travel
-    row.acceleration = 0.5 * (state.smooth * state.smooth - before * before) / run if run > 0.0 else 0.0
+    rise = 0.5 * (state.smooth * state.smooth - before * before)
+    row.acceleration = rise / run if run > 0.0 else 0.0
+    join_last_step(state, row, run, rise, known)
     change = row.acceleration - state.acceleration
     row.acceleration_spread = SPREAD_PER_CHANGE * abs(change) if known and not isnan(change) else 0.0
     state.acceleration = row.acceleration if known else nan

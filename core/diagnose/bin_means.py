@@ -77,7 +77,7 @@ def average_in_bins(place: Ints, bins: int, values: Floats, weight: Floats, day:
     )
 
 
-def assign_bins(values: Floats, most: int) -> tuple[Ints, int]:
+def split_at_quantiles(values: Floats, most: int) -> tuple[Ints, int]:
     """Return the bin of each value, of about equal numbers of windows, and the number of bins.
 
     A value of zero has a bin of its own where many windows have it, such as hours without rain.
@@ -91,7 +91,7 @@ def assign_bins(values: Floats, most: int) -> tuple[Ints, int]:
 
     Examples
     --------
-    >>> assign_bins(np.array([0.0, 0.0, 0.0, 1.0, 2.0, 3.0]), 3)
+    >>> split_at_quantiles(np.array([0.0, 0.0, 0.0, 1.0, 2.0, 3.0]), 3)
     (array([0, 0, 0, 1, 1, 2]), 3)
     """
     zero = values == 0.0

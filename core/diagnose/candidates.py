@@ -94,12 +94,6 @@ def compute_least_coefficients(columns: Floats, measured: Floats) -> Floats:
     return np.divide(LEAST_SHARE * float(measured.sum()), size, out=out, where=size > 0.0)
 
 
-def list_input_columns(variant: str) -> tuple[str, ...]:
-    """Return the input columns of an effect or of a variant; none where the library does not have it."""
-    effect = effects.get_library().get(variant.split(VARIANT, maxsplit=1)[0])
-    return () if effect is None else effect.arguments
-
-
 def build_candidates(
     windows: Windows, model: LinearModel, without: Collection[str] = (), scopes: bool = False
 ) -> Candidates:

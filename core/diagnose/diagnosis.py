@@ -32,6 +32,7 @@ from core.diagnose.evidence import ClusterSums
 from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectionSettings
 from core.diagnose.free_form.search import Suggestion, suggest_term
 from core.diagnose.partial_residual import compute_partial_residual
+from core.diagnose.posterior.probabilities import Causes
 from core.diagnose.projection import BaseProjection
 from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranking
 from core.diagnose.residual_profile import profile_residual
@@ -95,9 +96,10 @@ def diagnose(
     -------
     dict
         `model`, `data`, `error`, `error_location`, `slices`, `missing` (best first, each beside the others),
-        `candidates`, `verdict`, `structure_remains`, `structure`, `suggestion`, `suggestion_file`, `steps`,
-        `profiles`, `deviations` and `cars` (see `core.diagnose.siblings.deviations`). The values are plain Python
-        values; an unknown number is NaN or None.
+        `candidates`, `verdict`, `causes` and `credible_set` (before any effect is selected), `further` and
+        `further_credible_set` (beside the selected effects), `structure_remains`, `structure`, `suggestion`,
+        `suggestion_file`, `steps`, `profiles`, `deviations` and `cars` (see `core.diagnose.siblings.deviations`). The
+        values are plain Python values; an unknown number is NaN or None.
 
     Raises
     ------
@@ -125,7 +127,7 @@ def _diagnose(
     clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]
     selection = ForwardSelection(base, candidates, clusters, SelectionSettings(least_gain, MAX_EFFECTS, seed))
     first = selection.rank()
-    selection.select_all()
+    causes = selection.select_all()
     local: dict[str, list[dict[str, Any]]] = {"deviations": [], "cars": []}
     if places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES:
         known = np.column_stack([np.empty((len(seen.measured), 0)), *(named.column for named in selection.selected)])
@@ -149,11 +151,15 @@ def _diagnose(
         "error_location": location.to_json(),
         "slices": find_slices(seen.rides, seen.by_ride(seen.predicted - seen.measured), seed=seed),
         "missing": [
-            _describe_missing(finding, seen) | {"partial_residual": compute_partial_residual(selection, finding)}
+            _describe_missing(finding, selection) | {"partial_residual": compute_partial_residual(selection, finding)}
             for finding in missing
         ],
         "candidates": _tabulate_candidates(first, missing),
         "verdict": verdict,
+        "causes": _describe_causes(causes),
+        "credible_set": causes.list_credible_set(),
+        "further": _describe_causes(selection.remaining),
+        "further_credible_set": [] if selection.remaining is None else selection.remaining.list_credible_set(),
         "structure_remains": remains.exists,
         "structure": _describe_structure(remains),
         "suggestion": None if suggested is None else suggested.formula,
@@ -203,25 +209,28 @@ def _describe_error(seen: Windows, base: BaseProjection, floor: float) -> dict[s
     }
 
 
-def _describe_missing(finding: MissingEffect, seen: Windows) -> dict[str, Any]:
+def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> dict[str, Any]:
     """Return the entry of a missing effect."""
+    seen = selection.base.windows
     named, evidence = finding.selected, finding.evidence
     effect = effects.get(named.variant)
     value = float(evidence.coefficient[0])
     low, high = evidence.compute_interval(0)
     energy = named.column[:, 0] * value
     half = NORMAL * finding.gain_error
+    credible = [] if named.causes is None else named.causes.list_credible_set()
     return {
         "effect": named.effect,
         "variant": named.variant,
-        "group": [named.effect, *(name for name, _ in finding.rivals)],
+        "probability": named.probability,
+        "causes": _describe_causes(named.causes),
+        "credible_set": credible,
         "scope": " ".join(part.replace("=", " ") for part in named.candidates.scope) or "all",
         "columns": [f"{EFFECT_PREFIX}{named.variant}", *named.candidates.scope],
         "gain": finding.gain,
         "gain_ci95": [finding.gain - half, finding.gain + half],
         "gain_of": finding.of,
         "energy_share": float(np.abs(energy).sum() / seen.measured.sum()),
-        "q": named.q,
         "p": float(evidence.p[0]),
         "z": float(evidence.z[0]),
         "coefficient": describe_coefficient(
@@ -230,9 +239,16 @@ def _describe_missing(finding: MissingEffect, seen: Windows) -> dict[str, Any]:
         "words": effect.in_words(value, (high - low) / 2.0),
         "equivalents": _equivalents(energy, seen),
         "separate": [
-            {"effect": name, "correlation": r, "data": effects.get(name).shown_by} for name, r in finding.rivals
+            {"effect": name, "correlation": r, "data": effects.get(name).shown_by}
+            for name, r in selection.correlate(named, credible)
         ],
     }
+
+
+def _describe_causes(causes: Causes | None) -> list[dict[str, Any]]:
+    """Return the probability of each cause, the largest first."""
+    given = {} if causes is None else causes.probabilities
+    return [{"effect": name, "probability": probability} for name, probability in given.items()]
 
 
 def _equivalents(energy: Floats, seen: Windows) -> list[str]:
@@ -293,7 +309,7 @@ def _describe_status(name: str, row: dict[str, Any], sign: int, missing: list[Mi
     if row["z"] is None:
         return "not identifiable beside the model"
     for finding in missing:
-        if name in {rival for rival, _ in finding.rivals}:
+        if finding.selected.causes is not None and name in finding.selected.causes.list_credible_set():
             return f"not distinguishable from {finding.selected.effect}"
     if sign * row["z"] < -WRONG_SIGN_Z:
         return "wrong sign"

@@ -1,15 +1,13 @@
 """Select the effects that a model lacks, one at a time, and test each again beside the others.
 
-Each step selects the best effect, removes what it explains, and looks for the next one. An effect that is not
-significant beside a later one was a proxy for it and is dropped. Two effects that explain the same days equally well
-form one group.
+Each step computes the probability of every cause (`posterior`), selects the most probable effect, removes what it
+explains, and looks for the next one. It ends where no effect or an unknown one is more probable than any effect. An
+effect that is not significant beside a later one was a proxy for it and is dropped.
 
-The gain of an effect is that with a plausible coefficient. What an effect would explain beyond has another cause, which
-is no reason to put the effect before others.
+The gain of an effect is that with a plausible coefficient. What an effect would explain beyond has another cause.
 """
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats
-from core.diagnose.candidates import Candidates, list_input_columns
+from core.diagnose.candidates import Candidates
 from core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
+from core.diagnose.posterior.causes import SelectedForm, compute_cause_evidence
+from core.diagnose.posterior.probabilities import NONE, UNKNOWN, Causes, compute_probabilities
 from core.diagnose.projection import BaseProjection, orthonormalise
 from core.diagnose.ranking import (
     LEAST_GAIN,
-    LEVEL,
     Ranking,
     ResidualSpace,
     compute_correlation,
@@ -32,18 +31,6 @@ from core.diagnose.ranking import (
 
 Mask = NDArray[np.bool_]
 
-INDISTINGUISHABLE: Final = 0.7
-"""Correlation, off the model, above which the data do not distinguish two candidates."""
-PROXY_CORRELATION: Final = 0.4
-"""Correlation above which a rival that is not significant beside the selected effect belongs to its group."""
-CLEARLY: Final = 2.0
-"""Standard errors by which a rival must be worse on held-out days to be distinguished despite its correlation."""
-FORCES: Final = frozenset({"acceleration", "braking_force", "traction"})
-"""Input columns that depend on changes of speed and height between samples."""
-RELIABILITY: Final = 0.4
-"""Share of the variance of a force-dependent effect that is true: about 0.4 for samples every 3 s, off a model."""
-DOUBT: Final = 0.05
-"""Probability below which a rival casts doubt on a selected effect."""
 NEEDED: Final = 0.05
 """Probability above which an effect is dropped again beside the others."""
 
@@ -58,13 +45,16 @@ class SelectedEffect:
         The candidates from which it was selected, everywhere or within a scope.
     at : int
         Its column among them.
-    q : float
-        Its probability when it was selected, adjusted for all candidates. [1]
+    probability : float
+        Its probability when it was selected. [1]
+    causes : Causes, optional
+        The probabilities of all causes when it was selected; None for an effect within a scope.
     """
 
     candidates: Candidates
     at: int
-    q: float
+    probability: float
+    causes: Causes | None = None
 
     @property
     def variant(self) -> str:
@@ -102,8 +92,6 @@ class MissingEffect:
         within the plausible range. The error is that of rides or of windows, whichever falls more. [1]
     of : {"rides", "windows"}
         Whether `gain` is that of rides or of windows.
-    rivals : list of (str, float)
-        Effects from which the data do not distinguish it, with their correlation.
     """
 
     selected: SelectedEffect
@@ -111,7 +99,6 @@ class MissingEffect:
     gain: float
     gain_error: float
     of: str
-    rivals: list[tuple[str, float]]
 
 
 @dataclass(frozen=True)
@@ -153,6 +140,8 @@ class ForwardSelection:
         Effects selected so far.
     dropped : set of (str, tuple of str)
         Effects, with their scopes, that were selected and dropped again.
+    remaining : Causes or None
+        Causes of what remains beside the selected effects; None before the selection.
     """
 
     def __init__(
@@ -163,9 +152,9 @@ class ForwardSelection:
         settings: SelectionSettings,
     ) -> None:
         self.base, self.candidates, self.clusters, self.settings = base, candidates, clusters, settings
-        self._first = base
         self.selected: list[SelectedEffect] = []
         self.dropped: set[tuple[str, tuple[str, ...]]] = set()
+        self.remaining: Causes | None = None
 
     def build_basis(self, without: SelectedEffect | None = None) -> Floats:
         """Return an orthonormal basis of the selected effects except one, (n, m)."""
@@ -198,18 +187,34 @@ class ForwardSelection:
             self.build_space(without), candidates or self.candidates, self.clusters, self.settings.seed
         )
 
-    def select_all(self) -> None:
-        """Select effects until no further one is significant and worthwhile."""
-        while len(self.selected) < self.settings.max_effects:
-            ranking = self.rank()
-            effects = (
-                SelectedEffect(ranking.candidates, v, float(ranking.q[ranking.candidates.effects[v]]))
-                for v in ranking.list_significant()
-            )
-            best = next((effect for effect in effects if self.is_new(effect) and self.is_worthwhile(effect)), None)
-            if best is None:
-                return
+    def infer_causes(self) -> Causes:
+        """Return the probability of each cause of what the model and the effects selected everywhere leave."""
+        forms = [
+            SelectedForm(each.variant, each.causes.forms[each.effect].coefficient)
+            for each in self.selected
+            if each.causes is not None
+        ]
+        return compute_probabilities(compute_cause_evidence(self.base, self.candidates, forms))
+
+    def select_all(self) -> Causes:
+        """Select effects until none, or an unknown one, is more probable than any effect, or none is worthwhile.
+
+        Returns
+        -------
+        Causes
+            The probabilities of all causes before any effect is selected.
+        """
+        first = self.infer_causes()
+        self.remaining = causes = first
+        while True:
+            if causes.first in {NONE, UNKNOWN} or len(self.selected) == self.settings.max_effects:
+                return first
+            at = self.candidates.variants.index(causes.forms[causes.first].variant)
+            best = SelectedEffect(self.candidates, at, causes.leading[causes.first], causes)
+            if not (self.is_new(best) and self.is_worthwhile(best)):
+                return first
             self.select(best)
+            self.remaining = causes = self.infer_causes()
 
     def select(self, effect: SelectedEffect) -> None:
         """Select an effect, and drop those that are not significant beside it."""
@@ -231,16 +236,33 @@ class ForwardSelection:
         return evidence, column[:, 0], space.residual
 
     def list_missing_effects(self) -> list[MissingEffect]:
-        """Return the results for each selected effect, the largest gain first."""
+        """Return the results for each selected effect, in the order of selection."""
         missing = []
         for effect in self.selected:
             evidence, column, residual = self.compare_with_others(effect)
             gain = self.compute_gain(column, residual, effect.candidates.get_limits(effect.at))
             least = effect.candidates.least_coefficients[[effect.at]]
-            missing.append(
-                MissingEffect(effect, evidence.allow_for_distortion(least), *gain, self._find_rivals(effect))
-            )
-        return sorted(missing, key=lambda each: -each.gain)
+            missing.append(MissingEffect(effect, evidence.allow_for_distortion(least), *gain))
+        return missing
+
+    def correlate(self, effect: SelectedEffect, others: Sequence[str]) -> list[tuple[str, float]]:
+        """Return other effects with the correlation of their forms with an effect, off the model, the largest first.
+
+        Parameters
+        ----------
+        effect : SelectedEffect
+            The effect, with the causes from which it was selected.
+        others : sequence of str
+            Names of causes; those that are no effects are left out.
+        """
+        if effect.causes is None:
+            return []
+        forms = effect.causes.forms
+        names = [name for name in others if name in forms and name != effect.effect]
+        at = [effect.candidates.variants.index(forms[name].variant) for name in names]
+        off = self.base.project_out(effect.candidates.columns[:, [effect.at, *at]])
+        pairs = [(name, compute_correlation(off[:, 0], off[:, 1 + i])) for i, name in enumerate(names)]
+        return sorted(pairs, key=lambda pair: -abs(pair[1]))
 
     def compute_gain(
         self, column: Floats, residual: Floats, limits: tuple[float, float], rows: Mask | None = None
@@ -297,65 +319,3 @@ class ForwardSelection:
         """Return whether an effect is neither selected nor dropped."""
         known = {(each.effect, each.candidates.scope) for each in self.selected} | self.dropped
         return (effect.effect, effect.candidates.scope) not in known
-
-    def _find_rivals(self, effect: SelectedEffect) -> list[tuple[str, float]]:
-        """Return the effects that would do as well in place of a selected one, with their correlation.
-
-        A rival must be significant alone, not adjusted for all candidates. A rival that is known less exactly than the
-        selected effect may be the cause although it explains less.
-        """
-        unbiased = copy(self)  # weights that were computed beside the selected effect would favour it
-        unbiased.base = self._first
-        instead, beside = unbiased.rank(effect.candidates, without=effect), unbiased.rank(effect.candidates)
-        gains = instead.gains[:, effect.at]
-        selected = {each.effect for each in self.selected}
-        rivals = []
-        for name, other in zip(instead.candidates.names, instead.best.tolist(), strict=True):
-            if other < 0 or name in selected or instead.evidence.p[other] > DOUBT:
-                continue
-            r = compute_correlation(instead.projected[:, effect.at], instead.projected[:, other])
-            behind, error = sum_over_clusters(gains - instead.gains[:, other])
-            place = instead.candidates.names.index(name)
-            proxy = abs(r) > PROXY_CORRELATION and not beside.q[place] < LEVEL
-            alike = (abs(r) > INDISTINGUISHABLE or proxy) and behind < CLEARLY * error
-            if alike or self._is_attenuated(effect.variant, instead, effect.at, other):
-                rivals.append((name, r))
-        return sorted(rivals, key=lambda pair: -abs(pair[1]))
-
-    @staticmethod
-    def _is_attenuated(variant: str, ranking: Ranking, at: int, other: int) -> bool:
-        """Return whether a rival explains less than a selected effect only because it is known less exactly.
-
-        Notes
-        -----
-        Let G be what the rival would explain if it were known exactly, and ρ the share of its variance that is true. It
-        then explains ρ G, and a proxy explains r*^2 G, where r*^2 = r^2/ρ for the correlation r of the two. The rival
-        may therefore be the cause where r^2 times the ratio of what it explains to what the other explains is at least
-        ρ^2. Attenuation by errors in variables: Fuller, Measurement Error Models, Wiley 1987, section 1.1.
-        """
-        if not is_inexact(ranking.candidates.variants[other]) or is_inexact(variant):
-            return False
-        r = compute_correlation(ranking.projected[:, at], ranking.projected[:, other])
-        explained, least = float(ranking.gains[:, other].sum()), RELIABILITY**2 * float(ranking.gains[:, at].sum())
-        return r > 0.0 and explained > 0.0 and r**2 * explained > least
-
-
-def is_inexact(variant: str) -> bool:
-    """Return whether an effect depends on forces, which samples every few seconds determine inexactly.
-
-    Parameters
-    ----------
-    variant : str
-        Name of an effect or of a variant.
-
-    Returns
-    -------
-    bool
-        Whether its input columns include one of `FORCES`.
-
-    Examples
-    --------
-    >>> is_inexact("cold_regen_limit"), is_inexact("cold_rolling")
-    (True, False)
-    """
-    return not FORCES.isdisjoint(list_input_columns(variant))

@@ -16,7 +16,7 @@ import numpy as np
 
 from core import effects
 from core.batch import Floats, Ints
-from core.diagnose.bin_means import assign_bins, average_in_bins
+from core.diagnose.bin_means import average_in_bins, split_at_quantiles
 from core.diagnose.evidence import ClusterSums, compute_evidence
 from core.diagnose.forward_selection import ForwardSelection, MissingEffect
 from core.fit.ride_blocks import get_names, get_numbers
@@ -113,7 +113,7 @@ def _bin(x: Floats, after: Floats, slope: float, weight: Floats, day: Ints, most
     """Return the residual with and without the contribution of an effect, in bins of its regressor."""
     if not len(x):
         return {name: [] for name in ("x", "before", "after", "ci95", "windows", "days")}
-    place, bins = assign_bins(x, max(1, min(most, len(x) // LEAST_WINDOWS)))
+    place, bins = split_at_quantiles(x, max(1, min(most, len(x) // LEAST_WINDOWS)))
     means = average_in_bins(place, bins, after, weight, day)
     middle = np.bincount(place, weight * x, bins) / np.bincount(place, weight, bins)
     return {

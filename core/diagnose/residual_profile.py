@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
-from core.diagnose.bin_means import assign_bins, average_in_bins
+from core.diagnose.bin_means import average_in_bins, split_at_quantiles
 from core.diagnose.dataset import Windows
 from core.diagnose.forward_selection import ForwardSelection
 from core.diagnose.residual_structure import FEATURES
@@ -50,7 +50,7 @@ def profile_residual(selection: ForwardSelection) -> list[dict[str, Any]]:
         rows = np.flatnonzero(np.isfinite(values))
         if len(rows) < BINS * LEAST_WINDOWS:
             continue
-        place, bins = assign_bins(values[rows], BINS)
+        place, bins = split_at_quantiles(values[rows], BINS)
         if bins < 2:
             continue
         x = np.bincount(place, values[rows], bins) / np.bincount(place, minlength=bins)

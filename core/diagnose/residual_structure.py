@@ -21,9 +21,9 @@ from core.batch import Floats, Ints
 from core.diagnose.dataset import Windows
 from core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
 from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect
+from core.diagnose.plain_shapes import build_plain_shapes, compute_window_sun_sine
 from core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_held_out_gains, sum_over_clusters
 from core.fit.ride_blocks import get_numbers
-from core.models.derived_features import compute_sun_sine
 from core.stats.multiple_testing import adjust_false_discovery
 
 LEAST_TAKEN: Final = 0.8
@@ -60,26 +60,6 @@ FEATURES: Final[tuple[tuple[str, str], ...]] = (
     ("start_s", "s"),
 )
 """Features of a window on which an error may depend, with their units."""
-ABOUT: Final = (
-    "ambient_c",
-    "precipitation_mm_h",
-    "wind_speed_kmh",
-    "soc_start_pct",
-    "battery_temperature_c",
-    "occupants",
-    "odometer_km",
-)
-"""Features on which an unknown cause may depend. Motion is not among them: it is measured too coarsely."""
-CARRIERS: Final = (
-    "duration_s",
-    "effect_rolling",
-    "effect_aero_drag",
-    "effect_inertia_positive",
-    "effect_braking",
-    "effect_climbing_up",
-    "stops",
-)
-"""Carriers with which an unknown cause may grow: time, distance, speed, acceleration, braking, hills and stops."""
 
 
 class ResidualStructure(NamedTuple):
@@ -183,7 +163,7 @@ def collect_features(windows: Windows) -> Floats:
     """Return the features of each window and the elevation of the sun, NaN where unknown, (n, features)."""
     table = windows.table
     columns = [get_numbers(table, name) for name, _ in FEATURES]
-    return np.column_stack([*columns, _sun(windows)])
+    return np.column_stack([*columns, compute_window_sun_sine(windows)])
 
 
 def compute_predictable_share(features: Floats, left: Floats, clusters: ClusterSums, seed: int) -> tuple[float, float]:
@@ -230,11 +210,8 @@ class PlainShapes:
 
     def __init__(self, selection: ForwardSelection) -> None:
         self.selection = selection
-        self.names, columns = _shapes(selection.base.windows)
-        projected = selection.base.project_out(columns)
-        distinct = (projected**2).sum(axis=0) > LEAST_LEFT * (selection.base.apply_weights(columns) ** 2).sum(axis=0)
-        self.names = [name for name, kept in zip(self.names, distinct, strict=True) if kept]
-        self.projected = projected[:, distinct]
+        shapes = build_plain_shapes(selection.base)
+        self.names, self.projected = shapes.names, shapes.columns
 
     def find_strongest(self, off: Floats, left: Floats) -> tuple[str, float, float]:
         """Return the significant shape with the largest gain on a residual, its q, and its gain."""
@@ -275,42 +252,3 @@ class PlainShapes:
         shapes = self.projected - off @ (off.T @ self.projected)
         free = np.flatnonzero((shapes**2).sum(axis=0) > LEAST_LEFT * (self.projected**2).sum(axis=0))
         return shapes[:, free], free
-
-
-def _shapes(windows: Windows) -> tuple[list[str], Floats]:
-    """Return the name and the energy of each carrier times each function of a feature, (n, shapes)."""
-    functions = dict(_functions(windows))
-    names, columns = [], []
-    for carrier in CARRIERS:
-        amount = np.nan_to_num(get_numbers(windows.table, carrier), nan=0.0)
-        for name, values in functions.items():
-            names.append(f"{carrier.removeprefix('effect_')} * {name}")
-            columns.append(amount * values)
-    return names, np.column_stack(columns)
-
-
-def _functions(windows: Windows) -> list[tuple[str, Floats]]:
-    """Return functions of the features, with unknown values replaced by the median."""
-    table = windows.table
-    functions: list[tuple[str, Floats]] = []
-    for name in ABOUT:
-        values = get_numbers(table, name)
-        if not np.isfinite(values).any():
-            continue
-        values = np.where(np.isfinite(values), values, np.nanmedian(values))
-        low, middle, high = np.quantile(values, [0.2, 0.5, 0.8])
-        spread = max(float(np.std(values)), 1e-9)
-        if spread < 1e-6 * max(abs(middle), 1.0):
-            continue
-        functions.append((name, (values - middle) / spread))
-        functions.append((f"low {name}", np.maximum(low - values, 0.0) / spread))
-        functions.append((f"high {name}", np.maximum(values - high, 0.0) / spread))
-    light = _sun(windows)
-    return [*functions, ("sun", light), ("dark", (light <= 0.0).astype(np.float64))]
-
-
-def _sun(windows: Windows) -> Floats:
-    """Return the sine of the solar elevation at each window, 0 at night and where the position is unknown, (n,)."""
-    table = windows.table
-    place = get_numbers(table, "latitude_start_deg"), get_numbers(table, "longitude_start_deg")
-    return np.nan_to_num(compute_sun_sine(get_numbers(table, "start_s"), *place), nan=0.0)

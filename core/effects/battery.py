@@ -36,14 +36,14 @@ _REVIEW: Final = "Alipour et al. 2020, Batteries 6:35, DOI 10.3390/batteries6030
     words="the battery's resistance is {value} ohm at 25 °C",
 )
 def battery_resistance(
-    traction: Floats, speed: Floats, pack_temperature: Floats, *, voltage: float, activation: float, warm: float
+    wheel_power: Floats, pack_temperature: Floats, *, voltage: float, activation: float, warm: float
 ) -> Floats:
     """Loss of the battery current, larger in the cold: P = (F v/U)^2 exp(E (1/T - 1/T0)), times R.
 
     E is an activation energy over the gas constant; 2500 K makes the loss at -20 °C 4.4 times that at 25 °C. Voltage
     times current at the terminals excludes the battery's own loss; the state of charge includes it.
     """
-    current = traction * speed / voltage
+    current = wheel_power / voltage
     return current * current * np.exp(activation * (1.0 / pack_temperature - 1.0 / warm))
 
 

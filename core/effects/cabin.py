@@ -93,7 +93,7 @@ def cabin_cooling(ambient: Floats, balance: float) -> Floats:
     parameters={
         "inside": Parameter(294.15, "K", 285.15, 299.15),
         "decay": Parameter(600.0, "s", 120.0, 2400.0, grid=(300.0, 600.0, 1200.0)),
-        "soak": Parameter(3600.0, "s", 900.0, 14_400.0),
+        "soak": Parameter(3600.0, "s", 900.0, 14_400.0, grid=(1800.0, 3600.0, 7200.0)),
     },
     confused_with=("cabin_heating", "cold_battery_heating", "door_heat_loss"),
     shown_by="the first quarter of an hour of rides after a night, beside rides after a short stop, in the cold",

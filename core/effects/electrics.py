@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats
-from core.effects.declaration import Effect, effect
+from core.effects.declaration import Effect, Parameter, effect
 
 
 @effect(
@@ -34,14 +34,19 @@ def standby(dt: Floats) -> Floats:
     per="time",
     confused_with=("standby",),
     shown_by="standing and slow cars by day and by night, as warm",
+    parameters={
+        "dark": Parameter(-0.1045, "1", -0.2, 0.2, grid=(-0.1045, -0.05, 0.0, 0.05, 0.1)),
+        "twilight": Parameter(0.1045, "1"),
+    },
     words="lights take {value} W after dark",
 )
-def night_lights(darkness: Floats) -> Floats:
-    """Lamps after sunset: P = d, times a power.
+def night_lights(sun_sine: Floats, *, dark: float, twilight: float) -> Floats:
+    """Lamps in the dark: P = min(max(1 + (s0 - s)/w, 0), 1), times a power.
 
-    The darkness d is 0 while the sun is up and 1 from the end of civil twilight.
+    s is the sine of the elevation of the sun. All lamps are on below s0, by default the end of civil twilight, and
+    fewer of them within the width w above it. Lamps that are switched by a sensor come on before sunset.
     """
-    return darkness
+    return np.clip(1.0 + (dark - sun_sine) / twilight, 0.0, 1.0)
 
 
 ELECTRICS: Final[tuple[Effect, ...]] = (standby, night_lights)

@@ -60,10 +60,9 @@ def drivetrain_loss_torque(traction: Floats) -> Floats:
     words="powertrain losses: {value} % of the power at 10 kW",
     scale=1e6,
 )
-def drivetrain_loss_power(traction: Floats, speed: Floats) -> Floats:
+def drivetrain_loss_power(wheel_power: Floats) -> Floats:
     """Losses of inverter and motor with the current: P = (F v)^2, times the loss over the square of the power."""
-    power = traction * speed
-    return power * power
+    return wheel_power * wheel_power
 
 
 @effect(

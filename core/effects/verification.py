@@ -51,6 +51,7 @@ ORDINARY_DRIVING: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
         "drag_area": (0.2, 4.0),
         "tyre_load": (4000.0, 35_000.0),
         "traction": (-15_000.0, 15_000.0),
+        "wheel_power": (-300_000.0, 300_000.0),
         "braking_force": (0.0, 15_000.0),
         "charge": (0.0, 1.0),
         "pack_temperature": (233.15, 328.15),
@@ -58,6 +59,7 @@ ORDINARY_DRIVING: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
         "water": (0.0, 0.01),
         "snow": (0.0, 0.1),
         "darkness": (0.0, 1.0),
+        "sun_sine": (-1.0, 1.0),
     }
 )
 """Lowest and highest value of each column in ordinary driving, over which an effect must be finite. [its unit]"""
@@ -73,6 +75,7 @@ _STANDING: Final = MappingProxyType(
         "stopped": 1.0,
         "turn_rate": 0.0,
         "traction": 0.0,
+        "wheel_power": 0.0,
         "braking_force": 0.0,
     }
 )

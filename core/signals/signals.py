@@ -44,6 +44,8 @@ NIGHT: Final = 8 * 3600.0
 HALF_CHARGED: Final = 0.5
 """Assumed state of charge of a car that does not report it. [1]"""
 SQRT_TWO_PI: Final = (2.0 * np.pi) ** 0.5
+NO_SUN: Final = 1.0
+"""Sine of the elevation of the sun where it is unknown: no effect of darkness. [1]"""
 CIVIL_DUSK: Final = 6.0
 """Depth of the sun below the horizon at the end of civil twilight. [deg]"""
 
@@ -203,10 +205,35 @@ def traction(signals: Signals) -> Floats:
     ----------
     Gillespie, Fundamentals of Vehicle Dynamics, SAE 1992, ch. 4.
     """
-    speed, weight = signals["speed"], signals["mass"]
+    return _compute_force(signals, signals["speed"], signals["acceleration"])
+
+
+def compute_wheel_power(signals: Signals) -> Floats:
+    """Return the power at the wheels, mean over a step and the one before, by the force balance of `traction`. [W]
+
+    Notes
+    -----
+    Effects that grow with the square of the power take this power. The mean square over single steps depends on when
+    the samples fall within an acceleration, and so does the error of voltage times current between the samples. Where
+    no effect is missing, samples every 3 s make the square of a step's own power explain 2.7 % of the energy, with a
+    standard deviation of 0.8 %, and that of this mean 0.2 % (simulated fleets, seeds 400 to 409). In 31 drives of a
+    BMW i3, the share that the square explains hardly depends on the period of the samples: 3.0 % at 1 s and 2.6 % at
+    5 s. With a step's own power, the share falls from 3.4 to 1.2 %.
+
+    References
+    ----------
+    Drives of the BMW i3: Steinstraeter et al., DOI 10.21227/6jr9-5235.
+    """
+    speed = signals.clean.wide_speed
+    return _compute_force(signals, speed, signals.clean.wide_acceleration) * speed
+
+
+def _compute_force(signals: Signals, speed: Floats, acceleration: Floats) -> Floats:
+    """Return the force at the wheels at a speed and acceleration, zero at standstill. [N]"""
+    weight = signals["mass"]
     rolling = signals["rolling_resistance"] * signals["tyre_load"]
     drag = 0.5 * STANDARD_AIR_DENSITY * signals["drag_area"] * speed * speed
-    force = weight * (signals["acceleration"] + GRAVITY * signals["grade"]) + rolling + drag
+    force = weight * (acceleration + GRAVITY * signals["grade"]) + rolling + drag
     return np.where(speed > 0.0, force, 0.0 * weight)
 
 
@@ -240,9 +267,13 @@ def darkness(signals: Signals) -> Floats:
 
     During twilight, it is proportional to the sine of the depth of the sun.
     """
+    return np.clip(-signals["sun_sine"] / np.sin(np.radians(CIVIL_DUSK)), 0.0, 1.0)
+
+
+def sun_sine(signals: Signals) -> Floats:
+    """Return the sine of the elevation of the sun, `NO_SUN` where the position is unknown. [1]"""
     clean = signals.clean
-    depth = -sine_of_elevation(clean.time, clean.latitude, clean.longitude)
-    return np.clip(np.nan_to_num(depth) / np.sin(np.radians(CIVIL_DUSK)), 0.0, 1.0)
+    return np.nan_to_num(sine_of_elevation(clean.time, clean.latitude, clean.longitude), nan=NO_SUN)
 
 
 def water(signals: Signals) -> Floats:
@@ -274,11 +305,13 @@ _DERIVED: Final[dict[str, Callable[[Signals], Floats]]] = {
     "charge": lambda signals: np.nan_to_num(signals.clean.soc, nan=HALF_CHARGED),
     "tyre_load": tyre_load,
     "traction": traction,
+    "wheel_power": compute_wheel_power,
     "braking_force": compute_braking_force,
     "pack_temperature": pack_temperature,
     "vapour_pressure": vapour_pressure,
     "water": water,
     "snow": compute_snow,
     "darkness": darkness,
+    "sun_sine": sun_sine,
 }
 """Function of every signal that is not a column of `Clean`."""

@@ -9,6 +9,7 @@ from statistics import mean
 import pytest
 
 from core import models
+from tests.support import picture_figure
 from tests.support.commands import refused
 from tests.support.documented_commands import Shell, documented_commands, first_difference, prepare_folder
 from tests.support.error_figure import FIGURE, error_figure
@@ -90,6 +91,17 @@ def test_diagnosis_names_the_hidden_effect_first_and_its_interval_contains_the_t
     assert trial["coefficient"]["plausible"]
     assert trial["noise_floor_kwh"] < trial["mae_after_kwh"] < trial["mae_before_kwh"]
     assert trial["final"]["mae_after_kwh"] < trial["final"]["mae_before_kwh"]
+
+
+@pytest.mark.usefixtures("tutorial")
+def test_picture_shows_the_missing_effect_of_the_tutorial(shell):
+    found = picture_figure.diagnose_base(shell.folder)
+    shown, now = (
+        [float(number) for number in re.findall(r" cy='([\d.]+)'", text)]
+        for text in (picture_figure.FIGURE.read_text(encoding="utf-8"), picture_figure.picture_figure(found))
+    )
+    assert shown == pytest.approx(now, abs=5.0), "renew with: python -m tests.support.picture_figure"
+    assert shown[0] > shown[-1] + 150.0, "the points do not rise"
 
 
 @pytest.mark.usefixtures("tutorial")

@@ -8,13 +8,14 @@ def make_missing_effect(**changes: Any) -> dict[str, Any]:
     return {
         "effect": "cold_rolling",
         "variant": "cold_rolling@reference=283.15",
-        "group": ["cold_rolling", "air_density"],
+        "probability": 0.87,
+        "causes": make_causes(),
+        "credible_set": ["cold_rolling", "air_density"],
         "scope": "all",
         "columns": ["effect_cold_rolling@reference=283.15"],
         "gain": 0.031,
         "gain_ci95": [0.02, 0.042],
         "energy_share": 0.029,
-        "q": 0.0002,
         "p": 0.00001,
         "coefficient": {
             "value": 1.1e-4, "ci95": [0.9e-4, 1.3e-4], "unit": "1/K", "low": 2e-5, "high": 3e-4, "plausible": True,
@@ -24,6 +25,17 @@ def make_missing_effect(**changes: Any) -> dict[str, Any]:
         "separate": [{"effect": "air_density", "correlation": 0.83, "data": "slow drives over a year"}],
         "partial_residual": make_partial_residual(),
     } | changes  # fmt: skip
+
+
+def make_causes() -> list[dict[str, Any]]:
+    """Return the probabilities of causes."""
+    return [
+        {"effect": "cold_rolling", "probability": 0.84},
+        {"effect": "air_density", "probability": 0.1},
+        {"effect": "several", "probability": 0.04},
+        {"effect": "not in the library", "probability": 0.016},
+        {"effect": "none", "probability": 0.004},
+    ]
 
 
 def make_partial_residual() -> dict[str, Any]:
@@ -124,6 +136,10 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
             make_profile("average_speed_kmh", "km/h", [10.0, 30.0, 60.0]),
             make_profile("vehicle_id", "", ["taxi-001", "taxi-002", "taxi-003"]),
         ],
+        "causes": make_causes(),
+        "credible_set": ["cold_rolling", "air_density"],
+        "further": [{"effect": "none", "probability": 0.8}, {"effect": "not in the library", "probability": 0.2}],
+        "further_credible_set": ["none", "not in the library"],
         "deviations": [make_deviation()],
         "cars": [make_ranked_car("taxi-005", 0.031), make_ranked_car("taxi-002", -0.01)],
     } | changes  # fmt: skip

@@ -18,6 +18,7 @@ from tools.bench.learning import measure_fit, measure_fit_memory
 from tools.bench.live import measure_live
 from tools.bench.measures import Measure, measure_arrays, measure_replay, measure_scale
 from tools.bench.nothing_hidden import SECTION as NOTHING
+from tools.bench.siblings import SECTION as SIBLINGS
 from tools.bench.startup import measure_effects_start, measure_help_start, measure_version_start
 from tools.terminal.rich_table import Column, make_table
 
@@ -53,7 +54,7 @@ def main() -> None:
     (ROOT / "bench.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     path = ROOT / "BENCHMARKS.md"
     page = make_page(measures)
-    for name in (SECTION, NOTHING):  # written by `make bench-hidden` and by `tools.bench.nothing_hidden`
+    for name in (SECTION, NOTHING, SIBLINGS):  # written by other commands of this package
         if section := read_section(path, name):
             page = replace_section(page, section, name)
     path.write_text(page, encoding="utf-8")

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from stream.mcap_writer import McapSink
+from tools.simulator.bent_shapes import BENT
 from tools.simulator.fleet import count_shifts
 from tools.simulator.fleet import simulate as simulate_messages
 from tools.simulator.hidden import EFFECTS
@@ -86,7 +87,8 @@ def simulate(
         typer.Option(
             metavar="EFFECT[:SIZE]",
             help="Effect to hide from the models, as a share of the energy; may be repeated. Default size: 0.03. "
-            f"Effects: {', '.join(sorted(EFFECTS))}. NAME{OTHER} is the same effect in another shape.",
+            f"Effects: {', '.join(sorted(EFFECTS))}. NAME{OTHER} is the same effect in another shape, "
+            f"NAME{BENT}7 in the seventh of its random shapes.",
         ),
     ] = None,
     faults: Annotated[

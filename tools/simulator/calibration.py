@@ -8,7 +8,7 @@ import numpy as np
 from core.batch import Floats, Ints
 from core.errors import SettingsError
 from tools.simulator.hidden import EffectInputs
-from tools.simulator.hidden_shapes import POWERS
+from tools.simulator.hidden_shapes import get_power
 from tools.simulator.settings import STEP, Hidden
 from tools.simulator.shift import NO_RIDE
 
@@ -44,7 +44,7 @@ def sum_energies(view: EffectInputs, ride: Ints, hidden: Iterable[Hidden]) -> Ef
     -------
     EffectEnergies
     """
-    powers = [view.state.parts.sum(axis=1), *(POWERS[effect](view) for effect, _ in hidden)]
+    powers = [view.state.parts.sum(axis=1), *(get_power(effect)(view) for effect, _ in hidden)]
     inside = ride != NO_RIDE
     sums: list[Floats] = [np.bincount(ride[inside], power[inside]).astype(float) * STEP for power in powers]
     return EffectEnergies(sums[0], np.stack(sums[1:], axis=1))
@@ -103,5 +103,4 @@ def check_effects(hidden: tuple[Hidden, ...]) -> None:
         If no effect has one of the names.
     """
     for effect, _ in hidden:
-        if effect not in POWERS:
-            raise SettingsError(f"no hidden effect is called {effect!r}; choose from {', '.join(sorted(POWERS))}")
+        get_power(effect)

@@ -14,7 +14,7 @@ from tools.simulator import calibration, physics
 from tools.simulator import preset as presets
 from tools.simulator.cars import Car, make_car
 from tools.simulator.hidden import EffectInputs
-from tools.simulator.hidden_shapes import POWERS
+from tools.simulator.hidden_shapes import get_power
 from tools.simulator.logger import Equipment, log_shift, make_equipment
 from tools.simulator.preset import Fleet, PlannedCar, PlannedShift
 from tools.simulator.settings import NIGHT, STEP, UTC_OFFSET, Simulation
@@ -316,7 +316,7 @@ def _shift_messages(
     state, energies = view.state, None
     if factors:
         scaled = zip(factors, simulation.hidden, strict=True)
-        hidden = sum((factor * POWERS[effect](view) for factor, (effect, _) in scaled), np.zeros(len(state.soc)))
+        hidden = sum((factor * get_power(effect)(view) for factor, (effect, _) in scaled), np.zeros(len(state.soc)))
         energies = calibration.sum_energies(view, shift.timeline.ride, simulation.hidden)
         energies = energies._replace(effects=energies.effects * factors)
         state = physics.integrate_states(view.trace, view.car, shift.soc, simulation.phenomena, hidden)

@@ -4,14 +4,14 @@ The option `--hidden cold_rolling~other` selects the other shape of `cold_rollin
 linear; these bend, saturate, step, lag or depend on additional quantities.
 """
 
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
 from core.batch import Floats
 from core.columns import GRAVITY, ZERO_CELSIUS
+from core.errors import SettingsError
+from tools.simulator.bent_shapes import BENT, bend_shape
 from tools.simulator.hidden import (
     EFFECTS,
     EffectInputs,
@@ -228,7 +228,38 @@ def age(view: EffectInputs) -> Floats:
     return np.asarray(view.car.wear * np.maximum(_wheel(view), 0.0) ** 2 / view.car.motor_power)
 
 
-POWERS: Final[Mapping[str, PowerFunction]] = MappingProxyType(
-    EFFECTS | {f"{name}{OTHER}": power for name, power in OTHER_SHAPES.items()}
-)
-"""Power at natural size of every effect in both shapes; `OTHER` follows the name of the other shape. [W]"""
+def get_power(effect: str) -> PowerFunction:
+    """Return the power at natural size of an effect in the shape that its name selects. [W]
+
+    Parameters
+    ----------
+    effect : str
+        Name of the effect: plain, followed by `OTHER`, or followed by `BENT` and a number.
+
+    Raises
+    ------
+    SettingsError
+        If no hidden effect has this name.
+    """
+    name, bent, number = effect.partition(BENT)
+    if bent and name in EFFECTS and number.isdigit():
+        return bend_shape(name, int(number))
+    shapes = OTHER_SHAPES if effect.endswith(OTHER) else EFFECTS
+    plain = effect.removesuffix(OTHER)
+    if plain not in shapes:
+        raise SettingsError(
+            f"no hidden effect is called {effect!r}; choose from {', '.join(sorted(EFFECTS))}, each also with {OTHER} "
+            f"or with {BENT} and a number"
+        )
+    return shapes[plain]
+
+
+def strip_shape(effect: str) -> str:
+    """Return the name of an effect without its shape.
+
+    Parameters
+    ----------
+    effect : str
+        Name of the effect in any shape.
+    """
+    return effect.partition(BENT)[0].removesuffix(OTHER)

@@ -24,7 +24,7 @@ from core.diagnose.error_location.location_model import (
     build_location_model,
     get_drivers,
 )
-from core.diagnose.error_location.selection import RIVAL, Place, Search, SelectedLoad
+from core.diagnose.error_location.selection import RIVAL, LoadSearch, Place, SelectedLoad
 from core.diagnose.projection import BaseProjection
 from core.diagnose.variances import Variances
 from core.fit.measurement_noise import compute_noise_variance
@@ -120,7 +120,7 @@ def locate_error(windows: Windows, base: BaseProjection) -> ErrorLocation:
     located = build_location_model(windows, base)
     if located is None:
         return ErrorLocation((), (), {}, (), (), absent)
-    search = Search(located)
+    search = LoadSearch(located)
     selected = search.select()
     places = [load.place for load in selected]
     best = search.fit(places)
@@ -136,7 +136,7 @@ def locate_error(windows: Windows, base: BaseProjection) -> ErrorLocation:
 
 
 def _describe(
-    load: SelectedLoad, located: LocationModel, search: Search | None, places: Sequence[Place], best: Variances
+    load: SelectedLoad, located: LocationModel, search: LoadSearch | None, places: Sequence[Place], best: Variances
 ) -> LocatedLoad:
     """Return a selected load in the unit of its kind, with its rivals where it is claimed."""
     level, kind, power = _read_place(load.place, located)
@@ -148,7 +148,7 @@ def _describe(
     return _change(made, other_kinds=kinds, other_levels=levels)
 
 
-def _describe_limit(place: Place, located: LocationModel, search: Search, best: Variances) -> LocatedLoad:
+def _describe_limit(place: Place, located: LocationModel, search: LoadSearch, best: Variances) -> LocatedLoad:
     """Return a load that was not selected."""
     level, kind, power = _read_place(place, located)
     return _make(level, kind, power, search.find_limit(place, best), 0.0, claimed=False)
@@ -188,7 +188,7 @@ def _raise_level(
         above = None if unit is None else located.replace_top(name, unit)
         if above is None:
             continue
-        there = Search(above)
+        there = LoadSearch(above)
         start = Variances(np.vstack([best.relative, np.zeros(there.shape[1])]), best.criterion)
         rise = there.replace(place, (place[0] + 1, place[1]), others, start)
         if rise < -RIVAL:
@@ -207,7 +207,7 @@ def _locate_cars(located: LocationModel, best: Variances) -> list[LocatedLoad]:
     cars = build_car_model(located, best)
     if cars is None:
         return []
-    return [_describe(load, cars, None, (), best) for load in Search(cars).select()]
+    return [_describe(load, cars, None, (), best) for load in LoadSearch(cars).select()]
 
 
 def _share_error(located: LocationModel, best: Variances, claimed: Mapping[Place, str]) -> dict[str, float]:

@@ -48,7 +48,7 @@ class SelectedLoad:
     gain: float
 
 
-class Search:
+class LoadSearch:
     """Select loads one by one, each beside the others.
 
     Parameters

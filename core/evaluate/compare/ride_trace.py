@@ -197,7 +197,7 @@ def _describe_windows(of_ride: pd.DataFrame, measured: Floats) -> dict[str, Floa
         if name in of_ride:
             made[name] = of_ride[name].to_numpy(np.float64)
     if set(ride_wind.COLUMNS) <= set(of_ride):
-        made["headwind_kmh"] = ride_wind.compute_headwind(of_ride)
+        made["headwind_kmh"] = ride_wind.compute_window_headwind(of_ride)
     return made
 
 

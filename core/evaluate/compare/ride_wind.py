@@ -15,7 +15,7 @@ COLUMNS: Final = (
 )
 
 
-def compute_headwind(windows: pd.DataFrame) -> Floats:
+def compute_window_headwind(windows: pd.DataFrame) -> Floats:
     """Return the component of the wind against the course of each window, negative from behind.
 
     Parameters
@@ -37,7 +37,7 @@ def compute_headwind(windows: pd.DataFrame) -> Floats:
     ...     "latitude_start_deg": [45.0, 45.01], "longitude_start_deg": [0.0, 0.0],
     ...     "latitude_end_deg": [45.01, 45.0], "longitude_end_deg": [0.0, 0.0],
     ... })
-    >>> compute_headwind(drive).tolist()
+    >>> compute_window_headwind(drive).tolist()
     [20.0, -20.0]
     """
     speed, wind_from, south, west, north, east = (windows[name].to_numpy(np.float64) for name in COLUMNS)

@@ -281,6 +281,38 @@ def test_spread_of_the_acceleration_is_zero_beside_a_hole(rows):
     assert clean.acceleration_spread[rows.stop + 2 :] == pytest.approx(np.sqrt(0.2) * np.abs(np.diff(after)))
 
 
+def test_wide_motion_is_that_of_two_steps():
+    base = drive(60, seed=3)
+    clean = cleaned(without(base, *POSITION))
+    speed = base["speed_kmh"] * KMH
+    mean = 0.5 * (clean.speed[2:] + clean.speed[1:-1])
+    assert clean.wide_speed[2:] == pytest.approx(mean)
+    gained = 0.5 * (speed[2:] ** 2 - speed[:-2] ** 2)
+    assert clean.wide_acceleration[2:] * mean * 2 * PERIOD == pytest.approx(gained)
+
+
+def test_wide_motion_is_weighted_by_the_time_of_the_steps():
+    base = drive(60, seed=3)
+    base["time_s"] = base["time_s"] + np.where(np.arange(60) == 30, 1.0, 0.0)
+    clean = cleaned(without(base, *POSITION))
+    ends, before = slice(29, 33), slice(28, 32)
+    times = clean.travel[ends] + clean.travel[before]
+    run = clean.speed * clean.travel
+    assert len(set(clean.travel[ends].round(6))) > 1
+    assert clean.wide_speed[ends] == pytest.approx((run[ends] + run[before]) / times)
+
+
+@pytest.mark.parametrize("rows", [slice(100, 101), slice(100, 130)])
+def test_wide_motion_does_not_reach_into_a_hole(rows):
+    base = drive(N, seed=3)
+    base["speed_kmh"][rows] = np.nan
+    clean = cleaned(without(base, *POSITION))
+    beside = slice(rows.start, rows.stop + 2)
+    assert clean.wide_speed[beside] == pytest.approx(clean.speed[beside])
+    assert clean.wide_acceleration[beside] == pytest.approx(clean.acceleration[beside])
+    assert clean.wide_speed[rows.stop + 2] == pytest.approx(clean.speed[rows.stop + 1 : rows.stop + 3].mean())
+
+
 def test_first_sample_of_a_moving_car_is_no_change():
     base = without(drive(20, speed=20.0), *POSITION)
     base["speed_kmh"] = 72.0 + 7.2 * (np.arange(20) % 2)

@@ -68,7 +68,8 @@ def test_effects_that_are_hardly_known_or_never_act_are_not_in_data(diagnosed):
     n = len(windows.measured)
     mostly = np.where(np.arange(n) < 0.6 * n, np.nan, 1.0)
     table = windows.table.drop(columns="effect_payload")
-    table = table.assign(effect_headwind=np.nan, effect_night_lights=0.0, effect_age=mostly)
+    table = table.assign(effect_headwind=np.nan, effect_age=mostly)
+    table = table.assign(**{name: 0.0 for name in table if name.startswith("effect_night_lights")})
     candidates = build_candidates(replace(windows, table=table), model)
     assert {candidates.excluded[name] for name in ("payload", "headwind", "night_lights", "age")} == {"not in the data"}
     assert np.isfinite(candidates.columns).all()

@@ -154,11 +154,14 @@ class TestHiddenEffect:
         assert diagnosis["verdict"] == HIDDEN
         first = diagnosis["missing"][0]
         assert first["effect"] == HIDDEN
-        assert first["group"][0] == HIDDEN
+        assert first["credible_set"][0] == HIDDEN
+        assert first["causes"] == diagnosis["causes"]
+        assert diagnosis["causes"][0]["effect"] == HIDDEN
+        assert sum(cause["probability"] for cause in diagnosis["causes"]) == pytest.approx(1.0)
         assert first["scope"] == "all"
         assert first["columns"] == [f"effect_{first['variant']}"]
         assert list_raw_columns(first["columns"][0])
-        assert first["q"] < 0.01
+        assert first["probability"] > 0.8
         (row,) = (row for row in diagnosis["candidates"] if row["effect"] == HIDDEN)
         assert row["status"] == "missing"
         assert row is diagnosis["candidates"][0] or row["gain"] > 0.0

@@ -1,4 +1,4 @@
-"""Test forward selection: planted effects are selected without decoys, proxies dropped, similar effects grouped."""
+"""Test forward selection: planted effects are selected without decoys, proxies dropped, twins share a probability."""
 
 from dataclasses import replace
 
@@ -9,6 +9,7 @@ from core import effects
 from core.diagnose.candidates import Candidates, build_candidates
 from core.diagnose.evidence import ClusterSums
 from core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
+from core.diagnose.posterior.probabilities import SEVERAL
 from core.diagnose.projection import BaseProjection
 from tests.support.synthetic_windows import (
     compute_coefficients,
@@ -62,7 +63,7 @@ def test_planted_effect_is_selected_without_decoys(effect):
         assert low < compute_coefficients(make_windows(), {effect: 0.06})[effect] < high
     assert finding.gain > LEAST_GAIN
     assert finding.gain > 2.0 * finding.gain_error
-    assert finding.selected.q < 0.01
+    assert finding.selected.probability > 0.7
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -75,15 +76,14 @@ def test_nothing_is_selected_without_planted_effect(seed):
 @pytest.mark.parametrize(
     "pair", [("headwind", "cold_rolling"), ("wet_road", "night_lights"), ("regen_full_battery", "cornering")]
 )
-def test_two_planted_effects_are_selected_or_grouped_by_gain(pair):
+def test_two_planted_effects_are_selected_one_after_the_other(pair):
     selection = search(dict.fromkeys(pair, 0.05), of_day=0.01)
-    selection.select_all()
-    findings = selection.list_missing_effects()
-    groups = [{each.selected.effect, *(name for name, _ in each.rivals)} for each in findings]
-    assert len(findings) == 2
-    assert all(any(effect in group for group in groups) for effect in pair)
-    assert sum(len(group) for group in groups) <= 3
-    assert findings[0].gain >= findings[1].gain
+    causes = selection.select_all()
+    assert [each.selected.effect for each in selection.list_missing_effects()] == [
+        each.effect for each in selection.selected
+    ]
+    assert named(selection) == set(pair)
+    assert causes.probabilities[SEVERAL] > 0.3
 
 
 def test_proxy_is_dropped_when_its_cause_is_selected():
@@ -107,47 +107,24 @@ def test_significant_effect_stays_beside_another():
     assert not selection.dropped
 
 
-@pytest.mark.parametrize("effect", ["night_lights", "headwind"])
-def test_nearly_identical_effects_form_one_group(effect):
-    selection = search({effect: 0.06}, effect, "cold_rolling", "wet_road", twin=0.02)
+@pytest.mark.parametrize("effect", ["cornering", "headwind"])
+def test_nearly_identical_effects_share_the_probability(effect):
+    selection = search({effect: 0.06}, effect, "cold_rolling", "wet_road", twin=0.002)
     selection.select_all()
-    assert len(selection.selected) == 1
-    (finding,) = selection.list_missing_effects()
-    assert {finding.selected.effect, *(name for name, _ in finding.rivals)} == {effect, "twin"}
-    assert finding.rivals[0][1] > 0.95
+    (selected,) = selection.selected
+    assert {effect, "twin"} <= set(selected.causes.list_credible_set())
+    assert selected.probability < 0.9
+    credible = selected.causes.list_credible_set()
+    (pair,) = [each for each in selection.correlate(selected, credible) if each[0] in {effect, "twin"}]
+    assert pair[1] > 0.95
 
 
 def test_moderately_correlated_effects_are_distinguished():
     selection = search({"night_lights": 0.08}, "night_lights", "cold_rolling", twin=0.5)
     selection.select_all()
-    (finding,) = selection.list_missing_effects()
-    assert finding.selected.effect == "night_lights"
-    assert finding.rivals == []
-
-
-class TestInexactRivals:
-    """An effect that depends on forces is known less exactly, so it may be the cause although it explains less."""
-
-    def rivals(self, true: float, blur: float) -> set[str]:
-        selection = search({"cold_rolling": 0.08}, "cold_rolling", "cold_regen_limit")
-        first = np.flatnonzero(selection.candidates.effects == 0)
-        column = selection.candidates.columns[:, first[0]]
-        noise = np.random.default_rng(5).normal(size=len(column)) * np.std(column)
-        made = np.where(
-            (selection.candidates.effects == 1)[np.newaxis], (true * column + blur * noise)[:, np.newaxis], 0.0
-        )
-        columns = np.where(selection.candidates.effects == 1, made, selection.candidates.columns)
-        selection.candidates = replace(selection.candidates, columns=columns)
-        selection.select_all()
-        (finding,) = selection.list_missing_effects()
-        assert finding.selected.effect == "cold_rolling"
-        return {name for name, _ in finding.rivals}
-
-    def test_noisy_copy_belongs_to_group(self):
-        assert self.rivals(1.0, 0.3) == {"cold_regen_limit"}
-
-    def test_dissimilar_rival_does_not_belong_to_group(self):
-        assert self.rivals(0.2, 1.0) == set()
+    (selected,) = selection.selected
+    assert selected.effect == "night_lights"
+    assert "twin" not in selected.causes.list_credible_set()
 
 
 def test_gain_of_an_implausible_coefficient_is_that_of_the_largest_plausible_one():
@@ -222,7 +199,7 @@ def test_selection_is_reproducible():
         selection.select_all()
         findings.append(
             [
-                (each.selected.variant, each.gain, each.evidence.p[0], each.rivals)
+                (each.selected.variant, each.gain, each.evidence.p[0], each.selected.probability)
                 for each in selection.list_missing_effects()
             ]
         )

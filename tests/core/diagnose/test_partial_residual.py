@@ -7,7 +7,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from core import effects
-from core.diagnose.bin_means import assign_bins, average_in_bins
+from core.diagnose.bin_means import average_in_bins, split_at_quantiles
 from core.diagnose.error_steps import compute_steps
 from core.diagnose.partial_residual import BINS, BINS_OF_CAR, compute_partial_residual
 from core.diagnose.residual_profile import profile_residual
@@ -119,7 +119,7 @@ def test_bin_of_one_day_has_no_interval():
 def test_bins_follow_the_order_of_values_with_zero_apart(shift):
     rng = np.random.default_rng(1)
     values = np.where(rng.random(500) < 0.4, 0.0, rng.normal(shift, 2.0, 500))
-    place, bins = assign_bins(values, 8)
+    place, bins = split_at_quantiles(values, 8)
     assert 2 <= bins <= 9
     assert len(set(place[values == 0.0])) == 1
     assert not set(place[values == 0.0]) & set(place[values != 0.0])

@@ -8,15 +8,15 @@ from tests.support.one_row import power
 
 def test_tenth_of_an_ohm_loses_a_kilowatt_at_36_kw():
     """A current of 100 A at 360 V and 25 °C loses 100^2 * 0.1 W = 1 kW."""
-    assert 0.1 * power("battery_resistance", traction=1800, speed=20, pack_temperature=298.15) == pytest.approx(1000)
-    assert power("battery_resistance", traction=-1800, speed=20, pack_temperature=298.15) == pytest.approx(10_000)
+    assert 0.1 * power("battery_resistance", wheel_power=36_000, pack_temperature=298.15) == pytest.approx(1000)
+    assert power("battery_resistance", wheel_power=-36_000, pack_temperature=298.15) == pytest.approx(10_000)
 
 
 @pytest.mark.parametrize(("activation", "growth"), [(1000, 1.815), (2500, 4.435), (4000, 10.84)])
 def test_resistance_grows_in_the_cold_by_arrhenius(activation, growth):
     """The growth is exp(E (1/253.15 K - 1/298.15 K)) = exp(E * 5.962e-4 / K)."""
     name = "battery_resistance" if activation == 2500 else f"battery_resistance@activation={activation}"
-    cold, warm = (power(name, traction=1000, speed=10, pack_temperature=t) for t in (253.15, 298.15))
+    cold, warm = (power(name, wheel_power=10_000, pack_temperature=t) for t in (253.15, 298.15))
     assert cold / warm == pytest.approx(growth, rel=2e-3)
     assert growth == pytest.approx(np.exp(activation * 5.962e-4), rel=2e-3)
 

@@ -82,7 +82,7 @@ def test_unknown_argument_gives_nan_only_in_its_row(each, argument):
 
 
 def test_effects_per_distance_are_zero_for_a_standing_car():
-    standing = {**rows(1, 8), "speed": np.zeros(8), "traction": np.zeros(8), "braking_force": np.zeros(8)}
+    standing = {**rows(1, 8), **dict.fromkeys(("speed", "traction", "wheel_power", "braking_force"), np.zeros(8))}
     for each in EACH:
         if each.per == "distance":
             assert not each.power(standing).any(), each.name
@@ -104,7 +104,7 @@ def test_most_effects_are_zero_in_mild_still_weather_by_day():
     mild = rows(5, 100)
     for name, value in {
         "ambient": 293.15, "pack_temperature": 298.15, "headwind": 0.0, "crosswind": 0.0, "air_density": 1.225,
-        "water": 0.0, "snow": 0.0, "darkness": 0.0, "solar": 0.0, "charge": 0.5, "vapour_pressure": 1000.0,
+        "water": 0.0, "snow": 0.0, "sun_sine": 0.5, "solar": 0.0, "charge": 0.5, "vapour_pressure": 1000.0,
         "turn_rate": 0.0, "odometer": 0.0, "occupants": 1.0, "parked": 0.0,
     }.items():  # fmt: skip
         mild[name] = np.full(100, value)

@@ -42,8 +42,6 @@ def test_age_takes_a_share_of_driving_power_that_grows_with_the_odometer():
 
 def test_power_loss_grows_with_the_square_of_the_driving_power():
     """The loss is 2.5 % of 10 kW, 250 W, and four times as much at 20 kW, driving or braking."""
-    assert 2.5e-6 * power("drivetrain_loss_power", traction=500, speed=20) == pytest.approx(250)
-    assert 2.5e-6 * power("drivetrain_loss_power", traction=1000, speed=20) == pytest.approx(1000)
-    assert power("drivetrain_loss_power", traction=-500, speed=20) == power(
-        "drivetrain_loss_power", traction=500, speed=20
-    )
+    assert 2.5e-6 * power("drivetrain_loss_power", wheel_power=10_000) == pytest.approx(250)
+    assert 2.5e-6 * power("drivetrain_loss_power", wheel_power=20_000) == pytest.approx(1000)
+    assert power("drivetrain_loss_power", wheel_power=-10_000) == power("drivetrain_loss_power", wheel_power=10_000)

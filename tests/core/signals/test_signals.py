@@ -177,6 +177,16 @@ def test_traction_at_steady_speed_equals_the_road_load():
     assert signals["traction"][-1] == pytest.approx(0.010 * 1575 * GRAVITY + 0.5 * 1.225 * 0.7 * 400, rel=1e-6)
 
 
+def test_wheel_power_is_the_road_load_over_two_steps():
+    signals = signals_of(drive(N, seed=3), None, (0.01, 0.7))
+    speed, acceleration = signals.clean.wide_speed, signals.clean.wide_acceleration
+    force = 1575 * (acceleration + 0.010 * GRAVITY) + 0.5 * 1.225 * 0.7 * speed**2
+    moving = speed > 0.0
+    assert moving.sum() > 100
+    assert signals["wheel_power"][moving] == pytest.approx(force[moving] * speed[moving])
+    assert not signals["wheel_power"][~moving].any()
+
+
 def test_reported_values_take_precedence_over_assumed_ones():
     base = drive(N, soc_pct=80.0, battery_temperature_c=-4.0, odometer_km=1234.0, ambient_c=7.0)
     signals = signals_of(base, {"solar_w_m2": 300.0})

@@ -16,17 +16,17 @@ from core.fit.recipes import fit_to_windows
 from core.pipeline import Pipeline
 from core.settings import Settings
 from core.wire.messages import Telemetry, Weather, encode
-from tools.bench.hidden import cases as cases_module
-from tools.bench.hidden.cases import RIGHT_NAMES, Case, SeedData, get_right_names, strip_shape
+from tests.support.diagnosed_names import make_name, make_result
+from tools.bench.hidden.cases import RIGHT_NAMES, Case, get_right_names
 from tools.bench.hidden.drives import FLEET, Scope, simulate_drives
 from tools.bench.hidden.errors import compute_errors, predict_held_out
-from tools.bench.hidden.evaluation import compute_true_energy, evaluate_case, grade_names, is_scope_right
+from tools.bench.hidden.evaluation import compute_true_energy, evaluate_case
 from tools.bench.hidden.parts import ABSORBED, FRESH, PARTS, Selection, draw_sample
 from tools.bench.hidden.recording import add_weather_noise, record_drives
 from tools.bench.hidden.running import make_tasks, run_cases
 from tools.simulator.fleet import simulate
 from tools.simulator.hidden import EFFECTS
-from tools.simulator.hidden_shapes import OTHER_SHAPES
+from tools.simulator.hidden_shapes import OTHER_SHAPES, strip_shape
 from tools.simulator.settings import STEPS_PER_SAMPLE, Hidden
 
 SMALL = replace(FLEET, seed=3, vehicles=2, days=2, day_step=100)
@@ -41,16 +41,6 @@ def drives():
 @pytest.fixture(scope="module")
 def recording(drives):
     return record_drives(drives)
-
-
-@pytest.fixture(scope="module")
-def source():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cases_module, "FLEET", replace(FLEET, vehicles=4, days=7, day_step=50))
-        patch.setattr(cases_module, "TURNS", 1)
-        whole = SeedData(5)
-        whole.recording("none")
-        yield whole
 
 
 def remove_power(message):
@@ -168,70 +158,11 @@ class TestNames:
         assert set(RIGHT_NAMES) | set(ABSORBED) <= set(EFFECTS)
         for effect in EFFECTS:
             assert all(name in effects.get_library() for name in get_right_names(effect))
-        assert strip_shape("snow~other") == "snow"
+        assert [strip_shape(f"snow{end}") for end in ("", "~other", "~bent7")] == ["snow"] * 3
         assert get_right_names("snow~other") == ("snow",)
 
 
-def make_name(effect, columns=(), group=(), value=1.0, plausible=True):
-    """Return a name as diagnosis gives it."""
-    return {
-        "effect": effect,
-        "variant": effect,
-        "group": list(group),
-        "scope": "all",
-        "columns": [f"effect_{effect}", *columns],
-        "gain": 0.01,
-        "energy_share": 0.03,
-        "q": 0.001,
-        "coefficient": {"value": value, "ci95": [0.5 * value, 1.5 * value], "plausible": plausible},
-    }
-
-
-def make_result(*missing, structure=False):
-    """Return a result of diagnosis."""
-    return {
-        "missing": list(missing),
-        "verdict": missing[0]["effect"] if missing else None,
-        "structure_remains": structure,
-        "error": {"mae_kwh": 0.1, "noise_floor_kwh": 0.05},
-    }
-
-
 class TestEvaluation:
-    case = Case(5, (Hidden("snow", 0.03),))
-
-    @pytest.mark.parametrize(
-        ("result", "outcome", "doubt"),
-        [
-            (make_result(), "none", False),
-            (make_result(make_name("snow")), "right", False),
-            (make_result(make_name("wet_road", group=["snow"])), "group", True),
-            (make_result(make_name("wet_road")), "wrong", False),
-            (make_result(make_name("wet_road"), structure=True), "wrong", True),
-            (make_result(make_name("wet_road", plausible=False)), "wrong", True),
-        ],
-    )
-    def test_outcome_grades_the_first_name(self, result, outcome, doubt):
-        grade = grade_names(self.case, result)
-        assert (grade["outcome"], grade["doubt"]) == (outcome, doubt)
-
-    def test_two_effects_count_among_two_names(self):
-        both = Case(5, (Hidden("snow", 0.03), Hidden("headwind", 0.03)))
-        assert grade_names(both, make_result(make_name("headwind"), make_name("snow")))["found"] == 2
-        assert (
-            grade_names(both, make_result(make_name("headwind"), make_name("payload"), make_name("snow")))["found"] == 1
-        )
-
-    def test_scope_includes_cars_and_dates(self):
-        one, later = replace(self.case, where=Scope(vehicle="a")), replace(self.case, where=Scope(since="2018-06-01"))
-        assert is_scope_right(self.case, ["effect_wet_road@depth=0.001"])
-        assert not is_scope_right(self.case, ["effect_snow", "vehicle=a"])
-        assert is_scope_right(one, ["effect_snow", "vehicle=a"])
-        assert not is_scope_right(one, ["effect_snow", "vehicle=b"])
-        assert is_scope_right(later, ["effect_snow", "since=2018-06-20"])
-        assert not is_scope_right(later, ["effect_snow", "since=2018-09-01"])
-        assert not is_scope_right(later, ["effect_snow"])
-
     def test_record_contains_the_truth(self, source):
         case = Case(5, (Hidden("headwind", 0.06),))
         tables = source.tables(case)
@@ -247,6 +178,8 @@ class TestEvaluation:
         assert 0.8 < record["left"] <= 1.0
         assert 0.8 < record["alike"] <= 1.0
         assert record["z"] > 3.0
+        assert record["visible"] is True
+        assert record["baselines"]["stlsq"][0] == "headwind"
         assert 0.05 < interval["truth"] < 3.0
         assert max(record["errors"]["truth"], record["errors"]["after"]) < record["errors"]["before"]
         assert record["stlsq_seconds"] > 0.0
@@ -303,15 +236,22 @@ class TestParts:
     def test_parts_contain_the_selected_data_sets(self):
         choice = Selection(seeds=10)
         one = list(PARTS["one"](choice))
-        assert len(one) == len(set(one)) == len(EFFECTS) * 10 * 4 * 2 * 2 * 2
+        assert len(one) == len(set(one)) == len(EFFECTS) * 10 * 4 * 2 * 2 * 3
         none = list(PARTS["none"](choice))
         assert len(none) >= 100
         assert all(case.seed >= FRESH and not case.hidden for case in none)
         two = list(PARTS["two"](choice))
-        assert all(len(case.hidden) == 2 and not {e for e, _ in case.hidden} & set(ABSORBED) for case in two)
-        assert all(case.where.vehicle for case in PARTS["vehicle"](choice))
-        assert all(case.where.since for case in PARTS["date"](choice))
+        assert all(len({strip_shape(e) for e, _ in case.hidden} - set(ABSORBED)) == 2 for case in two)
         assert all(case.without == get_right_names(case.hidden[0].effect) for case in PARTS["outside"](choice))
+
+    def test_bent_shapes_differ_between_seeds(self):
+        choice = Selection(seeds=2, effects=("snow",), shares=(0.03,), measurements=("vi",), weathers=("none",))
+        names = [case.hidden[0].effect for case in PARTS["one"](choice)]
+        assert names == ["snow", "snow~other", "snow~bent0", "snow", "snow~other", "snow~bent1"]
+        assert {e.partition("~")[2] for case in PARTS["two"](Selection(seeds=5)) for e, _ in case.hidden} >= {
+            "",
+            "other",
+        }
 
     def test_different_seeds_have_different_drives(self):
         for part in PARTS.values():

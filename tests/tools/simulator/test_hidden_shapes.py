@@ -7,9 +7,10 @@ import pytest
 
 from core.errors import SettingsError
 from tests.support.simulated import SMALL, SUMMER, WINTER, drive_one_shift, run_simulation
+from tools.simulator.bent_shapes import BENT
 from tools.simulator.fleet import simulate
 from tools.simulator.hidden import EFFECTS, EffectInputs
-from tools.simulator.hidden_shapes import OTHER, OTHER_SHAPES, POWERS
+from tools.simulator.hidden_shapes import OTHER, OTHER_SHAPES, get_power
 from tools.simulator.settings import Hidden
 
 IN_SUMMER = {"cabin_cooling", "solar_load", "wet_road", "humidity"}
@@ -33,7 +34,16 @@ def compute_cosine(one, other):
 class TestShapes:
     def test_every_effect_has_another_shape(self):
         assert set(OTHER_SHAPES) == set(EFFECTS)
-        assert len(POWERS) == 2 * len(EFFECTS)
+
+    @pytest.mark.parametrize("effect", sorted(OTHER_SHAPES))
+    def test_bent_shapes_differ_from_each_other_and_resemble_the_effect(self, effect):
+        inputs = make_view(effect)
+        first, *bent = (get_power(f"{effect}{end}")(inputs) for end in ("", f"{BENT}1", f"{BENT}2"))
+        for each in bent:
+            assert np.isfinite(each).all()
+            assert 0.2 < compute_cosine(first, each) < 0.99999
+        assert compute_cosine(*bent) < 0.99999
+        assert (get_power(f"{effect}{BENT}1")(inputs) == bent[0]).all()
 
     @pytest.mark.parametrize("effect", sorted(OTHER_SHAPES))
     def test_shapes_are_similar_and_not_equal(self, effect):

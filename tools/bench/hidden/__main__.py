@@ -16,11 +16,13 @@ from rich.progress import Progress
 from core.diagnose.diagnosis import diagnose
 from core.errors import SettingsError, SocastError
 from tools.bench.hidden.cases import Weather
-from tools.bench.hidden.evaluation import Record
-from tools.bench.hidden.figures import compute_figures, summarise_timing
+from tools.bench.hidden.export import export_tasks
+from tools.bench.hidden.figures import compute_figures, list_stated, summarise_timing
+from tools.bench.hidden.grading import Record
 from tools.bench.hidden.page import make_section, replace_section
-from tools.bench.hidden.parts import PARTS, SEEDS, SHARES, Selection, draw_sample
+from tools.bench.hidden.parts import PARTS, SEEDS, SHAPES, SHARES, Selection, draw_sample
 from tools.bench.hidden.recording import Measurement
+from tools.bench.hidden.reliability_figure import FILE, draw_reliability
 from tools.bench.hidden.running import PROCESSES, Task, make_tasks, run_tasks
 from tools.simulator.hidden import EFFECTS
 from tools.terminal.rich_table import Column, make_table
@@ -55,6 +57,10 @@ def main(arguments: list[str] | None = None) -> int:
             task for part in parts for task in make_tasks(part, draw_sample(list(PARTS[part](choice)), sizes.get(part)))
         ]
         todo.sort(key=lambda task: task[1][0].seed)  # so that the drives of a seed are simulated once for all parts
+        if options.export:
+            count = export_tasks(todo, options.export, options.processes)
+            console.print(f"{count:,} data sets written to {options.export}", highlight=False)
+            return 0
         records = collect_records(todo, options.keep, options.processes, console)
     except SocastError as error:
         print(error, file=sys.stderr)
@@ -67,6 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
         run = f"drawn at random: {drawn}" if drawn else "all data sets"
         new = make_section(records, f"{choice.seeds} seeds from {choice.first}, {run}")
         path.write_text(replace_section(path.read_text(encoding="utf-8"), new), encoding="utf-8")
+        (ROOT / FILE).write_text(draw_reliability(list_stated(records)), encoding="utf-8")
     return 0
 
 
@@ -80,12 +87,13 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--shares", default=",".join(map(str, SHARES)), help="shares of the energy")
     parser.add_argument("--measurements", default="vi,soc", help="vi (voltage and current) or soc only")
     parser.add_argument("--weathers", default="none,noisy", help="error of the weather: none or noisy")
-    parser.add_argument("--shapes", default="first,other", help="shapes of the effects: first (linear forms) or other")
+    parser.add_argument("--shapes", default=",".join(SHAPES), help=f"shapes of the effects: {', '.join(SHAPES)}")
     parser.add_argument("--sample", help="number of data sets drawn from each part: 60, or one=300,none=100")
     parser.add_argument("--quick", action="store_true", help=f"same as --sample {QUICK}")
     parser.add_argument("--keep", type=Path, help="folder for records; existing records are not made again")
     parser.add_argument("--processes", type=int, default=PROCESSES, help="number of processes")
     parser.add_argument("--json", type=Path, help=f"file for all records; default {RECORDS}")
+    parser.add_argument("--export", type=Path, help="folder for the data sets as Parquet files; nothing is diagnosed")
     parser.add_argument("--dry", action="store_true", help=f"do not write {PAGE}")
     return parser
 
@@ -149,7 +157,7 @@ def parse_selection(options: argparse.Namespace) -> Selection:
         shares=shares,
         measurements=parse_list("--measurements", options.measurements, get_args(Measurement)),
         weathers=parse_list("--weathers", options.weathers, get_args(Weather)),
-        shapes=parse_list("--shapes", options.shapes, ("first", "other")),
+        shapes=parse_list("--shapes", options.shapes, SHAPES),
     )
 
 
@@ -214,11 +222,12 @@ def print_figures(records: list[Record], console: Console) -> None:
     console : Console
         Where to print.
     """
-    columns = [Column("figure"), Column("goal"), Column("is", number=True), Column("of", number=True), Column("")]
+    columns = [Column("figure"), Column("goal"), Column("is", number=True), Column("95 % interval"),
+               Column("of", number=True), Column("")]  # fmt: skip
     table = make_table(columns, "Hidden effects")
     for figure in compute_figures(records):
         if figure.of:
-            table.add_row(figure.what, figure.goal, figure.text, str(figure.of), "met" if figure.met else "missed")
+            table.add_row(figure.what, figure.goal, figure.text, figure.interval, str(figure.of), figure.verdict)
     console.print(table)
     seconds, ratio, count = summarise_timing(records)
     if count:

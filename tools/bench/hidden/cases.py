@@ -18,7 +18,7 @@ from tools.bench.hidden.drives import (
     simulate_drives,
 )
 from tools.bench.hidden.recording import Measurement, Recording, Tables, add_weather_noise, record_drives
-from tools.simulator.hidden_shapes import OTHER
+from tools.simulator.hidden_shapes import strip_shape
 from tools.simulator.settings import Hidden
 
 Weather = Literal["none", "noisy"]
@@ -76,17 +76,6 @@ class Case:
     def recipe(self) -> str:
         """Recipe of the model that is diagnosed."""
         return "road_load_constant" if self.bare else "road_load"
-
-
-def strip_shape(effect: str) -> str:
-    """Return the name of an effect without its shape.
-
-    Parameters
-    ----------
-    effect : str
-        Name of the effect in either shape.
-    """
-    return effect.removesuffix(OTHER)
 
 
 def get_right_names(effect: str) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ from tools.simulator.fleet import (
     merge_weather,
 )
 from tools.simulator.hidden import EffectInputs
-from tools.simulator.hidden_shapes import POWERS
+from tools.simulator.hidden_shapes import get_power
 from tools.simulator.settings import PLAIN_PHENOMENA, STEPS_PER_SAMPLE, Faults, Hidden, Phenomena, Simulation
 
 BASE: Final = PLAIN_PHENOMENA._replace(payload=True)
@@ -226,7 +226,7 @@ class Drives:
         """Return the powers at natural size [W], (effects, steps); None if nothing is hidden in the shift."""
         if not hidden or not where.contains(leg):
             return None
-        return np.stack([POWERS[effect](view) for effect, _ in hidden])
+        return np.stack([get_power(effect)(view) for effect, _ in hidden])
 
     def _factors(self, views: list[EffectInputs], hidden: tuple[Hidden, ...], where: Scope) -> list[float]:
         """Return the factor of each effect."""

@@ -1,21 +1,28 @@
-"""Summarise all records: figures with goals, and tables by effect, share and part."""
+"""Summarise all records: figures with goals, and the intervals that the number of data sets allows."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
+from math import isnan, nan
+from statistics import median
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from tools.bench.hidden.cases import strip_shape
-from tools.bench.hidden.evaluation import Record
-from tools.bench.hidden.parts import ABSORBED, PAIR_SHARE, SHARES
-from tools.simulator.hidden_shapes import OTHER
+from core.stats.clustered import compute_wilson_interval
+from tools.bench.hidden.grading import Record
+from tools.bench.hidden.parts import ABSORBED
+from tools.bench.hidden.reliability import Stated, compute_calibration_error
+from tools.simulator.hidden_shapes import strip_shape
 
-GOOD: Final = frozenset({"right", "group"})
 LEAST: Final = {"vi": 0.015, "soc": 0.03}
 """Share of the energy from which on diagnosis should name an effect. [1]"""
-VISIBLE: Final = 4.0
-"""Number of standard errors from which on a hidden effect counts as visible."""
-Lines = list[str]
+SURE: Final = 0.9
+"""Probability from which on a name is given as sure. [1]"""
+LIKELY: Final = 0.5
+"""Probability from which on a name counts as a claim where nothing is hidden. [1]"""
+LEAST_WAY: Final = 0.03
+"""Share of the error that knowing the truth must remove for the way there to be judged. [1]"""
+SINGLE: Final = ("one", "none", "outside")
+"""Parts with at most one effect, on which probabilities are judged."""
 
 
 class Figure(NamedTuple):
@@ -24,11 +31,11 @@ class Figure(NamedTuple):
     Parameters
     ----------
     what, goal : str
-        Description and goal.
+        Description and goal; no goal where the figure is only reported.
     value : float
         Value, NaN if nothing was run.
-    text : str
-        The value as text.
+    text, interval : str
+        The value and its 95 % interval as text.
     of : int
         Number of data sets or names behind the value.
     met : bool
@@ -39,8 +46,14 @@ class Figure(NamedTuple):
     goal: str
     value: float
     text: str
+    interval: str
     of: int
     met: bool
+
+    @property
+    def verdict(self) -> str:
+        """Whether the goal is met, as text; empty without a goal."""
+        return ("met" if self.met else "missed") if self.goal else ""
 
 
 def compute_figures(records: Sequence[Record]) -> list[Figure]:
@@ -51,35 +64,47 @@ def compute_figures(records: Sequence[Record]) -> list[Figure]:
     records : sequence of Record
         Records of all data sets.
     """
-    done = [r for r in records if "refused" not in r]
-    one = [r for r in _part(done, "one") if not is_absorbed(r)]
     vi, soc = select_counted(records, "vi"), select_counted(records, "soc")
-    two = _part(done, "two")
-    none, outside = _part(done, "none"), [r for r in _part(done, "outside") if not is_absorbed(r)]
-    sure = [r for r in outside if r["names"] and not r["doubt"]]
-    contained = [i["holds"] for r in [*one, *two] for i in r["intervals"] if i["right"]]
-    named = [r for r in vi if r["names"]]
+    one, two = [*vi, *soc], select_part(records, "two")
+    none, outside = select_part(records, "none"), select_part(records, "outside")
+    stated = list_stated(records)
+    sure = [right for probability, right in stated if probability >= SURE]
+    contained = [i["holds"] for r in [*select_part(records, "one"), *two] for i in r["intervals"] if i["right"]]
+    visible_vi, visible_soc = ([r for r in some if r["visible"]] for some in (vi, soc))
     return [
-        _at_least(
-            "right effect (or a group that holds it) first, V·I, at 1.5 % or more", 0.97, compute_hit_rate(vi), len(vi)
+        _share("V·I, 1.5 % or more, visible: truth first", [is_right(r) for r in visible_vi], least=0.90),
+        _share("V·I, 1.5 % or more, all: truth first", [is_right(r) for r in vi], least=0.82),
+        _share("SOC only, 3 % or more, visible: truth first", [is_right(r) for r in visible_soc]),
+        _share("SOC only, 3 % or more, all: truth first", [is_right(r) for r in soc], least=0.85),
+        _share("all of these: wrong name first", [r["outcome"] == "wrong" for r in one], most=0.05),
+        _share("all of these: first name wrong and sure (90 % or more)", [is_wrong_and_sure(r) for r in one]),
+        _share("all of these: credible set of 90 % holds the truth", [r["set_holds"] for r in one], 0.88, 0.95),
+        _median_size(one),
+        _share("names given with 90 % or more are right", sure, least=0.88),
+        _calibration_error(stated),
+        _share("truth not in the library: wrong and sure", [is_wrong_and_sure(r) for r in outside], most=0.02),
+        _claims(none),
+        _share(
+            "two effects, both visible: both in the credible sets of the first two steps",
+            [r["found"] == 2 for r in two if r["visible"]],
+            least=0.85,
         ),
-        _at_least("the same, SOC only, at 3 % or more", 0.90, compute_hit_rate(soc), len(soc)),
-        _at_least("two effects: both in the first two steps", 0.90, _mean(r["found"] == 2 for r in two), len(two)),
-        _names(none),
-        _at_most(
-            "true effect not in the library: wrong name without a sign of doubt",
-            0.03,
-            _rate(sure, outside),
-            len(outside),
-        ),
-        _between("95 % intervals of the coefficient contain the truth", 0.90, 0.98, _mean(contained), len(contained)),
-        _at_least(
-            "error reduction by adding, relative to that of the model that knows the truth",
-            0.90,
-            compute_error_reduction(named),
-            len(named),
-        ),
+        _share("95 % intervals of the coefficient contain the truth", contained, 0.90, 0.98),
+        _way(one),
     ]
+
+
+def select_part(records: Sequence[Record], part: str) -> list[Record]:
+    """Return the records of a part that could be made, without effects that the base absorbs.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Records of all data sets.
+    part : str
+        Name of the part.
+    """
+    return [r for r in records if r["part"] == part and "refused" not in r and not is_absorbed(r)]
 
 
 def select_counted(records: Sequence[Record], measurement: str) -> list[Record]:
@@ -92,47 +117,47 @@ def select_counted(records: Sequence[Record], measurement: str) -> list[Record]:
     measurement : {"vi", "soc"}
         The measurement.
     """
-    one = [r for r in _part(records, "one") if "refused" not in r and not is_absorbed(r)]
+    one = select_part(records, "one")
     return [r for r in one if r["measurement"] == measurement and get_share(r) >= LEAST[measurement]]
 
 
-def summarise_timing(records: Sequence[Record]) -> tuple[float, float, int]:
-    """Return the median time of diagnosis [s], its ratio to that of sparse regression, and the number of timings.
+def list_stated(records: Sequence[Record]) -> Stated:
+    """Return the probability of the first name of each data set with at most one effect, and whether it is right.
 
     Parameters
     ----------
     records : sequence of Record
         Records of all data sets.
+
+    Returns
+    -------
+    list of (float, bool)
+        Only those in which a name is given.
     """
-    timed = [r for r in records if r.get("stlsq_seconds")]
-    if not timed:
-        return float("nan"), float("nan"), 0
-    seconds = float(np.median([r["seconds"] for r in timed]))
-    return seconds, seconds / float(np.median([r["stlsq_seconds"] for r in timed])), len(timed)
+    single = [r for part in SINGLE for r in select_part(records, part)]
+    return [(r["names"][0]["probability"], r["names"][0]["right"]) for r in single if r["names"]]
 
 
-def compute_hit_rate(records: Sequence[Record]) -> float:
-    """Return the share of records whose first name is right or stands for a group that holds the right one.
+def is_right(record: Record) -> bool:
+    """Return whether the first name is right.
 
     Parameters
     ----------
-    records : sequence of Record
-        The records.
+    record : Record
+        The record.
     """
-    return _mean(r["outcome"] in GOOD for r in records)
+    return bool(record["outcome"] == "right")
 
 
-def compute_error_reduction(records: Sequence[Record]) -> float:
-    """Return the reduction of the error divided by that of the model that knows the truth, over all rides together.
+def is_wrong_and_sure(record: Record) -> bool:
+    """Return whether the first name is wrong and has a probability of 90 % or more.
 
     Parameters
     ----------
-    records : sequence of Record
-        The records.
+    record : Record
+        The record.
     """
-    reduction = sum(r["errors"]["before"] - r["errors"]["after"] for r in records)
-    best = sum(r["errors"]["before"] - r["errors"]["truth"] for r in records)
-    return reduction / best if best > 0.0 else float("nan")
+    return bool(record["outcome"] == "wrong" and record["names"][0]["probability"] >= SURE)
 
 
 def is_absorbed(record: Record) -> bool:
@@ -157,206 +182,141 @@ def get_share(record: Record) -> float:
     return float(record["hidden"][0][1])
 
 
-def tabulate_by_effect(records: Sequence[Record]) -> Lines:
-    """Return a table of the hit rate of each effect by measurement and share, in the first and the other shape.
+def compute_hit_rate(records: Sequence[Record]) -> float:
+    """Return the share of records whose first name is right, NaN without records.
 
     Parameters
     ----------
     records : sequence of Record
-        Records of all data sets.
-
-    Returns
-    -------
-    list of str
-        Lines of the table. The first columns give the part of the effect that the base cannot explain, and the
-        similarity of that part to the effect of the library.
+        The records.
     """
-    one = [r for r in _part(records, "one") if "refused" not in r]
-    columns = [*(("vi", size) for size in SHARES), *(("soc", size) for size in SHARES)]
-    lines = _head(["effect", "remaining", "similarity", *(f"{_SHORT[m]} {size:.3g}" for m, size in _percent(columns))])
-    for effect in sorted({strip_shape(r["hidden"][0][0]) for r in one}, key=lambda e: (e in ABSORBED, e)):
-        group = [r for r in one if strip_shape(r["hidden"][0][0]) == effect]
-        cells = [
-            "/".join(_cell([r for r in here if has_other_shape(r) == other]) for other in (False, True))
-            for m, size in columns
-            for here in [[r for r in group if r["measurement"] == m and get_share(r) == size]]
-        ]
-        visibility = [
-            "/".join(_median(r[key] for r in group if has_other_shape(r) == o) for o in (False, True)) for key in _SEEN
-        ]
-        lines.append(_row([effect + (" (absorbed)" if effect in ABSORBED else ""), *visibility, *cells]))
-    return lines
+    return sum(is_right(r) for r in records) / len(records) if records else nan
 
 
-def has_other_shape(record: Record) -> bool:
-    """Return whether the hidden effect has the other shape.
+def compute_error_reduction(records: Sequence[Record]) -> float:
+    """Return the reduction of the error divided by that of the model that knows the truth, over all rides together.
 
     Parameters
     ----------
-    record : Record
-        The record.
+    records : sequence of Record
+        The records.
     """
-    return any(effect.endswith(OTHER) for effect, _ in record["hidden"])
+    reduction = sum(r["errors"]["before"] - r["errors"]["after"] for r in records)
+    best = sum(r["errors"]["before"] - r["errors"]["truth"] for r in records)
+    return reduction / best if best > 0.0 else nan
 
 
-def tabulate_by_share(records: Sequence[Record]) -> Lines:
-    """Return a table of right, wrong and no names by measurement, weather, shape and share, without absorbed effects.
+def select_far(records: Sequence[Record]) -> list[Record]:
+    """Return the records in which the model that knows the truth has an error at least `LEAST_WAY` smaller.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        The records.
+    """
+    return [r for r in records if r["errors"]["before"] - r["errors"]["truth"] > LEAST_WAY * r["errors"]["before"]]
+
+
+def summarise_timing(records: Sequence[Record]) -> tuple[float, float, int]:
+    """Return the median time of diagnosis [s], its ratio to that of sparse regression, and the number of timings.
 
     Parameters
     ----------
     records : sequence of Record
         Records of all data sets.
     """
-    one = [r for r in _part(records, "one") if "refused" not in r and not is_absorbed(r)]
-    lines = _head(
-        ["measurement", "weather", "shape", *(f"{100 * s:g} %: right, wrong, none" for s in SHARES), "error reduction"]
-    )
-    keys = sorted({(r["measurement"], r["weather"], has_other_shape(r)) for r in one}, reverse=True)
-    for measurement, weather, other in keys:
-        group = [
-            r for r in one if (r["measurement"], r["weather"], has_other_shape(r)) == (measurement, weather, other)
-        ]
-        cells = [_three([r for r in group if get_share(r) == size]) for size in SHARES]
-        labels = [_SHORT[measurement], "exact" if weather == "none" else "30 % off", "other" if other else "first"]
-        lines.append(_row([*labels, *cells, _percentage(compute_error_reduction([r for r in group if r["names"]]))]))
-    return lines
+    timed = [r for r in records if r.get("stlsq_seconds")]
+    if not timed:
+        return nan, nan, 0
+    seconds = float(np.median([r["seconds"] for r in timed]))
+    return seconds, seconds / float(np.median([r["stlsq_seconds"] for r in timed])), len(timed)
 
 
-def tabulate_by_part(records: Sequence[Record]) -> Lines:
-    """Return a table of the parts without goals, and of the effects that are counted separately.
+def format_rate(successes: Sequence[bool]) -> str:
+    """Return a share in per cent with its 95 % interval.
 
     Parameters
     ----------
-    records : sequence of Record
-        Records of all data sets.
+    successes : sequence of bool
+        Whether each trial succeeded.
+
+    Examples
+    --------
+    >>> format_rate([True, True, False, True])
+    '75 % (30 to 95)'
     """
-    done = [r for r in records if "refused" not in r]
-    lines = _head(["part", "measurement", "data sets", "right, wrong, none", "right scope also", "names per data set"])
-    labels: list[tuple[str, Callable[[Record], bool]]] = [
-        (f"one vehicle only, {PAIR_SHARE:.0%} of its energy", lambda r: r["part"] == "vehicle" and not is_absorbed(r)),
-        ("the same, with the shape of the base", lambda r: r["part"] == "vehicle" and is_absorbed(r)),
-        (f"from a date on, {PAIR_SHARE:.0%} of the energy since", lambda r: r["part"] == "date" and not is_absorbed(r)),
-        ("the same, with the shape of the base", lambda r: r["part"] == "date" and is_absorbed(r)),
-        (
-            "everywhere, with the shape of the base: no error remains to explain",
-            lambda r: r["part"] == "one" and is_absorbed(r),
-        ),
-        ("not in the library", lambda r: r["part"] == "outside" and not is_absorbed(r)),
-        ("nothing hidden", lambda r: r["part"] == "none"),
-    ]
-    for what, belongs in labels:
-        for measurement in ("vi", "soc"):
-            group = [r for r in done if r["measurement"] == measurement and belongs(r)]
-            if group:
-                scope = _mean(r["scope_right"] and r["outcome"] in GOOD for r in group)
-                names = _mean(r["names"] for r in group)
-                scope_text = _percentage(scope) if group[0]["part"] in {"vehicle", "date"} else ""
-                lines.append(
-                    _row([what, _SHORT[measurement], str(len(group)), _three(group), scope_text, f"{names:.2f}"])
-                )
-    return lines
-
-
-def tabulate_wrong_names(records: Sequence[Record], most: int = 12) -> Lines:
-    """Return a table of the most frequent wrong names and of the effects that were hidden.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records of all data sets.
-    most : int
-        Largest number of lines.
-    """
-    pairs: dict[tuple[str, str], int] = {}
-    for r in records:
-        if "refused" not in r and r["names"] and r["outcome"] not in GOOD and r["part"] in {"one", "outside", "none"}:
-            hidden = " + ".join(sorted(strip_shape(effect) for effect, _ in r["hidden"])) or "nothing"
-            key = hidden, r["missing"][0]["effect"]
-            pairs[key] = pairs.get(key, 0) + 1
-    lines = _head(["hidden", "named", "data sets"])
-    frequent = sorted(pairs.items(), key=lambda item: -item[1])[:most]
-    return lines + [_row([hidden, named, str(n)]) for (hidden, named), n in frequent]
-
-
-_SEEN: Final = ("left", "alike")
-_SHORT: Final = {"vi": "V·I", "soc": "SOC"}
-
-
-def _part(records: Sequence[Record], part: str) -> list[Record]:
-    """Return the records of a part."""
-    return [r for r in records if r["part"] == part]
-
-
-def _mean(values: Iterable[float]) -> float:
-    """Return the mean of values, NaN if there are none."""
-    present = [float(value) for value in values]
-    return sum(present) / len(present) if present else float("nan")
-
-
-def _median(values: Iterable[float]) -> str:
-    """Return the median of values as text."""
-    present = list(values)
-    return f"{np.median(present):.2f}" if present else "–"
-
-
-def _rate(some: Sequence[Record], of: Sequence[Record]) -> float:
-    """Return the share of some records among others, NaN if there are none."""
-    return len(some) / len(of) if of else float("nan")
-
-
-def _percentage(value: float) -> str:
-    """Return a share as text."""
-    return "" if np.isnan(value) else f"{100 * value:.0f} %"
-
-
-def _at_least(what: str, goal: float, value: float, count: int) -> Figure:
-    """Return a figure whose goal is a lower bound."""
-    return Figure(what, f"{goal:.0%}".replace("%", " %"), value, _percentage(value), count, value >= goal)
-
-
-def _at_most(what: str, goal: float, value: float, count: int) -> Figure:
-    """Return a figure whose goal is an upper bound."""
-    text = "" if np.isnan(value) else f"{100 * value:.1f} %"
-    return Figure(what, f"{100 * goal:g} % or fewer", value, text, count, value <= goal)
-
-
-def _between(what: str, low: float, high: float, value: float, count: int) -> Figure:
-    """Return a figure whose goal is a range."""
-    return Figure(what, f"{100 * low:g} to {100 * high:g} %", value, _percentage(value), count, low <= value <= high)
-
-
-def _names(none: Sequence[Record]) -> Figure:
-    """Return the figure of names given although nothing is hidden."""
-    value = _mean(r["names"] for r in none)
-    text = "" if np.isnan(value) else f"{value:.2f}"
-    return Figure(
-        "names given when nothing is hidden", "0.1 per data set or fewer", value, text, len(none), value <= 0.1
-    )
-
-
-def _three(records: Sequence[Record]) -> str:
-    """Return the percentages of right, wrong and no names."""
-    if not records:
+    if not successes:
         return ""
-    good, no = compute_hit_rate(records), _mean(r["names"] == 0 for r in records)
-    return f"{100 * good:.0f}, {100 * (1 - good - no):.0f}, {100 * no:.0f}"
+    share = sum(successes) / len(successes)
+    low, high = compute_wilson_interval(share, len(successes))
+    return f"{100 * share:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
 
 
-def _cell(records: Sequence[Record]) -> str:
-    """Return the hit rate as text, a dash if there are no records."""
-    return f"{100 * compute_hit_rate(records):.0f}" if records else "–"
+def _share(what: str, successes: Sequence[bool], least: float = 0.0, most: float = 1.0) -> Figure:
+    """Return the figure of a share, with a goal where a bound is given."""
+    value = sum(successes) / len(successes) if successes else nan
+    if least == 0.0 and most == 1.0:
+        goal = ""
+    elif least == 0.0:
+        goal = f"{100 * most:g} % or less"
+    else:
+        goal = f"{100 * least:g} % or more" if most == 1.0 else f"{100 * least:g} to {100 * most:g} %"
+    text = "" if isnan(value) else f"{100 * value:.1f} %"
+    return Figure(
+        what, goal, value, text, _format_interval(value, len(successes)), len(successes), least <= value <= most
+    )
 
 
-def _percent(pairs: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
-    """Return pairs with the share in per cent."""
-    return [(measurement, 100 * size) for measurement, size in pairs]
+def _format_interval(share: float, count: int) -> str:
+    """Return Wilson's 95 % interval of a share as text; empty without data sets."""
+    if not count:
+        return ""
+    low, high = compute_wilson_interval(share, count)
+    return f"{100 * low:.1f} to {100 * high:.1f} %"
 
 
-def _head(columns: Sequence[str]) -> Lines:
-    """Return the head of a table."""
-    return [_row(columns), "|" + "---|" * len(columns)]
+def _median_size(records: Sequence[Record]) -> Figure:
+    """Return the figure of the size of credible sets."""
+    value = float(median(r["set_size"] for r in records)) if records else nan
+    text = "" if isnan(value) else f"{value:g}"
+    return Figure("its median size", "2 or less", value, text, "", len(records), value <= 2.0)
 
 
-def _row(cells: Sequence[str]) -> str:
-    """Return a row of a table."""
-    return f"| {' | '.join(cells)} |"
+def _calibration_error(stated: Stated) -> Figure:
+    """Return the figure of the calibration error of the first name."""
+    value = compute_calibration_error(stated)
+    what = "expected calibration error of the first name"
+    return Figure(what, "0.05 or less", value, "" if isnan(value) else f"{value:.3f}", "", len(stated), value <= 0.05)
+
+
+def _claims(none: Sequence[Record]) -> Figure:
+    """Return the figure of names given as likely although nothing is hidden."""
+    counts = [sum(name["probability"] >= LIKELY for name in r["names"]) for r in none]
+    value = sum(counts) / len(counts) if counts else nan
+    any_name = sum(count > 0 for count in counts) / len(counts) if counts else nan
+    interval = f"data sets with any: {_format_interval(any_name, len(counts))}" if counts else ""
+    return Figure(
+        "nothing hidden: names with 50 % or more per data set",
+        "0.02 or less",
+        value,
+        "" if isnan(value) else f"{value:.3f}",
+        interval,
+        len(counts),
+        value <= 0.02,
+    )
+
+
+def _way(records: Sequence[Record]) -> Figure:
+    """Return the figure of the error reduction, over data sets where the truth would reduce the error clearly."""
+    far = select_far(records)
+    value = compute_error_reduction(far)
+    return Figure(
+        "fall of the error by adding the names, relative to that of the model that knows the truth, where that is "
+        "above 3 %",
+        "90 % or more",
+        value,
+        "" if isnan(value) else f"{100 * value:.0f} %",
+        "",
+        len(far),
+        value >= 0.90,
+    )

@@ -7,19 +7,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from tools.bench.hidden.evaluation import Record
-from tools.bench.hidden.figures import (
-    VISIBLE,
-    compute_figures,
-    compute_hit_rate,
-    select_counted,
-    summarise_timing,
+from tools.bench.hidden.figures import compute_figures, list_stated, summarise_timing
+from tools.bench.hidden.grading import Record
+from tools.bench.hidden.parts import ABSORBED
+from tools.bench.hidden.reliability import tabulate_reliability
+from tools.bench.hidden.reliability_figure import FILE
+from tools.bench.hidden.tables import (
+    tabulate_baselines,
     tabulate_by_effect,
     tabulate_by_part,
     tabulate_by_share,
     tabulate_wrong_names,
 )
-from tools.bench.hidden.parts import ABSORBED
+from tools.bench.hidden.visibility import RATIO
 
 SECTION: Final = "bench-hidden"
 """Name of the section."""
@@ -42,35 +42,46 @@ def make_section(records: Sequence[Record], description: str) -> str:
         "",
         _describe_run(records, description),
         "",
-        "| figure | goal | is | of | |",
-        "|---|---|---|---|---|",
+        "| figure | goal | is | 95 % interval | of | |",
+        "|---|---|---|---|---|---|",
     ]
     for figure in compute_figures(records):
         if figure.of:
-            met = "met" if figure.met else "missed"
-            lines.append(f"| {figure.what} | {figure.goal} | {figure.text} | {figure.of:,} | {met} |")
+            goal = figure.goal or "reported"
+            lines.append(
+                f"| {figure.what} | {goal} | {figure.text} | {figure.interval} | {figure.of:,} | {figure.verdict} |"
+            )
     seconds, ratio, count = summarise_timing(records)
     if count:
         lines.append(
             "| time for about 1,300 rides (480,000 samples), given their tables | reported "
-            f"| {seconds:.1f} s, {ratio:,.0f} times STLSQ of the same windows and candidates | {count} | |"
+            f"| {seconds:.1f} s, {ratio:,.0f} times STLSQ of the same windows and candidates | | {count} | |"
         )
-    lines += ["", *_describe_visible(records)]
     absorbed = "; ".join(f"`{effect}`: {why}" for effect, why in ABSORBED.items())
     lines += [
         "",
-        f"Effects with the shape of columns of the base leave no error and are counted separately: {absorbed}.",
         (
-            "The error is measured on rides of held-out vehicle-days. Its reduction is over all rides together, where "
-            "a name was given. `remaining` is the share of an effect that columns of the base cannot explain. "
-            "`similarity` compares that remainder with the effect of the library (1: the same shape). Both are medians."
+            "An effect is *visible* if its true energy in each window, as a candidate of its own, is at least "
+            f"{RATIO:g} times more likely than the best form of every other effect. Below that the data do not tell "
+            "the effects apart."
+        ),
+        "",
+        f"Effects with the shape of columns of the base leave no error and are counted separately: {absorbed}.",
+        "",
+        (
+            "The error is measured on rides of held-out vehicle-days, and its fall is over all rides together. "
+            "`remaining` is the share of an effect that columns of the base cannot explain. `similarity` compares that "
+            "remainder with the effect of the library (1: the same shape). Both are medians. Intervals of shares are "
+            "Wilson's."
         ),
     ]
     for title, table in (
+        ("How often a stated probability is right", _show_reliability(records)),
+        ("Other methods on the same windows: truth first among visible effects", tabulate_baselines(records)),
         ("By share: right, wrong, none, in %", tabulate_by_share(records)),
-        ("By effect: right in %, first shape / other shape, by measurement and share in %",
+        ("By effect: right in %, first / other / bent shape, by measurement and share in %",
          tabulate_by_effect(records)),
-        ("Other parts, in %", tabulate_by_part(records)),
+        ("By part, in %", tabulate_by_part(records)),
         ("Most frequent wrong names", tabulate_wrong_names(records)),
     ):  # fmt: skip
         if len(table) > 2:
@@ -78,25 +89,11 @@ def make_section(records: Sequence[Record], description: str) -> str:
     return "\n".join([*lines, "", end])
 
 
-def _describe_visible(records: Sequence[Record]) -> list[str]:
-    """Return the hit rates of data sets in which the hidden effect is visible."""
-    lines = []
-    for what, counted_records in (
-        ("V·I at 1.5 % or more", select_counted(records, "vi")),
-        ("SOC at 3 % or more", select_counted(records, "soc")),
-    ):
-        visible = [r for r in counted_records if r["z"] >= VISIBLE]
-        if visible:
-            lines.append(
-                f"{what}: {100 * compute_hit_rate(visible):.0f} % right of {len(visible):,} of {len(counted_records):,}"
-            )
-    if not lines:
-        return []
-    return [
-        f"Where the true energy as a candidate would differ from zero by {VISIBLE:g} standard errors or more: "
-        + "; ".join(lines)
-        + "."
-    ]
+def _show_reliability(records: Sequence[Record]) -> list[str]:
+    """Return the table of stated probabilities and a link to its figure; no lines without names."""
+    stated = list_stated(records)
+    text = "Share of right names against the stated probability; the numbers count names"
+    return [*tabulate_reliability(stated), "", f"![{text}]({FILE})"] if stated else []
 
 
 def _describe_run(records: Sequence[Record], description: str) -> str:
@@ -110,7 +107,7 @@ def _describe_run(records: Sequence[Record], description: str) -> str:
         f"Python {platform.python_version()}. "
         f"{sum(parts.values()):,} data sets of about 1,300 rides, 8 cars of 2 models, 39 days each over ten months: "
         f"{each}{apart}. "
-        "A result is right if the first name is the effect, or if its group holds the effect."
+        "A result is right if the first name is the hidden effect."
     )
 
 

@@ -2,18 +2,17 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import timedelta
 from itertools import product
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
-from tools.bench.hidden.cases import BARE, Case, Weather, get_right_names, strip_shape
-from tools.bench.hidden.drives import FLEET, Scope
+from tools.bench.hidden.cases import BARE, Case, Weather, get_right_names
 from tools.bench.hidden.recording import Measurement
+from tools.simulator.bent_shapes import BENT
 from tools.simulator.hidden import EFFECTS
-from tools.simulator.hidden_shapes import OTHER
+from tools.simulator.hidden_shapes import OTHER, strip_shape
 from tools.simulator.settings import Hidden
 
 SHARES: Final = (0.0075, 0.015, 0.03, 0.06)
@@ -25,7 +24,9 @@ FRESH: Final = 1000
 PAIRS: Final = 6
 """Number of pairs of effects for each seed."""
 PAIR_SHARE: Final = 0.03
-"""Share of the energy of each of two effects, and of an effect in one vehicle or from a date on. [1]"""
+"""Share of the energy of each of two effects. [1]"""
+SHAPES: Final = ("first", "other", "bent")
+"""Shapes of the hidden effects. Constants of diagnosis are chosen on `first` and `bent` only."""
 OUTSIDE_SHARES: Final = (0.03, 0.06)
 ABSORBED: Final = MappingProxyType(
     {
@@ -33,6 +34,7 @@ ABSORBED: Final = MappingProxyType(
         "brake_drag": "a constant force, such as rolling resistance",
         "roof_load": "a larger drag area of each car, which the base fits",
         "standby": "a constant power, such as that of accessories",
+        "age": "a share of the driving power that each car has for good, which the base fits as the scale of its terms",
     }
 )
 """Effects with the shape of columns of the base, and these columns; they leave no error if they are everywhere.
@@ -57,7 +59,7 @@ class Selection:
         Shares of the energy. [1]
     measurements, weathers, shapes : tuple of str
         Measurements, errors of the weather, and shapes of the effects: `first` as in `hidden`, `other` as in
-        `hidden_shapes`.
+        `hidden_shapes`, `bent` as in `bent_shapes`.
     """
 
     seeds: int = SEEDS
@@ -66,13 +68,7 @@ class Selection:
     shares: tuple[float, ...] = SHARES
     measurements: tuple[Measurement, ...] = ("vi", "soc")
     weathers: tuple[Weather, ...] = ("none", "noisy")
-    shapes: tuple[str, ...] = ("first", "other")
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the effects in all shapes."""
-        endings = {"first": "", "other": OTHER}
-        return [effect + endings[shape] for shape in self.shapes for effect in self.effects]
+    shapes: tuple[str, ...] = SHAPES
 
     @property
     def numbers(self) -> range:
@@ -83,6 +79,31 @@ class Selection:
         """Return all combinations of measurements and weathers."""
         return list(product(self.measurements, self.weathers))
 
+    def list_singles(self) -> Iterator[tuple[int, str]]:
+        """Yield each seed with the name of each effect in each shape."""
+        for seed, shape, effect in product(self.numbers, self.shapes, self.effects):
+            yield seed, select_shape(effect, shape, seed)
+
+
+def select_shape(effect: str, shape: str, seed: int) -> str:
+    """Return the name of an effect in a shape.
+
+    Parameters
+    ----------
+    effect : str
+        Name of the effect.
+    shape : {"first", "other", "bent"}
+        Its shape.
+    seed : int
+        Number of the bent shape; no other effect bends in the same way at the same number.
+
+    Examples
+    --------
+    >>> [select_shape("snow", shape, 7) for shape in SHAPES]
+    ['snow', 'snow~other', 'snow~bent7']
+    """
+    return effect + {"first": "", "other": OTHER, "bent": f"{BENT}{seed}"}[shape]
+
 
 def make_single_effects(choice: Selection) -> Iterator[Case]:
     """Yield data sets with one effect.
@@ -92,12 +113,12 @@ def make_single_effects(choice: Selection) -> Iterator[Case]:
     choice : Selection
         The selection.
     """
-    for seed, effect, share in product(choice.numbers, choice.names, choice.shares):
+    for (seed, effect), share in product(choice.list_singles(), choice.shares):
         yield from _measured(choice, Case(seed, (Hidden(effect, share),)))
 
 
 def make_pairs(choice: Selection) -> Iterator[Case]:
-    """Yield data sets with two effects, drawn at random from those that are visible.
+    """Yield data sets with two effects that no column of the base absorbs, drawn at random, each in a random shape.
 
     Parameters
     ----------
@@ -108,38 +129,9 @@ def make_pairs(choice: Selection) -> Iterator[Case]:
     for seed in choice.numbers if len(able) > 1 else ():
         rng = np.random.default_rng([seed, 9])
         for _ in range(PAIRS):
-            pair = rng.choice(able, 2, replace=False)
-            yield from _measured(choice, Case(seed, tuple(Hidden(str(effect), PAIR_SHARE) for effect in pair)))
-
-
-def make_vehicle_effects(choice: Selection) -> Iterator[Case]:
-    """Yield data sets with one effect in one vehicle.
-
-    Parameters
-    ----------
-    choice : Selection
-        The selection.
-    """
-    for seed, effect in product(choice.numbers, choice.effects):
-        number = int(np.random.default_rng([seed, 10, *effect.encode()]).integers(FLEET.vehicles)) + 1
-        case = Case(seed, (Hidden(effect, PAIR_SHARE),), where=Scope(vehicle=f"taxi-{number:03d}"))
-        yield from _measured(choice, case)
-
-
-def make_dated_effects(choice: Selection) -> Iterator[Case]:
-    """Yield data sets with one effect from a date on, which lies in the middle half of the days.
-
-    Parameters
-    ----------
-    choice : Selection
-        The selection.
-    """
-    for seed, effect in product(choice.numbers, choice.effects):
-        rng = np.random.default_rng([seed, 11, *effect.encode()])
-        day = int(rng.integers(FLEET.days // 4, FLEET.days - FLEET.days // 4))
-        begins = FLEET.start + timedelta(days=day * FLEET.day_step)
-        case = Case(seed, (Hidden(effect, PAIR_SHARE),), where=Scope(since=begins.date().isoformat()))
-        yield from _measured(choice, case)
+            pair, shapes = rng.choice(able, 2, replace=False), rng.choice(choice.shapes, 2)
+            names = [select_shape(str(e), str(shape), seed) for e, shape in zip(pair, shapes, strict=True)]
+            yield from _measured(choice, Case(seed, tuple(Hidden(name, PAIR_SHARE) for name in names)))
 
 
 def make_empty(choice: Selection) -> Iterator[Case]:
@@ -164,15 +156,13 @@ def make_outside_effects(choice: Selection) -> Iterator[Case]:
         The selection.
     """
     shares = [share for share in choice.shares if share in OUTSIDE_SHARES] or choice.shares
-    for seed, effect, share in product(choice.numbers, choice.names, shares):
+    for (seed, effect), share in product(choice.list_singles(), shares):
         yield from _measured(choice, Case(seed, (Hidden(effect, share),), without=get_right_names(strip_shape(effect))))
 
 
 PARTS: Final[dict[str, Callable[[Selection], Iterator[Case]]]] = {
     "one": make_single_effects,
     "two": make_pairs,
-    "vehicle": make_vehicle_effects,
-    "date": make_dated_effects,
     "none": make_empty,
     "outside": make_outside_effects,
 }

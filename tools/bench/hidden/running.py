@@ -13,7 +13,8 @@ from threadpoolctl import threadpool_limits
 
 from core.errors import SocastError
 from tools.bench.hidden.cases import Case, SeedData
-from tools.bench.hidden.evaluation import Diagnose, Record, describe_case, evaluate_case
+from tools.bench.hidden.evaluation import Diagnose, describe_case, evaluate_case
+from tools.bench.hidden.grading import Record
 
 PROCESSES: Final = 2
 TIMED: Final = 20

@@ -62,9 +62,9 @@ def list_conditions(trace: Result) -> list[tuple[str, list[tuple[str, Style, lis
     rows = [("Speed [km/h]", [("speed", get_style(7), speed)])]
     if windows.get("gained_m") is not None and windows.get("lost_m") is not None:
         climbs = [_sum(up, down) for up, down in zip(windows["gained_m"], windows["lost_m"], strict=True)]
-        rows.append(
-            ("Elevation<br>from the start [m]", [("elevation", get_style(8), list(accumulate(climbs, initial=0.0)))])
-        )
+        if any(climbs):  # without a source of elevation, all climbs are zero
+            heights: list[Any] = list(accumulate(climbs, initial=0.0))
+            rows.append(("Elevation<br>from the start [m]", [("elevation", get_style(8), heights)]))
     rows.append(("Temperature [°C]", [("temperature", get_style(4), list(windows.get("ambient_c") or ()))]))
     wind = [
         ("wind speed", get_style(5), list(windows.get("wind_speed_kmh") or ())),

@@ -4,9 +4,9 @@ from typing import Final
 
 import plotly.graph_objects as go
 
-from tools.report.diagnosis.location_sentences import KIND_NAMES, LEVEL_NAMES
+from tools.report.diagnosis.location_sentences import KIND_NAMES, LEVEL_NAMES, is_known
 from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_number, get_part
+from tools.report.evaluation.result import Result, get_part
 from tools.report.figure_style import escape_label, get_style, make_figure
 
 ROW: Final = 26
@@ -15,11 +15,7 @@ ROW: Final = 26
 
 def draw_location(result: Result) -> list[Illustration]:
     """Draw the size of each load with its interval, as a mean power, one row for each level and kind."""
-    loads = [
-        one
-        for one in get_part(result, "error_location", "estimates") or ()
-        if get_number(one.get("size_w")) is not None
-    ]
+    loads = [one for one in get_part(result, "error_location", "estimates") or () if is_known(one)]
     if not loads:
         return []
     order = list(LEVEL_NAMES)

@@ -124,13 +124,19 @@ def describe_location(result: Result) -> list[str]:
     loads = location.get("loads") or ()
     absent = [str(each) for each in location.get("absent_signals") or ()]
     lines = describe_shares(location)
-    lines += [describe_load(load, absent) for load in loads]
+    lines += [describe_load(load, absent) for load in loads if is_known(load)]
     if not loads and location.get("estimates"):
         lines.append("No load differs between rides, days or vehicles beyond what sampling causes.")
     if absent:
         untold = ", ".join(f"{JUDGED_BY[each]} (no {each})" for each in absent if each in JUDGED_BY)
         lines.append(f"These data cannot tell {untold}.")
     return lines
+
+
+def is_known(load: Mapping[str, Any]) -> bool:
+    """Return whether the level, the kind and the size of a load are known."""
+    sizes = [get_number(load.get(key)) for key in ("size_w", "low_w", "high_w")]
+    return str(load.get("level")) in LEVEL_NAMES and str(load.get("kind")) in KIND_NAMES and None not in sizes
 
 
 def describe_load(load: Mapping[str, Any], absent: Sequence[str] = ()) -> str:

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from core.evaluate.paper.results import to_json_values
 from tools.report.diagnosis import deviations, figures, sentences, tables
+from tools.report.diagnosis.cause_figures import draw_causes
 from tools.report.diagnosis.deviation_figures import draw_deviations
 from tools.report.diagnosis.location_figure import draw_location
 from tools.report.diagnosis.location_sentences import describe_location
@@ -23,7 +24,7 @@ from tools.report.evaluation.sections import Section
 from tools.report.evaluation.terminal import print_section
 from tools.report.page import render_document, save
 
-NONE_MISSING: Final = "No effect of the library is missing beyond chance."
+NONE_MISSING: Final = "No effect of the library is probable enough to be named."
 """Text of a diagnosis that finds nothing."""
 DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProxyType(
     {
@@ -31,6 +32,7 @@ DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProx
         "slices": figures.draw_slices,
         "location": draw_location,
         "cars": draw_deviations,
+        "causes": lambda result: draw_causes(result.get("causes") or ()),
         "missing": figures.draw_effects,
         "remains": figures.draw_remainder,
     }
@@ -53,6 +55,7 @@ def show(result: Any, console: Console, *, suggested: str | None = None) -> None
     values = to_json_values(result)
     model = get_mapping(values, "model")
     print_heading(f"Diagnosis of {model.get('name')}, version {model.get('version')}", console)
+    print_lines(sentences.describe_verdict(values), console, strong=True)
     print_lines(sentences.describe_data(values), console)
     print_heading("Error", console)
     print_lines(sentences.describe_error(values), console)
@@ -146,7 +149,11 @@ def write(result: Any, path: Path, *, suggested: str | None = None) -> None:
     values = to_json_values(result)
     model = get_mapping(values, "model")
     title = f"Diagnosis of {model.get('name')}, version {model.get('version')}"
-    lines = (*sentences.describe_data(values), *sentences.describe_next_step(values))
+    lines = (
+        *sentences.describe_verdict(values),
+        *sentences.describe_data(values),
+        *sentences.describe_next_step(values),
+    )
     page = render_document(
         "diagnose",
         title,
@@ -172,6 +179,7 @@ def build_sections(result: Result, suggested: str | None = None) -> list[Section
         for line in sentences.describe_rivals(one)
     ]
     sections = [
+        Section("causes", "Probable causes", _end_sentences(sentences.describe_verdict(result)), []),
         Section("error", "Error", " ".join(sentences.describe_error(result)), [tables.tabulate_errors(result)]),
         Section("slices", "Where the model fails", "", [tables.tabulate_slices(result)]),
         Section("location", "Where the error lives", " ".join(describe_location(result)), []),

@@ -3,10 +3,20 @@
 from collections.abc import Mapping
 from typing import Any
 
+from core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN
 from tools.report.cells import format_count, format_percent
 from tools.report.evaluation.data_tables import MEASURED_BY
 from tools.report.evaluation.result import Result, get_mapping, get_number
 
+LEAST_PROBABILITY = 0.005
+"""Probability below which a cause is not written out. [1]"""
+MOST_CAUSES = 5
+CAUSE_NAMES = {
+    NONE: "no missing effect",
+    SEVERAL: "several effects together",
+    UNKNOWN: "a cause that is not in the library",
+}
+"""Causes that are no effects, in words."""
 LEAST_BIAS = 5e-4
 """Bias of a ride below which the report does not mention it. [kWh]"""
 
@@ -113,8 +123,6 @@ def describe_gain(one: Mapping[str, Any]) -> str:
     parts = [f"explains {format_percent(one.get('gain'))}{interval} of the squared error{of} on held-out days"]
     if get_number(one.get("energy_share")) is not None:
         parts.append(f"its absolute energy is {format_percent(one['energy_share'])} of the measured energy")
-    if (q := get_number(one.get("q"))) is not None:
-        parts.append(f"q = {q:.2g}")
     return ", ".join(parts)
 
 
@@ -143,16 +151,47 @@ def describe_rivals(one: Mapping[str, Any]) -> list[str]:
         correlation = "" if r is None else f" (r = {r:.2f})"
         remedy = f"; to distinguish them, record {other['data']}" if other.get("data") else ""
         lines.append(f"not distinguishable from {other.get('effect')} in these data{correlation}{remedy}")
-    group = [str(each) for each in one.get("group") or () if each != one.get("effect")]
-    if group and not lines:
-        lines.append(f"not distinguishable from {', '.join(group)} in these data")
+    return lines
+
+
+def describe_causes(causes: Any, most: int = MOST_CAUSES) -> str:
+    """Return the most probable causes with their probabilities, such as `headwind 94 %, crosswind_yaw 5 %`.
+
+    Parameters
+    ----------
+    causes : sequence of mapping
+        `effect` and `probability` of each cause, the most probable first.
+    most : int
+        Number of causes that are written out; causes below `LEAST_PROBABILITY` are left out.
+    """
+    known = [(str(one.get("effect")), get_number(one.get("probability")) or 0.0) for one in causes or ()]
+    shown = [(name, value) for name, value in known if value >= LEAST_PROBABILITY][:most]
+    return ", ".join(f"{CAUSE_NAMES.get(name, name)} {format_percent(value, 0)}" for name, value in shown)
+
+
+def describe_verdict(result: Result) -> list[str]:
+    """Return the sentences with which a report begins: the probable causes, and among which the largest one is."""
+    causes = result.get("causes") or ()
+    if not causes:
+        return []
+    lines = [f"Probable cause of the error: {describe_causes(causes)}."]
+    credible = [CAUSE_NAMES.get(str(name), str(name)) for name in result.get("credible_set") or ()]
+    if len(credible) > 1:
+        lines.append(f"With a probability of 90 %, the largest cause is one of these: {', '.join(credible)}.")
     return lines
 
 
 def describe_missing_effect(one: Mapping[str, Any]) -> list[str]:
     """Return all statements about a missing effect, the most important first."""
     meaning = str(one.get("words") or name_effect(one))
-    lines = [f"{meaning}; {describe_scope(one)}", describe_gain(one), describe_coefficient(one), *describe_rivals(one)]
+    causes = describe_causes(one.get("causes"))
+    lines = [
+        f"{meaning}; {describe_scope(one)}",
+        f"probability: {causes}" if causes else "",
+        describe_gain(one),
+        describe_coefficient(one),
+        *describe_rivals(one),
+    ]
     if equal := [str(each) for each in one.get("equivalents") or ()]:
         lines.append(f"equal in energy, on average, to {' or '.join(equal)}")
     return [line for line in lines if line]
@@ -230,9 +269,11 @@ def describe_next_step(result: Result) -> list[str]:
     """Return what to do next, with the command where there is one."""
     chosen = result.get("verdict")
     if not chosen:
-        if result.get("structure_remains"):
+        unknown = UNKNOWN in (result.get("credible_set") or ())[:1]
+        if unknown or result.get("structure_remains"):
             hint = "Write an effect of your own for the structure that remains: socast effects new."
-            return [f"No effect of the library is missing. {hint}"]
+            why = "The cause is probably not in the library" if unknown else "No effect of the library is missing"
+            return [f"{why}. {hint}"]
         return ["These rides show no missing effect."]
     first: Mapping[str, Any] = next((m for m in result.get("missing") or () if m.get("effect") == chosen), {})
     lines = [f"Add {chosen}, {describe_scope(first)}."]

@@ -15,7 +15,8 @@ BIAS_NOTE: Final = (
 MISSING_NOTE: Final = (
     "Best first, each in the presence of those above it. Gain: reduction of the squared error that the "
     "terms of the model "
-    "cannot explain, on days to which the coefficient was not fitted. ± and ranges are 95 % intervals."
+    "cannot explain, on days to which the coefficient was not fitted. ± and ranges are 95 % intervals. "
+    "Or else: the other causes among which the effect is with a probability of 90 %."
 )
 CANDIDATES_NOTE: Final = (
     "Each effect alone before any is added, with the parameter value that fits best. z has the sign that physics "
@@ -53,13 +54,13 @@ def tabulate_missing_effects(result: Result) -> ReportTable:
                 Cell(format_percent(one.get("energy_share"))),
                 Cell(_coefficient(one)),
                 Cell("yes" if get_mapping(one, "coefficient").get("plausible") else "NO"),
-                Cell(_small(one.get("q"))),
-                Cell(", ".join(str(e) for e in one.get("group") or () if e != one.get("effect")) or "–"),
+                Cell(format_percent(one.get("probability"), 0), strong=place == 1),
+                Cell(", ".join(str(e) for e in one.get("credible_set") or () if e != one.get("effect")) or "–"),
             ),
         )
         for place, one in enumerate(result.get("missing") or (), start=1)
     )
-    heads = ("for", "gain", "of energy", "coefficient", "plausible", "q", "not distinguishable from")
+    heads = ("for", "gain", "of energy", "coefficient", "plausible", "probability", "or else")
     return ReportTable("Missing effects", "effect", heads, rows, (MISSING_NOTE,))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.evaluate.compare.ride_wind import compute_headwind
+from core.evaluate.compare.ride_wind import compute_window_headwind
 
 
 @pytest.mark.parametrize(
@@ -23,4 +23,4 @@ def test_headwind_follows_course(north, east, wind_from, expected):
             "longitude_end_deg": [-73.0 + east],
         }
     )
-    assert compute_headwind(window)[0] == pytest.approx(expected, abs=1e-9, nan_ok=True)
+    assert compute_window_headwind(window)[0] == pytest.approx(expected, abs=1e-9, nan_ok=True)

@@ -64,6 +64,8 @@ def test_unknown_condition_has_no_empty_plot():
     made = draw_conditions(make_trace(**unknown))
     assert {trace.name for trace in made.data} == {"speed"}
     assert "yaxis2" not in made.to_plotly_json()["layout"]
+    flat = draw_conditions(make_trace(gained_m=[0.0] * 3, lost_m=[0.0] * 3))
+    assert "elevation" not in {trace.name for trace in flat.data}
 
 
 def test_ride_shows_power_and_error_of_each_model():

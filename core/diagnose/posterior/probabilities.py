@@ -1,0 +1,163 @@
+"""Turn the evidence of all causes into probabilities that are right as often as they say.
+
+Among the effects of the library, log evidences are compared as they are, apart from a factor. How probable it is that
+several effects act together, or one that is not in the library, follows from the evidence that remains beside the most
+probable effect, by a logistic regression whose coefficients were fitted to simulated fleets.
+"""
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple, TypeVar
+
+import numpy as np
+
+from core.diagnose.posterior.causes import CauseEvidence, SelectedForm
+
+NONE: Final = "none"
+SEVERAL: Final = "several"
+UNKNOWN: Final = "not in the library"
+Key = TypeVar("Key", str, tuple[str, str])
+LEVEL: Final = 0.9
+"""Probability of a credible set."""
+
+
+class Calibration(NamedTuple):
+    """Hold the coefficients of the log odds, see `compute_probabilities`."""
+
+    effects: float
+    rivals: float
+    none: float
+    several: float
+    several_second: float
+    several_first: float
+    unknown: float
+    unknown_share: float
+    unknown_beside: float
+    unknown_bends: float
+    unknown_first: float
+    unknown_second: float
+
+
+CALIBRATION: Final = Calibration(
+    effects=0.878,
+    rivals=0.676,
+    none=0.957,
+    several=-4.207,
+    several_second=0.962,
+    several_first=0.183,
+    unknown=0.758,
+    unknown_share=0.477,
+    unknown_beside=0.513,
+    unknown_bends=0.475,
+    unknown_first=-0.936,
+    unknown_second=-0.152,
+)
+"""Fitted to simulated fleets by `python -m tools.bench.hidden.calibration`."""
+FAINT: Final = 5.0
+"""Evidence that is added to that of the best effect before the evidence of unknown shapes is divided by it."""
+
+
+@dataclass(frozen=True)
+class Causes:
+    """Hold the probability of each cause of what a model leaves.
+
+    Parameters
+    ----------
+    probabilities : dict of str to float
+        Of each effect alone, of `NONE`, of `SEVERAL` and of `UNKNOWN`, the largest first. They sum to 1. [1]
+    leading : dict of str to float
+        The same, with `SEVERAL` divided among the effects by which of the several explains most, the largest first. [1]
+    forms : dict of str to SelectedForm
+        Most probable form and coefficient of each effect.
+    """
+
+    probabilities: dict[str, float]
+    leading: dict[str, float]
+    forms: dict[str, SelectedForm]
+
+    @property
+    def first(self) -> str:
+        """The most probable leading cause: an effect, `NONE` or `UNKNOWN`."""
+        return next(iter(self.leading))
+
+    def list_credible_set(self, level: float = LEVEL) -> list[str]:
+        """Return the fewest leading causes whose probabilities sum to at least a level, the most probable first.
+
+        Parameters
+        ----------
+        level : float
+            Probability that the set holds the leading cause. [1]
+
+        Returns
+        -------
+        list of str
+            Effects, `NONE` or `UNKNOWN`.
+        """
+        total = np.cumsum(list(self.leading.values()))
+        return list(self.leading)[: int(np.searchsorted(total, min(level, total[-1]) - 1e-12)) + 1]
+
+
+def compute_probabilities(evidence: CauseEvidence, calibration: Calibration = CALIBRATION) -> Causes:
+    """Return the probability of each cause.
+
+    Parameters
+    ----------
+    evidence : CauseEvidence
+        Log evidence of each cause.
+    calibration : Calibration
+        Coefficients of the log odds.
+
+    Returns
+    -------
+    Causes
+
+    Notes
+    -----
+    With the log evidence e of each of K effects, the largest M, and c for a coefficient, the log odds are: of no cause,
+    c; of an effect, c M + c (e - M) - log K; of several effects, relative to all single ones, c + c log(1 + D)
+    + c log(1 + M), where D is the evidence that a second effect adds; of an unknown cause, relative to all single
+    effects, c + c U/(M + 5) + c log(1 + V) + c log(1 + B) + c log(1 + M) + c log(1 + D), where U is the evidence of
+    shapes that no effect has, V that beside the best effect, and B what the bends add to that of the best effect.
+    """
+    single = {name: value for name, value in evidence.single.items() if np.isfinite(value)}
+    c = calibration
+    if not single:
+        return Causes({NONE: 1.0}, {NONE: 1.0}, {})
+    best = max(single, key=lambda name: single[name])
+    top = max(single[best], 0.0)
+    second = max(max(evidence.pairs.values(), default=top) - top, 0.0)
+    common = c.effects * top - np.log(len(single))
+    logits = {name: common + c.rivals * (value - top) for name, value in single.items()}
+    together = float(np.logaddexp.reduce(list(logits.values())))
+    logits[NONE] = c.none
+    if evidence.pairs:
+        logits[SEVERAL] = together + c.several + c.several_second * np.log1p(second) + c.several_first * np.log1p(top)
+    logits[UNKNOWN] = (
+        together
+        + c.unknown
+        + c.unknown_share * max(evidence.unknown, 0.0) / (top + FAINT)
+        + c.unknown_beside * np.log1p(max(evidence.beside.get(best, 0.0), 0.0))
+        + c.unknown_bends * np.log1p(max(top - evidence.stiff[best], 0.0))
+        + c.unknown_first * np.log1p(top)
+        + c.unknown_second * np.log1p(second)
+    )
+    probabilities = _normalise(logits)
+    leading = {name: value for name, value in probabilities.items() if name != SEVERAL}
+    if evidence.pairs:
+        shares = _normalise({pair: c.rivals * value for pair, value in evidence.pairs.items()})
+        for (one, other), share in shares.items():
+            leader = one if single.get(one, -np.inf) >= single.get(other, -np.inf) else other
+            leading[leader] += share * probabilities[SEVERAL]
+    return Causes(_sort(probabilities), _sort(leading), {name: evidence.forms[name] for name in single})
+
+
+def _normalise(logits: dict[Key, float]) -> dict[Key, float]:
+    """Return probabilities from their logarithms up to a constant."""
+    top = max(logits.values())
+    weights = {key: float(np.exp(value - top)) for key, value in logits.items()}
+    total = sum(weights.values())
+    return {key: weight / total for key, weight in weights.items()}
+
+
+def _sort(values: dict[str, float]) -> dict[str, float]:
+    """Return the entries of a dictionary, the largest value first."""
+    return dict(sorted(values.items(), key=lambda item: -item[1]))

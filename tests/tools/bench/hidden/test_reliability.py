@@ -1,0 +1,48 @@
+"""Stated probabilities are compared with how often they are right."""
+
+from math import isnan
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from tools.bench.hidden.reliability import bin_probabilities, compute_calibration_error, tabulate_reliability
+from tools.bench.hidden.reliability_figure import BOTTOM, LEFT, RIGHT, TOP, draw_reliability
+
+
+def test_calibrated_probabilities_have_a_small_error():
+    rng = np.random.default_rng(0)
+    stated = rng.uniform(size=20_000)
+    right = rng.uniform(size=20_000) < stated
+    assert compute_calibration_error(list(zip(stated.tolist(), right.tolist(), strict=True))) < 0.02
+    assert compute_calibration_error([(p, True) for p in stated.tolist()]) == pytest.approx(0.5, abs=0.02)
+
+
+def test_bins_hold_the_ends_of_the_range():
+    assert [(each.low, each.of, each.right) for each in bin_probabilities([(0.0, False), (1.0, True)])] == [
+        (0.0, 1, 0.0),
+        (0.9, 1, 1.0),
+    ]
+    assert isnan(compute_calibration_error([]))
+
+
+def test_weights_count_names_more_or_less():
+    stated = [(0.95, True), (0.95, False)]
+    (even,), (uneven,) = bin_probabilities(stated), bin_probabilities(stated, [3.0, 1.0])
+    assert (even.right, uneven.right) == (0.5, 0.75)
+    assert uneven.effective == pytest.approx(1.6)
+    assert compute_calibration_error(stated, [3.0, 1.0]) == pytest.approx(0.2)
+
+
+def test_table_has_a_row_for_each_bin_with_names():
+    assert tabulate_reliability([(0.95, True)] * 3)[2:] == ["| 90 to 100 % | 95 % | 100 % | 44 to 100 % | 3 |"]
+
+
+def test_figure_places_each_bin_at_its_stated_and_right_share():
+    drawn = ET.fromstring(draw_reliability([(0.75, True), (0.75, False), (0.5, True)]))
+    points = [(float(c.get("cx")), float(c.get("cy"))) for c in drawn.iter() if c.tag.endswith("circle")]
+    expected = [
+        (LEFT + (RIGHT - LEFT) * stated, BOTTOM - (BOTTOM - TOP) * right) for stated, right in ((0.5, 1.0), (0.75, 0.5))
+    ]
+    assert points == [pytest.approx(place, abs=0.1) for place in expected]
+    assert len(list(ET.fromstring(draw_reliability([])).iter())) > 5

@@ -1,0 +1,184 @@
+"""Write the data sets of the benchmark as Parquet files with a card, so that other methods can be judged on them."""
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from joblib import Parallel, delayed, parallel_config
+from threadpoolctl import threadpool_limits
+
+from core.diagnose.candidates import Candidates, build_candidates
+from core.diagnose.dataset import Windows, gather_windows
+from core.diagnose.projection import BaseProjection
+from core.errors import SocastError
+from core.fit.fitting import build_design
+from core.fit.recipes import fit_to_windows
+from core.models import ANY, LinearModel
+from core.models.features import Columns
+from tools.bench.hidden.card import CONDITIONS, make_card
+from tools.bench.hidden.cases import Case, SeedData, get_right_names
+from tools.bench.hidden.evaluation import compute_true_energy, describe_case
+from tools.bench.hidden.grading import list_truths
+from tools.bench.hidden.parts import ABSORBED
+from tools.bench.hidden.running import Task
+from tools.bench.hidden.visibility import measure_visibility
+from tools.simulator.hidden import EFFECTS
+from tools.simulator.hidden_shapes import strip_shape
+
+CASES: Final = "cases.json"
+TRUTH: Final = "truth.json"
+PUBLIC: Final = ("measurement", "weather", "recipe")
+"""Entries of the description of a data set that do not tell its truth."""
+SEED: Final = 13
+
+
+def export_tasks(todo: Sequence[Task], folder: Path, processes: int) -> int:
+    """Write all data sets, their truth, and the card.
+
+    Parameters
+    ----------
+    todo : sequence of Task
+        Data sets of one part and one seed each.
+    folder : Path
+        Folder for the files; it is made if absent.
+    processes : int
+        Number of processes.
+
+    Returns
+    -------
+    int
+        Number of data sets; those that cannot be made are left out.
+    """
+    for name in ("windows", "truth"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    count = sum(len(cases) for _, cases in todo)
+    names = iter(np.random.default_rng(SEED).permutation(count).tolist())  # so that no name tells the part
+    jobs = [(part, {f"{next(names):05d}": case for case in cases}) for part, cases in todo]
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        parts = Parallel(n_jobs=processes)(delayed(export_cases)(part, cases, folder) for part, cases in jobs)
+    made = dict(sorted((name, truth) for part in parts for name, truth in part.items()))
+    described = {name: {key: truth[key] for key in PUBLIC} for name, truth in made.items()}
+    for file, content in ((CASES, described), (TRUTH, made)):
+        (folder / file).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    (folder / "README.md").write_text(make_card(made), encoding="utf-8")
+    return len(made)
+
+
+def export_cases(part: str, cases: Mapping[str, Case], folder: Path) -> dict[str, dict[str, Any]]:
+    """Write the data sets of a seed and return the truth of each by its name.
+
+    Parameters
+    ----------
+    part : str
+        Name of the part.
+    cases : mapping of str to Case
+        Data sets of one seed by their names.
+    folder : Path
+        Folder for the files.
+    """
+    data = SeedData(next(iter(cases.values())).seed)
+    out = {}
+    with threadpool_limits(1):
+        for name, case in cases.items():
+            with suppress(SocastError):
+                out[name] = {"part": part, **export_case(case, data, folder, name)}
+    return out
+
+
+def export_case(case: Case, data: SeedData, folder: Path, name: str) -> dict[str, Any]:
+    """Write a data set and return its truth.
+
+    Parameters
+    ----------
+    case : Case
+        The data set.
+    data : SeedData
+        Drives of its seed.
+    folder : Path
+        Folder with the folders `windows` and `truth`.
+    name : str
+        Name of the data set.
+
+    Returns
+    -------
+    dict
+        Description of the data set; `truths`: right names of each cause; `absorbed`: whether the base explains the
+        effect; `visible` and `ratios` as of `measure_visibility`.
+
+    Raises
+    ------
+    SocastError
+        The data set cannot be made.
+    """
+    tables = data.tables(case)
+    model = fit_to_windows(case.recipe, tables.rides, tables.windows)
+    windows = gather_windows(tables.rides, tables.windows, model)
+    candidates = build_candidates(windows, model)
+    shown = build_candidates(windows, model, case.without or draw_decoy(case, candidates))
+    tabulate_windows(windows, model, shown).to_parquet(folder / "windows" / f"{name}.parquet", index=False)
+    hidden = compute_true_energy(windows, tables.hidden)
+    columns = {f"hidden_{effect}": hidden[:, i] for i, (effect, _) in enumerate(case.hidden)}
+    pd.DataFrame(columns, index=range(len(hidden))).to_parquet(folder / "truth" / f"{name}.parquet", index=False)
+    seen: dict[str, Any] = {"visible": None, "ratios": []}
+    if case.hidden:
+        measured = measure_visibility(case, BaseProjection(windows, model), candidates, hidden)
+        seen = {key: measured[key] for key in seen}
+    return {
+        **describe_case(case),
+        "recipe": case.recipe,
+        "truths": [list(names) for names in list_truths(case)],
+        "absorbed": any(strip_shape(effect) in ABSORBED for effect, _ in case.hidden),
+        **seen,
+    }
+
+
+def draw_decoy(case: Case, candidates: Candidates) -> tuple[str, ...]:
+    """Return the right names of an effect that is not hidden, drawn at random.
+
+    They are left out of the candidates, as those of the truth are where it is not in the library. So a missing
+    candidate says nothing about the truth.
+
+    Parameters
+    ----------
+    case : Case
+        The data set.
+    candidates : Candidates
+        All effects that the model may lack.
+    """
+    hidden = {strip_shape(effect) for effect, _ in case.hidden}
+    able = [effect for effect in EFFECTS if effect not in hidden and effect not in ABSORBED]
+    able = [effect for effect in able if set(get_right_names(effect)) & set(candidates.names)]
+    rng = np.random.default_rng([case.seed, SEED, *str(case.hidden).encode()])
+    return get_right_names(str(rng.choice(able)))
+
+
+def tabulate_windows(windows: Windows, model: LinearModel, candidates: Candidates) -> pd.DataFrame:
+    """Return the windows of a data set: conditions, measured energy, terms of the base, and candidates.
+
+    Parameters
+    ----------
+    windows : Windows
+        Windows of the data set.
+    model : LinearModel
+        The model that is diagnosed.
+    candidates : Candidates
+        Effects that it may lack.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `CONDITIONS`, `measured_kwh`, `predicted_kwh`, `base_TERM` and `effect_VARIANT`. The latter two are
+        energies per unit of a coefficient.
+    """
+    fit = model.fits[ANY]
+    base = build_design(model.terms, Columns(windows.table, fit.fills, fit.curve), len(windows.measured))
+    own = {"ride": windows.ride, "vehicle": windows.vehicle, "day": windows.day}
+    columns: dict[str, Any] = {name: own.get(name, windows.table.get(name)) for name in CONDITIONS}
+    columns |= {"measured_kwh": windows.measured, "predicted_kwh": windows.predicted}
+    energies = {f"base_{term.name}": np.nan_to_num(base[:, i]) for i, term in enumerate(model.terms)}
+    energies |= {f"effect_{variant}": candidates.columns[:, i] for i, variant in enumerate(candidates.variants)}
+    return pd.DataFrame(columns | {name: values.astype(np.float32) for name, values in energies.items()})
