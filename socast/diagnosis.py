@@ -21,7 +21,7 @@ __all__ = ["AdditionTrial", "add_effect", "diagnose"]
 
 
 def diagnose(
-    rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel, *, least_gain: float = LEAST_GAIN
+    rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel, *, least_gain: float = 0.0
 ) -> dict[str, Any]:
     """Return where a model errs, which physical effects it lacks, and what remains unexplained.
 
@@ -32,7 +32,7 @@ def diagnose(
     model : LinearModel
         The model to diagnose.
     least_gain : float
-        Fall of the squared error below which an effect is not reported. [1]
+        Share of the squared error of rides on held-out days below which an effect is not reported; 0 for no limit. [1]
 
     Returns
     -------

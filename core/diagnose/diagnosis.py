@@ -34,7 +34,7 @@ from core.diagnose.free_form.search import Suggestion, suggest_term
 from core.diagnose.partial_residual import compute_partial_residual
 from core.diagnose.posterior.probabilities import Causes
 from core.diagnose.projection import BaseProjection
-from core.diagnose.ranking import LEAST_GAIN, LEVEL, Ranking
+from core.diagnose.ranking import LEVEL, Ranking
 from core.diagnose.residual_profile import profile_residual
 from core.diagnose.residual_structure import ResidualStructure
 from core.diagnose.siblings.deviations import diagnose_deviations
@@ -67,7 +67,7 @@ def diagnose(
     model: LinearModel,
     *,
     without: Collection[str] = (),
-    least_gain: float = LEAST_GAIN,
+    least_gain: float = 0.0,
     places: bool = True,
     groups: Mapping[str, str] | None = None,
     seed: int = 0,
@@ -83,8 +83,8 @@ def diagnose(
     without : collection of str
         Effects of the library that are not tested.
     least_gain : float
-        Share of the squared error that an effect must explain on held-out days to be reported. The error is that of
-        rides or of windows, whichever falls more. [1]
+        Share of the squared error of rides that an effect must explain on held-out days to be reported; 0 for no
+        limit beside its probability. [1]
     places : bool
         Whether to test whether single cars deviate from their siblings, and what changed since a date.
     groups : mapping of str to str, optional
@@ -229,7 +229,6 @@ def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> di
         "columns": [f"{EFFECT_PREFIX}{named.variant}", *named.candidates.scope],
         "gain": finding.gain,
         "gain_ci95": [finding.gain - half, finding.gain + half],
-        "gain_of": finding.of,
         "energy_share": float(np.abs(energy).sum() / seen.measured.sum()),
         "p": float(evidence.p[0]),
         "z": float(evidence.z[0]),

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from core.batch import Floats
 from core.diagnose.candidates import Candidates
@@ -21,15 +20,12 @@ from core.diagnose.posterior.causes import SelectedForm, compute_cause_evidence
 from core.diagnose.posterior.probabilities import NONE, UNKNOWN, Causes, compute_probabilities
 from core.diagnose.projection import BaseProjection, orthonormalise
 from core.diagnose.ranking import (
-    LEAST_GAIN,
     Ranking,
     ResidualSpace,
     compute_correlation,
     rank_candidates,
     sum_over_clusters,
 )
-
-Mask = NDArray[np.bool_]
 
 NEEDED: Final = 0.05
 """Probability above which an effect is dropped again beside the others."""
@@ -71,11 +67,6 @@ class SelectedEffect:
         """Energy of the effect in each window, (n, 1). [kWh per unit of the coefficient]"""
         return self.candidates.columns[:, [self.at]]
 
-    @property
-    def rows(self) -> Mask:
-        """Windows within the scope of the candidates, (n,)."""
-        return np.asarray(self.candidates.measured != 0.0)
-
 
 @dataclass(frozen=True)
 class MissingEffect:
@@ -88,17 +79,14 @@ class MissingEffect:
     evidence : Evidence
         Its test result.
     gain, gain_error : float
-        Fall of the squared error on held-out vehicle-days, as a share, and its standard error, with a coefficient
-        within the plausible range. The error is that of rides or of windows, whichever falls more. [1]
-    of : {"rides", "windows"}
-        Whether `gain` is that of rides or of windows.
+        Fall of the squared error of rides on held-out vehicle-days, as a share, and its standard error, with a
+        coefficient within the plausible range. [1]
     """
 
     selected: SelectedEffect
     evidence: Evidence
     gain: float
     gain_error: float
-    of: str
 
 
 @dataclass(frozen=True)
@@ -108,14 +96,14 @@ class SelectionSettings:
     Parameters
     ----------
     least_gain : float
-        Share of the squared error of rides or of windows that an effect must explain on held-out days. [1]
+        Share of the squared error of rides that an effect must explain on held-out days; 0 for no limit. [1]
     max_effects : int
         Maximum number of selected effects.
     seed : int
         Seed of the folds.
     """
 
-    least_gain: float = LEAST_GAIN
+    least_gain: float = 0.0
     max_effects: int = 6
     seed: int = 0
 
@@ -264,10 +252,8 @@ class ForwardSelection:
         pairs = [(name, compute_correlation(off[:, 0], off[:, 1 + i])) for i, name in enumerate(names)]
         return sorted(pairs, key=lambda pair: -abs(pair[1]))
 
-    def compute_gain(
-        self, column: Floats, residual: Floats, limits: tuple[float, float], rows: Mask | None = None
-    ) -> tuple[float, float, str]:
-        """Return the gain of an effect on held-out vehicle-days, its standard error, and what it is the gain of.
+    def compute_gain(self, column: Floats, residual: Floats, limits: tuple[float, float]) -> tuple[float, float]:
+        """Return the gain of an effect on held-out vehicle-days and its standard error, as of `MissingEffect`. [1]
 
         Parameters
         ----------
@@ -277,24 +263,12 @@ class ForwardSelection:
             Residual without the effect. [1]
         limits : tuple of (float, float)
             Smallest and largest plausible coefficient. [unit of the coefficient]
-        rows : (n,) bool, optional
-            Windows whose squared error is the reference; by default all.
-
-        Returns
-        -------
-        float, float, {"rides", "windows"}
-            See `MissingEffect`.
         """
-        windows, clusters = self.base.windows, self.clusters[0]
-        rows = np.ones(len(residual), np.bool_) if rows is None else rows
+        windows = self.base.windows
         after = residual - column * self.cross_fit_coefficients(column, residual, limits)
-        falls = clusters.sum_by_cluster(residual**2 - after**2)
-        of_windows = sum_over_clusters(falls / max(float(residual[rows] @ residual[rows]), 1e-300))
         before, then = (windows.by_ride(self.base.convert_to_energy(values)) for values in (residual, after))
         fall = np.bincount(windows.day_of_ride, before**2 - then**2)
-        here = before[windows.by_ride(rows.astype(np.float64)) > 0.0]
-        of_rides = sum_over_clusters(fall / max(float(here @ here), 1e-300))
-        return (*of_rides, "rides") if of_rides[0] >= of_windows[0] else (*of_windows, "windows")
+        return sum_over_clusters(fall / max(float(before @ before), 1e-300))
 
     def cross_fit_coefficients(self, column: Floats, residual: Floats, limits: tuple[float, float]) -> Floats:
         """Return for each window the coefficient within limits that fits the other folds best, (n,)."""
@@ -306,14 +280,12 @@ class ForwardSelection:
         return np.asarray(np.clip(coefficient, *limits)[folds][clusters.code])
 
     def is_worthwhile(self, effect: SelectedEffect) -> bool:
-        """Return whether an effect explains enough on held-out days, beside the selected ones.
-
-        The reference is the squared error within the scope of the effect, because an effect of one car cannot explain
-        the error of others.
-        """
+        """Return whether an effect explains the least gain on held-out days, beside the selected ones."""
+        if not self.settings.least_gain > 0.0:
+            return True
         _, column, residual = self.compare_with_others(effect)
         limits = effect.candidates.get_limits(effect.at)
-        return self.compute_gain(column, residual, limits, effect.rows)[0] >= self.settings.least_gain
+        return self.compute_gain(column, residual, limits)[0] >= self.settings.least_gain
 
     def is_new(self, effect: SelectedEffect) -> bool:
         """Return whether an effect is neither selected nor dropped."""

@@ -72,7 +72,7 @@ def diagnose_rides(
     suggest: Annotated[
         Path | None, typer.Option(metavar="FILE.py", help="Write the suggested effect, if any, to a file.")
     ] = None,
-    least_gain: LeastGain = LEAST_GAIN,
+    least_gain: LeastGain = 0.0,
     groups: Annotated[
         Path | None,
         typer.Option(metavar="FILE.csv", help="Groups of vehicles to compare: columns vehicle_id,group."),
@@ -111,7 +111,7 @@ def diagnose_rides(
         models.save(loaded, out)
     else:
         of_vehicle = read_groups(groups) if groups else None
-        result = _diagnose(loaded, *_drop_known_final_days(loaded, table, windows, console), least_gain, of_vehicle)
+        result = _diagnose(loaded, *_drop_final_days(loaded, table, windows, console), least_gain, of_vehicle)
         insert_commands(result, model, rides, effects_file or ())
         if findings:
             after = _keep_findings(result, table, earlier, findings, model)
@@ -286,18 +286,17 @@ def _diagnose(
     return result
 
 
-def _drop_known_final_days(
+def _drop_final_days(
     model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, console: Console
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the tables without the final hold-out days of the model's history, and print what is left out."""
+    """Return the tables without the final hold-out days, and print what is left out."""
     known = any(entry.get("final") for entry in model.history)
-    days = select_final_days(model.history, get_names(rides, "date")) if known else ()
+    days = select_final_days(model.history, get_names(rides, "date"))
     kept = drop_days(rides, windows, days)
     if days:
         left_out = f"{len(rides) - len(kept[0]):,}"
-        message = (
-            f"Not used: {left_out} rides of {', '.join(days)}, the final hold-out dates in the history of the model."
-        )
+        why = "in the history of the model" if known else "on which socast add evaluates"
+        message = f"Not used: {left_out} rides of {', '.join(days)}, the final hold-out dates {why}."
         console.print(message, markup=False, highlight=False, soft_wrap=True)
     return kept
 
@@ -323,7 +322,7 @@ def _auto(
         name, scopes = parse_term(entry)
         try:
             added = add.add_effect(
-                model, name, build_term_columns(name, scopes), rows, rides=rides, floor=floor, least=least_gain
+                model, name, build_term_columns(name, scopes), rows, rides=rides, floor=floor, least=max(least_gain, LEAST_GAIN)
             )
         except ModelError as error:
             page.print_lines([f"The loop ends here: {error}"], console)

@@ -134,7 +134,7 @@ def test_gain_of_an_implausible_coefficient_is_that_of_the_largest_plausible_one
     assert (low, high) == (0.0, effects.get("cabin_heating").high)
     residual = 2.0 * high * column
     assert selection.cross_fit_coefficients(column, residual, (low, high)) == pytest.approx(high)
-    capped, _, _ = selection.compute_gain(column, residual, (low, high))
+    capped, _ = selection.compute_gain(column, residual, (low, high))
     assert capped == pytest.approx(1.0 - 0.5**2)
     assert selection.compute_gain(column, residual, (low, 3.0 * high))[0] == pytest.approx(1.0)
     assert selection.compute_gain(column, -residual, (low, high))[0] == 0.0

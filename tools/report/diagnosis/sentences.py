@@ -119,8 +119,7 @@ def describe_gain(one: Mapping[str, Any]) -> str:
     """Return how much of the error an effect explains on held-out days."""
     limits = read_interval(one.get("gain_ci95"))
     interval = f" (95 % interval {format_percent(limits[0])} to {format_percent(limits[1])})" if limits else ""
-    of = f" of {one['gain_of']}" if one.get("gain_of") else ""
-    parts = [f"explains {format_percent(one.get('gain'))}{interval} of the squared error{of} on held-out days"]
+    parts = [f"explains {format_percent(one.get('gain'))}{interval} of the squared error of rides on held-out days"]
     if get_number(one.get("energy_share")) is not None:
         parts.append(f"its absolute energy is {format_percent(one['energy_share'])} of the measured energy")
     return ", ".join(parts)
