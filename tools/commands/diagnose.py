@@ -322,7 +322,13 @@ def _auto(
         name, scopes = parse_term(entry)
         try:
             added = add.add_effect(
-                model, name, build_term_columns(name, scopes), rows, rides=rides, floor=floor, least=max(least_gain, LEAST_GAIN)
+                model,
+                name,
+                build_term_columns(name, scopes),
+                rows,
+                rides=rides,
+                floor=floor,
+                least=max(least_gain, LEAST_GAIN),
             )
         except ModelError as error:
             page.print_lines([f"The loop ends here: {error}"], console)
