@@ -70,10 +70,13 @@ def _format_date(day: date, beside: date | None = None) -> str:
 def _name_causes(causes: Sequence[Mapping[str, Any]]) -> str:
     """Return the causes of a credible set with their probabilities, the most probable first."""
     names = [
-        f"{CAUSES.get(str(cause['effect']), str(cause['effect']).replace('_', ' '))} "
-        f"{PERCENT * float(cause['probability']):.0f} %"
-        for cause in causes
+        f"{_name_cause(str(one.get('effect')))} {PERCENT * (one.get('probability') or 0.0):.0f} %" for one in causes
     ]
     if len(names) > SEVERAL:
         names = [*names[:SEVERAL], f"or one of {len(names) - SEVERAL} others"]
     return ", ".join(names)
+
+
+def _name_cause(effect: str) -> str:
+    """Return an effect in words."""
+    return CAUSES.get(effect, effect.replace("_", " "))
