@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 
+from core.errors import SettingsError
 from stream.mcap_writer import McapSink
 from stream.zenoh_session import Connection, Node, find_free_port
 from tests.support.commands import called, refused
@@ -12,6 +13,7 @@ from tests.support.live_consumers import consumers, logged
 from tests.support.paths import ROOT
 from tests.support.recorded_shift import make_two_days
 from tests.support.zenoh_sessions import eventually
+from tools.commands.fit import inputs
 
 pytestmark = pytest.mark.long
 
@@ -56,3 +58,12 @@ def test_missing_effect_is_published_after_midnight(tmp_path):
     assert {json.loads(payload)["status"] for _, payload in heard} == {"sure"}
     assert all(line["add"].startswith("socast add ") for line in sure if line["who"] == "all")
     assert json.loads(file.read_text())["findings"]
+
+
+def test_folder_of_recordings_stands_for_its_recordings(tmp_path):
+    for name in ("b.mcap", "a.mcap", "notes.txt"):
+        (tmp_path / name).touch()
+    assert inputs([tmp_path]) == [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(SettingsError, match="holds no rides"):
+        inputs([tmp_path / "empty"])
