@@ -92,7 +92,7 @@ def split_at_quantiles(values: Floats, most: int) -> tuple[Ints, int]:
     Examples
     --------
     >>> split_at_quantiles(np.array([0.0, 0.0, 0.0, 1.0, 2.0, 3.0]), 3)
-    (array([0, 0, 0, 1, 1, 2]), 3)
+    (array([0, 0, 0, 1, 2, 2]), 3)
     """
     zero = values == 0.0
     apart = most > 1 and float(zero.mean()) > 1.0 / most and not zero.all()
