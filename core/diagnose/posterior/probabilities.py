@@ -51,7 +51,7 @@ CALIBRATION: Final = Calibration(
     unknown_first=-0.996,
     unknown_second=-0.025,
 )
-"""Fitted to 340 data sets of simulated fleets with plain and bent forms, seeds 430 to 436, 460 to 464 and 471 to 475."""
+"""Fitted to 340 data sets of simulated fleets in plain and bent forms, seeds 430-436, 460-464 and 471-475."""
 FAINT: Final = 5.0
 """Evidence that is added to that of the best effect before the evidence of unknown shapes is divided by it."""
 
