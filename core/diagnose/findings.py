@@ -1,7 +1,8 @@
 """Turn diagnoses of successive nights into findings: proposed, sure, and gone.
 
 A finding is real with a probability: that of a missing effect, or one minus the rate of false discoveries of a
-deviation. From `SURE` on it is sure. It stays sure until a diagnosis no longer finds it.
+deviation. From `SURE` on it is sure, if the interval of its share excludes zero. It stays sure until a diagnosis no
+longer finds it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -145,7 +146,8 @@ def _make_finding(
     """Return the finding of an entry of a diagnosis; `size` is its share with the ends of its interval."""
     probability = float(one["probability"]) if one.get("probability") is not None else 1.0 - float(one["q"])
     share, low, high = (_get_known(value) for value in size)
-    day, sure = use.last_day.isoformat(), probability >= SURE
+    day = use.last_day.isoformat()
+    sure = probability >= SURE and low is not None and high is not None and low * high > 0.0
     return Finding(
         who=who,
         effect=str(one["effect"]),

@@ -302,7 +302,10 @@ class Finding(Wire, omit_defaults=False):
     time_s: Annotated[float, Meta(description="End of the last day that was diagnosed. [Unix s]")]
     status: Annotated[
         Literal["proposed", "sure", "gone"],
-        Meta(description="`sure` from a probability of 90 % on; `gone` if a later diagnosis no longer finds it."),
+        Meta(
+            description="`sure` from a probability of 90 % on, if the interval of the share excludes zero; "
+            "`gone` if a later diagnosis no longer finds it."
+        ),
     ]
     probability: Annotated[float, Meta(description="Probability that the finding is real. [1]")]
     causes: Annotated[list[Cause], Meta(description="Causes that hold 90 % of the probability.")]
