@@ -7,7 +7,7 @@ import pytest
 
 from core.batch import Lanes
 from core.wire.decoder import Decoder
-from core.wire.messages import KINDS, Leg, LegOutlook, Message, Outlook, Ride, Telemetry, Wire
+from core.wire.messages import KINDS, Finding, Leg, LegOutlook, Message, Outlook, Ride, Telemetry, Wire
 from core.wire.schema import describe_struct, make_schema
 
 STRUCTS = KINDS | {"outlook": Outlook, "leg": Leg, "leg_outlook": LegOutlook}
@@ -38,6 +38,7 @@ def valid(kind: str) -> dict[str, Any]:
     for part in (value, value.get("overall", {})):
         if "gain" in part:
             part["gain"]["verdict"] = "better"
+    value |= {"status": "sure"} if STRUCTS[kind] is Finding else {}
     return value | ({"event": "start"} if STRUCTS[kind] is Ride else {})
 
 

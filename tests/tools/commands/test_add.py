@@ -228,7 +228,8 @@ def made_up(monkeypatch) -> list[dict[str, object]]:
 
 
 def cold(variant: str = "cold_rolling") -> dict[str, object]:
-    return make_diagnosis(missing=[make_missing_effect(variant=variant, columns=[f"effect_{variant}"])])
+    named = make_missing_effect(variant=variant, columns=[f"effect_{variant}"], probability=0.97)
+    return make_diagnosis(missing=[named])
 
 
 def test_loop_adds_effects_until_none_is_missing(made_up, here, capsys):
@@ -297,7 +298,8 @@ def test_diagnosis_does_not_use_final_hold_out_days(here, capsys, monkeypatch):
     assert not set(rides["date"]) & set(apart)
     assert set(windows["ride_key"]) == set(rides["ride_key"])
     done("diagnose", here / "tables", "--model", here / "base.json")
-    assert set(apart) <= set(seen[1][0]["date"])
+    assert "the final hold-out dates on which socast add evaluates" in capsys.readouterr().out
+    assert not set(apart) & set(seen[1][0]["date"])
 
 
 def test_suggestion_is_written_to_given_file(made_up, here, capsys):
@@ -315,7 +317,7 @@ def test_findings_are_kept_and_announced_once(made_up, here, capsys):
     for _ in range(3):
         done("diagnose", here / "tables", "--model", here / "base.json", "--findings", here / "findings.json")
         printed.append(capsys.readouterr().out)
-    assert "Sure (100 %): the model lacks cold_rolling" in printed[0]
+    assert "Sure (97 %): the model lacks cold_rolling" in printed[0]
     assert f"socast live --model {here / 'base.json'} --model {here / 'base-cold_rolling.json'}" in printed[0]
     assert "No finding became sure, and none is gone." in printed[1]
     assert "Gone: the model lacks cold_rolling" in printed[2]
