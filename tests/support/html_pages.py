@@ -32,7 +32,7 @@ class PageReader(HTMLParser):
 
     def handle_data(self, data):
         if not {"script", "style"} & set(self.open):
-            self.text.append(data)
+            self.text.append(data.replace("\u00a0", " "))
 
 
 def read_page(text):

@@ -15,7 +15,8 @@ from core import models
 from core.diagnose.diagnosis import diagnose
 from tests.support.documented_commands import PAGE, documented_commands, prepare_folder, run_command
 from tests.support.paths import ROOT
-from tools.report.diagnosis.partial_figures import POWER, divide_units, format_unit
+from tools.report.diagnosis.partial_figures import POWER, divide_units
+from tools.report.diagnosis.sentences import format_unit
 
 FIGURE: Final = ROOT / "docs" / "missing-effect-picture.svg"
 WIDTH, HEIGHT = 820, 420

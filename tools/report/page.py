@@ -1,5 +1,7 @@
 """Render the report of an evaluation as one HTML file: tables and figures, with nothing loaded from elsewhere."""
 
+import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from html import escape
 from importlib import resources
@@ -25,6 +27,11 @@ POLICY: Final = (
     "font-src data:"
 )
 """Content security policy of the page: nothing may be loaded from the network."""
+UNIT_SPACE: Final = re.compile(
+    r"(?<=\d) (?=(?:%|kWh|Wh|kW|W|km|m²|m|s|min|h|kg|N|K|°C)(?![\w²]))|(?<=±) (?=\d)|(?<=\d) (?=± \d)"
+)
+"""The space between a number and its unit, and those around ±."""
+NO_BREAK: Final = "\u00a0"
 
 
 def write(result: Any, path: Path) -> None:
@@ -131,6 +138,22 @@ def render_document(
 """
 
 
+def escape_text(text: str) -> str:
+    """Return text for a page, with no line break between a number and its unit.
+
+    Examples
+    --------
+    >>> escape_text("64 % of 0.1 kWh, 3 < 4").replace(NO_BREAK, "~")
+    '64~% of 0.1~kWh, 3 &lt; 4'
+    """
+    return escape(keep_units(text))
+
+
+def keep_units(text: str) -> str:
+    """Return text with no-break spaces between numbers and their units, and around ±."""
+    return UNIT_SPACE.sub(NO_BREAK, text)
+
+
 def _shipped(name: str) -> str:
     """Return a file of this package."""
     return resources.files("tools.report").joinpath(name).read_text(encoding="utf-8")
@@ -144,40 +167,49 @@ def _lead(result: Result) -> str:
         f"{rides}Figures in parentheses and outlines are from “{published.load_paper().title}”. They are "
         "from other data (the rides of one company), for orientation only."
     )
-    return f"<p>{escape(text)}</p>"
+    return f"<p>{escape_text(text)}</p>"
 
 
 def _foot(result: Result) -> str:
     """Return the notes of the evaluation and the name of the command."""
     about = get_mapping(result, "about")
     notes = [*(result.get("notes") or ()), *(about.get("notes") or ())]
-    items = "".join(f"<li>{escape(str(note))}</li>" for note in notes)
+    items = "".join(f"<li>{escape_text(str(note))}</li>" for note in notes)
     return (f"<ul>{items}</ul>" if items else "") + "<p>Made by <code>socast evaluate</code>.</p>"
 
 
 def _section(section: Section, shown: Sequence[Illustration]) -> str:
     """Return a section: its text, its figures, its tables."""
     drawn = "".join(
-        f'<div class="{"small" if small else "wide"}">{"".join(_figure(one) for one in group)}</div>'
+        _figures(list(group), section.title, "small" if small else "wide")
         for small, group in groupby(shown, key=lambda one: one.small)
     )
-    text = f"<p>{escape(section.text)}</p>" if section.text else ""
+    text = f"<p>{escape_text(section.text)}</p>" if section.text else ""
     filled = [table for table in section.tables if table.rows]
     tables = "".join(_table(table, captioned=table.title != section.title) for table in filled)
     if section.folded:
         tables = f"<details><summary>As tables</summary>{tables}</details>"
-    return f'<section id="{section.key}"><h2>{escape(section.title)}</h2>{text}{drawn}{tables}</section>\n'
+    return f'<section id="{section.key}"><h2>{escape_text(section.title)}</h2>{text}{drawn}{tables}</section>\n'
 
 
-def _figure(one: Illustration) -> str:
-    """Return a figure, its caption and its data."""
+def _figures(shown: Sequence[Illustration], heading: str, kind: str) -> str:
+    """Return figures in a row or a column; a caption that several share stands once, above them."""
+    count = Counter(one.caption for one in shown)
+    shared = [caption for caption, times in count.items() if times > 1]
+    above = "".join(f'<p class="caption">{escape_text(caption)}</p>' for caption in shared)
+    figures = "".join(_figure(one, titled=one.title != heading, captioned=one.caption not in shared) for one in shown)
+    return f'{above}<div class="{kind}">{figures}</div>'
+
+
+def _figure(one: Illustration, *, titled: bool, captioned: bool) -> str:
+    """Return a figure, its caption and its data; the title is left out where it is that of the section."""
     content = one.figure.to_json().replace("<", "\\u003c")
-    label = escape(f"{one.title}. {one.caption}")
+    label = escape_text(f"{one.title}. {one.caption}")
     return (
-        f'<figure id="figure-{one.key}"><h3>{escape(one.title)}</h3>'
+        f'<figure id="figure-{one.key}">{f"<h3>{escape_text(one.title)}</h3>" if titled else ""}'
         f'<div class="plot" role="img" aria-label="{label}" style="height:{one.figure.layout.height}px"></div>'
         f'<script type="application/json">{content}</script>'
-        f"<figcaption>{escape(one.caption)}</figcaption>{_figures_data(one)}</figure>"
+        f"{f'<figcaption>{escape_text(one.caption)}</figcaption>' if captioned else ''}{_figures_data(one)}</figure>"
     )
 
 
@@ -203,11 +235,11 @@ def _number(value: Any) -> str:
 
 def _table(table: ReportTable, *, captioned: bool) -> str:
     """Return a table in a frame that scrolls sideways where the table is too wide."""
-    title = escape(table.title)
+    title = escape_text(table.title)
     caption = f"<caption>{title}</caption>" if captioned else ""
-    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in (table.corner, *table.columns))
+    head = "".join(f'<th scope="col">{escape_text(name)}</th>' for name in (table.corner, *table.columns))
     rows = "".join(_row(row) for row in table.rows)
-    notes = "".join(f"<p>{escape(note)}</p>" for note in table.all_notes)
+    notes = "".join(f"<p>{escape_text(note)}</p>" for note in table.all_notes)
     return (
         f'<div class="table"><div class="scroll" role="region" tabindex="0" aria-label="{title}"><table>{caption}'
         f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>{notes}</div>"
@@ -216,11 +248,11 @@ def _table(table: ReportTable, *, captioned: bool) -> str:
 
 def _row(row: Row) -> str:
     kind = ' class="total"' if row.total else ""
-    name = f'<a href="#{escape(row.link)}">{escape(row.name)}</a>' if row.link else escape(row.name)
+    name = f'<a href="#{escape(row.link)}">{escape_text(row.name)}</a>' if row.link else escape_text(row.name)
     return f'<tr{kind}><th scope="row">{name}</th>{"".join(_cell(cell) for cell in row.cells)}</tr>'
 
 
 def _cell(cell: Cell) -> str:
-    text = escape(cell.text)
-    paper = f' <span class="paper">({escape(cell.paper)})</span>' if cell.paper else ""
+    text = escape_text(cell.text)
+    paper = f' <span class="paper">({escape_text(cell.paper)})</span>' if cell.paper else ""
     return f"<td>{f'<b>{text}</b>' if cell.strong else text}{paper}</td>"

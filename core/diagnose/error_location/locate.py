@@ -52,6 +52,8 @@ class LocatedLoad:
         Whether the interval lies above the floor.
     other_kinds, other_levels : tuple of str
         Kinds and levels that explain the data about as well.
+    floor_w : float
+        The size that drives show without such a load, as a mean power. [W]
     """
 
     level: str
@@ -67,6 +69,7 @@ class LocatedLoad:
     claimed: bool
     other_kinds: tuple[str, ...] = ()
     other_levels: tuple[str, ...] = ()
+    floor_w: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -140,7 +143,7 @@ def _describe(
 ) -> LocatedLoad:
     """Return a selected load in the unit of its kind, with its rivals where it is claimed."""
     level, kind, power = _read_place(load.place, located)
-    claimed = load.low_kw / power > FLOORS[level][kind.name]
+    claimed = load.low_kw / power > _get_floor(level, kind)
     rivals = search.find_rivals(load.place, places, best) if claimed and search is not None else []
     made = _make(level, kind, power, (load.size_kw, load.low_kw, load.high_kw), load.gain, claimed=claimed)
     kinds = tuple(located.kinds.kinds[k].name for i, k in rivals if i == load.place[0])
@@ -161,8 +164,14 @@ def _make(
     scale = (1000.0 if kind.unit == "W" else 100.0) / power
     size, low, high = (float(scale * each) for each in kw)
     size_w, low_w, high_w = (1000.0 * float(each) for each in kw)
-    claims = bool(claimed)
-    return LocatedLoad(level, kind.name, size, low, high, kind.unit, size_w, low_w, high_w, float(gain), claims)
+    floor_w = 1000.0 * power * _get_floor(level, kind)
+    sizes = (size, low, high, kind.unit, size_w, low_w, high_w)
+    return LocatedLoad(level, kind.name, *sizes, float(gain), bool(claimed), floor_w=floor_w)
+
+
+def _get_floor(level: str, kind: Kind) -> float:
+    """Return the size that drives show without a load; drivers and dates stand in place of vehicle-days."""
+    return FLOORS["day" if level in {"driver", "date"} else level][kind.name]
 
 
 def _change(load: LocatedLoad, **values: Any) -> LocatedLoad:

@@ -279,9 +279,10 @@ def compute_errors_by_condition(compared: ComparedRides, predicted: Floats) -> d
     Returns
     -------
     dict of str to list of dict
-        `bin`, `n`, `vehicle_days`, `bias_kwh` with its interval, `mae_kwh`, and `relative` and `relative_bias` as
-        shares of consumption. `q` is the false-discovery rate if all bins at least as significantly biased were
-        reported (Benjamini and Hochberg, over the bins of all conditions).
+        `bin`, `n`, `vehicle_days`, `bias_kwh` with its interval, `mae_kwh` and half the width of its interval
+        `mae_ci95_kwh`, and `relative` and `relative_bias` as shares of consumption. `q` is the false-discovery rate if
+        all bins at least as significantly biased were reported (Benjamini and Hochberg, over the bins of all
+        conditions).
     """
     error = predicted - compared.measured
     made: dict[str, list[dict[str, Any]]] = {}
@@ -305,11 +306,13 @@ def _bin(error: Floats, measured: Floats, clusters: Codes, off: Estimate) -> dic
     """Return the errors of the rides of a bin."""
     used = float(np.mean(measured))
     size = float(np.mean(np.abs(error)))
+    spread = compute_clustered_mean(np.abs(error), clusters).figures()["ci95"]
     return {
         "n": len(error),
         "vehicle_days": len(np.unique(clusters)),
         "bias_kwh": off.figures(),
         "mae_kwh": size,
+        "mae_ci95_kwh": spread,
         "relative": size / used if used > 0.0 else np.nan,
         "relative_bias": off.value / used if used > 0.0 else np.nan,
     }

@@ -30,5 +30,20 @@ def test_many_causes_share_the_last_bar():
     assert sum(one.figure.data[0].x) == pytest.approx(100.0)
 
 
+def test_improbable_effects_share_one_row():
+    causes = [
+        {"effect": "headwind", "probability": 0.95},
+        *({"effect": f"cause {i}", "probability": 0.004} for i in range(10)),
+        {"effect": "none", "probability": 0.01},
+    ]
+    [one] = draw_causes(causes)
+    named, apart = one.figure.data
+    assert list(named.y) == ["headwind", "10 others"]
+    assert list(named.x) == pytest.approx([95.0, 4.0])
+    assert list(apart.text) == ["1 %"]
+    [small] = draw_causes([*causes[:1], {"effect": "a", "probability": 1e-9}, {"effect": "b", "probability": 1e-9}])
+    assert list(small.figure.data[0].text) == ["95 %", "< 0.5 %"]
+
+
 def test_nothing_is_drawn_without_probabilities():
     assert draw_causes([]) == draw_causes([{"effect": "headwind", "probability": None}]) == []

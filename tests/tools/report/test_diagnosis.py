@@ -112,6 +112,7 @@ def test_next_command_can_be_copied(tmp_path):
     console = Console(width=40, file=StringIO(), color_system=None)
     report.show(result, console)
     assert command in console.file.getvalue().splitlines()
+    assert {"class": "command"} in [attrs for tag, attrs in page(result, tmp_path).tags if tag == "p"]
     assert command in " ".join(page(result, tmp_path).text)
     assert parse_term({"effect": "snow"}) == ("snow", [])
 
@@ -136,6 +137,32 @@ def test_page_has_every_figure_and_table(tmp_path):
     text = " ".join(reader.text)
     for part in ("snow", "not in the data", "1.1 ± 0.2 %", "mine.py contains it as an effect to edit", "58.0 %"):
         assert part in text, part
+
+
+def test_page_states_the_probable_cause_once(tmp_path):
+    text = " ".join(page(make_diagnosis(), tmp_path).text)
+    assert text.count("Probable cause of the error") == 1
+    assert (
+        "Probable cause of what remains after cold_rolling@reference=283.15, brake_drag: no missing effect 80 %" in text
+    )
+
+
+def test_numbers_stay_with_their_units_on_the_page_and_in_the_terminal(tmp_path):
+    report.write(make_diagnosis(), tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert "60\u00a0% of the error" in text
+    assert "0.037\u00a0kWh" in text
+    console = Console(width=30, file=StringIO(), color_system=None)
+    report.show(make_diagnosis(), console)
+    assert not [line for line in console.file.getvalue().splitlines() if line.lstrip().startswith(("%", "kWh", "±"))]
+
+
+def test_title_and_caption_that_repeat_stand_once(tmp_path):
+    report.write(make_diagnosis(), tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert "<h3>Where the error lives</h3>" not in text
+    assert "<h3>1. cold_rolling@reference=283.15: coefficient and plausible range</h3>" in text
+    assert text.count(">Line: 95\u00a0% interval. Shaded: the plausible range.") == 1
 
 
 @pytest.mark.parametrize("make", [draw_errors, draw_slices, draw_effects, draw_remainder])

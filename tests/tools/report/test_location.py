@@ -4,6 +4,7 @@ import pytest
 
 from core.diagnose.error_location.absent_signals import SIGNALS
 from core.diagnose.error_location.kinds import KINDS
+from tests.support.html_pages import assert_axes_are_titled
 from tools.report.diagnosis.location_figure import draw_location
 from tools.report.diagnosis.location_sentences import CAUSES, JUDGED_BY, KIND_NAMES, LEVEL_NAMES, describe_location
 from tools.report.diagnosis.page import build_sections
@@ -70,16 +71,23 @@ def test_diagnosis_without_load_says_so():
     assert describe_location({}) == []
 
 
-def test_figure_has_a_bar_with_interval_for_each_level_and_kind():
+def test_figure_has_a_panel_for_each_level_and_a_point_with_interval_for_each_kind():
     (drawn,) = draw_location(make_result(make_load()))
-    bars = [name for trace in drawn.figure.data for name in trace.y]
-    assert len(bars) == 1 + len(KINDS)
-    claimed, quiet = drawn.figure.data
-    assert list(claimed.y) == ["ride, per second"]
+    claimed, quiet = (trace for trace in drawn.figure.data if trace.error_x.array is not None)
+    assert list(claimed.y) == ["per second"]
     assert claimed.error_x.array[0] == pytest.approx(0.06 * 640.0)
-    assert "[W]" in drawn.figure.layout.xaxis.title.text
-    assert set(quiet.y).isdisjoint(claimed.y)
+    assert len(quiet.y) == len(KINDS)
+    assert [note.text for note in drawn.figure.layout.annotations] == ["Between rides", "Between vehicle-days"]
+    first, second = drawn.figure.select_xaxes()
+    assert first.matches == "x2" or second.matches == "x"
+    assert_axes_are_titled(drawn.figure)
     assert draw_location({}) == []
+
+
+def test_figure_marks_what_sampling_alone_causes():
+    (drawn,) = draw_location(make_result(make_load(floor_w=50.0)))
+    (ticks,) = (trace for trace in drawn.figure.data if trace.name == "limit of sampling")
+    assert (list(ticks.x), list(ticks.y)) == ([50.0], ["per second"])
 
 
 def test_page_has_a_section_for_the_location():

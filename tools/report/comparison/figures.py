@@ -4,8 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
 from core.stats.scores import BANDS
+from tools.report.cells import format_count
 from tools.report.comparison.tables import (
     UNITS,
     format_bin,
@@ -19,12 +21,11 @@ from tools.report.evaluation.result import Result, get_half_width, get_mapping, 
 from tools.report.figure_style import (
     REFERENCE_LINE,
     Style,
-    draw_curve,
+    apply_layout,
     draw_dots,
     escape_label,
     get_style,
     make_figure,
-    make_stacked_figure,
 )
 
 MOST_POINTS: Final = 2000
@@ -32,17 +33,18 @@ MOST_POINTS: Final = 2000
 BAND_DASHES: Final = ("dot", "dash", "longdashdot")
 """Dashes of the bands, narrowest first."""
 WIDEST: Final = 1.5
-"""Widest interval that is drawn, relative to the largest bias of a figure."""
-LEFT_OUT: Final = "Intervals far wider than the figure (bins of few vehicle-days) are in the table only."
+"""Farthest end of an interval that the common scale shows, relative to the largest value."""
+BIAS: Final = ("bias_kwh", "")
+ERROR: Final = ("mae_kwh", "mae_ci95_kwh")
+"""Names of a figure of a bin, and of half the width of its interval where the figure does not hold it itself."""
+GAP: Final = 80
+"""Height between two plots of a figure. [px]"""
+LONG: Final = 26
+"""Length of the name of a row above which it has two lines. [characters]"""
+SIDES: Final = ("first", "second")
+"""The two sets of rides."""
 PLACES: Final = (2, 4, 5, 3, 7, 6, 9, 10, 11, 8)
 """Positions of models in the order of styles; neighbours differ. Grey is kept for measurements."""
-
-
-def select_interval_widths(biases: Sequence[Any], among: Sequence[Any]) -> list[float | None]:
-    """Return half widths of intervals; None where an interval would dwarf the figure."""
-    most = WIDEST * max((abs(get_number(bias) or 0.0) for bias in among), default=0.0)
-    widths = [get_half_width(bias) for bias in biases]
-    return [width if width is not None and width <= most else None for width in widths]
 
 
 def get_model_style(place: int) -> Style:
@@ -113,60 +115,100 @@ def _line(
 
 
 def illustrate_conditions(result: Result) -> list[Illustration]:
-    """Return bias and error of all models by each condition."""
+    """Return bias and error of all models by each condition, on one scale."""
     caption = (
-        f"Above: bias (mean of predicted less measured), with 95 % intervals. Below: mean absolute error. {LEFT_OUT}"
+        "Above: bias (mean of predicted less measured). Below: mean absolute error. Lines: 95 % intervals. All these "
+        "figures have one scale, which an interval may leave. In parentheses: the number of rides. Bins of a single "
+        "vehicle-day have no interval and are in the table only."
     )
+    conditions = [name for name in list_varying_conditions(result) if _index_known_bins(result, name)]
+    scales = [_find_scale(result, conditions, key, width) for key, width in (BIAS, ERROR)]
     return [
         Illustration(
-            f"by-{i}", f"Bias and error by {name}", caption, draw_errors_by_condition(result, name), small=True
+            f"by-{i}", f"Bias and error by {name}", caption, draw_errors_by_condition(result, name, *scales), small=True
         )
-        for i, name in enumerate(list_varying_conditions(result))
+        for i, name in enumerate(conditions)
     ]
 
 
-def draw_errors_by_condition(result: Result, name: str) -> go.Figure:
-    """Return a figure of the bias above and the mean absolute error below, of all models."""
-    made = make_stacked_figure(("", ""), 560)
-    by_model = {
-        model: index_bins(get_part(bins_of_model, "by", name))
-        for model, bins_of_model in get_mapping(result, "models").items()
+def _index_known_bins(result: Result, name: str) -> dict[str, dict[str, Mapping[str, Any]]]:
+    """Return the bins of a condition that have an interval, for each model that has any."""
+    known = {
+        model: {
+            key: entry
+            for key, entry in index_bins(get_part(scores, "by", name)).items()
+            if get_half_width(get_part(entry, "bias_kwh")) is not None
+        }
+        for model, scores in get_mapping(result, "models").items()
     }
+    return {model: bins for model, bins in known.items() if bins}
+
+
+def _get_error(entry: Mapping[str, Any], key: str, width: str) -> tuple[float, float]:
+    """Return a figure of a bin and half the width of its interval, 0 where it has none. [kWh]"""
+    value, half = entry.get(key), get_number(entry.get(width)) if width else get_half_width(entry.get(key))
+    return get_number(value) or 0.0, half or 0.0
+
+
+def _find_scale(result: Result, conditions: Sequence[str], key: str, width: str) -> float:
+    """Return the end of the common scale of a figure of bins: it shows each value, and most intervals whole. [kWh]"""
+    bins = [of_model for name in conditions for of_model in _index_known_bins(result, name).values()]
+    pairs = [_get_error(entry, key, width) for of_model in bins for entry in of_model.values()]
+    most = max((abs(value) for value, _ in pairs), default=0.0)
+    ends = [abs(value) + half for value, half in pairs]
+    return 1.05 * max([most, *(end for end in ends if end <= WIDEST * most)])
+
+
+def draw_errors_by_condition(result: Result, name: str, most_bias: float, most_error: float) -> go.Figure:
+    """Return a figure of the bias above and the mean absolute error below, a row for each bin.
+
+    Parameters
+    ----------
+    result : mapping
+        Result of the comparison.
+    name : str
+        The condition.
+    most_bias, most_error : float
+        Ends of the scales. [kWh]
+    """
+    by_model = _index_known_bins(result, name)
     shown = select_most_significant(
         [{key: get_part(e, "bias_kwh") for key, e in bins_of_model.items()} for bins_of_model in by_model.values()]
     )
-    among = [get_part(entry, "bias_kwh") for bins_of_model in by_model.values() for entry in bins_of_model.values()]
-    for model, bins_of_model in by_model.items():
-        bins = [key for key in shown if key in bins_of_model]
-        x = [escape_label(format_bin(name, key)) for key in bins]
-        bias = [get_part(bins_of_model, key, "bias_kwh") for key in bins]
-        look_of = get_look(result, model)
-        above = draw_curve(
-            escape_label(model),
-            look_of,
-            x,
-            [get_number(one) for one in bias],
-            select_interval_widths(bias, among),
-            legendgroup=model,
-        )
-        below = draw_curve(
-            escape_label(model),
-            look_of,
-            x,
-            [get_number(get_part(bins_of_model, key, "mae_kwh")) for key in bins],
-            legendgroup=model,
-            showlegend=False,
-        )
-        made.add_trace(above, row=1, col=1)
-        made.add_trace(below, row=2, col=1)
-    made.add_hline(y=0.0, line={**REFERENCE_LINE, "width": 1}, row=1, col=1)
+    counts = {key: entry.get("n") for bins_of_model in by_model.values() for key, entry in bins_of_model.items()}
+    labels = {key: _format_row(f"{format_bin(name, key)} ({format_count(counts[key])})") for key in shown}
+    area = GAP + 2 * len(shown) * (16 + 8 * len(by_model))
+    made = make_subplots(rows=2, cols=1, vertical_spacing=GAP / area)
+    for row, (key, width) in enumerate((BIAS, ERROR), start=1):
+        for model, bins_of_model in by_model.items():
+            rows = [each for each in shown if each in bins_of_model]
+            known = [_get_error(bins_of_model[each], key, width) for each in rows]
+            dots = draw_dots(
+                escape_label(model),
+                get_look(result, model),
+                [value for value, _ in known],
+                [labels[each] for each in rows],
+                [half for _, half in known],
+            )
+            dots.update(orientation="h", offsetgroup=model, legendgroup=model, showlegend=row == 1)
+            made.add_trace(dots, row=row, col=1)
+    apply_layout(made, area + 90)
+    made.update_layout(scattermode="group", showlegend=len(get_mapping(result, "models")) > 1)
+    made.add_vline(x=0.0, line={**REFERENCE_LINE, "width": 1}, row=1, col=1)
+    made.update_xaxes(nticks=5, tickangle=0)
+    made.update_xaxes(title_text="Bias [kWh per ride]", range=[-most_bias, most_bias], row=1, col=1)
+    made.update_xaxes(title_text="Mean absolute error [kWh per ride]", range=[0.0, most_error], row=2, col=1)
     unit = f" [{UNITS[name]}]" if name in UNITS else ""
-    order = [escape_label(format_bin(name, key)) for key in shown]
-    made.update_xaxes(type="category", categoryorder="array", categoryarray=order)
-    made.update_xaxes(title_text=f"{name.capitalize()}{unit}")
-    made.update_yaxes(title_text="Bias [kWh per ride]", row=1, col=1)
-    made.update_yaxes(title_text="Mean absolute<br>error [kWh per ride]", rangemode="tozero", row=2, col=1)
+    order = [labels[key] for key in shown]
+    made.update_yaxes(type="category", categoryorder="array", categoryarray=order, autorange="reversed")
+    made.update_yaxes(title_text=f"{name.capitalize()}{unit}")
     return made
+
+
+def _format_row(label: str) -> str:
+    """Return the name of a row, in two lines where it is long."""
+    text = escape_label(label)
+    return text.replace(" (", "<br>(", 1) if len(label) > LONG else text
 
 
 def illustrate_terms(result: Result) -> list[Illustration]:
@@ -203,43 +245,64 @@ def draw_difference_terms(result: Result, model: str) -> go.Figure:
     )
     made.add_vline(x=0.0, line={**REFERENCE_LINE, "width": 1})
     made.update_xaxes(title_text="Difference in consumption [kWh/100 km]")
-    made.update_yaxes(type="category")
+    made.update_yaxes(title_text="Part of the difference", type="category")
     made.update_layout(showlegend=False)
     return made
 
 
 def illustrate_datasets(result: Result) -> list[Illustration]:
-    """Return the bias of each model on both sets of rides, by each condition."""
-    caption = f"Bias (mean of predicted less measured) on both sets of rides, with 95 % intervals. {LEFT_OUT}"
-    return [
-        Illustration(
-            f"contrast-{i}-{j}", f"{model}: bias by {name}", caption, draw_bias_of_datasets(name, bins), small=True
-        )
+    """Return the bias of each model on both sets of rides, by each condition, on one scale."""
+    caption = (
+        "Bias (mean of predicted less measured) on both sets of rides. Lines: 95 % intervals. All these figures have "
+        "one scale, which an interval may leave. A side of a single vehicle-day has no interval and is in the table "
+        "only."
+    )
+    parts = [
+        (i, j, model, name, bins)
         for i, (model, of_model) in enumerate(get_mapping(result, "against", "models").items())
         for j, (name, bins) in enumerate(get_mapping(of_model, "by").items())
     ]
+    pairs = [pair for *_, bins in parts for side in SIDES for _, *pair in _list_biases(bins, side)]
+    most = max((abs(value) for value, _ in pairs), default=0.0)
+    limit = 1.05 * max([most, *(abs(value) + half for value, half in pairs if abs(value) + half <= WIDEST * most)])
+    return [
+        Illustration(
+            f"contrast-{i}-{j}",
+            f"{model}: bias by {name}",
+            caption,
+            draw_bias_of_datasets(name, bins, limit),
+            small=True,
+        )
+        for i, j, model, name, bins in parts
+        if any(_list_biases(bins, side) for side in SIDES)
+    ]
 
 
-def draw_bias_of_datasets(name: str, bins: Sequence[Mapping[str, Any]]) -> go.Figure:
-    """Return a figure of the bias of one model on both sets of rides."""
+def _list_biases(bins: Sequence[Mapping[str, Any]], side: str) -> list[tuple[str, float, float]]:
+    """Return the bins of a set of rides that have an interval: name, bias and half the width of the interval."""
+    known = [(str(entry["bin"]), get_part(entry, "bias_kwh", side)) for entry in bins]
+    return [(key, get_number(bias) or 0.0, half) for key, bias in known if (half := get_half_width(bias)) is not None]
+
+
+def draw_bias_of_datasets(name: str, bins: Sequence[Mapping[str, Any]], limit: float) -> go.Figure:
+    """Return a figure of the bias of one model on both sets of rides, a row for each bin."""
     shown = select_most_significant([{str(e["bin"]): get_part(e, "bias_kwh", "difference") for e in bins}])
-    kept = [entry for entry in bins if str(entry["bin"]) in shown]
-    x = [escape_label(format_bin(name, str(entry["bin"]))) for entry in kept]
-    sides = {side: [get_part(entry, "bias_kwh", side) for entry in kept] for side in ("first", "second")}
-    among = [bias for errors in sides.values() for bias in errors]
-    traces = [
-        draw_curve(
+    made = make_figure([], 130 + 34 * len(shown))
+    for place, side in enumerate(SIDES):
+        known = [(key, value, half) for key, value, half in _list_biases(bins, side) if key in shown]
+        dots = draw_dots(
             side,
             get_model_style(place),
-            x,
-            [get_number(bias) for bias in errors],
-            select_interval_widths(errors, among),
+            [value for _, value, _ in known],
+            [escape_label(format_bin(name, key)) for key, _, _ in known],
+            [half for *_, half in known],
         )
-        for place, (side, errors) in enumerate(sides.items())
-    ]
-    made = make_figure(traces, 320)
-    made.add_hline(y=0.0, line={**REFERENCE_LINE, "width": 1})
+        made.add_trace(dots.update(orientation="h", offsetgroup=side))
+    made.update_layout(scattermode="group")
+    made.add_vline(x=0.0, line={**REFERENCE_LINE, "width": 1})
     unit = f" [{UNITS[name]}]" if name in UNITS else ""
-    made.update_xaxes(title_text=f"{name.capitalize()}{unit}", type="category")
-    made.update_yaxes(title_text="Bias [kWh per ride]")
+    order = [escape_label(format_bin(name, key)) for key in shown]
+    made.update_xaxes(title_text="Bias [kWh per ride]", range=[-limit, limit])
+    made.update_yaxes(title_text=f"{name.capitalize()}{unit}", type="category", autorange="reversed")
+    made.update_yaxes(categoryorder="array", categoryarray=order)
     return made

@@ -1,6 +1,5 @@
 """Show a comparison: in the terminal, and as one page of tables and figures."""
 
-from html import escape
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +16,7 @@ from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
 from tools.report.evaluation.sections import Section
 from tools.report.evaluation.terminal import print_section
-from tools.report.page import render_document, save
+from tools.report.page import escape_text, render_document, save
 
 TITLE: Final = "Models against measurement"
 MODELS: Final = "models"
@@ -69,7 +68,7 @@ def write(result: Any, path: Path) -> None:
             made_by,
         )
     else:
-        notes = "".join(f"<li>{escape(note)}</li>" for note in values["notes"])
+        notes = "".join(f"<li>{escape_text(note)}</li>" for note in values["notes"])
         page = render_document(
             "compare",
             TITLE,

@@ -238,7 +238,7 @@ def _draw_scale_bar(west: float, south: float, extent: tuple[float, float], shri
         name="scale",
         x=[west, (west + east) / 2.0, east],
         y=[below] * 3,
-        text=["", f"{length:g} km", ""],
+        text=["", f"\u00a0<br>{length:g} km", ""],
         textposition="bottom center",
         mode="lines+markers+text",
         line={"color": "#8a8a8a", "width": 3},

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from tools.report.diagnosis.sentences import LEAST_PROBABILITY
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import get_number
 from tools.report.figure_style import draw_bars, escape_label, get_style, make_figure
@@ -11,7 +12,7 @@ PERCENT: Final = 100.0
 ROW: Final = 28
 """Height of a row. [px]"""
 MOST: Final = 12
-"""Largest number of bars; the less probable causes share the last one."""
+"""Largest number of bars of effects; the less probable effects share the last one."""
 APART: Final = ("several", "not in the library", "none")
 """Entries that are no effect of the library, shown below the effects, in grey."""
 
@@ -39,16 +40,14 @@ def draw_causes(
     apart = [row for row in rows if row[0] in APART]
     if not rows:
         return []
-    if len(named) > MOST:
-        rest = named[MOST - 1 :]
-        named = [*named[: MOST - 1], (f"{len(rest)} others", sum(p for _, p in rest))]
+    named = _merge_improbable(named)
     traces = [
         draw_bars(
             name,
             get_style(style),
             [escape_label(label.replace("_", " ")) for label, _ in group],
             [PERCENT * p for _, p in group],
-            text=[f"{PERCENT * p:.0f} %" for _, p in group],
+            text=[_format_probability(p) for _, p in group],
             textposition="outside",
             cliponaxis=False,
         )
@@ -60,7 +59,22 @@ def draw_causes(
     made.update_xaxes(title_text="Probability [%]", range=[0.0, 108.0], tickvals=[0, 20, 40, 60, 80, 100])
     made.update_yaxes(title_text="Cause", type="category", autorange="reversed")
     caption = (
-        "Probability of each cause, given these rides and the plausible range of each coefficient. Several: more than "
-        "one of the effects above. Not in the library: no effect of the library causes the error."
+        "Blue: one effect of the library causes the error. Several: more than one effect of the library. Not in the "
+        "library: something else. None: no effect is missing. Others: effects that are less probable than 0.5 %."
     )
     return [Illustration(key, title, caption, made)]
+
+
+def _merge_improbable(rows: list[tuple[str, float]]) -> list[tuple[str, float]]:
+    """Return sorted causes with the improbable ones, and those beyond the largest number of bars, in one row."""
+    probable = [row for row in rows if row[1] >= LEAST_PROBABILITY]
+    kept = probable if len(probable) < MOST else probable[: MOST - 1]
+    rest = rows[len(kept) :]
+    if len(rest) < 2:
+        return rows
+    return [*kept, (f"{len(rest)} others", sum(p for _, p in rest))]
+
+
+def _format_probability(value: float) -> str:
+    """Return a probability as a percentage without decimals."""
+    return f"{PERCENT * value:.0f} %" if value >= LEAST_PROBABILITY else "< 0.5 %"

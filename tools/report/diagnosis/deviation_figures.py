@@ -36,6 +36,7 @@ def _draw_cars(result: Result) -> list[Illustration]:
     ][:MOST_CARS]
     if not cars:
         return []
+    cars = sorted(cars, key=lambda car: -float(car["share"]))
     named = {one.get("who") for one in result.get("deviations") or ()}
     labels = [escape_label(f"{car.get('car')}{' (named)' if car.get('car') in named else ''}") for car in cars]
     shares = [PERCENT * car["share"] for car in cars]
@@ -63,8 +64,8 @@ def _draw_cars(result: Result) -> list[Illustration]:
     made.update_yaxes(title_text="Car", type="category", autorange="reversed")
     caption = (
         "Points: what each car uses more than the others of its model under the same conditions; lines: 95 % "
-        "intervals. Shaded: one standard deviation between cars. The car with the strongest evidence for a cause is "
-        "first; its evidence may lie in conditions, such as cold or wind, and not in the total."
+        "intervals. Shaded: one standard deviation between cars. A car may be named for what it uses in some "
+        "conditions, such as cold or wind, while its total is usual."
     )
     return [Illustration("cars", "Cars beside their siblings", caption, made)]
 

@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
+from tools.report.cells import format_count
 from tools.report.diagnosis import sentences
 from tools.report.diagnosis.partial_figures import (
     describe_coefficient,
@@ -54,12 +55,14 @@ def draw_slices(result: Result) -> list[Illustration]:
     if not rows:
         return []
     spans = [_span(one["bias_kwh"], one.get("ci95")) for one in rows]
-    made = _forest("bias", [str(one.get("where")) for one in rows], [one["bias_kwh"] for one in rows], spans, place=4)
+    names = [f"{one.get('where')} ({format_count(one.get('rides'))})" for one in rows]
+    made = _forest("bias", names, [one["bias_kwh"] for one in rows], spans, place=4)
     made.update_xaxes(title_text="Bias less that of other rides [kWh]")
     made.update_yaxes(title_text="Rides")
     add_reference_line(made, "", 0.0)
     caption = (
-        "Points: mean over the rides that confirmed the slice. Lines: 95 % intervals. Left of 0: predicted too little."
+        "Points: mean over the rides that confirmed the slice. Lines: 95 % intervals. Left of 0: predicted too little. "
+        "In parentheses: the number of rides."
     )
     return [Illustration("slices", "Where the model fails", caption, made)]
 
@@ -74,7 +77,11 @@ def draw_effects(result: Result) -> list[Illustration]:
     limits = [sentences.read_interval(one.get("gain_ci95")) for one in rows]
     spans = [None if pair is None else (PERCENT * pair[0], PERCENT * pair[1]) for pair in limits]
     made = _forest("gain", names, gains, spans, place=5)
-    made.update_xaxes(title_text="Reduction of the squared error on held-out days [%]")
+    low = min(0.0, *gains, *(pair[0] for pair in spans if pair))
+    high = max(0.0, *gains, *(pair[1] for pair in spans if pair))
+    room = 0.04 * (high - low)
+    title = "Reduction of the squared error on held-out days [%]"
+    made.update_xaxes(title_text=title, range=[low - room, high + room])
     made.update_yaxes(title_text="Effect")
     add_reference_line(made, "", 0.0)
     caption = (

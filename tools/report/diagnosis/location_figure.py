@@ -1,29 +1,78 @@
 """Draw by how much rides, days and vehicles differ in each kind of load."""
 
-from typing import Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
-from tools.report.diagnosis.location_sentences import KIND_NAMES, LEVEL_NAMES, is_known
+from tools.report.diagnosis.location_sentences import LEVEL_NAMES, is_known
 from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_part
-from tools.report.figure_style import escape_label, get_style, make_figure
+from tools.report.evaluation.result import Result, get_number, get_part
+from tools.report.figure_style import apply_layout, get_style
 
 ROW: Final = 26
 """Height of a row. [px]"""
+GAP: Final = 46
+"""Height between two panels. [px]"""
+KINDS: Final = {
+    "constant": "per second",
+    "rolling": "per km",
+    "drag": "per km × speed²",
+    "climbing": "per metre climbed",
+    "braking": "per braking",
+    "beginning": "at the beginning",
+}
+"""Names of the kinds, which fit beside a narrow figure; they are rows of each panel in this order."""
+CAPTION: Final = (
+    "How much the rides, vehicle-days or vehicles differ in each kind of load that the model does not explain, all "
+    "kinds in the same unit. Points: standard deviation between them. Lines: 95 % intervals. Ticks: what sampling "
+    "alone, or the usual spread between vehicles, may cause. Filled: the interval lies beyond the tick."
+)
 
 
 def draw_location(result: Result) -> list[Illustration]:
-    """Draw the size of each load with its interval, as a mean power, one row for each level and kind."""
+    """Draw the size of each load with its interval, as a mean power: a panel for each level, a row for each kind."""
     loads = [one for one in get_part(result, "error_location", "estimates") or () if is_known(one)]
+    levels = [level for level in LEVEL_NAMES if any(one["level"] == level for one in loads)]
     if not loads:
         return []
-    order = list(LEVEL_NAMES)
-    loads = sorted(loads, key=lambda one: (order.index(str(one["level"])), -float(one["high_w"])))
+    panels = [
+        sorted((one for one in loads if one["level"] == level), key=lambda one: list(KINDS).index(str(one["kind"])))
+        for level in levels
+    ]
+    rows = [len(panel) for panel in panels]
+    height = ROW * sum(rows) + GAP * (len(panels) - 1)
+    made = make_subplots(
+        rows=len(panels),
+        cols=1,
+        shared_xaxes=True,
+        row_heights=rows,
+        vertical_spacing=GAP / height if len(panels) > 1 else 0.0,
+        subplot_titles=[f"Between {LEVEL_NAMES[level]}s" for level in levels],
+    )
+    for row, panel in enumerate(panels, start=1):
+        for trace in (*_draw_sizes(panel), *_draw_floors(panel)):
+            shown = trace.name not in {each.name for each in made.data}
+            made.add_trace(trace.update(showlegend=shown, legendgroup=trace.name), row=row, col=1)
+    apply_layout(made, 130 + height)
+    made.update_annotations(font_size=12)
+    made.update_xaxes(rangemode="tozero", tickangle=0, nticks=6)
+    made.update_xaxes(title_text="Standard deviation, as a mean power [W]", row=len(panels), col=1)
+    for row, panel in enumerate(panels, start=1):
+        names = [KINDS[str(one["kind"])] for one in panel]
+        made.update_yaxes(type="category", categoryorder="array", categoryarray=names, row=row, col=1)
+        made.update_yaxes(title_text="Load", range=[len(names) - 0.5, -0.5], row=row, col=1)
+    return [Illustration("location", "Where the error lives", CAPTION, made)]
+
+
+def _draw_sizes(panel: Sequence[Mapping[str, Any]]) -> list[go.Scatter]:
+    """Return the points of a level with their intervals, those beyond what sampling causes filled."""
     traces = []
-    for name, place, claimed in (("unexplained load", 2, True), ("not beyond sampling", 7, False)):
-        mine = [one for one in loads if bool(one.get("claimed")) is claimed]
+    for name, place, filled in (("unexplained load", 2, True), ("no more than sampling causes", 7, False)):
+        mine = [one for one in panel if bool(one.get("claimed")) is filled]
         look = get_style(place)
+        symbol = "circle" if filled else "circle-open"
         spans = {
             "type": "data",
             "array": [one["high_w"] - one["size_w"] for one in mine],
@@ -32,23 +81,27 @@ def draw_location(result: Result) -> list[Illustration]:
             "thickness": 1.5,
             "width": 4,
         }
-        names = [_name(one) for one in mine]
-        sizes = [one["size_w"] for one in mine]
-        if mine:
-            colour = {"color": look.colour, "opacity": 1.0 if claimed else 0.45}
-            traces.append(go.Bar(name=name, y=names, x=sizes, orientation="h", marker=colour, error_x=spans))
-    made = make_figure(traces, 130 + ROW * len(loads))
-    made.update_layout(barmode="overlay")
-    made.update_xaxes(title_text="Standard deviation between units, as a mean power [W]", rangemode="tozero")
-    rows = [_name(one) for one in loads]
-    made.update_yaxes(type="category", categoryorder="array", categoryarray=rows, autorange="reversed")
-    caption = (
-        "How much the units of each level (rides, vehicle-days, ...) differ in each kind of load that the model does "
-        "not explain, all kinds in the same unit. Lines: 95 % intervals. Faint: no more than sampling alone causes."
+        points = go.Scatter(
+            name=name,
+            x=[one["size_w"] for one in mine],
+            y=[KINDS[str(one["kind"])] for one in mine],
+            mode="markers",
+            marker={"symbol": symbol, "size": 10, "color": look.colour, "line": {"width": 1.5, "color": look.colour}},
+            error_x=spans,
+            cliponaxis=False,
+        )
+        traces += [points] if mine else []
+    return traces
+
+
+def _draw_floors(panel: Sequence[Mapping[str, Any]]) -> list[go.Scatter]:
+    """Return the ticks of a level: the size of each load that drives show without any."""
+    known = [one for one in panel if get_number(one.get("floor_w")) is not None]
+    ticks = go.Scatter(
+        name="limit of sampling",
+        x=[one["floor_w"] for one in known],
+        y=[KINDS[str(one["kind"])] for one in known],
+        mode="markers",
+        marker={"symbol": "line-ns-open", "size": 14, "color": "#8a8a8a", "line": {"width": 2.5}},
     )
-    return [Illustration("location", "Where the error lives", caption, made)]
-
-
-def _name(one: dict[str, object]) -> str:
-    """Return the name of a row."""
-    return escape_label(f"{LEVEL_NAMES[str(one['level'])]}, {KIND_NAMES[str(one['kind'])]}")
+    return [ticks] if known else []

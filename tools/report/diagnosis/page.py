@@ -1,13 +1,14 @@
 """Show a diagnosis as text in the terminal and as one HTML page of tables and figures."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
+from textwrap import wrap
 from types import MappingProxyType
 from typing import Any, Final
 
 from rich.console import Console
-from rich.padding import Padding
 from rich.style import Style
 from rich.text import Text
 
@@ -22,8 +23,11 @@ from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, get_mapping
 from tools.report.evaluation.sections import Section
 from tools.report.evaluation.terminal import print_section
-from tools.report.page import render_document, save
+from tools.report.page import NO_BREAK, escape_text, keep_units, render_document, save
 
+COMMAND: Final = "socast "
+"""Begin of a line that is a command."""
+LIST_MARK: Final = re.compile(r"- |\d+\. ")
 NONE_MISSING: Final = "No effect of the library is probable enough to be named."
 """Text of a diagnosis that finds nothing."""
 DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProxyType(
@@ -127,8 +131,26 @@ def print_heading(title: str, console: Console) -> None:
 def print_lines(lines: Sequence[str], console: Console, *, strong: bool = False) -> None:
     """Print sentences, and commands on one line each, so that they can be copied."""
     for line in lines:
-        command = line.startswith("socast ")
-        console.print(Text(line, style="bold" if strong else ""), soft_wrap=command, highlight=False)
+        shown = line if line.startswith(COMMAND) else wrap_line(line, console.width)
+        console.print(Text(shown, style="bold" if strong else ""), soft_wrap=True, highlight=False)
+
+
+def wrap_line(line: str, width: int, indent: str = "") -> str:
+    """Return a sentence or a list item in lines that keep a number and its unit together.
+
+    Examples
+    --------
+    >>> print(wrap_line("- explains 44.1 % of the squared error", 14, "   "))
+       - explains
+         44.1 % of
+         the squared
+         error
+    """
+    mark = LIST_MARK.match(line)
+    hanging = indent + " " * (len(mark[0]) if mark else 0)
+    kept = keep_units(line)
+    lines = wrap(kept, width, initial_indent=indent, subsequent_indent=hanging, break_on_hyphens=False)
+    return "\n".join(lines).replace(NO_BREAK, " ")
 
 
 def _print_missing_effects(result: Result, console: Console) -> None:
@@ -139,9 +161,12 @@ def _print_missing_effects(result: Result, console: Console) -> None:
         print_lines([NONE_MISSING], console)
     for place, one in enumerate(missing, start=1):
         first, *more = sentences.describe_missing_effect(one)
-        console.print(Text(f"{place}. {sentences.name_effect(one)}: ", style="bold").append(first, style="not bold"))
+        name = f"{place}. {sentences.name_effect(one)}:"
+        shown = Text(wrap_line(f"{name} {first}", console.width))
+        shown.stylize("bold", 0, len(name))
+        console.print(shown, soft_wrap=True, highlight=False)
         for line in more:
-            console.print(Padding(Text(f"- {line}"), (0, 0, 0, 3)))
+            console.print(Text(wrap_line(f"- {line}", console.width, "   ")), soft_wrap=True, highlight=False)
 
 
 def write(result: Any, path: Path, *, suggested: str | None = None) -> None:
@@ -151,18 +176,24 @@ def write(result: Any, path: Path, *, suggested: str | None = None) -> None:
     title = f"Diagnosis of {model.get('name')}, version {model.get('version')}"
     lines = (
         *sentences.describe_verdict(values),
-        *sentences.describe_data(values),
         *sentences.describe_next_step(values),
+        *sentences.describe_data(values),
     )
     page = render_document(
         "diagnose",
         title,
-        "".join(f"<p>{escape(line)}</p>" for line in lines),
+        "".join(map(_format_line, lines)),
         build_sections(values, suggested),
         lambda key: _draw(values, key),
         "<p>Made by <code>socast diagnose</code>.</p>",
     )
     save(page, path)
+
+
+def _format_line(line: str) -> str:
+    """Return a sentence as a paragraph, and a command as code that can be copied."""
+    command = line.startswith(COMMAND)
+    return f'<p class="command"><code>{escape(line)}</code></p>' if command else f"<p>{escape_text(line)}</p>"
 
 
 def _draw(result: Result, key: str) -> list[Illustration]:
@@ -179,7 +210,7 @@ def build_sections(result: Result, suggested: str | None = None) -> list[Section
         for line in sentences.describe_rivals(one)
     ]
     sections = [
-        Section("causes", "Probable causes", _end_sentences(sentences.describe_verdict(result)), []),
+        Section("causes", "Probable causes", " ".join(sentences.describe_competition(result)), []),
         Section("error", "Error", " ".join(sentences.describe_error(result)), [tables.tabulate_errors(result)]),
         Section("slices", "Where the model fails", "", [tables.tabulate_slices(result)]),
         Section("location", "Where the error lives", " ".join(describe_location(result)), []),

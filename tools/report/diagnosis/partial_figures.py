@@ -26,28 +26,11 @@ PANEL: Final = 170
 """Height of the panel of one car. [px]"""
 MOST_UNEVEN: Final = 8
 """Ratio of the numbers of windows in bins above which they are drawn on a logarithmic axis."""
-SUPERSCRIPTS: Final = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 
 def name_figure(place: int) -> str:
     """Return the key of the figure of the missing effect at a place, from 0."""
     return f"partial-{place}"
-
-
-def format_unit(unit: str) -> str:
-    """Return a unit as it is printed: `m^2` is m², and `1` is empty.
-
-    Examples
-    --------
-    >>> format_unit("m^2"), format_unit("W/K"), format_unit("1"), format_unit("s^-1 / m**2")
-    ('m²', 'W/K', '', 's⁻¹ / m²')
-    """
-    head, *rest = unit.replace("**", "^").split("^")
-    words = head
-    for part in rest:
-        digits = len(part) - len(part.lstrip("-0123456789"))
-        words += part[:digits].translate(SUPERSCRIPTS) + part[digits:]
-    return "" if words == "1" else words
 
 
 def is_drawn(part: Mapping[str, Any]) -> bool:
@@ -96,13 +79,13 @@ def draw_partial_residuals(result: Result) -> list[Illustration]:
 
 def describe_coefficient(part: Mapping[str, Any]) -> str:
     """Return the meaning of a coefficient, with its unit if it has one."""
-    unit = format_unit(str(part.get("unit") or ""))
+    unit = sentences.format_unit(str(part.get("unit") or ""))
     return f"the {part.get('quantity') or 'coefficient'}{f' [{unit}]' if unit else ''}"
 
 
 def _title_regressor(part: Mapping[str, Any]) -> str:
     """Return the title of the axis of the regressor, with its unit."""
-    unit, per = format_unit(str(part.get("unit") or "")), str(part.get("per") or "h")
+    unit, per = sentences.format_unit(str(part.get("unit") or "")), str(part.get("per") or "h")
     what = f" per {unit}" if unit else " at a coefficient of 1"
     divided = divide_units(POWER[per], unit)
     return escape_label(f"{NAMES[per].capitalize()}{what} [{divided}]")
@@ -279,11 +262,15 @@ def _draw_slopes(
     known = [car for car in cars if get_number(car.get("slope")) is not None]
     if len(known) < 2:
         return []
-    rows = [*((str(car.get("car")), car.get("slope"), car.get("slope_ci95")) for car in known)]
-    rows.append(("all cars", part.get("slope"), part.get("slope_ci95")))
+    named = [*((str(car.get("car")), car) for car in known), ("all cars", part)]
+    rows = [
+        (f"{who} ({sum(each.get('windows') or ()):,})", each.get("slope"), each.get("slope_ci95"))
+        for who, each in named
+    ]
     made = draw_coefficient_rows(rows, get_mapping(one, "coefficient"), describe_coefficient(part), "Car")
     caption = (
-        "Points: the coefficient that the windows of one car show. Lines: 95 % intervals. Shaded: the plausible range. "
+        "Points: the coefficient that the windows of one car show, their number in parentheses. Lines: 95 % intervals. "
+        "Shaded: the plausible range. "
         "An interval far from that of all cars suggests that the effect differs between cars. A wide one leaves the "
         "figure."
     )
@@ -311,7 +298,7 @@ def draw_coefficient_rows(
         sentences.read_interval(interval) or (value, value)
         for value, (_, _, interval) in zip(values, rows, strict=True)
     ]
-    unit = format_unit(str(coefficient.get("unit") or "")) or "1"
+    unit = sentences.format_unit(str(coefficient.get("unit") or "")) or "1"
     look = get_style(6)
     points = go.Scatter(
         name="coefficient",

@@ -38,9 +38,10 @@ ROW: Final = 26
 """Height of a row of names. [px]"""
 CAPTION: Final = (
     "Filled: without the missing effects. Outlines: with them, with 95 % intervals. All these figures have one scale, "
-    "which an interval may leave. Bins of too few vehicle-days for an interval are not drawn."
+    "which an interval may leave. Parentheses: the number of windows. Bins of too few vehicle-days "
+    "for an interval are not drawn."
 )
-BY_CAR: Final = " The terms are refitted for each car, so the mean of a car is nearly zero whatever its error was."
+BY_CAR: Final = "The terms are refitted for each car, so the mean of a car is nearly zero whatever its error was."
 
 
 def draw_profiles(result: Result) -> list[Illustration]:
@@ -79,7 +80,7 @@ def _draw_profile(part: Mapping[str, Any], limit: float, *, several: bool) -> Il
     unit = str(part.get("unit") or "")
     named = not unit
     size, unit = SCALES.get(feature, (1.0, unit))
-    x = [escape_label(str(name)) for name in part["x"]] if named else [_place(feature, at, size) for at in part["x"]]
+    x = _name_rows(part) if named else [_place(feature, at, size) for at in part["x"]]
     traces = []
     if several and part.get("before_w"):
         traces.append(_draw_means("without the missing effects", BEFORE, part, "before_w", x, named=named))
@@ -96,8 +97,17 @@ def _draw_profile(part: Mapping[str, Any], limit: float, *, several: bool) -> Il
         made.update_xaxes(title_text=escape_label(along))
         made.update_yaxes(title_text=power, range=[-limit, limit])
         made.add_hline(y=0.0, line={**REFERENCE_LINE, "width": 1})
-    caption = CAPTION + BY_CAR if feature == "vehicle_id" else CAPTION
+    caption = BY_CAR if feature == "vehicle_id" else CAPTION
     return Illustration(f"profile-{feature}", f"Remaining error by {title}", caption, made, small=True)
+
+
+def _name_rows(part: Mapping[str, Any]) -> list[str]:
+    """Return the names of categories, with the number of windows in parentheses."""
+    counts = part.get("windows") or [None] * len(part["x"])
+    return [
+        escape_label(str(name) if count is None else f"{name} ({count:,})")
+        for name, count in zip(part["x"], counts, strict=True)
+    ]
 
 
 def _place(feature: str, value: Any, size: float) -> Any:

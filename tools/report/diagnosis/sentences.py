@@ -17,6 +17,7 @@ CAUSE_NAMES = {
     UNKNOWN: "a cause that is not in the library",
 }
 """Causes that are no effects, in words."""
+SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 LEAST_BIAS = 5e-4
 """Bias of a ride below which the report does not mention it. [kWh]"""
 
@@ -31,6 +32,22 @@ def format_energy(value: Any) -> str:
     """
     known = get_number(value)
     return "unknown" if known is None else f"{known:.3g} kWh"
+
+
+def format_unit(unit: str) -> str:
+    """Return a unit as it is printed: `m^2` is m², and `1` is empty.
+
+    Examples
+    --------
+    >>> format_unit("m^2"), format_unit("W/K"), format_unit("1"), format_unit("s^-1 / m**2")
+    ('m²', 'W/K', '', 's⁻¹ / m²')
+    """
+    head, *rest = unit.replace("**", "^").split("^")
+    words = head
+    for part in rest:
+        digits = len(part) - len(part.lstrip("-0123456789"))
+        words += part[:digits].translate(SUPERSCRIPTS) + part[digits:]
+    return "" if words == "1" else words
 
 
 def read_interval(value: Any) -> tuple[float, float] | None:
@@ -131,7 +148,7 @@ def describe_coefficient(one: Mapping[str, Any]) -> str:
     value, limits = get_number(coefficient.get("value")), read_interval(coefficient.get("ci95"))
     if value is None:
         return ""
-    unit = "" if coefficient.get("unit") in {None, "1"} else f" {coefficient['unit']}"
+    unit = f" {format_unit(str(coefficient.get('unit') or '1'))}".rstrip()
     interval = f", 95 % interval {limits[0]:.3g} to {limits[1]:.3g}" if limits else ""
     low, high = get_number(coefficient.get("low")), get_number(coefficient.get("high"))
     if low is None or high is None:
@@ -177,6 +194,17 @@ def describe_verdict(result: Result) -> list[str]:
     credible = [CAUSE_NAMES.get(str(name), str(name)) for name in result.get("credible_set") or ()]
     if len(credible) > 1:
         lines.append(f"With a probability of 90 %, the largest cause is one of these: {', '.join(credible)}.")
+    return lines
+
+
+def describe_competition(result: Result) -> list[str]:
+    """Return what the probabilities of causes are, and the causes of what the missing effects leave."""
+    if not result.get("causes"):
+        return []
+    lines = ["Each cause has a probability, given these rides and the plausible range of its coefficient."]
+    if result.get("missing") and (further := describe_causes(result.get("further"), 3)):
+        names = ", ".join(name_effect(one) for one in result["missing"])
+        lines.append(f"Probable cause of what remains after {names}: {further}.")
     return lines
 
 

@@ -16,7 +16,8 @@ MISSING_NOTE: Final = (
     "Best first, each in the presence of those above it. Gain: reduction of the squared error that the "
     "terms of the model "
     "cannot explain, on days to which the coefficient was not fitted. ± and ranges are 95 % intervals. "
-    "Or else: the other causes among which the effect is with a probability of 90 %."
+    "Probability: that the effect is the largest of the causes, alone or with others. "
+    "Or else: the other causes among which the largest one is with a probability of 90 %."
 )
 CANDIDATES_NOTE: Final = (
     "Each effect alone before any is added, with the parameter value that fits best. z has the sign that physics "
@@ -122,8 +123,8 @@ def _coefficient(part: Any) -> str:
     value, limits = get_number(coefficient.get("value")), sentences.read_interval(coefficient.get("ci95"))
     if value is None:
         return UNKNOWN
-    unit = "" if coefficient.get("unit") in {None, "1"} else f" {coefficient['unit']}"
-    half = f" ± {(limits[1] - limits[0]) / 2.0:.1g}" if limits else ""
+    unit = f" {sentences.format_unit(str(coefficient.get('unit') or '1'))}".rstrip()
+    half = f" ± {(limits[1] - limits[0]) / 2.0:.2g}" if limits else ""
     return format_minus(f"{value:.3g}{half}{unit}")
 
 

@@ -9,9 +9,8 @@ from core.evaluate.soc.baselines import BASELINES
 from core.evaluate.soc.report import NOMINAL
 from core.formatting import format_minus
 from core.stats.clustered import LEAST_CLUSTERS
-from tools.report.comparison.figures import select_interval_widths
 from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_mapping, get_number, get_part, get_vehicle_name
+from tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part, get_vehicle_name
 from tools.report.figure_style import REFERENCE_LINE, Style, draw_curve, escape_label, get_style, make_figure
 from tools.report.soc.tables import SHOWN_AT, format_bin
 
@@ -26,7 +25,16 @@ BEFORE: Final = "Time before the shift's end [h]"
 CHARGE: Final = "State of charge [%]"
 WIDE: Final = "Intervals far wider than the figure (few shifts) are left out."
 FEW: Final = f"A line without a point: the interval of a share of fewer than {LEAST_CLUSTERS} vehicle-days."
+WIDEST: Final = 1.5
+"""Widest interval that is drawn, relative to the largest value of a figure."""
 SHADE: Final = "rgba(128,128,128,0.25)"
+
+
+def select_interval_widths(biases: Sequence[Any], among: Sequence[Any]) -> list[float | None]:
+    """Return half widths of intervals; None where an interval would dwarf the figure."""
+    most = WIDEST * max((abs(get_number(bias) or 0.0) for bias in among), default=0.0)
+    widths = [get_half_width(bias) for bias in biases]
+    return [width if width is not None and width <= most else None for width in widths]
 
 
 def illustrate_time(result: Result) -> list[Illustration]:

@@ -1,6 +1,5 @@
 """Show an evaluation of state-of-charge forecasts: in the terminal, and as one page of tables and figures."""
 
-from html import escape
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +12,7 @@ from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.result import Result, get_mapping
 from tools.report.evaluation.sections import Section
 from tools.report.evaluation.terminal import print_section
-from tools.report.page import render_document, save
+from tools.report.page import escape_text, render_document, save
 from tools.report.soc import figures, risk_tables, tables
 
 TITLE: Final = "Forecasts of the state of charge"
@@ -49,7 +48,7 @@ def write(result: Any, path: Path) -> None:
         Where the file cannot be written.
     """
     values = to_json_values(result)
-    notes = "".join(f"<li>{escape(note)}</li>" for note in values["notes"])
+    notes = "".join(f"<li>{escape_text(note)}</li>" for note in values["notes"])
     foot = f"<ul>{notes}</ul><p>Made by <code>socast evaluate-soc</code>.</p>"
     save(
         render_document(

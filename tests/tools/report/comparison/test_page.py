@@ -1,5 +1,9 @@
 """Test which tables of a comparison the terminal and the page show."""
 
+import pytest
+
+from tests.support.html_pages import assert_axes_are_titled
+from tools.report.comparison.figures import illustrate_conditions, illustrate_datasets
 from tools.report.comparison.page import PLACES, build_sections
 
 
@@ -41,3 +45,39 @@ def test_page_shows_every_condition_with_minus_signs():
     assert [table.title for table in section.tables] == ["Errors by distance", "Errors by temperature"]
     assert section.text == ""
     assert [row.name for row in section.tables[1].rows] == ["−5 to 0", "0 to 5"]
+
+
+def make_bins(*biases):
+    return [
+        {"bin": label, "n": 7, "bias_kwh": {"value": bias, "ci95": half}, "mae_kwh": 0.2, "mae_ci95_kwh": 0.05}
+        for label, (bias, half) in zip(("-5 to 0", "0 to 5", "5 to 10"), biases, strict=True)
+    ]
+
+
+def test_conditions_are_points_with_intervals_and_counts_on_one_scale():
+    cold, far = make_bins((0.1, 0.02), (-0.3, 0.1), (0.5, None)), make_bins((0.05, 0.9), (0.0, 0.01), (0.1, 0.1))
+    drawn = illustrate_conditions({"models": {"basic": {"by": {"temperature": cold, "distance": far}}}})
+    assert [one.title for one in drawn] == ["Bias and error by temperature", "Bias and error by distance"]
+    bias, error = drawn[0].figure.data
+    assert list(bias.y) == ["−5 to 0 (7)", "0 to 5 (7)"]
+    assert (list(bias.x), list(bias.error_x.array)) == ([0.1, -0.3], [0.02, 0.1])
+    assert list(error.error_x.array) == [0.05, 0.05]
+    assert {bias.mode, error.mode} == {"markers"}
+    scales = [one.figure.layout.xaxis.range for one in drawn]
+    assert scales[0] == scales[1] == pytest.approx((-0.42, 0.42))
+    for one in drawn:
+        assert_axes_are_titled(one.figure)
+
+
+def test_bias_of_two_sets_is_drawn_where_it_has_an_interval():
+    entry = {
+        "bin": "0 to 5",
+        "bias_kwh": {
+            "first": {"value": 0.1, "ci95": 0.1}, "second": {"value": 0.9, "ci95": None},
+            "difference": {"value": 0.8, "ci95": None},
+        },
+    }  # fmt: skip
+    [one] = illustrate_datasets({"against": {"models": {"basic": {"by": {"temperature": [entry]}}}}})
+    first, second = one.figure.data
+    assert (list(first.y), list(second.y)) == (["0 to 5"], [])
+    assert_axes_are_titled(one.figure)
