@@ -267,8 +267,8 @@ def make_section(lines: Sequence[str], seeds: str) -> str:
     text = (
         f"Written by `python -m tools.bench.siblings --seeds {seeds} --page`: eight cars of two models, 39 shifts each "
         "over ten months, voltage and current, exact weather. Shares of the energy of the rides that have the effect. "
-        "Constants of the method were chosen on seeds 200 to 209, and the check that leaves out single shifts after "
-        "seeds 300 to 304. Statements about causes and dates are counted where "
+        "Constants of the method were chosen on seeds 200 to 209, and the check that leaves out single shifts on these "
+        "and on seeds 300 to 304. Statements about causes and dates are counted where "
         "the deviation was found, except the goals of leaks and of all cars, which count every data set. Cars drive "
         "every eighth day, each on another day."
     )

@@ -2,7 +2,8 @@
 
 1. `sums` gathers the sums of products of each shift, with random effects of rides and days removed.
 2. `spread` estimates how much cars differ, without the car under test.
-3. `scan` tests every candidate always, as a step and as a ramp; `search` selects what is significant.
+3. `shift_scores` and `scan` test every candidate always, as a step and as a ramp; `chance` gives the probability of so
+   much evidence without a change; `search` selects what is significant.
 4. `causes` weighs causes and dates.
 """
 
@@ -272,7 +273,8 @@ def _trace(question: Question, search: Search, cause: int, place: int) -> dict[s
     g = next(i for i, there in enumerate(question.members) if there.any())
     siblings = search.groups[g]
     base = SiblingBase(siblings, search.spread)
-    score, information = base.estimate_shifts(siblings.cars.index(question.who), cause)
+    scores = base.score_shifts(siblings.cars.index(question.who))
+    score, information = scores.score[:, cause], scores.square[:, cause]
     there = np.flatnonzero(question.members[g])
     known = (information > 0.0) & (siblings.size[there, cause] > 0.0)
     unit = np.divide(siblings.net[there, cause], siblings.measured[there])

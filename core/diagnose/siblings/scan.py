@@ -14,9 +14,12 @@ from scipy.special import log_ndtr, stdtr
 
 from core.batch import Floats, Ints
 from core.columns import SECONDS_PER_DAY
-from core.diagnose.siblings.spread import PRIOR_CARS, Projected, SiblingBase
+from core.diagnose.siblings.shift_scores import Projected, ShiftScores
+from core.diagnose.siblings.spread import PRIOR_CARS, SiblingBase
+from core.diagnose.siblings.sums import Siblings
 
-Kind = Literal["always", "step", "ramp"]
+Change = Literal["step", "ramp"]
+Kind = Literal["always"] | Change
 LEAST_LEFT: Final = 0.01
 """Share of the squared size of a column that must be left beside the base to test it."""
 LEAST_SHIFTS: Final = 3
@@ -166,35 +169,29 @@ def scan_always(base: SiblingBase, car: int, alike: SiblingBase, cars: int) -> S
     return scan._replace(freedom=(PRIOR_CARS + cars) / np.clip(share, 1e-3, 1.0) ** 2)
 
 
-def scan_changes(base: SiblingBase, car: int, kind: Kind) -> Scan:
+def scan_changes(siblings: Siblings, scores: ShiftScores, car: int, kind: Change) -> Scan:
     """Return the tests of the candidates within one car from each of its shifts on.
 
     Parameters
     ----------
-    base : SiblingBase
+    siblings : Siblings
         The cars of one model.
+    scores : ShiftScores
+        Scores of the shifts of the car.
     car : int
         Index of the car.
     kind : {"step", "ramp"}
         Form of the change.
     """
-    siblings = base.siblings
     there = np.flatnonzero(siblings.car == car)
     start = siblings.start[there]
-    k, first = siblings.size.shape[1], 0 if kind == "ramp" else LEAST_SHIFTS
-    places = np.arange(first, len(there) - LEAST_SHIFTS + 1)
+    places, weights = list_changes(start, kind)
     if not len(places):
-        none = np.zeros((0, k))
+        none = np.zeros((0, siblings.size.shape[1]))
         return Scan(kind, start[:0], start[:0], start[-1], none, none, none, none, none)
-    weights = make_weights(start, places, kind)
-    candidates = siblings.places.candidates
-    rows = np.tensordot(weights, siblings.sums[there][:, candidates, :], axes=1)
-    own = np.diagonal(siblings.sums[there][:, candidates, candidates], axis1=1, axis2=2)
-    square = (weights**2) @ own
-    at = np.tile(np.arange(k), len(places))
-    found = base.project(car, rows.reshape(len(at), -1), square.ravel(), at)
+    found = scores.project(weights)
     score, information = found.remove_whole()
-    kept = information > LEAST_LEFT * square.ravel()
+    kept = information > LEAST_LEFT * (weights**2 @ scores.square)
     later = (weights > 0.0).astype(np.float64)
     unit = _divide((later @ siblings.measured[there])[:, np.newaxis], later @ siblings.size[there])
     after = start[np.maximum(places - 1, 0)]
@@ -244,6 +241,12 @@ def scan_group(
     square = unit**2
     tests = score * unit, information * square, unit, whole_score * unit, whole_information * square
     return Scan(kind, begin, before, float(start.max()), *tests)
+
+
+def list_changes(start: Floats, kind: Change) -> tuple[Ints, Floats]:
+    """Return the shifts from which a change may begin, (m,), and its size in each shift of a car, (m, shifts)."""
+    places = np.arange(0 if kind == "ramp" else LEAST_SHIFTS, len(start) - LEAST_SHIFTS + 1)
+    return places, make_weights(start, places, kind)
 
 
 def make_weights(start: Floats, places: Ints, kind: Kind) -> Floats:

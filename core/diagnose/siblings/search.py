@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.diagnose.siblings.causes import average_places
+from core.diagnose.siblings.chance import estimate_chance
 from core.diagnose.siblings.groups import Group
 from core.diagnose.siblings.scan import Scan, make_weights, scan_always, scan_changes, scan_group
 from core.diagnose.siblings.spread import SiblingBase, estimate_spread, estimate_spread_without
 from core.diagnose.siblings.sums import Siblings
 from core.stats.multiple_testing import adjust_false_discovery
 
-LEVELS: Final = {"always": 0.01, "change": 0.05, "all": 0.03, "group": 0.02}
+LEVELS: Final = {"always": 0.01, "change": 0.04, "all": 0.03, "group": 0.02}
 """Expected share of false deviations: of cars always, of changes of one car, of changes of all cars, of groups."""
 ALL_CARS: Final = "all"
 """Name of all cars together."""
@@ -23,10 +24,11 @@ LEAST_SIBLINGS: Final = 2
 """Least number of other cars of the same model against which a car is held."""
 MOST: Final = 6
 """Largest number of deviations."""
-LEAST_BROAD: Final = 3.0
-"""Standard errors by which a deviation of a car must differ from zero when any one of its shifts is left out.
+LEAST_BROAD: Final = 1.645
+"""Standard errors, in the same direction, that must remain of a deviation of a car when any one shift is left out.
 
-A few windows may determine a coefficient, such as sharp bends by a fault of the positions. A deviation lasts."""
+A few windows may determine a coefficient, such as sharp bends by a fault of the positions. A deviation lasts: the other
+shifts alone must speak for it at 5 %."""
 EDGE: Final = 0.03
 """Share of the shifts at either end of which no change of all cars is tested."""
 
@@ -51,8 +53,8 @@ class Question:
         Shifts of the car or the group, of each model.
     scan : Scan
         Tests.
-    q : (k,) float
-        Chance of each candidate, adjusted over cars and causes.
+    q : (k,) or (1,) float
+        Chance of each candidate, or of any change of a car, adjusted over cars and causes.
     """
 
     who: str
@@ -93,18 +95,20 @@ class Search:
     questions: list[Question]
 
 
-def ask(groups: Sequence[Siblings], ways: Sequence[Sequence[Group]] = ()) -> Search:
+def ask(groups: Sequence[Siblings], sign: Ints, ways: Sequence[Sequence[Group]] = ()) -> Search:
     """Return the tests of all cars and groups.
 
     Parameters
     ----------
     groups : sequence of Siblings
         Cars of each model.
+    sign : (k,) int64
+        Sign that physics demands of each candidate.
     ways : sequence of sequence of Group
         Groups of each way of grouping.
     """
     spread = estimate_spread(groups)
-    questions = [question for g in range(len(groups)) for question in _ask_cars(groups, g)]
+    questions = [question for g in range(len(groups)) for question in _ask_cars(groups, g, sign)]
     bases = [SiblingBase(siblings, spread) for siblings in groups]
     dates = _list_dates(groups)
     if len(dates) and sum(len(siblings.cars) for siblings in groups) > 1:
@@ -116,7 +120,7 @@ def ask(groups: Sequence[Siblings], ways: Sequence[Sequence[Group]] = ()) -> Sea
     return Search(list(groups), spread, list(_adjust(questions)))
 
 
-def _ask_cars(groups: Sequence[Siblings], g: int) -> Iterator[Question]:
+def _ask_cars(groups: Sequence[Siblings], g: int, sign: Ints) -> Iterator[Question]:
     """Yield the tests of the cars of one model."""
     siblings = groups[g]
     alike = SiblingBase(siblings, np.zeros(siblings.direction.shape[1]))
@@ -126,10 +130,13 @@ def _ask_cars(groups: Sequence[Siblings], g: int) -> Iterator[Question]:
             each.car == car if i == g else np.zeros(len(each.car), np.bool_) for i, each in enumerate(groups)
         )
         base = SiblingBase(siblings, estimate_spread_without(groups, g, car))
-        scans = [scan_changes(base, car, "step"), scan_changes(base, car, "ramp")]
+        scores = base.score_shifts(car)
+        changes = [scan_changes(siblings, scores, car, "step"), scan_changes(siblings, scores, car, "ramp")]
+        chance = estimate_chance(scores, siblings.start[siblings.car == car], changes, sign)
+        for scan in changes:
+            yield Question(name, "car", members, scan, np.array([chance]))
         if len(siblings.cars) > LEAST_SIBLINGS:
-            scans.append(scan_always(base, car, alike, others))
-        for scan in scans:
+            scan = scan_always(base, car, alike, others)
             yield Question(name, "car", members, scan, scan.compute_chances())
 
 
@@ -180,13 +187,13 @@ def find_deviations(
         Groups of each way of grouping.
     """
     found: list[tuple[Question, Search]] = []
-    search = first = ask(groups, ways)
+    search = first = ask(groups, sign, ways)
     while len(found) < MOST:
         best = _choose(search, sign)
         if best is None:
             break
         found.append((best, search))
-        search = ask(_explain(search.groups, best, sign), ways)
+        search = ask(_explain(search.groups, best, sign), sign, ways)
     return found, first
 
 
@@ -213,8 +220,8 @@ def _is_broad(search: Search, question: Question, sign: Ints) -> bool:
     weight = make_shift_weights(search.groups, question, int(place))[g][question.members[g]]
     car = siblings.cars.index(question.who)
     base = SiblingBase(siblings, estimate_spread_without(search.groups, g, car))
-    least = base.test_without_shifts(car, int(at), weight, own_past=question.scan.kind != "always")
-    return least > LEAST_BROAD
+    scores = base.score_shifts(car)
+    return scores.test_without_shifts(int(at), weight, own_past=question.scan.kind != "always") > LEAST_BROAD
 
 
 def _weigh(question: Question, sign: Ints) -> float:

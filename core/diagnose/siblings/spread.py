@@ -11,11 +11,12 @@ so that what all cars show is not held against one of them.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from core.batch import Floats, Ints
+from core.diagnose.siblings.shift_scores import Projected, ShiftScores
 from core.diagnose.siblings.sums import Siblings
 
 PRIOR_CARS: Final = 4.0
@@ -47,31 +48,6 @@ class Deviations:
     def variance(self) -> Floats:
         """Variance of each deviation, (cars, d)."""
         return np.asarray(np.diagonal(self.covariance, axis1=1, axis2=2))
-
-
-class Projected(NamedTuple):
-    """Hold products of m columns within one car.
-
-    Parameters
-    ----------
-    score, information : (m,) float
-        Products with the energy and with themselves.
-    beside : (m,) float
-        Products with the same candidate in all shifts of the car.
-    whole, whole_score : (m,) float
-        Products of the latter with itself and with the energy.
-    """
-
-    score: Floats
-    information: Floats
-    beside: Floats
-    whole: Floats
-    whole_score: Floats
-
-    def remove_whole(self) -> tuple[Floats, Floats]:
-        """Return score and information off the same candidate in all shifts of the car."""
-        share = np.divide(self.beside, self.whole, out=np.zeros(self.whole.shape), where=self.whole > 0.0)
-        return self.score - share * self.whole_score, self.information - share * self.beside
 
 
 class SiblingBase:
@@ -127,57 +103,26 @@ class SiblingBase:
         out[self._shared], out[-1] = -self.coefficients, 1.0
         return out
 
-    def estimate_shifts(self, car: int, at: int) -> tuple[Floats, Floats]:
-        """Return the products of a candidate with the residual and with itself in each shift of a car.
+    def score_shifts(self, car: int) -> ShiftScores:
+        """Return the products of the candidates with the residual in each shift of a car.
 
         Parameters
         ----------
         car : int
             Index of the car.
-        at : int
-            Candidate.
-
-        Returns
-        -------
-        score, information : (shifts,) float
-            Products.
         """
         residual = self._residual
         residual[self._d] = -(self.gain[car] @ residual)
-        down = self.siblings.places.candidates.start + at
-        rows = self.siblings.sums[self.siblings.car == car][:, down, :]
-        return rows @ residual, rows[:, down]
-
-    def test_without_shifts(self, car: int, at: int, weight: Floats, *, own_past: bool) -> float:
-        """Return the least |z| of a candidate within one car when any one of its shifts is left out.
-
-        Parameters
-        ----------
-        car : int
-            Index of the car.
-        at : int
-            Candidate.
-        weight : (shifts,) float
-            Size of the candidate in each shift of the car.
-        own_past : bool
-            Whether what the car has always had is removed.
-
-        Notes
-        -----
-        The score is a sum over shifts, because the residual is orthogonal to the base. The information is divided
-        among shifts like the squares of the column.
-        """
-        score, square = self.estimate_shifts(car, at)
-        down = self.siblings.places.candidates.start + at
-        rows = weight @ self.siblings.sums[self.siblings.car == car][:, down, :]
-        found = self.project(car, rows[np.newaxis], np.array([weight**2 @ square]), np.array([at]))
-        information, left = float(found.information[0]), weight
-        if own_past:
-            left = weight - float(found.beside[0] / found.whole[0])
-            information = float(found.remove_whole()[1][0])
-        parts, own = left * score, left**2 * square
-        own = own * information / own.sum()
-        return float(np.min(np.abs(parts.sum() - parts) / np.sqrt(np.maximum(information - own, 1e-300))))
+        rows = self.siblings.sums[self.siblings.car == car][:, self._c, :]
+        beside = rows[:, :, self._d]
+        left = rows[:, :, self._shared] - beside @ self.gain[car][:, self._shared]
+        return ShiftScores(
+            score=rows @ residual,
+            blocks=rows[:, :, self._c],
+            factor=np.concatenate(
+                [beside @ _take_root(self.inner[car]), left @ _take_root(self.shared_inverse)], axis=2
+            ),
+        )
 
     def project(self, car: int, rows: Floats, square: Floats, at: Ints) -> Projected:
         """Return the products of columns within one car off the spread between cars and off what they share.
@@ -259,6 +204,13 @@ class SiblingBase:
             left += rows - beside @ self.gain[car]
             inside += np.einsum("mkd,de,mke->mk", beside, self.inner[car], beside, optimize=True)
         return left, inside
+
+
+def _take_root(matrix: Floats) -> Floats:
+    """Return R with R R' equal to a matrix without negative eigenvalues."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    return np.asarray(scale[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def estimate_spread(bases: Sequence[Siblings]) -> Floats:
