@@ -1,6 +1,6 @@
 """Find the physical effect that a model lacks, add it, and test whether it helps."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import pandas as pd
@@ -21,7 +21,12 @@ __all__ = ["AdditionTrial", "add_effect", "diagnose"]
 
 
 def diagnose(
-    rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel, *, least_gain: float = 0.0
+    rides: pd.DataFrame,
+    windows: pd.DataFrame,
+    model: LinearModel,
+    *,
+    leave_out: Collection[str] | None = None,
+    least_gain: float = 0.0,
 ) -> dict[str, Any]:
     """Return where a model errs, which physical effects it lacks, and what remains unexplained.
 
@@ -31,20 +36,23 @@ def diagnose(
         The two tables of the same rides, with every candidate effect as a column.
     model : LinearModel
         The model to diagnose.
+    leave_out : collection of str, optional
+        ISO dates whose rides are not used. By default those on which `add_effect` evaluates once it has decided (every
+        fifth of twenty dates or more, or those in the history of the model); `()` for none.
     least_gain : float
         Share of the squared error of rides on held-out days below which an effect is not reported; 0 for no limit. [1]
 
     Returns
     -------
     dict
-        What `socast diagnose --json` writes.
+        What `socast diagnose --json` writes, without the commands that add effects.
 
     Raises
     ------
     ModelError
         Where a column is missing, or the model is not a sum of terms.
     """
-    result: dict[str, Any] = _plain(_diagnose(rides, windows, model, least_gain=least_gain))
+    result: dict[str, Any] = _plain(_diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain))
     return result
 
 

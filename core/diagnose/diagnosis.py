@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 from core import effects
 from core.batch import Floats
 from core.diagnose import residual_structure
+from core.diagnose.add.holdout import drop_dates, select_final_days
 from core.diagnose.add.refit import CoefficientEstimate
 from core.diagnose.add.terms import describe_coefficient
 from core.diagnose.candidates import build_candidates
@@ -66,6 +67,7 @@ def diagnose(
     windows: pd.DataFrame,
     model: LinearModel,
     *,
+    leave_out: Collection[str] | None = None,
     without: Collection[str] = (),
     least_gain: float = 0.0,
     places: bool = True,
@@ -80,6 +82,9 @@ def diagnose(
         The ride table and the window table, as `socast tables` makes them.
     model : LinearModel
         The model to diagnose.
+    leave_out : collection of str, optional
+        ISO dates whose rides are not used. By default those on which `add` evaluates once it has decided, see
+        `core.diagnose.add.holdout.select_final_days`; an empty collection for none.
     without : collection of str
         Effects of the library that are not tested.
     least_gain : float
@@ -95,11 +100,11 @@ def diagnose(
     Returns
     -------
     dict
-        `model`, `data`, `error`, `error_location`, `slices`, `missing` (best first, each beside the others),
-        `candidates`, `verdict`, `causes` and `credible_set` (before any effect is selected), `further` and
-        `further_credible_set` (beside the selected effects), `structure_remains`, `structure`, `suggestion`,
-        `suggestion_file`, `steps`, `profiles`, `deviations` and `cars` (see `core.diagnose.siblings.deviations`). The
-        values are plain Python values; an unknown number is NaN or None.
+        `model`, `data` (`held_out` states which dates were not used), `error`, `error_location`, `slices`, `missing`
+        (best first, each beside the others), `candidates`, `verdict`, `causes` and `credible_set` (before any effect is
+        selected), `further` and `further_credible_set` (beside the selected effects), `structure_remains`, `structure`,
+        `suggestion`, `suggestion_file`, `steps`, `profiles`, `deviations` and `cars` (see
+        `core.diagnose.siblings.deviations`). The values are plain Python values; an unknown number is NaN or None.
 
     Raises
     ------
@@ -107,8 +112,19 @@ def diagnose(
         There are too few data, see `core.diagnose.dataset.gather_windows`.
     """
     with threadpool_limits(1):  # matrices are small, so threads would wait, and sums would depend on their number
-        seen = gather_windows(rides, windows, model)
-        return _diagnose(seen, model, without, least_gain, groups, places=places, seed=seed)
+        dates = get_names(rides, "date")
+        final = select_final_days(model.history, dates)
+        held_out = tuple(sorted(set(final if leave_out is None else leave_out) & set(dates)))
+        kept = drop_dates(rides, windows, held_out)
+        result = _diagnose(gather_windows(*kept, model), model, without, least_gain, groups, places=places, seed=seed)
+    recorded = {date for entry in model.history for date in (entry.get("final") or {}).get("dates") or ()}
+    result["data"]["held_out"] = {
+        "dates": list(held_out),
+        "rides": len(rides) - len(kept[0]),
+        "final": bool(held_out) and set(held_out) <= set(final),
+        "in_history": bool(held_out) and set(held_out) <= recorded,
+    }
+    return result
 
 
 def _diagnose(

@@ -120,8 +120,9 @@ def test_model_round_trip(tables, tmp_path):
 def test_loop_of_diagnosis_lowers_the_error(autumn_tables):
     rides, windows, _ = socast.read_tables(autumn_tables)
     base = socast.fit_model(rides, "road_load", windows)
-    (first, *_) = socast.diagnose(rides, windows, base)["missing"]
-    assert first["effect"] == "headwind"
+    diagnosis = socast.diagnose(rides, windows, base)
+    assert diagnosis["missing"][0]["effect"] == "headwind"
+    assert diagnosis["data"]["held_out"]["rides"] == len(rides) - diagnosis["data"]["rides"] > 0
     added = socast.add_effect(base, "headwind", rides, windows)
     assert added.trial["accepted"]
     compared = socast.compare_models(rides, {"base": base, "with": added.model})

@@ -76,7 +76,16 @@ def make_located_load(level="ride", *, claimed=True):
     size = {"size": 640.0, "low": 610.0, "high": 672.0, "unit": "W"}
     watts = {f"{name}_w": value for name, value in size.items() if name != "unit"}
     rivals = {"other_kinds": [], "other_levels": []}
-    return {"level": level, "kind": "constant", **size, **watts, "gain": 90.0, "claimed": claimed, **rivals}
+    return {
+        "level": level,
+        "kind": "constant",
+        **size,
+        **watts,
+        "gain": 90.0,
+        "claimed": claimed,
+        "floor_w": 50.0,
+        **rivals,
+    }
 
 
 def make_diagnosis(**changes: Any) -> dict[str, Any]:
@@ -93,6 +102,7 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
             "rides": 634, "windows": 7428, "vehicles": 5, "days": 10, "first_date": "2018-01-15",
             "last_date": "2018-09-13", "measured": "vi", "resolution_s": 60.0,
             "resolution": "voltage and current, in windows of about 60 s", "left_out": {"too_short": 12},
+            "held_out": {"dates": ["2018-01-17", "2018-01-22"], "rides": 140, "final": True, "in_history": False},
         },
         "error": {
             "mae_kwh": 0.062, "relative": 0.09, "bias_kwh": -0.012, "mae_refitted_kwh": 0.055,

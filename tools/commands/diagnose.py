@@ -1,12 +1,11 @@
 """Run `socast diagnose`: find where a model fails and why; with `--auto`, add effects until none is missing."""
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import pandas as pd
 import typer
 from rich.console import Console
@@ -111,7 +110,7 @@ def diagnose_rides(
         models.save(loaded, out)
     else:
         of_vehicle = read_groups(groups) if groups else None
-        result = _diagnose(loaded, *_drop_final_days(loaded, table, windows, console), least_gain, of_vehicle)
+        result = _diagnose(loaded, table, windows, least_gain, of_vehicle)
         insert_commands(result, model, rides, effects_file or ())
         if findings:
             after = _keep_findings(result, table, earlier, findings, model)
@@ -196,12 +195,6 @@ def check_vehicles(model: LinearModel, rides: pd.DataFrame) -> None:
         )
 
 
-def drop_days(rides: pd.DataFrame, windows: pd.DataFrame, days: tuple[str, ...]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the ride and window tables without some days."""
-    kept = rides.loc[~np.isin(np.asarray(get_names(rides, "date"), dtype=str), list(days))]
-    return kept, windows.loc[windows["ride_key"].isin(kept["ride_key"])]
-
-
 def select_since(rides: pd.DataFrame, windows: pd.DataFrame, first: date) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride and window tables from a UTC date on.
 
@@ -278,27 +271,15 @@ def _diagnose(
     windows: pd.DataFrame,
     least_gain: float,
     groups: Mapping[str, str] | None = None,
+    leave_out: Collection[str] | None = None,
 ) -> dict[str, Any]:
     """Return the diagnosis as JSON values."""
     from core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
 
-    result: dict[str, Any] = to_json_values(diagnose(rides, windows, model, least_gain=least_gain, groups=groups))
+    result: dict[str, Any] = to_json_values(
+        diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain, groups=groups)
+    )
     return result
-
-
-def _drop_final_days(
-    model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, console: Console
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the tables without the final hold-out days, and print what is left out."""
-    known = any(entry.get("final") for entry in model.history)
-    days = select_final_days(model.history, get_names(rides, "date"))
-    kept = drop_days(rides, windows, days)
-    if days:
-        left_out = f"{len(rides) - len(kept[0]):,}"
-        why = "in the history of the model" if known else "on which socast add evaluates"
-        message = f"Not used: {left_out} rides of {', '.join(days)}, the final hold-out dates {why}."
-        console.print(message, markup=False, highlight=False, soft_wrap=True)
-    return kept
 
 
 def _auto(
@@ -308,11 +289,11 @@ def _auto(
     from tools.report import history  # noqa: PLC0415 - figures take seconds to import
     from tools.report.diagnosis import page  # noqa: PLC0415 - figures take seconds to import
 
-    development = drop_days(rides, windows, select_final_days(model.history, get_names(rides, "date")))
+    final = select_final_days(model.history, get_names(rides, "date"))
     rows, diagnosed = join_tables(rides, windows), gather_windows(rides, windows, model).rides
     floor = compute_noise_floor(compute_noise_variance(diagnosed))
     for step in range(1, MAX_STEPS + 1):
-        result = _diagnose(model, *development, least_gain)
+        result = _diagnose(model, rides, windows, least_gain, leave_out=final)
         page.print_step(result, step, console)
         deviations = [one for one in result.get("deviations") or () if one["columns"]]
         entry = next((m for m in result.get("missing") or () if m["effect"] == result.get("verdict")), None)

@@ -289,3 +289,24 @@ def select_final_days(history: Sequence[Mapping[str, Any]], dates: Sequence[str]
         if set(before) & set(there):
             return tuple(str(date) for date in before)
     return tuple(there[APART // 2 :: APART]) if len(there) >= LEAST_DATES else ()
+
+
+def drop_dates(rides: pd.DataFrame, windows: pd.DataFrame, dates: Collection[str]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the ride table and the window table without the rides of some dates.
+
+    Parameters
+    ----------
+    rides, windows : DataFrame
+        The two tables of the same rides.
+    dates : collection of str
+        ISO dates.
+
+    Returns
+    -------
+    rides, windows : DataFrame
+        The other rides and their windows.
+    """
+    if not dates:
+        return rides, windows
+    kept = rides.loc[~np.isin(np.asarray(get_names(rides, "date"), dtype=str), list(dates))]
+    return kept, windows.loc[windows["ride_key"].isin(kept["ride_key"])]

@@ -11,6 +11,8 @@ import pandas as pd
 import pytest
 
 from core import effects
+from core.diagnose import diagnosis as diagnosing
+from core.diagnose.add.holdout import drop_dates, select_final_days
 from core.diagnose.candidates import build_candidates
 from core.diagnose.dataset import LEAST_RIDES, gather_windows
 from core.diagnose.diagnosis import diagnose
@@ -57,6 +59,12 @@ def diagnosis(recorded, model):
 
 
 @pytest.fixture(scope="module")
+def used(recorded):
+    """Return the tables without the final hold-out dates."""
+    return drop_dates(*recorded, select_final_days((), list(recorded[0]["date"])))
+
+
+@pytest.fixture(scope="module")
 def of_nothing(source):
     tables = source.tables(Case(5))
     return diagnose(tables.rides, tables.windows, fit_to_windows("road_load", tables.rides, tables.windows))
@@ -96,8 +104,8 @@ class TestPromise:
             assert json.loads(json.dumps(each)) == each
             msgspec.json.encode(each)
 
-    def test_result_describes_given_data_and_model(self, diagnosis, recorded, model):
-        seen = gather_windows(*recorded, model)
+    def test_result_describes_given_data_and_model(self, diagnosis, used, model):
+        seen = gather_windows(*used, model)
         data = diagnosis["data"]
         assert (data["rides"], data["windows"]) == (len(seen.rides), len(seen.table))
         assert (data["vehicles"], data["measured"]) == (4, "vi")
@@ -105,7 +113,7 @@ class TestPromise:
         assert data["first_date"] == min(seen.table["date"])
         assert data["last_date"] == max(seen.table["date"])
         assert 50.0 < data["resolution_s"] < 70.0
-        rides, windows = recorded
+        rides, windows = used
         fit = windows["ride_key"].isin(rides.loc[rides["unfit_reason"].isna(), "ride_key"])
         silent = int((windows.loc[fit, "energy_source"] != "vi").sum())
         assert silent > 0
@@ -118,8 +126,18 @@ class TestPromise:
             "implausible": [],
         }
 
-    def test_errors_are_per_ride_and_above_noise_floor(self, diagnosis, recorded, model):
-        seen, error = gather_windows(*recorded, model), diagnosis["error"]
+    def test_dates_of_the_caller_are_left_out(self, recorded, model, monkeypatch):
+        monkeypatch.setattr(diagnosing, "_diagnose", lambda seen, *_, **__: {"data": {}, "rides": seen.rides})
+        first, *_ = sorted(set(recorded[0]["date"]))
+        result = diagnose(*recorded, model, leave_out=[first, "1999-01-01"])
+        assert first not in set(result["rides"]["date"])
+        assert result["data"]["held_out"] == {
+            "dates": [first], "rides": (recorded[0]["date"] == first).sum(), "final": False, "in_history": False,
+        }  # fmt: skip
+        assert diagnose(*recorded, model, leave_out=())["data"]["held_out"]["rides"] == 0
+
+    def test_errors_are_per_ride_and_above_noise_floor(self, diagnosis, used, model):
+        seen, error = gather_windows(*used, model), diagnosis["error"]
         off = np.bincount(seen.ride, seen.predicted - seen.measured)
         assert error["mae_kwh"] == pytest.approx(np.mean(np.abs(off)))
         assert error["bias_kwh"] == pytest.approx(np.mean(off))

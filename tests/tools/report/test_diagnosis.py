@@ -41,6 +41,7 @@ def test_terminal_shows_all_parts_in_order():
     parts = [
         "634 rides of 5 vehicles on 10 vehicle-days, 2018-01-15 to 2018-09-13, in 7,428 windows.",
         "Excluded: 12 too short.",
+        "Not used: 140 rides of 2018-01-17, 2018-01-22, the final hold-out dates on which socast add evaluates.",
         (
             "The mean absolute error is 0.062 kWh per ride, 9.0 % of the mean energy of a ride; "
             "on average the model predicts"

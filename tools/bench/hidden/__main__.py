@@ -7,6 +7,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -206,7 +207,7 @@ def collect_records(todo: list[Task], keep: Path | None, processes: int, console
     records: list[Record] = []
     with Progress(console=Console(stderr=True), transient=True, disable=not console.is_terminal) as progress:
         bar = progress.add_task("diagnosing data sets", total=sum(len(cases) for _, cases in todo))
-        for done in run_tasks(todo, diagnose, keep, processes):
+        for done in run_tasks(todo, partial(diagnose, leave_out=()), keep, processes):
             records += done
             progress.advance(bar, len(done))
     return records

@@ -72,7 +72,17 @@ def describe_data(result: Result) -> list[str]:
     if left_out := get_mapping(data, "left_out"):
         reasons = ", ".join(f"{format_count(n)} {str(reason).replace('_', ' ')}" for reason, n in left_out.items())
         lines.append(f"Excluded: {reasons}.")
-    return lines
+    return [*lines, *_describe_held_out(get_mapping(data, "held_out"))]
+
+
+def _describe_held_out(held_out: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about the rides that were not used."""
+    dates = [str(date) for date in held_out.get("dates") or ()]
+    if not dates:
+        return []
+    where = "in the history of the model" if held_out.get("in_history") else "on which socast add evaluates"
+    why = f", the final hold-out dates {where}" if held_out.get("final") else ""
+    return [f"Not used: {format_count(held_out.get('rides'))} rides of {', '.join(dates)}{why}."]
 
 
 def describe_error(result: Result) -> list[str]:

@@ -10,6 +10,7 @@ from core import models
 from core.diagnose.add.add import AdditionTrial, add_effect, force_addition, log_attempt
 from core.diagnose.add.holdout import (
     compare_errors,
+    drop_dates,
     group_rows_by_ride,
     select_final_days,
     split_into_day_folds,
@@ -343,3 +344,11 @@ def test_live_forecast_with_scoped_effect_matches_ride_table(tmp_path):
     pipeline.finish()
     table = pipeline.take_rides()
     assert dict(zip(table["vehicle_id"], scoped_model.predict(table), strict=True)) == running
+
+
+def test_dates_are_dropped_from_both_tables():
+    rides = pd.DataFrame({"ride_key": ["a", "b", "c"], "date": ["2018-01-01", "2018-01-02", "2018-01-01"]})
+    windows = pd.DataFrame({"ride_key": ["a", "a", "b", "c"]})
+    kept = drop_dates(rides, windows, ["2018-01-01"])
+    assert [list(table["ride_key"]) for table in kept] == [["b"], ["b"]]
+    assert drop_dates(rides, windows, ()) == (rides, windows)
