@@ -83,7 +83,8 @@ class SiblingBase:
         ]
         self._shared = np.r_[self._x, self._c]
         inside = total[np.ix_(self._shared, self._shared)]
-        scale = np.sqrt(np.maximum(np.diag(inside) + precise, 1e-300))
+        own = np.diag(inside) + precise
+        scale = np.where(own > 0.0, np.sqrt(np.abs(own)), np.inf)  # a column without energy takes nothing
         matrix = (inside + np.diag(precise)) / np.outer(scale, scale)
         self.shared_inverse = np.linalg.inv(matrix + RIDGE * np.eye(len(scale))) / np.outer(scale, scale)
         self.coefficients = self.shared_inverse @ total[self._shared, at.energy]
