@@ -11,7 +11,10 @@ from core.fit.recipes import fit_to_windows
 from core.models.plausibility import list_implausible
 from tests.support.real_fits import DATA, RECIPE, evaluate_fits, load_tables
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}"),
+]
 
 BARS = {("ved", 30): 0.1195, ("ved", 60): 0.1025, ("ved", None): 0.0996, ("bmw-i3", None): 0.2817}
 """Error on other dates by car and number of rides. [kWh]"""
