@@ -4,7 +4,8 @@
 that `git archive COMMIT | tar x -C FOLDER` made, on the same tables.
 
 The rides of a part of the dates are held out in turn. The fit is made to some rides of the other dates, drawn at
-random. "All" are all rides of all other dates, with one date held out at a time.
+random. "All" are all rides of all other dates, with a date, or one of `MOST_PARTS` parts of the dates, held out at a
+time.
 """
 
 import argparse
@@ -40,6 +41,8 @@ COUNTS: Final = (30, 60, None)
 """Numbers of rides to fit to; None for all of other dates."""
 PARTS: Final = 5
 """Number of parts of the dates."""
+MOST_PARTS: Final = 18
+"""Largest number of parts of the dates for fits to all rides of the other dates."""
 DRAWS: Final = 5
 """Number of times that parts and rides are drawn."""
 RECIPE: Final = "road_load"
@@ -102,7 +105,7 @@ def draw_splits(dates: np.ndarray, count: int | None) -> Iterator[tuple[np.ndarr
     days = np.unique(dates)
     for draw in range(DRAWS if count else 1):
         rng = np.random.default_rng(draw)
-        for part in np.array_split(rng.permutation(days), PARTS if count else len(days)):
+        for part in np.array_split(rng.permutation(days), PARTS if count else min(len(days), MOST_PARTS)):
             test = np.isin(dates, part)
             yield np.sort(rng.permutation(np.flatnonzero(~test))[:count]), test
 
