@@ -46,7 +46,8 @@ def docstrings(tree: ast.Module) -> set[int]:
     }
 
 
-def import_names(module: str) -> set[str]:
+@cache
+def import_names(module: str) -> frozenset[str]:
     """Return everything that a module imports, also for type checkers alone, and what it names in text as a module."""
     tree = parse(module)
     texts = docstrings(tree)
@@ -59,12 +60,13 @@ def import_names(module: str) -> set[str]:
             full = {alias.name: f"{node.module}.{alias.name}" for alias in node.names}
             names |= {name if name in MODULES else node.module or "" for name in full.values()}
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in texts:
-            named = set(ONE_NAME.findall(node.value)) & set(MODULES)
+            named = {name for name in ONE_NAME.findall(node.value) if name in MODULES}
             names |= {name for name in named if not module.startswith(f"{name}.")}  # its own package is loaded anyway
-    return names
+    return frozenset(names)
 
 
-def imported_modules(module: str) -> set[str]:
+@cache
+def imported_modules(module: str) -> frozenset[str]:
     """Return the modules of this repository that a module imports."""
     return (import_names(module) & set(MODULES)) - {module}
 

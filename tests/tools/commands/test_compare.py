@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term, save, stamp
+from tests.support.commands import called
 from tests.support.html_pages import assert_axes_are_titled, read_figures, read_page
 from tests.support.paths import ROOT
 from tools.cli import main
@@ -41,9 +42,19 @@ def folder(shift, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def result(folder, tmp_path_factory):
+def written(folder, tmp_path_factory):
+    """Return a folder with the JSON, the page and the printed text of a comparison of two models."""
+    made = tmp_path_factory.mktemp("written")
+    out, *ended = called("compare", folder, *MODELS, "--json", made / "c.json", "--html", made / "c.html")
+    assert ended == ["", 0]
+    (made / "c.txt").write_text(out)
+    return made
+
+
+@pytest.fixture(scope="module")
+def result(written):
     """Return what --json has of two models."""
-    return as_json(tmp_path_factory.mktemp("result"), folder, *MODELS)
+    return json.loads((written / "c.json").read_text())
 
 
 @pytest.fixture
@@ -101,9 +112,8 @@ def page(path):
     return parts
 
 
-def test_comparison_is_printed_and_written(folder, tmp_path, capsys):
-    out = ran(capsys, folder, *MODELS, "--json", tmp_path / "c.json", "--html", tmp_path / "c.html")
-    result = json.loads((tmp_path / "c.json").read_text())
+def test_comparison_is_printed_and_written(written, result):
+    out = (written / "c.txt").read_text()
     about = result["about"]
     assert about["rides"] + sum(about["left_out"].values()) == about["read"] == 61
     assert f"{about['rides']} of 61 rides" in out
@@ -123,13 +133,12 @@ def test_comparison_is_printed_and_written(folder, tmp_path, capsys):
         }
         assert set(of_model["within"]) == {"5", "10", "15"}
     assert result["pairs"][0]["p_holm"] < 0.05
-    ids = page(tmp_path / "c.html").ids
+    ids = page(written / "c.html").ids
     assert {"models", "places", "worst", "figure-scatter-0", "figure-scatter-1", "figure-by-0"} <= set(ids)
 
 
-def test_every_worst_ride_links_to_its_trace_on_the_page(folder, result, tmp_path, capsys):
-    ran(capsys, folder, *MODELS, "--html", tmp_path / "c.html")
-    parts, text = page(tmp_path / "c.html"), (tmp_path / "c.html").read_text()
+def test_every_worst_ride_links_to_its_trace_on_the_page(written, result):
+    parts, text = page(written / "c.html"), (written / "c.html").read_text()
     worst = {
         ride["ride"] for of_model in result["models"].values() for rides in of_model["worst"].values() for ride in rides
     }
@@ -249,8 +258,9 @@ def test_rides_of_several_tables_are_distinguished(halves, folder, capsys, tmp_p
 
 
 def test_names_with_markup_are_shown_unchanged(shift, tmp_path, capsys):
-    rides, windows = shift
-    odd = {key: f"{ODD}{i}" for i, key in enumerate(rides["vehicle_id"].unique())}
+    first, second = shift[0]["vehicle_id"].unique()[:2]
+    rides, windows = (table[table["vehicle_id"].isin([first, second])] for table in shift)
+    odd = {first: f"{ODD}0", second: f"{ODD}1"}
     home = tmp_path / "odd"
     home.mkdir()
     for name, table in (("rides", rides), ("windows", windows)):
