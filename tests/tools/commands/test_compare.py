@@ -22,6 +22,8 @@ from tools.report.comparison.page import MOST_COMMANDS
 from tools.report.evaluation.sections import Section
 from tools.report.evaluation.terminal import print_section
 
+pytestmark = pytest.mark.long
+
 SHIFT = ROOT / "recordings" / "shift.mcap"
 MODELS = ("--model", "extended_physical", "--model", "basic_physical")
 ODD = "<b>R&D's 'best'</b>"

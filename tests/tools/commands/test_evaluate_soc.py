@@ -26,6 +26,8 @@ from tools.report.soc import page as report
 from tools.report.soc import risk_tables
 from tools.report.soc.tables import compare_with_best, format_share, tabulate_by_time, tabulate_conditions
 
+pytestmark = pytest.mark.long
+
 DATA = ROOT.parent / "shared" / "data"
 SHIFT = ROOT / "recordings" / "shift.mcap"
 ODD = "<b>R&D's 'best'</b>"

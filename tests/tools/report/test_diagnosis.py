@@ -19,6 +19,8 @@ from tools.report.diagnosis.figures import (
     draw_slices,
 )
 
+pytestmark = pytest.mark.long
+
 ODD = '<b>R&D\'s "best"</b> [red]model[/red] </script><script>alert(1)</script>'
 
 

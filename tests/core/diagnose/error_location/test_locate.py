@@ -11,6 +11,8 @@ from core.diagnose.error_location.locate import locate_error
 from core.diagnose.error_location.location_model import get_drivers
 from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows, project_base
 
+pytestmark = pytest.mark.long
+
 NOISE = 0.004
 ENERGIES = {kind.name: kind.energy for kind in KINDS}
 

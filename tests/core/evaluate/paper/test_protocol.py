@@ -20,6 +20,8 @@ from core.stats.splits import Split
 from core.vehicles import AccessoryCurve
 from tests.support import planted_rides
 
+pytestmark = pytest.mark.long
+
 SD = 0.1
 MODELS = ("kia-soul-ev-2015", "tesla-model-s")
 
