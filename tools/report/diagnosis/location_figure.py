@@ -27,7 +27,8 @@ KINDS: Final = {
 CAPTION: Final = (
     "How much the rides, vehicle-days or vehicles differ in each kind of load that the model does not explain, all "
     "kinds in the same unit. Points: standard deviation between them. Lines: 95 % intervals. Ticks: what sampling "
-    "alone, or the usual spread between vehicles, may cause. Filled: the interval lies beyond the tick."
+    "alone, or the usual spread between vehicles, may cause. Filled: the data require the load beside the others, and "
+    "its interval lies beyond the tick. Open: not so; each is estimated by itself and may take up what another causes."
 )
 
 
@@ -67,9 +68,9 @@ def draw_location(result: Result) -> list[Illustration]:
 
 
 def _draw_sizes(panel: Sequence[Mapping[str, Any]]) -> list[go.Scatter]:
-    """Return the points of a level with their intervals, those beyond what sampling causes filled."""
+    """Return the points of a level with their intervals, claimed ones filled."""
     traces = []
-    for name, place, filled in (("unexplained load", 2, True), ("no more than sampling causes", 7, False)):
+    for name, place, filled in (("unexplained load", 2, True), ("not claimed", 7, False)):
         mine = [one for one in panel if bool(one.get("claimed")) is filled]
         look = get_style(place)
         symbol = "circle" if filled else "circle-open"

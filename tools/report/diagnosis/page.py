@@ -140,7 +140,7 @@ def wrap_line(line: str, width: int, indent: str = "") -> str:
 
     Examples
     --------
-    >>> print(wrap_line("- explains 44.1 % of the squared error", 14, "   "))
+    >>> print(wrap_line("- explains 44.1 % of the squared error", 16, "   "))
        - explains
          44.1 % of
          the squared
