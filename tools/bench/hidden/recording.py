@@ -7,7 +7,7 @@ charge, totals and tables.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, NamedTuple
 
 import msgspec
@@ -133,6 +133,8 @@ class Recording:
         Elevation of each row and climb of its step, smoothed over whole rides. [m]
     effects : list of Effect
         That tables hold.
+    observed : list of (int, Weather)
+        Observations of the weather, each with the row before which it was received.
     """
 
     batch: Batch
@@ -149,6 +151,7 @@ class Recording:
     elevation: Floats
     climb: Floats
     effects: list[Effect]
+    observed: list[tuple[int, Weather]]
 
     def tables(self, measured: Readings, measurement: Measurement, names: Sequence[str] = ()) -> Tables:
         """Return the tables of readings.
@@ -170,8 +173,10 @@ class Recording:
         filled = _filled(self.batch, measured, measurement, self.car, self.number)
         clean = _cleaned(filled, len(self.lanes), self.sky, self.cars.capacity[self.kind] * JOULES_PER_KWH)
         clean = clean._replace(elevation=self.elevation, climb=self.climb)
-        if not np.array_equal(clean.dt, self.timing):
-            raise ValueError("a hidden effect has changed which samples are used, so the stored rates are invalid")
+        if not np.array_equal(clean.dt, self.timing):  # these readings change which samples are used
+            other = replace(self, rates=[])
+            other.compute_rates(filled)
+            return other.tables(measured, measurement, names)
         accumulator, displays = Accumulator(len(self.effects) + ROOM), DisplayYields(self.cars)
         rides, windows = list[Totals](), list[Totals]()
         for block, start in zip(self.rates, range(0, len(self.car), BLOCK), strict=True):
@@ -183,6 +188,28 @@ class Recording:
             windows.append(sums.windows)
         closed = displays.attach(accumulator.close(), len(self.lanes))
         return self._named(_joined([*rides, closed.rides]), _joined([*windows, closed.windows]), names)
+
+    def compute_rates(self, filled: Batch) -> None:
+        """Compute what each row adds to the sums, its time and its elevation.
+
+        Parameters
+        ----------
+        filled : Batch
+            Rows with readings in them.
+        """
+        nowhere = Sky(*np.full((len(Sky._fields), filled.size), np.nan))
+        clean = _cleaned(filled, len(self.lanes), nowhere, self.cars.capacity[self.kind] * JOULES_PER_KWH)
+        self.timing = clean.dt
+        clean = smooth_elevation(clean)
+        self.elevation, self.climb = clean.elevation, clean.climb
+        self.sky = _weather(clean, self.observed)
+        for start in range(0, filled.size, BLOCK):
+            rows = slice(start, start + BLOCK)
+            signals = _signals(_rows(clean, rows), self.sky, self.cars, self.kind, rows)
+            with np.errstate(all="ignore"):
+                powers = [(effect.per, effect.power(signals)) for effect in self.effects]
+            rates = compute_amounts(signals, powers)
+            self.rates.append(np.concatenate([rates, np.zeros((ROOM, rates.shape[1]))]))
 
     def _renew(self, block: Floats, clean: Clean, rows: slice, hidden: Floats) -> None:
         """Write the energies that a hidden effect changes into a block of rates."""
@@ -238,20 +265,9 @@ def record_drives(drives: Drives, messages: Sequence[Message] | None = None) -> 
     recording = Recording(
         batch, car, number, kind, lanes.names, decoder.rides, drivers, cars, nowhere,
         [], np.empty(0), np.empty(0), np.empty(0), [effects.get(name) for name in effects.list_tabulated()],
+        [(event.row, event.value) for event in events if isinstance(event.value, Weather)],
     )  # fmt: skip
-    filled = _filled(batch, measured, "vi", car, number)
-    clean = _cleaned(filled, len(lanes), nowhere, cars.capacity[kind] * JOULES_PER_KWH)
-    recording.timing = clean.dt
-    clean = smooth_elevation(clean)
-    recording.elevation, recording.climb = clean.elevation, clean.climb
-    recording.sky = _weather(clean, [(event.row, event.value) for event in events if isinstance(event.value, Weather)])
-    for start in range(0, batch.size, BLOCK):
-        rows = slice(start, start + BLOCK)
-        signals = _signals(_rows(clean, rows), recording.sky, cars, kind, rows)
-        with np.errstate(all="ignore"):
-            powers = [(effect.per, effect.power(signals)) for effect in recording.effects]
-        rates = compute_amounts(signals, powers)
-        recording.rates.append(np.concatenate([rates, np.zeros((ROOM, rates.shape[1]))]))
+    recording.compute_rates(_filled(batch, measured, "vi", car, number))
     return recording
 
 
