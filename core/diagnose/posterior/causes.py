@@ -27,9 +27,10 @@ from core.diagnose.posterior.marginal_likelihood import (
     compute_marginal_likelihood,
 )
 from core.diagnose.projection import BaseProjection
-from core.diagnose.ranking import LEAST_LEFT
 from core.effects.declaration import VARIANT
 
+LEAST_LEFT: Final = 0.005
+"""Share of the squared size of a form that the terms of the model must be unable to explain."""
 USUAL_SHARE: Final = (0.002, 0.12)
 """Range of the share of the energy of a missing effect, whose logarithm is uniform a priori. [1]"""
 EDGE: Final = 0.3

@@ -30,30 +30,30 @@ class Calibration(NamedTuple):
     several_second: float
     several_first: float
     unknown: float
-    unknown_share: float
     unknown_beside: float
     unknown_bends: float
     unknown_first: float
-    unknown_second: float
+    unknown_lead: float
+    unknown_shared: float
 
 
 CALIBRATION: Final = Calibration(
-    effects=1.075,
-    rivals=0.767,
-    none=1.215,
-    several=-4.071,
-    several_second=0.904,
-    several_first=0.202,
-    unknown=0.861,
-    unknown_share=0.182,
-    unknown_beside=0.462,
-    unknown_bends=0.565,
-    unknown_first=-0.996,
-    unknown_second=-0.025,
+    effects=1.237,
+    rivals=0.725,
+    none=0.994,
+    several=-4.065,
+    several_second=0.875,
+    several_first=0.211,
+    unknown=0.991,
+    unknown_beside=3.62,
+    unknown_bends=4.588,
+    unknown_first=-0.255,
+    unknown_lead=-1.759,
+    unknown_shared=-3.011,
 )
-"""Fitted to 340 data sets of simulated fleets in plain and bent forms, seeds 430-436, 460-464 and 471-475."""
+"""Fitted to 440 data sets of simulated fleets in plain and bent forms, seeds 500 to 521."""
 FAINT: Final = 5.0
-"""Evidence that is added to that of the best effect before the evidence of unknown shapes is divided by it."""
+"""Evidence that is added to that of the best effect before other evidence is divided by it."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +115,10 @@ def compute_probabilities(evidence: CauseEvidence, calibration: Calibration = CA
     With the log evidence e of each of K effects, the largest M, and c for a coefficient, the log odds are: of no cause,
     c; of an effect, c M + c (e - M) - log K; of several effects, relative to all single ones, c + c log(1 + D)
     + c log(1 + M), where D is the evidence that a second effect adds; of an unknown cause, relative to all single
-    effects, c + c U/(M + 5) + c log(1 + V) + c log(1 + B) + c log(1 + M) + c log(1 + D), where U is the evidence of
-    shapes that no effect has, V that beside the best effect, and B what the bends add to that of the best effect.
+    effects, c + c v + c b² + c log(1 + M) + c l + c s with these shares of M + 5, at most 1: v of the evidence V of
+    shapes that no effect has, beside the best effect; b of what the bends add to that of the best effect; l of its lead
+    over the second-best one; s of what such shapes explain as well as the best effect, M + V - U, where U is their
+    evidence alone.
     """
     single = {name: value for name, value in evidence.single.items() if np.isfinite(value)}
     c = calibration
@@ -131,15 +133,7 @@ def compute_probabilities(evidence: CauseEvidence, calibration: Calibration = CA
     logits[NONE] = c.none
     if evidence.pairs:
         logits[SEVERAL] = together + c.several + c.several_second * np.log1p(second) + c.several_first * np.log1p(top)
-    logits[UNKNOWN] = (
-        together
-        + c.unknown
-        + c.unknown_share * max(evidence.unknown, 0.0) / (top + FAINT)
-        + c.unknown_beside * np.log1p(max(evidence.beside.get(best, 0.0), 0.0))
-        + c.unknown_bends * np.log1p(max(top - evidence.stiff[best], 0.0))
-        + c.unknown_first * np.log1p(top)
-        + c.unknown_second * np.log1p(second)
-    )
+    logits[UNKNOWN] = together + _weigh_unknown(evidence, best, calibration)
     probabilities = _normalise(logits)
     leading = {name: value for name, value in probabilities.items() if name != SEVERAL}
     if evidence.pairs:
@@ -148,6 +142,24 @@ def compute_probabilities(evidence: CauseEvidence, calibration: Calibration = CA
             leader = one if single.get(one, -np.inf) >= single.get(other, -np.inf) else other
             leading[leader] += share * probabilities[SEVERAL]
     return Causes(_sort(probabilities), _sort(leading), {name: evidence.forms[name] for name in single})
+
+
+def _weigh_unknown(evidence: CauseEvidence, best: str, c: Calibration) -> float:
+    """Return the log odds of an unknown cause relative to all single effects."""
+    top = max(evidence.single[best], 0.0)
+    rival = max((value for name, value in evidence.single.items() if name != best), default=-np.inf)
+    beside = max(evidence.beside.get(best, 0.0), 0.0)
+    shared = top + beside - max(evidence.unknown, 0.0)
+    parts = np.array([beside, top - evidence.stiff[best], top - rival, shared])
+    beside, bends, lead, shared = np.clip(parts, 0.0, top) / (top + FAINT)
+    return float(
+        c.unknown
+        + c.unknown_beside * beside
+        + c.unknown_bends * bends**2
+        + c.unknown_first * np.log1p(top)
+        + c.unknown_lead * lead
+        + c.unknown_shared * shared
+    )
 
 
 def _normalise(logits: dict[Key, float]) -> dict[Key, float]:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from core.batch import Floats, Ints
-from core.diagnose.siblings.scan import Scan, list_changes
+from core.diagnose.siblings.scan import Scan, build_changes
 from core.diagnose.siblings.shift_scores import ShiftScores
 
 DRAWS: Final = 1000
@@ -72,7 +72,7 @@ class _Test:
         if scan.kind == "always":
             raise ValueError("only changes have dates")
         self.scan = scan
-        _, self.weights = list_changes(start, scan.kind)
+        _, self.weights = build_changes(start, scan.kind)
         self.share = scores.project(self.weights).whole_share
 
     def score(self, drawn: Floats) -> Scan:

@@ -185,7 +185,7 @@ def scan_changes(siblings: Siblings, scores: ShiftScores, car: int, kind: Change
     """
     there = np.flatnonzero(siblings.car == car)
     start = siblings.start[there]
-    places, weights = list_changes(start, kind)
+    places, weights = build_changes(start, kind)
     if not len(places):
         none = np.zeros((0, siblings.size.shape[1]))
         return Scan(kind, start[:0], start[:0], start[-1], none, none, none, none, none)
@@ -243,7 +243,7 @@ def scan_group(
     return Scan(kind, begin, before, float(start.max()), *tests)
 
 
-def list_changes(start: Floats, kind: Change) -> tuple[Ints, Floats]:
+def build_changes(start: Floats, kind: Change) -> tuple[Ints, Floats]:
     """Return the shifts from which a change may begin, (m,), and its size in each shift of a car, (m, shifts)."""
     places = np.arange(0 if kind == "ramp" else LEAST_SHIFTS, len(start) - LEAST_SHIFTS + 1)
     return places, make_weights(start, places, kind)

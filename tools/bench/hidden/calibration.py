@@ -2,7 +2,7 @@
 
 The shapes of the hidden effects are the first and bent ones. The other shapes, and the seeds of the benchmark, judge.
 
-Example: python -m tools.bench.hidden.calibration --seeds 420-440 --keep build/calibration
+Example: python -m tools.bench.hidden.calibration --seeds 500-521 --keep build/calibration
 """
 
 import argparse
@@ -36,7 +36,9 @@ from tools.bench.hidden.calibration_data import Kind, LabelledEvidence, make_see
 from tools.bench.hidden.reliability import compute_calibration_error, tabulate_reliability
 from tools.bench.nothing_hidden import parse_seeds
 
-WEIGHTS: Final[Mapping[Kind, float]] = MappingProxyType({"none": 0.2, "one": 0.45, "two": 0.15, "outside": 0.2})
+WEIGHTS: Final[Mapping[Kind, float]] = MappingProxyType(
+    {"none": 0.18, "one": 0.41, "two": 0.14, "outside": 0.18, "mixed": 0.09}
+)
 """Share of each kind of data set that the probabilities assume. [1]"""
 FAINT_AS_NONE: Final = 0.05
 """Credit for the probability of no effect where an effect outside the library may be too small to see. [1]"""
@@ -189,7 +191,7 @@ def main(arguments: list[str] | None = None) -> int:
         Exit code.
     """
     parser = argparse.ArgumentParser("calibration", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", default="420-440", help="seeds, such as 420-440 or 7,9")
+    parser.add_argument("--seeds", default="500-521", help="seeds, such as 420-440 or 7,9")
     parser.add_argument("--keep", type=Path, default=Path("build/calibration"), help="folder for the evidence")
     parser.add_argument("--processes", type=int, default=2, help="number of processes")
     options = parser.parse_args(arguments)

@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
+from itertools import permutations
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -24,12 +25,14 @@ from tools.simulator.bent_shapes import BENT
 from tools.simulator.hidden import EFFECTS
 from tools.simulator.settings import Hidden
 
-Kind = Literal["none", "one", "two", "outside"]
+Kind = Literal["none", "one", "two", "outside", "mixed"]
 
 SINGLES: Final = 15
 """Number of data sets with one effect for each seed."""
 PAIRS: Final = 3
 """Number of data sets with two effects for each seed."""
+CLEAR: Final = 3.0
+"""Log evidence above which the larger of two effects counts as one effect where the library lacks the other one."""
 PLAIN: Final = 0.35
 """Share of the effects that have their first shape; the others are bent."""
 
@@ -39,8 +42,9 @@ class LabelledEvidence(NamedTuple):
 
     Parameters
     ----------
-    kind : {"none", "one", "two", "outside"}
-        Nothing, one effect or two effects are hidden, or one that is removed from the candidates.
+    kind : {"none", "one", "two", "outside", "mixed"}
+        Nothing, one effect or two effects are hidden, or one that is removed from the candidates, or two of which one
+        is removed while the other one leads.
     seed : int
         Seed of the drives.
     truths : tuple of tuple of str
@@ -110,7 +114,7 @@ def compute_evidence(case: Case, data: SeedData) -> CauseEvidence:
 
 
 def label_evidence(hidden: Iterable[Sequence[Any]], seed: int, evidence: CauseEvidence) -> list[LabelledEvidence]:
-    """Return the evidence of a data set with its truth; with one effect also as if the library lacked it.
+    """Return the evidence of a data set with its truth, and as if the library lacked one of the effects.
 
     Parameters
     ----------
@@ -125,12 +129,23 @@ def label_evidence(hidden: Iterable[Sequence[Any]], seed: int, evidence: CauseEv
     if not truths:
         return [LabelledEvidence("none", seed, ((NONE,),), evidence)]
     if len(truths) > 1:
-        return [LabelledEvidence("two", seed, truths, evidence)]
+        mixed = (
+            LabelledEvidence("mixed", seed, (names,), drop_effects(evidence, other))
+            for names, other in permutations(truths)
+        )
+        return [LabelledEvidence("two", seed, truths, evidence), *(each for each in mixed if _leads(each))]
     without = drop_effects(evidence, truths[0])
     return [
         LabelledEvidence("one", seed, truths, evidence),
         LabelledEvidence("outside", seed, ((UNKNOWN,),), without),
     ]
+
+
+def _leads(record: LabelledEvidence) -> bool:
+    """Return whether the truth has the largest evidence of all effects, and clearly more than no effect."""
+    single = {name: value for name, value in record.evidence.single.items() if np.isfinite(value)}
+    best = max(single, key=lambda name: single[name])
+    return best in record.truths[0] and single[best] > CLEAR
 
 
 def drop_effects(evidence: CauseEvidence, names: Iterable[str]) -> CauseEvidence:

@@ -107,6 +107,7 @@ class TestFit:
 
     def test_description_holds_every_kind_and_the_reliability(self):
         records = make_records(200)
+        records.append(LabelledEvidence("mixed", 0, (("snow",),), make_evidence(np.random.default_rng(2))))
         text = "\n".join(describe_predictions(records, [compute_probabilities(r.evidence) for r in records]))
         assert all(f"{kind}: " in text for kind in WEIGHTS)
         assert "| 60 to 70 % |" in text
@@ -135,7 +136,16 @@ class TestData:
         assert "snow" not in {*dropped.single, *dropped.forms, *dropped.stiff, *dropped.beside}
         assert all("snow" not in pair for pair in dropped.pairs)
         assert [r.kind for r in label_evidence([], 7, evidence)] == ["none"]
-        assert [r.kind for r in label_evidence([("snow", 0.03), ("payload", 0.03)], 7, evidence)] == ["two"]
+
+    def test_two_effects_are_also_evidence_of_the_one_that_leads_without_the_other(self):
+        evidence = make_evidence(np.random.default_rng(1))
+        first, _, third, _ = sorted(evidence.single, key=lambda name: -evidence.single[name])
+        two, mixed = label_evidence([(first, 0.03), (third, 0.03)], 7, evidence)
+        assert (two.kind, two.truths) == ("two", ((first,), (third,)))
+        assert (mixed.kind, mixed.truths) == ("mixed", ((first,),))
+        assert third not in mixed.evidence.single
+        faint = replace(evidence, single={name: value - 18.0 for name, value in evidence.single.items()})
+        assert [r.kind for r in label_evidence([(first, 0.03), (third, 0.03)], 7, faint)] == ["two"]
 
     def test_dropping_nothing_changes_nothing(self):
         evidence = make_evidence(np.random.default_rng(1))
