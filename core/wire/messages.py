@@ -303,8 +303,8 @@ class Finding(Wire, omit_defaults=False):
     status: Annotated[
         Literal["proposed", "sure", "gone"],
         Meta(
-            description="`sure` from a probability of 90 % on, if the interval of the share excludes zero; "
-            "`gone` if a later diagnosis no longer finds it."
+            description="`sure` from a probability of 90 % on, if the interval of the share excludes zero and "
+            "repeated looks do not explain it; `gone` if a later diagnosis no longer finds it."
         ),
     ]
     probability: Annotated[float, Meta(description="Probability that the finding is real. [1]")]

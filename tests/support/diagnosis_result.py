@@ -163,7 +163,7 @@ def make_deviation(**changes: Any) -> dict[str, Any]:
             {"effect": "tyre_pressure", "probability": 0.52, "shown_by": "drives with loads that differ"},
             {"effect": "brake_drag", "probability": 0.41, "shown_by": "drives with loads that differ"},
         ],
-        "q": 0.0002, "z": 6.1, "evidence": 15.2,
+        "q": 0.0002, "z": 6.1, "evidence": 15.2, "tests": 1000,
         "coefficient": {
             "value": 0.0016, "ci95": [0.0011, 0.0021], "unit": "1", "low": 0.0003, "high": 0.006, "plausible": True,
         },

@@ -168,6 +168,7 @@ def _describe(question: Question, search: Search, candidates: Candidates) -> dic
         "q": float(question.q.min()),
         "z": float(scan.z.ravel()[np.abs(scan.z).argmax()]),
         "evidence": float(average_places(scan, evidence).max()),
+        "tests": sum(each.scan.unit.shape[1] for each in search.questions),
         "coefficient": describe_coefficient(effect, CoefficientEstimate(unit * estimate, unit * error, np.inf)),
         "words": effect.in_words(unit * estimate, NORMAL * unit * error),
         "since": None,

@@ -2,16 +2,22 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 import pytest
+from scipy.special import logsumexp
 
 from core.diagnose.findings import (
+    SURE,
+    compute_sure_evidence,
     list_changes,
     list_findings,
     make_finding_message,
     measure_fleet_use,
     merge_findings,
 )
+from core.diagnose.siblings.scan import Scan
+from core.diagnose.siblings.scan import list_changes as list_tested_changes
 from core.wire.messages import address
 from tests.support.diagnosis_result import make_deviation, make_diagnosis, make_missing_effect
 from tests.support.findings import USE, make_finding
@@ -57,6 +63,47 @@ def test_missing_effect_is_sure_from_ninety_percent_on(probability, status):
 def test_deviation_that_may_be_zero_is_only_proposed(interval):
     (finding,) = find(make_deviation(share_ci95=interval))
     assert (finding.status, finding.sure_since) == ("proposed", None)
+
+
+@pytest.mark.parametrize(("above", "status"), [(-0.01, "proposed"), (0.01, "sure")])
+def test_deviation_is_sure_from_a_bayes_factor_on_that_grows_with_the_number_of_tests(above, status):
+    (finding,) = find(make_deviation(evidence=compute_sure_evidence(500) + above, tests=500))
+    assert finding.status == status
+    (finding,) = find(make_deviation(evidence=compute_sure_evidence(500) + above, tests=5000))
+    assert finding.status == "proposed"
+
+
+def look_every_night(seed, *, cars=300, nights=160, candidates=3, noise=0.1):
+    """Return the largest Bayes factor of cars without a change on each night, (nights, cars), and the number of tests.
+
+    The energy of each shift has an error, as a share; candidates are correlated like those of the library.
+    """
+    rng = np.random.default_rng(seed)
+    shape = np.linalg.cholesky(0.7 + 0.3 * np.eye(candidates))
+    scores = rng.standard_normal((cars, nights, candidates)) @ shape.T / noise
+    seen = []
+    for night in range(6, nights + 1):
+        start = 86_400.0 * np.arange(night)
+        largest = np.full(cars, -np.inf)
+        for kind in ("step", "ramp"):
+            places, weights = list_tested_changes(start, kind)
+            change = weights - weights.mean(axis=1, keepdims=True)
+            information = np.repeat((change**2).sum(axis=1, keepdims=True) / noise**2, candidates, axis=1)
+            rest = np.zeros_like(information)
+            begin = start[places]
+            scan = Scan(kind, begin, begin, start[-1], change @ scores[:, :night], information, rest, rest, rest)
+            evidence = scan.compute_evidence(np.array([0, 1, 1]))
+            largest = np.maximum(largest, (logsumexp(evidence, axis=1) - np.log(len(places))).max(axis=1))
+        seen.append(largest)
+    return np.array(seen), 2 * candidates
+
+
+def test_repeated_looks_at_cars_without_a_change_make_fewer_sure_findings_than_stated():
+    evidence, tests = look_every_night(seed=1)
+    ever = evidence.max(axis=0)
+    assert np.mean(evidence > np.log(1.0 / (1.0 - SURE)), axis=1).max() < 1.0 - SURE  # holds on each night alone,
+    assert np.mean(ever > np.log(1.0 / (1.0 - SURE))) > 1.0 - SURE  # but not on all nights
+    assert np.mean(ever > compute_sure_evidence(tests)) < 1.0 - SURE
 
 
 def test_unknown_numbers_of_a_diagnosis_stay_unknown():

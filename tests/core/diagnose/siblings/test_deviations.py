@@ -37,6 +37,12 @@ def test_effect_of_one_car_is_found_in_that_car_always(effect):
         assert abs(only["coefficient"]["value"] - true) < 3.5 * error
 
 
+def test_deviation_states_the_number_of_tests_of_all_cars_and_forms():
+    of_four = find({f"headwind {CAR}": 0.05})[0][0]["tests"]
+    of_six = find({f"headwind {CAR}": 0.05}, cars=6)[0][0]["tests"]
+    assert of_four * (3 * 6 + 1) == of_six * (3 * 4 + 1)  # three forms of each car, and all cars from a date on
+
+
 @pytest.mark.parametrize("effect", ["tyre_pressure", "standby", "roof_load"])
 def test_effect_that_began_in_all_cars_is_found_with_its_date(effect):
     """The model has a term of this shape everywhere, which must not exclude a change."""
