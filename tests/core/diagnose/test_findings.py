@@ -16,8 +16,7 @@ from core.diagnose.findings import (
     measure_fleet_use,
     merge_findings,
 )
-from core.diagnose.siblings.scan import Scan
-from core.diagnose.siblings.scan import list_changes as list_tested_changes
+from core.diagnose.siblings.scan import Scan, build_changes
 from core.wire.messages import address
 from tests.support.diagnosis_result import make_deviation, make_diagnosis, make_missing_effect
 from tests.support.findings import USE, make_finding
@@ -86,7 +85,7 @@ def look_every_night(seed, *, cars=300, nights=160, candidates=3, noise=0.1):
         start = 86_400.0 * np.arange(night)
         largest = np.full(cars, -np.inf)
         for kind in ("step", "ramp"):
-            places, weights = list_tested_changes(start, kind)
+            places, weights = build_changes(start, kind)
             change = weights - weights.mean(axis=1, keepdims=True)
             information = np.repeat((change**2).sum(axis=1, keepdims=True) / noise**2, candidates, axis=1)
             rest = np.zeros_like(information)
