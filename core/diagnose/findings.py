@@ -244,11 +244,12 @@ def _list_causes(one: Mapping[str, Any], probability: float) -> list[Cause]:
 
 
 def _word_savings(one: Mapping[str, Any], kwh: float, use: FleetUse) -> str:
-    """Return what mending a deviation would save, or nothing for what cannot be mended."""
+    """Return what mending a deviation would save, or what a missing effect takes; nothing for what saves energy."""
     range_km = _find_range(kwh, use)
-    if "share_ci95" not in one or not (np.isfinite(range_km) and kwh > 0.0):
+    if not (np.isfinite(range_km) and kwh > 0.0):
         return ""
-    return f"; mending it would save {kwh:.3g} kWh or {range_km:.3g} km of range a month"
+    verb = "mending it would save" if "share_ci95" in one else "it accounts for"
+    return f"; {verb} {kwh:.3g} kWh or {range_km:.3g} km of range a month"
 
 
 def _find_range(kwh: float, use: FleetUse) -> float:

@@ -113,7 +113,7 @@ def diagnose_rides(
         result = _diagnose(loaded, table, windows, least_gain, of_vehicle)
         insert_commands(result, model, rides, effects_file or ())
         if findings:
-            after = _keep_findings(result, table, earlier, findings, model)
+            after = _keep_findings(result, table, earlier, findings)
     write_json(json_file, "diagnose", result)
     show_report("diagnosis.page", result, html_file, json_file, suggested=_write_suggestion(result, suggest))
     if html_file is not None:
@@ -214,16 +214,22 @@ def select_since(rides: pd.DataFrame, windows: pd.DataFrame, first: date) -> tup
 def insert_commands(
     result: dict[str, Any], model: str, data: Sequence[Path], effect_files: Sequence[Path] = ()
 ) -> None:
-    """Insert into the entry of each missing effect and deviation that a term can hold the command that adds it."""
+    """Insert into the entry of each missing effect and deviation that a term can hold the command that adds it.
+
+    `commands` holds this command, and the one that runs the model with the effect as a shadow.
+    """
     stem = model if model in BUILT_IN_MODELS else str(Path(model).with_suffix(""))
+    own = [word for path in effect_files for word in ("--effects", str(path))]
     deviations = [entry for entry in result.get("deviations") or () if entry["columns"]]
     for entry in [*(result.get("missing") or ()), *deviations]:
         name, scopes = parse_term(entry)
         words = ["socast", "add", name, "--model", model]
         words += [word for path in data for word in ("--data", str(path))]
-        words += [word for path in effect_files for word in ("--effects", str(path))]
+        words += own
         words += [word for scope in scopes for word in ("--scope", scope)]
-        entry["command"] = shlex.join([*words, "-o", f"{stem}-{name.partition('@')[0]}.json"])
+        file = f"{stem}-{name.partition('@')[0]}.json"
+        entry["command"] = shlex.join([*words, "-o", file])
+        entry["commands"] = [entry["command"], shlex.join(["socast", "live", "--model", model, "--model", file, *own])]
 
 
 def parse_term(entry: dict[str, Any]) -> tuple[str, list[str]]:
@@ -233,14 +239,8 @@ def parse_term(entry: dict[str, Any]) -> tuple[str, list[str]]:
     return names[0] if names else str(entry.get("variant") or entry["effect"]), [c for c in columns if is_scope(c)]
 
 
-def _keep_findings(
-    result: dict[str, Any], rides: pd.DataFrame, earlier: list[Finding], file: Path, model: str
-) -> list[Finding]:
+def _keep_findings(result: dict[str, Any], rides: pd.DataFrame, earlier: list[Finding], file: Path) -> list[Finding]:
     """Merge what a diagnosis found into the findings of a file, and return them."""
-    for entry in [*(result.get("missing") or ()), *(result.get("deviations") or ())]:
-        if command := entry.get("command"):
-            shadow = shlex.join(["socast", "live", "--model", model, "--model", shlex.split(command)[-1]])
-            entry["commands"] = [command, shadow]
     use = measure_fleet_use(rides)
     merged = merge_findings(earlier, list_findings(result, use), use)
     write_findings(file, merged)

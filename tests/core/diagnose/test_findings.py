@@ -49,7 +49,7 @@ def test_missing_effect_takes_its_share_of_the_energy_of_a_month():
     assert (finding.who, finding.effect, finding.status) == ("all", "cold_rolling", "proposed")
     assert finding.kwh_per_month == pytest.approx(0.029 * 300.0 / 2.0)
     assert finding.share_lower == pytest.approx(0.029 * 0.9 / 1.1)
-    assert "mending" not in finding.words  # nobody mends the cold
+    assert finding.words.endswith("below 10 °C; it accounts for 4.35 kWh or 29 km of range a month")
 
 
 @pytest.mark.parametrize(("probability", "status"), [(0.89, "proposed"), (0.9, "sure")])

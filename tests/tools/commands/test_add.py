@@ -324,6 +324,27 @@ def test_findings_are_kept_and_announced_once(made_up, here, capsys):
     assert kept[0]["status"] == "gone"
 
 
+def test_commands_of_a_finding_load_the_effects_of_the_user(made_up, here):
+    made_up.append(cold())
+    (here / "my.py").write_text(OWN.format(coefficient="force", unit="N", body="return speed"))
+    own = ("--effects", here / "my.py")
+    done("diagnose", here / "tables", "--model", here / "base.json", "--findings", here / "f.json", *own)
+    commands = json.loads((here / "f.json").read_text())["findings"][0]["commands"]
+    assert [f"--effects {here / 'my.py'}" in command for command in commands] == [True, True]
+
+
+def test_commands_of_a_finding_add_its_effect_and_run_it_as_a_shadow(here, capsys, monkeypatch):
+    done("diagnose", here / "tables", "--model", here / "base.json", "--findings", here / "f.json")
+    (finding,) = json.loads((here / "f.json").read_text())["findings"]
+    assert finding["effect"] == "cold_rolling"
+    adding, shadowing = (shlex.split(command)[1:] for command in finding["commands"])
+    done(*adding)
+    started = []
+    monkeypatch.setattr("tools.commands.live.compile_kernels", lambda *given: started.extend(given))
+    refused(capsys, *shadowing, "--mode", "none")  # ends it once the models are loaded
+    assert [len(model.terms) for model in started] == [len(started[0].terms), len(started[0].terms) + 1]
+
+
 def test_diagnosis_since_a_date_reads_later_rides_only(here, monkeypatch):
     seen = []
     monkeypatch.setattr(
