@@ -145,8 +145,16 @@ def inputs(given: Sequence[Path]) -> list[Path]:
     Raises
     ------
     SettingsError
-        If recordings are mixed with tables, or if a file of rides does not exist or is given twice.
+        If recordings are mixed with tables, if a folder holds neither, or if a file of rides does not exist or is given
+        twice.
     """
+    if empty := [
+        path for path in given if path.is_dir() and not (path / RIDES).exists() and not _list_recordings(path)
+    ]:
+        raise SettingsError(
+            f"{empty[0]} holds no {RIDES} and no recording (*{RECORDING}); name a folder of recordings, or one that "
+            "`socast tables` made"
+        )
     files = [file for path in given for file in _list_recordings(path) or [path]]
     recordings = [path for path in files if path.suffix == RECORDING]
     if not recordings:

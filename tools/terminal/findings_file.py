@@ -59,7 +59,11 @@ def write_findings(path: Path, findings: Sequence[Finding]) -> None:
     """
     fresh = path.with_name(f".{path.name}.new")
     write_json(fresh, "findings", {"findings": msgspec.to_builtins(list(findings))})
-    fresh.replace(path)
+    try:
+        fresh.replace(path)
+    except OSError as error:
+        fresh.unlink(missing_ok=True)
+        raise SettingsError(f"{path} cannot be written: {error.strerror}; name another file") from error
 
 
 def show_changes(before: Sequence[Finding], after: Sequence[Finding], console: Console) -> None:

@@ -1,12 +1,19 @@
 """`socast live --watch` diagnoses what it recorded after midnight, and publishes what it is sure of."""
 
 import json
+import logging
 import shutil
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from core import models
 from core.errors import SettingsError
+from core.settings import Settings
+from stream.loop import Tally
 from stream.mcap_writer import McapSink
+from stream.memory import MemorySink
 from stream.zenoh_session import Connection, Node, find_free_port
 from tests.support.commands import called, refused
 from tests.support.live_consumers import consumers, logged
@@ -14,6 +21,8 @@ from tests.support.paths import ROOT
 from tests.support.recorded_shift import make_two_days
 from tests.support.zenoh_sessions import eventually
 from tools.commands.fit import inputs
+from tools.commands.live import make_nightly_diagnosis
+from tools.terminal.forecast_options import ForecastOptions
 
 pytestmark = pytest.mark.long
 
@@ -28,6 +37,80 @@ def test_file_that_holds_no_findings_is_refused(tmp_path, capsys):
     watch = ("--record", tmp_path / "kept", "--watch", tmp_path / "findings.json")
     message = refused(capsys, "live", "--listen", "tcp/127.0.0.1:0", *watch)
     assert "is no file of findings" in message
+
+
+def test_unknown_model_and_folder_that_does_not_exist_are_refused_before_the_service_starts(tmp_path, capsys):
+    listen = ("live", "--listen", "tcp/127.0.0.1:0", "--record", tmp_path / "kept", "--watch")
+    assert "cannot be written" in refused(capsys, *listen, tmp_path / "nowhere" / "findings.json")
+    message = refused(capsys, *listen, tmp_path / "findings.json", "--model", tmp_path / "none.json")
+    assert "none.json: cannot read a model" in message
+
+
+def leave_all(folder: Path) -> None:
+    """Leave three rides, which are too few."""
+
+
+def remove_model(folder: Path) -> None:
+    (folder / "base.json").unlink()
+
+
+def replace_model(folder: Path) -> None:
+    (folder / "base.json").write_text('{"format": 99, "terms": []}')
+
+
+def remove_recordings(folder: Path) -> None:
+    (folder / "kept" / "1.mcap").unlink()
+
+
+def remove_folder_of_findings(folder: Path) -> None:
+    (folder / "found").rmdir()
+
+
+def spoil_findings(folder: Path) -> None:
+    (folder / "found" / "findings.json").write_text("{}")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (leave_all, "rides with measured energy to diagnose, and it takes 20: give more rides"),
+        (remove_model, "base.json: cannot read a model: No such file or directory"),
+        (replace_model, "base.json: model file of format 99, and this version reads format"),
+        (remove_recordings, "kept holds no rides.parquet and no recording (*.mcap); name a folder of recordings"),
+        (remove_folder_of_findings, "findings.json cannot be written: No such file or directory"),
+        (spoil_findings, "findings.json is no file of findings"),
+    ],
+)
+def test_night_that_fails_is_one_line_of_the_log_and_the_next_night_tries_again(
+    tmp_path, caplog, monkeypatch, spoil, reason
+):
+    monkeypatch.setattr(logging.getLogger("socast"), "propagate", True)
+    caplog.set_level(logging.INFO, "socast")
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "found").mkdir()
+    with McapSink(tmp_path / "kept" / "1.mcap") as sink:
+        sink.put(make_two_days()[:60])
+    models.save(models.load("extended_physical"), tmp_path / "base.json")
+    options = ForecastOptions([str(tmp_path / "base.json")], (), Settings(), "", (), ())
+    fleet = SimpleNamespace(day_rollover=SimpleNamespace(midnight=86_400.0))
+    found = tmp_path / "found" / "findings.json"
+    nightly = make_nightly_diagnosis(options, fleet, MemorySink(), tmp_path / "kept", found)
+    spoil(tmp_path)
+
+    def failures() -> list[str]:
+        nightly(Tally())
+        return [line.fields["reason"] for line in caplog.records if line.message == "diagnosis failed"]
+
+    fleet.day_rollover.midnight *= 2.0
+    assert eventually(failures)
+    (only,) = failures()
+    assert only.startswith("socast: ")
+    assert reason in only
+    assert "\n" not in only
+    fleet.day_rollover.midnight *= 1.5
+    nightly(Tally())
+    nightly.end()
+    assert [line.message for line in caplog.records].count("diagnosis begins") == 2
 
 
 def test_missing_effect_is_published_after_midnight(tmp_path):

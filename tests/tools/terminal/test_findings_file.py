@@ -27,6 +27,13 @@ def test_file_that_holds_something_else_is_refused(tmp_path, content):
         read_findings(tmp_path / "findings.json")
 
 
+def test_file_that_cannot_be_replaced_is_one_error_and_leaves_nothing_behind(tmp_path):
+    (tmp_path / "findings.json").mkdir()
+    with pytest.raises(SettingsError, match="cannot be written: Is a directory"):
+        write_findings(tmp_path / "findings.json", [make_finding()])
+    assert [path.name for path in tmp_path.iterdir()] == ["findings.json"]
+
+
 def test_changes_are_printed_with_their_commands():
     text = io.StringIO()
     show_changes([], [make_finding(), make_finding(who="taxi-006", status="gone")], Console(file=text, width=200))
