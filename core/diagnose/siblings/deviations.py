@@ -277,8 +277,9 @@ def _trace(question: Question, search: Search, cause: int, place: int) -> dict[s
     scores = base.score_shifts(siblings.cars.index(question.who))
     score, information = scores.score[:, cause], scores.square[:, cause]
     there = np.flatnonzero(question.members[g])
-    known = (information > 0.0) & (siblings.size[there, cause] > 0.0)
-    unit = np.divide(siblings.net[there, cause], siblings.measured[there])
+    measured = siblings.measured[there]
+    known = (information > 0.0) & (siblings.size[there, cause] > 0.0) & (measured > 0.0)
+    unit = np.divide(siblings.net[there, cause], measured, out=np.zeros(len(there)), where=known)
     weight = make_shift_weights(search.groups, question, place)[g][there]
     return {
         "shifts": [
