@@ -10,7 +10,7 @@ import numpy as np
 from core.stats.clustered import compute_wilson_interval
 from tools.bench.hidden.grading import Record
 from tools.bench.hidden.parts import ABSORBED
-from tools.bench.hidden.reliability import Stated, compute_calibration_error
+from tools.bench.hidden.reliability import Stated, compute_calibration_error, draw_calibration_error
 from tools.simulator.hidden_shapes import strip_shape
 
 LEAST: Final = {"vi": 0.015, "soc": 0.03}
@@ -286,7 +286,10 @@ def _calibration_error(stated: Stated) -> Figure:
     """Return the figure of the calibration error of the first name."""
     value = compute_calibration_error(stated)
     what = "expected calibration error of the first name"
-    return Figure(what, "0.05 or less", value, "" if isnan(value) else f"{value:.3f}", "", len(stated), value <= 0.05)
+    low, high = draw_calibration_error(stated)
+    by_chance = "" if isnan(value) else f"by chance alone: {low:.3f} to {high:.3f}"
+    text = "" if isnan(value) else f"{value:.3f}"
+    return Figure(what, "0.05 or less", value, text, by_chance, len(stated), value <= 0.05)
 
 
 def _claims(none: Sequence[Record]) -> Figure:

@@ -101,6 +101,39 @@ def compute_calibration_error(stated: Stated, weights: Sequence[float] | None = 
     return sum(each.weight * abs(each.right - each.stated) for each in bin_probabilities(stated, weights, bins))
 
 
+def draw_calibration_error(stated: Stated, draws: int = 2000, seed: int = 0) -> tuple[float, float]:
+    """Return the range that holds 95 % of the calibration errors if each name is right as often as stated.
+
+    Few names in a bin differ from their mean probability by chance, so the error of right probabilities is not zero.
+
+    Parameters
+    ----------
+    stated : sequence of (float, bool)
+        Stated probabilities; whether each name was right is not used.
+    draws : int
+        Number of drawn sets of right and wrong names.
+    seed : int
+        Seed of the draws.
+
+    Returns
+    -------
+    tuple of (float, float)
+        NaN without any name. [1]
+
+    References
+    ----------
+    Bröcker and Smith, Weather and Forecasting 22 (2007) 651, DOI 10.1175/WAF993.1, consistency resampling.
+    """
+    if not stated:
+        return float("nan"), float("nan")
+    rng = np.random.default_rng(seed)
+    values = [probability for probability, _ in stated]
+    right = rng.uniform(size=(draws, len(values))) < np.array(values)
+    errors = [compute_calibration_error(list(zip(values, row, strict=True))) for row in right.tolist()]
+    low, high = np.quantile(errors, [0.025, 0.975]).tolist()
+    return low, high
+
+
 def tabulate_reliability(stated: Stated, weights: Sequence[float] | None = None) -> list[str]:
     """Return a table of stated probabilities and of how often they are right.
 

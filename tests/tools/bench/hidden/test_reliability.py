@@ -6,7 +6,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from tools.bench.hidden.reliability import bin_probabilities, compute_calibration_error, tabulate_reliability
+from tools.bench.hidden.reliability import (
+    bin_probabilities,
+    compute_calibration_error,
+    draw_calibration_error,
+    tabulate_reliability,
+)
 from tools.bench.hidden.reliability_figure import BOTTOM, LEFT, RIGHT, TOP, draw_reliability
 
 
@@ -46,3 +51,17 @@ def test_figure_places_each_bin_at_its_stated_and_right_share():
     ]
     assert points == [pytest.approx(place, abs=0.1) for place in expected]
     assert len(list(ET.fromstring(draw_reliability([])).iter())) > 5
+
+
+def test_range_by_chance_holds_the_error_of_right_probabilities_and_narrows():
+    rng = np.random.default_rng(5)
+    held = 0
+    for _ in range(20):
+        stated = rng.uniform(size=60)
+        names = list(zip(stated.tolist(), (rng.uniform(size=60) < stated).tolist(), strict=True))
+        low, high = draw_calibration_error(names, draws=200)
+        held += low <= compute_calibration_error(names) <= high
+    assert held >= 16
+    many = [(value, True) for value in rng.uniform(size=600).tolist()]
+    assert draw_calibration_error(many, draws=100)[1] < 0.6 * high
+    assert all(isnan(limit) for limit in draw_calibration_error([]))
