@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
+from msgspec.structs import replace
 
 from core.columns import SECONDS_PER_DAY
 from core.diagnose.deviation_words import word_deviation
@@ -115,8 +116,8 @@ def list_findings(result: Mapping[str, Any], use: FleetUse) -> list[Finding]:
     use : FleetUse
         What the fleet used on the rides that were diagnosed.
     """
-    missing = [_make_finding(one, use, **_measure_missing(one, use)) for one in result.get("missing") or ()]
-    return missing + [_make_finding(one, use, **_measure_deviation(one)) for one in result.get("deviations") or ()]
+    missing = [_make_finding(one, use, _measure_missing(one, use)) for one in result.get("missing") or ()]
+    return missing + [_make_finding(one, use, _measure_deviation(one)) for one in result.get("deviations") or ()]
 
 
 def merge_findings(earlier: Sequence[Finding], found: Sequence[Finding], use: FleetUse) -> list[Finding]:
@@ -146,7 +147,7 @@ def merge_findings(earlier: Sequence[Finding], found: Sequence[Finding], use: Fl
         left.remove(before)
         stays = before.status == "sure" or finding.status == "sure"
         merged.append(
-            _replace(
+            replace(
                 finding,
                 effect=before.effect,
                 status="sure" if stays else "proposed",
@@ -155,7 +156,7 @@ def merge_findings(earlier: Sequence[Finding], found: Sequence[Finding], use: Fl
             )
         )
     time = _find_end(use.last_day)
-    gone = [one if one.status == "gone" else _replace(one, status="gone", time_s=time) for one in left]
+    gone = [one if one.status == "gone" else replace(one, status="gone", time_s=time) for one in left]
     return merged + [one for one in gone if one.sure_since]
 
 
@@ -183,18 +184,27 @@ def make_finding_message(finding: Finding, prefix: str = "") -> Message:
     return Message(f"{prefix}findings/{identity(finding)}", encode(finding), int(finding.time_s * 1e9))
 
 
-def _make_finding(
-    one: Mapping[str, Any], use: FleetUse, *, who: str, words: str, size: tuple[float, float, float], kwh: float
-) -> Finding:
-    """Return the finding of an entry of a diagnosis; `size` is its share with the ends of its interval."""
+class _Measured(NamedTuple):
+    """Hold who has a finding, its words, its share of the energy with a 95 % interval [1], and its energy [kWh/month]."""
+
+    who: str
+    words: str
+    share: float
+    low: float
+    high: float
+    kwh: float
+
+
+def _make_finding(one: Mapping[str, Any], use: FleetUse, measured: _Measured) -> Finding:
+    """Return the finding of an entry of a diagnosis."""
     probability = float(one["probability"]) if one.get("probability") is not None else 1.0 - float(one["q"])
-    share, low, high = (_get_known(value) for value in size)
+    share, low, high = map(_get_known, (measured.share, measured.low, measured.high))
     day = use.last_day.isoformat()
     known = low is not None and high is not None and low * high > 0.0
     lasting = "evidence" not in one or _get_number(one["evidence"]) >= compute_sure_evidence(one["tests"])
     sure = probability >= SURE and known and lasting
     return Finding(
-        who=who,
+        who=measured.who,
         effect=str(one["effect"]),
         time_s=_find_end(use.last_day),
         status="sure" if sure else "proposed",
@@ -206,34 +216,32 @@ def _make_finding(
         share=share,
         share_lower=low,
         share_upper=high,
-        kwh_per_month=_get_known(kwh),
-        range_km_per_month=_get_known(_find_range(kwh, use)),
-        words=words + _word_savings(one, kwh, use),
+        kwh_per_month=_get_known(measured.kwh),
+        range_km_per_month=_get_known(_find_range(measured.kwh, use)),
+        words=measured.words + _word_savings(one, measured.kwh, use),
         commands=list(one.get("commands") or ()),
     )
 
 
-def _measure_missing(one: Mapping[str, Any], use: FleetUse) -> dict[str, Any]:
+def _measure_missing(one: Mapping[str, Any], use: FleetUse) -> _Measured:
     """Return who lacks a missing effect, its words and its size, with the relative interval of its coefficient."""
     scopes = [column.removeprefix(VEHICLE_SCOPE) for column in one["columns"] if column.startswith(VEHICLE_SCOPE)]
     share, value = _get_number(one["energy_share"]), _get_number(one["coefficient"]["value"])
     ends = [share * _get_number(end) / value if value else float("nan") for end in one["coefficient"]["ci95"]]
-    return {
-        "who": scopes[0] if scopes else ALL,
-        "words": f"the model lacks {one['effect']}: {one['words']}",
-        "size": (share, min(ends), max(ends)),
-        "kwh": share * use.energy / use.months,
-    }
+    return _Measured(
+        scopes[0] if scopes else ALL,
+        f"the model lacks {one['effect']}: {one['words']}",
+        share,
+        min(ends),
+        max(ends),
+        share * use.energy / use.months,
+    )
 
 
-def _measure_deviation(one: Mapping[str, Any]) -> dict[str, Any]:
+def _measure_deviation(one: Mapping[str, Any]) -> _Measured:
     """Return who deviates, the words and the size of the deviation."""
-    return {
-        "who": str(one["who"]),
-        "words": word_deviation(one),
-        "size": tuple(_get_number(value) for value in (one["share"], *one["share_ci95"])),
-        "kwh": _get_number(one["kwh_per_month"]),
-    }
+    numbers = (one["share"], *one["share_ci95"], one["kwh_per_month"])
+    return _Measured(str(one["who"]), word_deviation(one), *map(_get_number, numbers))
 
 
 def _list_causes(one: Mapping[str, Any], probability: float) -> list[Cause]:
@@ -260,8 +268,8 @@ def _find_range(kwh: float, use: FleetUse) -> float:
 def _is_same(earlier: Finding, finding: Finding) -> bool:
     """Return whether a finding is the same as an earlier one."""
     causes = {finding.effect, *(cause.effect for cause in finding.causes)}
-    change = earlier.since is not None, finding.since is not None
-    return earlier.who == finding.who and change[0] == change[1] and earlier.effect in causes
+    both_change = (earlier.since is None) == (finding.since is None)
+    return earlier.who == finding.who and both_change and earlier.effect in causes
 
 
 def _find_end(day: date) -> float:
@@ -277,8 +285,3 @@ def _get_number(value: Any) -> float:
 def _get_known(value: float) -> float | None:
     """Return a number, None where it is not finite."""
     return float(value) if np.isfinite(value) else None
-
-
-def _replace(finding: Finding, **changes: Any) -> Finding:
-    """Return a finding with other values in some fields."""
-    return Finding(**{name: getattr(finding, name) for name in Finding.__struct_fields__} | changes)

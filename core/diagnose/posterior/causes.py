@@ -8,6 +8,7 @@ size, is integrated over in all comparisons.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -33,7 +34,7 @@ LEAST_LEFT: Final = 0.005
 """Share of the squared size of a form that the terms of the model must be unable to explain."""
 USUAL_SHARE: Final = (0.002, 0.12)
 """Range of the share of the energy of a missing effect, whose logarithm is uniform a priori. [1]"""
-EDGE: Final = 0.3
+EDGE_SD: Final = 0.3
 """Standard deviation of the logarithm of the share beyond that range."""
 IMPLAUSIBLE: Final = 0.5
 """Logarithm of the ratio to the largest plausible coefficient at which the prior density falls."""
@@ -193,18 +194,17 @@ class _Comparison:
     """Compare all forms beside known columns."""
 
     def __init__(self, base: BaseProjection, families: Families, known: _Known) -> None:
-        self._base, self._families, self._known = base, families, known
+        self._base, self._families, self.known = base, families, known
         _, self._shapes, self._shape_energy = build_plain_shapes(base, products=True)
         self._noise = self._estimate_noise()
         self._unlike = self._find_unlike_shapes()
-        self._sweep()
+        self.remove_known()
 
     def add(self, form: SelectedForm) -> "_Comparison":
         """Return the comparison beside one more form."""
-        other = object.__new__(_Comparison)
-        other.__dict__.update(self.__dict__)
-        other._known = self._known.add_form(self._families, form)
-        other._sweep()
+        other = copy(self)
+        other.known = self.known.add_form(self._families, form)
+        other.remove_known()
         return other
 
     def _estimate_noise(self) -> float:
@@ -219,10 +219,10 @@ class _Comparison:
         left = float(residual @ residual) - float((match**2 * (2.0 - kept) / (lengths + SHRINKAGE)).sum())
         return left / max(len(residual) - self._base.rank - float(kept.sum()), 1.0)
 
-    def _sweep(self) -> None:
+    def remove_known(self) -> None:
         """Remove the known columns, shrunk by their prior, from all inner products."""
-        columns, noise = self._known.columns, self._noise
-        own = columns.T @ columns + np.diag(noise * self._known.precision)
+        columns, noise = self.known.columns, self._noise
+        own = columns.T @ columns + np.diag(noise * self.known.precision)
         size = np.sqrt(np.maximum(np.diag(own), 1e-300))
         lower = np.linalg.cholesky(own / size / size[:, np.newaxis] + 1e-10 * np.eye(len(size)))
 
@@ -274,7 +274,7 @@ class _Comparison:
         own = (columns.T @ columns - along.T @ along) / self._noise
         match = (columns.T @ self._base.residual - along.T @ self._along_residual[:, 0]) / self._noise
         scale = float(self._base.windows.measured.sum()) / families.energy[at]
-        density = make_prior(scale, families.plausible[at])
+        density = make_log_prior(scale, families.plausible[at])
         return compute_marginal_likelihood(Products(own, match), scale, int(families.signs[at]), density, bend)
 
     def weigh_unknown(self) -> float:
@@ -287,7 +287,7 @@ class _Comparison:
         logs = []
         for at in np.flatnonzero(self._unlike).tolist():
             products = Products(own[at : at + 1, at : at + 1], match[at : at + 1])
-            prior = make_prior(float(scale[at]))
+            prior = make_log_prior(float(scale[at]))
             logs.append(compute_marginal_likelihood(products, float(scale[at]), 0, prior, 0.0).log_evidence)
         one = float(np.logaddexp.reduce(logs) - np.log(len(logs))) if logs else float("-inf")
         return float(np.logaddexp(one, _weigh_together(own * np.outer(scale, scale), match * scale)) - np.log(2.0))
@@ -304,7 +304,7 @@ def _weigh_together(own: Floats, match: Floats) -> float:
     return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
 
 
-def make_prior(scale: float, plausible: tuple[float, float] | None = None) -> LogDensity:
+def make_log_prior(scale: float, plausible: tuple[float, float] | None = None) -> LogDensity:
     """Return the log prior density of the logarithm of a coefficient.
 
     Parameters
@@ -330,7 +330,7 @@ def make_prior(scale: float, plausible: tuple[float, float] | None = None) -> Lo
 
     def log_density(values: Floats) -> Floats:
         share = np.log(values / scale)
-        beyond = np.maximum(np.maximum(low - share, share - high), 0.0) / EDGE
+        beyond = np.maximum(np.maximum(low - share, share - high), 0.0) / EDGE_SD
         outside = np.log(np.maximum(values / largest, 1.0)) / IMPLAUSIBLE
         return np.asarray(-np.log(high - low) - 0.5 * beyond**2 - HEAVINESS * np.log1p(outside**2))
 

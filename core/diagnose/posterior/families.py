@@ -29,10 +29,10 @@ from core.fit.ride_blocks import get_numbers
 
 BEND: Final = 0.25
 """Prior standard deviation of each bend of an effect, relative to the effect. [1]"""
-MOST: Final = 2.5
+MOST_SIGMAS: Final = 2.5
 """Largest absolute value of the function of a bend, in standard deviations."""
-FAINT: Final = 0.02
-"""Share of the windows of an effect whose power counts as that of the next larger share, so that it has a logarithm."""
+LEAST_QUANTILE: Final = 0.02
+"""Quantile of the powers of an effect below which they count as the quantile, because zero has no logarithm."""
 START: Final = 60.0
 """Time since the start of the ride below which it changes little. [s]"""
 MEMORY: Final = 0.6
@@ -169,7 +169,7 @@ class Bends:
         if not acts.any():
             return np.empty((len(energy), 0))
         power = np.log(np.abs(energy) / self._hours + 1e-300)
-        power = standardise(np.maximum(power, np.quantile(power[acts], FAINT)), weight)
+        power = standardise(np.maximum(power, np.quantile(power[acts], LEAST_QUANTILE)), weight)
         functions = [power, standardise(power**2, weight), *(standardise(c, weight) for c in self._conditions)]
         columns = [energy * function for function in functions if function.any()]
         if lags:
@@ -198,7 +198,7 @@ def _list_earlier_windows(windows: Windows) -> list[Ints]:
 
 
 def standardise(values: Floats, weight: Floats) -> Floats:
-    """Return values with mean 0 and standard deviation 1, at most `MOST` from 0; all 0 where they do not vary.
+    """Return values with mean 0 and standard deviation 1, at most `MOST_SIGMAS` from 0; all 0 where they do not vary.
 
     Parameters
     ----------
@@ -212,4 +212,4 @@ def standardise(values: Floats, weight: Floats) -> Floats:
     share = weight / weight.sum()
     values = values - share @ values
     spread = float(np.sqrt(share @ values**2))
-    return np.asarray(np.clip(values / spread, -MOST, MOST)) if spread > 1e-9 else np.zeros(len(values))
+    return np.asarray(np.clip(values / spread, -MOST_SIGMAS, MOST_SIGMAS)) if spread > 1e-9 else np.zeros(len(values))

@@ -21,7 +21,23 @@ LEVEL: Final = 0.9
 
 
 class Calibration(NamedTuple):
-    """Hold the coefficients of the log odds, see `compute_probabilities`."""
+    """Hold the coefficients of the log odds; the notes of `compute_probabilities` give the equations. [1]
+
+    Parameters
+    ----------
+    effects : float
+        Weight of the evidence M of the best effect.
+    rivals : float
+        Weight of the evidence of each effect less M.
+    none : float
+        Log odds of no cause.
+    several, several_second, several_first : float
+        Constant of several effects, and weights of log(1 + D) and of log(1 + M).
+    unknown, unknown_first : float
+        Constant of a cause that is not in the library, and weight of log(1 + M).
+    unknown_beside, unknown_bends, unknown_lead, unknown_shared : float
+        Weights of v, b², l and s.
+    """
 
     effects: float
     rivals: float
@@ -112,13 +128,19 @@ def compute_probabilities(evidence: CauseEvidence, calibration: Calibration = CA
 
     Notes
     -----
-    With the log evidence e of each of K effects, the largest M, and c for a coefficient, the log odds are: of no cause,
-    c; of an effect, c M + c (e - M) - log K; of several effects, relative to all single ones, c + c log(1 + D)
-    + c log(1 + M), where D is the evidence that a second effect adds; of an unknown cause, relative to all single
-    effects, c + c v + c b² + c log(1 + M) + c l + c s with these shares of M + 5, at most 1: v of the evidence V of
-    shapes that no effect has, beside the best effect; b of what the bends add to that of the best effect; l of its lead
-    over the second-best one; s of what such shapes explain as well as the best effect, M + V - U, where U is their
-    evidence alone.
+    Evidence is logarithmic. Each of K effects has the evidence e, the best one M, and D is what a second effect adds.
+    The log odds are
+
+        no cause:        none
+        an effect:       effects M + rivals (e - M) - log K
+        several:         t + several + several_second log(1 + D) + several_first log(1 + M)
+        not in library:  t + unknown + unknown_first log(1 + M) + unknown_beside v + unknown_bends b²
+                         + unknown_lead l + unknown_shared s
+
+    where t is the logarithm of the sum of the odds of all single effects. Shapes that no effect has are evidence for an
+    unknown cause: U alone, and V beside the best effect. The others are shares of M + `FAINT`, at most 1: v = V, b is
+    what the bends add to the evidence of the best effect, l its lead over the second-best one, and s = M + V - U what
+    such shapes explain as well as the best effect.
     """
     single = {name: value for name, value in evidence.single.items() if np.isfinite(value)}
     c = calibration

@@ -157,6 +157,11 @@ def drop_effects(evidence: CauseEvidence, names: Iterable[str]) -> CauseEvidence
         Evidence of each cause.
     names : iterable of str
         Effects to leave out.
+
+    Notes
+    -----
+    The evidence of unknown shapes stays that with the whole library, in which shapes like those of the removed effects
+    do not count. It is therefore rather too small.
     """
     gone = set(names)
     return replace(

@@ -5,7 +5,7 @@ import pytest
 
 from core.diagnose.candidates import build_candidates
 from core.diagnose.posterior.causes import LEAST_LEFT, SelectedForm, compute_cause_evidence
-from core.diagnose.posterior.families import MOST, build_families, standardise
+from core.diagnose.posterior.families import MOST_SIGMAS, build_families, standardise
 from core.diagnose.projection import BaseProjection
 from tests.support.synthetic_windows import gather_with_model, keep_only, make_tables, make_windows
 
@@ -63,7 +63,7 @@ def test_bends_have_no_mean_and_are_bounded():
     rng = np.random.default_rng(0)
     weight = rng.uniform(0.0, 1.0, 500)
     values = standardise(rng.standard_t(2.0, 500), weight)
-    assert np.abs(values).max() <= MOST
+    assert np.abs(values).max() <= MOST_SIGMAS
     assert not standardise(np.full(500, 3.0), weight).any()
     plain = standardise(rng.uniform(size=500), weight)
     assert weight @ plain == pytest.approx(0.0, abs=1e-9)

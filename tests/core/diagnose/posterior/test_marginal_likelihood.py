@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from core.diagnose.posterior.causes import make_prior
+from core.diagnose.posterior.causes import make_log_prior
 from core.diagnose.posterior.marginal_likelihood import (
     LARGEST,
     SMALLEST,
@@ -27,13 +27,13 @@ def draw(seed, coefficient=0.04):
 def compute(form, bends, residual, sign=1, prior=None, bend=BEND):
     columns = np.column_stack([form, bends])
     products = Products(columns.T @ columns, columns.T @ residual)
-    return compute_marginal_likelihood(products, 1.0, sign, prior or make_prior(1.0), bend)
+    return compute_marginal_likelihood(products, 1.0, sign, prior or make_log_prior(1.0), bend)
 
 
 def integrate(form, bends, residual, signs=(1,), bend=BEND):
     """Return the log evidence by a dense sum over coefficients, with the covariance of noise and bends written out."""
     values = np.exp(np.linspace(np.log(SMALLEST), np.log(LARGEST), 3000))
-    prior = np.exp(make_prior(1.0)(values))
+    prior = np.exp(make_log_prior(1.0)(values))
     nothing = multivariate_normal(np.zeros(N), np.eye(N)).logpdf(residual)
     total = 0.0
     for sign in signs:
@@ -80,9 +80,9 @@ def test_bends_explain_what_the_form_does_not():
 
 def test_coefficient_beyond_the_plausible_range_is_less_probable():
     data = draw(7, 0.08)
-    free, narrow = (compute(*data, prior=make_prior(1.0, limits)).log_evidence for limits in (None, (0.001, 0.01)))
+    free, narrow = (compute(*data, prior=make_log_prior(1.0, limits)).log_evidence for limits in (None, (0.001, 0.01)))
     assert narrow < free - 3.0
-    below = compute(*data, prior=make_prior(1.0, (0.2, 0.3))).log_evidence
+    below = compute(*data, prior=make_log_prior(1.0, (0.2, 0.3))).log_evidence
     assert below == pytest.approx(free, abs=1e-9)
 
 
