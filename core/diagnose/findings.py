@@ -185,7 +185,7 @@ def make_finding_message(finding: Finding, prefix: str = "") -> Message:
 
 
 class _Measured(NamedTuple):
-    """Hold who has a finding, its words, its share of the energy with a 95 % interval [1], and its energy [kWh/month]."""
+    """Hold who has a finding, its words, its share of the energy with a 95 % interval, and its monthly kWh."""
 
     who: str
     words: str
