@@ -95,6 +95,14 @@ def test_remaining_error_is_compared_with_noise_floor(mae, structure, stated):
     assert ("The remaining error does not exceed measurement noise." in lines) == stated
 
 
+def test_many_held_out_dates_are_counted():
+    held_out = {"rides": 269, "dates": [f"2018-03-{day:02d}" for day in range(3, 12)], "final": True}
+    result = make_diagnosis()
+    result["data"]["held_out"] = held_out
+    sentence = "Not used: 269 rides of 9 dates from 2018-03-03 to 2018-03-11, the final hold-out dates on which"
+    assert sentence in printed(result)
+
+
 def test_error_without_missing_effect_is_not_called_held_out():
     steps = [{"effect": None, "mae_kwh": 0.0206, "noise_floor_kwh": 0.0233}]
     line, *_ = sentences.describe_remainder(make_empty_diagnosis() | {"steps": steps})

@@ -11,6 +11,8 @@ from tools.report.evaluation.result import Result, get_mapping, get_number
 LEAST_PROBABILITY = 0.005
 """Probability below which a cause is not written out. [1]"""
 MOST_CAUSES = 5
+MOST_DATES = 6
+"""Number of dates above which only their number, the first and the last one are written out."""
 CAUSE_NAMES = {
     NONE: "no missing effect",
     SEVERAL: "several effects together",
@@ -82,7 +84,9 @@ def _describe_held_out(held_out: Mapping[str, Any]) -> list[str]:
         return []
     where = "in the history of the model" if held_out.get("in_history") else "on which socast add evaluates"
     why = f", the final hold-out dates {where}" if held_out.get("final") else ""
-    return [f"Not used: {format_count(held_out.get('rides'))} rides of {', '.join(dates)}{why}."]
+    few = len(dates) <= MOST_DATES
+    listed = ", ".join(dates) if few else f"{len(dates)} dates from {min(dates)} to {max(dates)}"
+    return [f"Not used: {format_count(held_out.get('rides'))} rides of {listed}{why}."]
 
 
 def describe_error(result: Result) -> list[str]:
