@@ -23,6 +23,10 @@ LEAST_KNOWN: Final = 0.5
 """Share of the windows in which an effect must be known to be a candidate."""
 
 
+NOT_IN_DATA: Final = "not in the data"
+"""Why an effect is no candidate whose columns the tables lack, or whose signal was not recorded."""
+
+
 @dataclass(frozen=True)
 class Candidates:
     """Hold k candidates: the energy of each in each of n windows, per unit of its coefficient.
@@ -131,7 +135,7 @@ def build_candidates(
         if known:
             variants += [(name, v) for v in known]
         else:
-            excluded[name] = "not in the data"
+            excluded[name] = NOT_IN_DATA
     names = tuple(dict.fromkeys(name for name, _ in variants))
     stacked = [np.nan_to_num(get_numbers(windows.table, f"{EFFECT_PREFIX}{v}"), nan=0.0) for _, v in variants]
     return Candidates(

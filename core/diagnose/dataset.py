@@ -86,6 +86,8 @@ def gather_windows(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearMode
         There are too few rides or vehicle-days, no ride has a measured energy, or the model knows none of the vehicle
         models.
     """
+    if not len(rides):
+        raise ModelError("there are no rides to diagnose: give tables or recordings that hold some")
     _, left_out = select_trainable(rides, [ENERGY])
     table = join_tables(rides, windows)
     _check_model(model, table)

@@ -22,12 +22,15 @@ Biometrics 38 (1982) 963, DOI 10.2307/2529876: random effects.
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from core.batch import Floats, Ints
 from core.diagnose.sweep import SweepStep, sum_ride_products, sum_units
+
+SINGULAR: Final = 1e-10
+"""Squared size of a combination of fixed columns, relative to the largest one, below which it counts as zero. [1]"""
 
 
 class Criterion(NamedTuple):
@@ -109,7 +112,6 @@ class MixedModel:
     ) -> None:
         self.size = effects.shape[1]
         self._p = fixed.coefficients
-        self.freedom = len(measured) - self._p
         self._levels = _nest(levels, fixed.group)
         columns = np.column_stack([effects, fixed.columns, measured])
         products = sum_ride_products(columns, weight, levels[0])
@@ -119,6 +121,9 @@ class MixedModel:
         self._beside = products[:, : self.size, self.size :].copy()
         of_groups = sum_units(products[:, self.size :, self.size :], self._levels[0].group)
         self._total = self._assemble(of_groups)
+        lengths = np.linalg.eigvalsh(self._total[: self._p, : self._p])
+        self._null = int((lengths <= SINGULAR * lengths.max(initial=0.0)).sum())
+        self.freedom = len(measured) - self._p + self._null
 
     def keep(self, effects: Sequence[int]) -> "MixedModel":
         """Return the model with some of the columns of random effects only, which is faster to evaluate."""
@@ -157,10 +162,10 @@ class MixedModel:
         total = self._total - sum(
             self._sum_squares(step, level) for step, level in zip(steps, self._levels, strict=True)
         )
-        inverse = np.linalg.inv(total[:p, :p])
+        inverse, of_fixed = _invert(total[:p, :p], self._null)
         coefficients = inverse @ total[:p, p]
         rss = float(total[p, p] - total[:p, p] @ coefficients)
-        logarithm = float(np.linalg.slogdet(total[:p, :p])[1]) + sum(step.log_determinant for step in steps)
+        logarithm = of_fixed + sum(step.log_determinant for step in steps)
         outer = np.append(-coefficients, 1.0)
         by_total = self.freedom / rss * np.outer(outer, outer)
         by_total[:p, :p] += inverse
@@ -304,6 +309,18 @@ class _Level(NamedTuple):
     edges: Ints
     is_global: bool
     spreads: bool
+
+
+def _invert(products: Floats, null: int) -> tuple[Floats, float]:
+    """Return the inverse of the products of fixed columns and the log of their determinant, both off a null space.
+
+    Columns of cars and columns that all cars share may be collinear. Their null space has the dimension `null`.
+    """
+    if not null:
+        return np.asarray(np.linalg.inv(products)), float(np.linalg.slogdet(products)[1])
+    lengths, axes = np.linalg.eigh(products)
+    lengths, axes = lengths[null:], axes[:, null:]
+    return np.asarray(axes / lengths @ axes.T), float(np.log(lengths).sum())
 
 
 def _diagonal(matrices: Floats) -> Floats:

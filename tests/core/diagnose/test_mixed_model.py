@@ -196,3 +196,20 @@ def test_sums_of_units_do_not_depend_on_their_order():
     expected = [sums[parent == p].sum(axis=0) for p in range(3)]
     np.testing.assert_allclose(sum_units(sums, parent), expected)
     np.testing.assert_allclose(block_diag(*sum_ride_products(np.eye(2), np.ones(2), np.array([0, 1])))[0], [1, 0, 0, 0])
+
+
+def test_collinear_fixed_columns_change_neither_scale_nor_variances():
+    """A column that all cars share and that their own columns span adds nothing."""
+    effects, fixed, _, energy, weight = make_case()
+    car, _, day, ride = codes()
+    spanned = fixed.columns[:, [0]]
+    more = FixedColumns(np.column_stack([fixed.columns, spanned]), car, np.column_stack([fixed.place, [6, 6, 6]]))
+    plain, collinear = (MixedModel(effects, each, energy, weight, [ride, day]) for each in (fixed, more))
+    assert collinear.freedom == plain.freedom
+    for relative in (np.zeros((2, EFFECTS)), np.full((2, EFFECTS), 0.3)):
+        one, other = plain.evaluate(relative), collinear.evaluate(relative)
+        assert other.scale == pytest.approx(one.scale, rel=1e-9)
+        np.testing.assert_allclose(other.gradient, one.gradient, rtol=1e-6, atol=1e-9)
+    free = np.ones((2, EFFECTS), dtype=bool)
+    expected = estimate_variances(plain, free).deviations
+    np.testing.assert_allclose(estimate_variances(collinear, free).deviations, expected, rtol=1e-3, atol=1e-3)

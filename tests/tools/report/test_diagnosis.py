@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from core.diagnose.posterior.probabilities import UNKNOWN
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
 from tests.support.html_pages import assert_axes_are_titled, read_page
 from tools.commands.diagnose import insert_commands, parse_term
@@ -93,6 +94,38 @@ def test_remaining_error_is_compared_with_noise_floor(mae, structure, stated):
     steps = [{"effect": None, "mae_kwh": mae, "noise_floor_kwh": 0.037}]
     lines = sentences.describe_remainder(make_diagnosis(structure_remains=structure, steps=steps))
     assert ("The remaining error does not exceed measurement noise." in lines) == stated
+
+
+@pytest.mark.parametrize(
+    ("first", "structure", "advice"),
+    [
+        ("none", False, "Most probably, no effect is missing (58 %). More rides would tell."),
+        (UNKNOWN, False, "no pattern shows what does. Record more rides before you write an effect."),
+        (UNKNOWN, True, "The cause is probably not in the library. Write an effect of your own"),
+    ],
+)
+def test_advice_agrees_with_the_probable_cause(first, structure, advice):
+    causes = [{"effect": first, "probability": 0.58}, {"effect": "snow", "probability": 0.42}]
+    empty = make_empty_diagnosis() | {"causes": causes, "credible_set": [first, "snow"], "structure_remains": structure}
+    assert advice in printed(empty)
+
+
+def test_doubtful_effect_is_not_recommended():
+    result = make_diagnosis()
+    first = next(one for one in result["missing"] if one["effect"] == result["verdict"])
+    first["coefficient"]["plausible"] = False
+    first["gain_ci95"] = [-0.1, 0.3]
+    text = printed(result)
+    assert f"Do not rely on {first['effect']} yet: its coefficient is not plausible and its gain" in text
+    assert f"Add {first['effect']}," not in text
+
+
+def test_effects_without_a_signal_are_listed():
+    result = make_diagnosis()
+    lacking = {**result["candidates"][-1], "effect": "demisting", "status": "not in the data"}
+    result["candidates"] = [*result["candidates"], lacking]
+    sentence = printed(result).split("Not tested, because the tables have no values of them: ")[1].split(".")[0]
+    assert sentence.endswith("demisting")
 
 
 def test_many_held_out_dates_are_counted():

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from core.diagnose.candidates import NOT_IN_DATA
 from core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN
 from tools.report.cells import format_count, format_percent
 from tools.report.evaluation.data_tables import MEASURED_BY
@@ -11,6 +12,8 @@ from tools.report.evaluation.result import Result, get_mapping, get_number
 LEAST_PROBABILITY = 0.005
 """Probability below which a cause is not written out. [1]"""
 MOST_CAUSES = 5
+LEAST_SURE = 0.9
+"""Probability below which the report does not state without reservation that nothing is missing. [1]"""
 MOST_DATES = 6
 """Number of dates above which only their number, the first and the last one are written out."""
 CAUSE_NAMES = {
@@ -74,6 +77,8 @@ def describe_data(result: Result) -> list[str]:
     if left_out := get_mapping(data, "left_out"):
         reasons = ", ".join(f"{format_count(n)} {str(reason).replace('_', ' ')}" for reason, n in left_out.items())
         lines.append(f"Excluded: {reasons}.")
+    if lacking := [str(row["effect"]) for row in result.get("candidates") or () if row.get("status") == NOT_IN_DATA]:
+        lines.append(f"Not tested, because the tables have no values of them: {', '.join(lacking)}.")
     return [*lines, *_describe_held_out(get_mapping(data, "held_out"))]
 
 
@@ -207,7 +212,7 @@ def describe_verdict(result: Result) -> list[str]:
     lines = [f"Probable cause of the error: {describe_causes(causes)}."]
     credible = [CAUSE_NAMES.get(str(name), str(name)) for name in result.get("credible_set") or ()]
     if len(credible) > 1:
-        lines.append(f"With a probability of 90 %, the largest cause is one of these: {', '.join(credible)}.")
+        lines.append(f"The largest cause is one of these in nine cases of ten: {', '.join(credible)}.")
     return lines
 
 
@@ -228,7 +233,9 @@ def describe_missing_effect(one: Mapping[str, Any]) -> list[str]:
     causes = describe_causes(one.get("causes"))
     lines = [
         f"{meaning}; {describe_scope(one)}",
-        f"probability: {causes}" if causes else "",
+        f"the largest missing effect with a probability of {format_percent(one.get('probability'), 0)}: {causes}"
+        if causes
+        else "",
         describe_gain(one),
         describe_coefficient(one),
         *describe_rivals(one),
@@ -310,15 +317,43 @@ def describe_next_step(result: Result) -> list[str]:
     """Return what to do next, with the command where there is one."""
     chosen = result.get("verdict")
     if not chosen:
-        unknown = UNKNOWN in (result.get("credible_set") or ())[:1]
-        if unknown or result.get("structure_remains"):
-            hint = "Write an effect of your own for the structure that remains: socast effects new."
-            why = "The cause is probably not in the library" if unknown else "No effect of the library is missing"
-            return [f"{why}. {hint}"]
-        return ["These rides show no missing effect."]
+        return [_advise_without_effect(result)]
     first: Mapping[str, Any] = next((m for m in result.get("missing") or () if m.get("effect") == chosen), {})
-    lines = [f"Add {chosen}, {describe_scope(first)}."]
-    return [*lines, str(first["command"])] if first.get("command") else lines
+    doubts = _list_doubts(first)
+    if doubts:
+        lines = [f"Do not rely on {chosen} yet: {' and '.join(doubts)}. Record more rides. To try it all the same:"]
+    else:
+        lines = [f"Add {chosen}, {describe_scope(first)}."]
+    return [*lines, str(first["command"])] if first.get("command") else [line.split(" To try")[0] for line in lines]
+
+
+def _advise_without_effect(result: Result) -> str:
+    """Return what to do where no effect is the most probable cause."""
+    unknown, structure = UNKNOWN in (result.get("credible_set") or ())[:1], result.get("structure_remains")
+    if structure:
+        why = "The cause is probably not in the library" if unknown else "No effect of the library is missing"
+        return f"{why}. Write an effect of your own for the structure that remains: socast effects new."
+    if unknown:
+        return (
+            "No effect of the library explains these rides, and no pattern shows what does. Record more rides before "
+            "you write an effect."
+        )
+    first: Mapping[str, Any] = next(iter(result.get("causes") or ()), {})
+    chance = get_number(first.get("probability"))
+    if first.get("effect") == NONE and chance is not None and chance < LEAST_SURE:
+        return f"Most probably, no effect is missing ({format_percent(chance, 0)}). More rides would tell."
+    return "These rides show no missing effect."
+
+
+def _list_doubts(one: Mapping[str, Any]) -> list[str]:
+    """Return why an effect should not be added yet."""
+    limits = read_interval(one.get("gain_ci95"))
+    doubts = []
+    if get_mapping(one, "coefficient").get("plausible") is False:
+        doubts.append("its coefficient is not plausible")
+    if limits and limits[0] <= 0.0:
+        doubts.append("its gain on held-out days is not certain")
+    return doubts
 
 
 def _plural(count: Any, noun: str) -> str:
