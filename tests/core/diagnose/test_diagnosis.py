@@ -239,13 +239,17 @@ class TestInsufficientData:
         assert "\n" not in str(refusal.value)
         return str(refusal.value)
 
-    @pytest.mark.parametrize("count", [0, 1, 2, LEAST_RIDES - 1])
+    @pytest.mark.parametrize("count", [1, 2, LEAST_RIDES - 1])
     def test_few_rides_are_refused_in_one_line(self, small, count):
         (rides, windows), model = small
         few = rides.iloc[:count]
         kept = windows[windows["ride_key"].isin(few["ride_key"])]
         message = self.refused(few, kept, model)
         assert message == f"{count} rides with measured energy to diagnose, and it takes {LEAST_RIDES}: give more rides"
+
+    def test_no_rides_are_refused_in_one_line(self, small):
+        (rides, windows), model = small
+        assert self.refused(rides.iloc[:0], windows.iloc[:0], model).startswith("there are no rides to diagnose")
 
     def test_rides_without_measured_energy_are_refused_in_one_line(self, small):
         tables, model = small
