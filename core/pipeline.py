@@ -3,7 +3,7 @@
 Live operation, replay, training and tests run the same steps.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -44,6 +44,7 @@ from core.totals.run_counters import RunCounters
 from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
 from core.vehicles.fleet import Cars
 from core.wire.decoder import Decoder
+from core.wire.duplicate_filter import DuplicateFilter
 from core.wire.message_order import MessageOrder, Piece
 from core.wire.messages import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
 from core.wire.rides import RideDrivers
@@ -56,6 +57,11 @@ kernel would take twice the time.
 """
 MOST_RIDE_NAMES: Final = 10_000
 """Number of ride names that are remembered, in addition to two per vehicle."""
+STATEFUL: Final = (
+    *("lanes", "cars", "duplicates", "decoder", "drivers", "plans", "day_rollover", "cleaner", "stations"),
+    *("accumulator", "displays", "counters", "engine"),
+)
+"""Attributes of a pipeline that have a state, in the order in which they must load."""
 
 
 class Due(NamedTuple):
@@ -116,15 +122,14 @@ class Pipeline:
     ) -> None:
         if two_sided and keep_forecasts:
             raise SettingsError("two_sided is True, but forecasts are causal; set keep_forecasts=False")
-        self.settings = checked(settings)
-        self.prefix = prefix
+        self.settings, self.prefix, self.model = checked(settings), prefix, model
         self.keep_forecasts, self.keep_tables, self.keep_outlooks = keep_forecasts, keep_tables, keep_outlooks
         of_model = dict.fromkeys((*model.effects, *also))
         of_shadows = dict.fromkeys(name for shadow in shadows for name in shadow.effects)
         self.effects = [effects.get(name) for name in of_model | of_shadows]
         self.lanes, self.cars = Lanes(), Cars()
         self.context = RunContext(self.lanes, self.cars, [each.name for each in self.effects], self.settings, model)
-        self.decoder = Decoder(self.lanes)
+        self.duplicates, self.decoder = DuplicateFilter(self.lanes), Decoder(self.lanes)
         self.drivers, self.plans, self.day_rollover = RideDrivers(), NewestPlans(), DayRollover()
         self.cleaner = Cleaner(self.settings, elevation_map)
         self.stations = Stations()
@@ -141,22 +146,27 @@ class Pipeline:
         self._due: list[Due] = []
         self._published: list[PublishedForecasts] = []
 
-    @property
-    def model(self) -> Model:
-        """Model of the published predictions."""
-        return self.context.model
-
     def push(self, messages: Sequence[Message]) -> list[Message]:
         """Take messages, and return the forecasts that have become due: `take` followed by `forecasts`."""
         self.take(messages)
         return self.forecasts()
 
-    def take(self, messages: Sequence[Message]) -> None:
+    def take(self, messages: Sequence[Message], record: Callable[[Sequence[Message]], None] | None = None) -> None:
         """Take messages in the order of their arrival, without returning forecasts.
 
-        Event time alone decides which samples call for a forecast. The same messages therefore give the same forecasts,
-        to the bit, however they are cut into batches.
+        Messages that were delivered before are dropped. Event time alone decides which samples call for a forecast. The
+        same messages therefore give the same forecasts, to the bit, however they are cut into batches.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Messages in the order of their arrival.
+        record : callable, optional
+            Function that receives the messages that are new, before anything else uses them.
         """
+        messages = self.duplicates.select_new(messages)
+        if record is not None:
+            record(messages)
         self._forget_ride_names()
         batch, events = self.decoder.decode(messages)
         events = self.day_rollover.add_updates(batch, events)
@@ -276,8 +286,6 @@ class Pipeline:
         if not self.keep_outlooks:
             self.engine.take_shifts()
 
-    # Messages other than samples
-
     def _matters(self, lane: int, before: Ints) -> bool:
         """Return whether forecasts depend on anything received of a car so far, including this batch."""
         if not self.keep_forecasts:
@@ -309,8 +317,6 @@ class Pipeline:
         elif self.keep_forecasts:
             self.plans.accept(lane, plan)
             self._pending.add_dispatch(PlanArrival(place, lane, plan))
-
-    # Results out
 
     def forecasts(self, *, newest_only: bool = False) -> list[Message]:
         """Return the forecasts that have become due since the last call.
@@ -392,13 +398,15 @@ class Pipeline:
     def quality(self) -> dict[str, Any]:
         """Return the counters since the start.
 
-        Keys: `received` by kind, `undecodable` by cause, `samples` by quality bit, `rides` ended, rides `unfit` and
-        `unpredicted` by reason, `vehicles`, `unpredictable` vehicle messages by reason. With shadows also
-        `unpredicted_by_shadow`, of the rides that count, and `shadow_faults` by cause. With a map also `elevation_map`.
+        Keys: `received` by kind, `duplicates` dropped, `undecodable` by cause, `samples` by quality bit, `rides`
+        ended, rides `unfit` and `unpredicted` by reason, `vehicles`, `unpredictable` vehicle messages by reason. With
+        shadows also `unpredicted_by_shadow`, of the rides that count, and `shadow_faults` by cause. With a map also
+        `elevation_map`.
         """
         counts = {
             "vehicles": len(self.lanes),
             "received": dict(self.decoder.received),
+            "duplicates": self.duplicates.dropped,
             "undecodable": dict(self.decoder.rejected),
             "samples": self.counters.samples_by_cause(),
             "rides": self.counters.rides,
@@ -417,8 +425,6 @@ class Pipeline:
         ends = self.engine.get_ends(lanes)
         return build_statuses(totals, self._ride_names(totals), self.context, predicted, ends)
 
-    # State
-
     def learn_from(self, earlier: "Pipeline") -> None:
         """Take over the cars of another pipeline and what it has learned of them, but no ride or shift.
 
@@ -436,17 +442,23 @@ class Pipeline:
         self.displays.learn_from(earlier.displays)
         self.engine.learn_from(earlier.engine)
 
-    def snapshot(self) -> bytes:
+    def snapshot(self, note: Any = None) -> bytes:
         """Return the state of every vehicle, from which `restore` continues as if uninterrupted.
 
         The snapshot does not hold rides and windows that have ended but were not taken: take them first.
+
+        Parameters
+        ----------
+        note : object, optional
+            What the caller keeps with the state, of plain lists, dicts, numbers and text.
         """
         self._update_forecasts()
         state = {name: component.dump() for name, component in self._components().items()}
-        return seal_snapshot({"model": self.context.model_label, "effects": list(self.context.effects), "state": state})
+        model, names = self.context.model_label, list(self.context.effects)
+        return seal_snapshot({"model": model, "effects": names, "state": state, "note": note})
 
-    def restore(self, snapshot: bytes) -> None:
-        """Replace the state by one that `snapshot` returned.
+    def restore(self, snapshot: bytes) -> Any:
+        """Replace the state by one that `snapshot` returned, and return the note that was kept with it.
 
         If the first model is the same, running errors continue for the models that are present; else they start again.
 
@@ -460,30 +472,16 @@ class Pipeline:
         SocastError
             If the bytes are not a snapshot, or are one of another version or list of effects.
         """
-        state = open_snapshot(snapshot, list(self.context.effects))["state"]
+        content = open_snapshot(snapshot, list(self.context.effects))
         for name, component in self._components().items():
-            if name in state:
-                component.load(state[name])
+            if name in content["state"]:
+                component.load(content["state"][name])
+        return content["note"]
 
     def _components(self) -> dict[str, Stateful]:
         """Return every component that has a state, in the order in which they must load."""
-        components: dict[str, Stateful] = {
-            "lanes": self.lanes,
-            "cars": self.cars,
-            "decoder": self.decoder,
-            "drivers": self.drivers,
-            "plans": self.plans,
-            "day_rollover": self.day_rollover,
-            "cleaner": self.cleaner,
-            "stations": self.stations,
-            "accumulator": self.accumulator,
-            "displays": self.displays,
-            "counters": self.counters,
-            "engine": self.engine,
-        }
-        if self.deferred is not None:
-            components["deferred"] = self.deferred
-        return components | {"shadows": self.shadows} if self.shadows else components
+        names = [*STATEFUL, *(["deferred"] if self.deferred else []), *(["shadows"] if self.shadows else [])]
+        return {name: getattr(self, name) for name in names}
 
     def _forget_ride_names(self) -> None:
         """Forget the names of rides that have ended, once there are many."""

@@ -28,8 +28,8 @@ _log = logging.getLogger("socast.run")
 class Forecaster(Protocol):
     """Define the methods of `core.pipeline.Pipeline` that the loop calls."""
 
-    def take(self, messages: Sequence[Message]) -> None:
-        """Process messages."""
+    def take(self, messages: Sequence[Message], record: Callable[[Sequence[Message]], None] | None = None) -> None:
+        """Process the messages that are new, after `record` has received them."""
 
     def forecasts(self, *, newest_only: bool = False) -> list[Message]:
         """Return the forecasts that became due since the last call.
@@ -91,6 +91,7 @@ def run(
     sinks: Sequence[Sink] = (),
     *,
     recorder: Recorder | None = None,
+    keep_open: bool = False,
     publish_s: float = 0.0,
     watch: Callable[[Tally], None] = lambda _: None,
     report_s: float = REPORT_S,
@@ -98,8 +99,8 @@ def run(
 ) -> Tally:
     """Pass every message through the pipeline and its forecasts to the sinks, until the source ends.
 
-    The loop always closes the recorder and then the sinks, even after an error. It records messages before the pipeline
-    decodes them, so the recording contains a message that makes the pipeline fail.
+    The loop always closes the recorder and then the sinks, even after an error. The pipeline passes new messages to the
+    recorder before it decodes them, so the recording contains a message that makes the pipeline fail.
 
     Parameters
     ----------
@@ -110,7 +111,9 @@ def run(
     sinks : sequence of Sink
         Sinks that receive the forecasts and the errors of models. The loop closes them at the end.
     recorder : Recorder, optional
-        Recorder of the received messages.
+        Recorder of the received messages that are new.
+    keep_open : bool
+        Leave rides in progress open at the end, because a state holds them.
     publish_s : float
         Time between two rounds of the newest forecast of each vehicle. [s] A consumer that has fallen behind then does
         not flood its subscribers, and one that keeps pace publishes every forecast. With 0 the loop passes on all
@@ -128,6 +131,7 @@ def run(
         Counts of the whole run.
     """
     tally, began, which = Tally(), clock(), {"newest_only": publish_s > 0.0}
+    record = recorder.put if recorder is not None else None
     due = began + report_s
     published = -inf
     with ExitStack() as closing:
@@ -137,11 +141,11 @@ def run(
         if recorder is not None:
             closing.callback(recorder.close)
         for messages in source:
-            if recorder is not None:
-                recorder.put(messages)
             if messages:
                 tally.received += len(messages)
-                pipeline.take(messages)
+                pipeline.take(messages, record)
+            elif recorder is not None:
+                recorder.put(messages)  # a sync may be due
             if clock() - published >= publish_s:
                 published = clock()
                 _pass_on(pipeline.forecasts(**which), pipeline.model_errors(**which), sinks, tally)
@@ -151,7 +155,8 @@ def run(
                 due = clock() + report_s
                 _report("running", tally, source, pipeline, recorder)
         _pass_on(pipeline.forecasts(**which), pipeline.model_errors(**which), sinks, tally)
-        _pass_on(pipeline.finish(), pipeline.model_errors(**which), sinks, tally)
+        if not keep_open:
+            _pass_on(pipeline.finish(), pipeline.model_errors(**which), sinks, tally)
         tally.seconds = clock() - began
     _report("finished", tally, source, pipeline, recorder)
     return tally

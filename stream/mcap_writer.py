@@ -11,6 +11,7 @@ MCAP format specification, https://mcap.dev/spec.
 """
 
 import json
+import os
 import struct
 import zlib
 from collections import Counter
@@ -168,6 +169,22 @@ class McapSink:
     def flush(self) -> None:
         """Write the unfinished chunk, so that a reader finds every message that was put."""
         self._end_chunk()
+
+    def sync(self) -> None:
+        """Write the unfinished chunk, and return once the operating system has everything on disk.
+
+        Raises
+        ------
+        RecordingError
+            If the disk refuses the data.
+        """
+        self._end_chunk()
+        try:
+            os.fdatasync(self._file.fileno())
+        except OSError as error:
+            raise RecordingError(
+                f"{self.path} cannot be written: {error.strerror}; make room or stop recording"
+            ) from error
 
     def close(self) -> None:
         """Write the summary and close the file.

@@ -1,14 +1,23 @@
-"""The recorder of live telemetry: it stores every payload unchanged, in files of bounded size and time span."""
+"""The recorder of live telemetry: it stores every payload unchanged, in files of bounded size and time span.
+
+The recording is a write-ahead log. The state of a consumer names its place in it, and the consumer syncs the recording
+before it saves its state. After a crash it loads the state and reads the messages that were recorded after that place.
+"""
 
 import logging
+import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+import msgspec
+
 from core.errors import RecordingError, SettingsError
 from core.wire.messages import Message
+from stream.file_lock import FileLock, sync_folder
+from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
 
 FILE_BYTES: Final = 256 << 20
@@ -16,19 +25,38 @@ FILE_BYTES: Final = 256 << 20
 FILE_S: Final = 3600.0
 """Longest span of receipt times in one file. [s]"""
 FLUSH_S: Final = 5.0
-"""Age after which a received message is on disk. [s]"""
+"""Age after which a received message is synced to disk. [s]"""
 RETRY_S: Final = 10.0
 """Time between attempts to write after the disk refused data. [s]"""
 
+WHOLE: Final = 2**53
+"""Number of messages in a place that stands for a whole file."""
+
 _log = logging.getLogger("socast.record")
+
+
+class Place(msgspec.Struct, frozen=True):
+    """Name a place in the files of a recorder: a number of messages into a file.
+
+    Parameters
+    ----------
+    file : str
+        Name of the file, without its folder; an empty name stands before all files.
+    messages : int
+        Number of messages from the beginning of the file.
+    """
+
+    file: str = ""
+    messages: int = WHOLE
 
 
 class Recorder:
     """Write messages into consecutive files in a folder, as a sink.
 
-    The name of a file is the UTC time of receipt of its first message, such as `20260131T235959.123Z.mcap`. A disk that
-    refuses data does not stop the consumer. The recorder counts the messages that it could not write, and tries another
-    file after `RETRY_S`.
+    The name of a file is the UTC time of receipt of its first message, such as `20260131T235959.123Z.mcap`. A new file
+    comes after all others in the order of names, even if the system clock was set back. A disk that refuses data does
+    not stop the consumer. The recorder counts the messages that it could not write, and tries another file after
+    `RETRY_S`. A lock keeps a second process out of the folder.
 
     Parameters
     ----------
@@ -39,7 +67,8 @@ class Recorder:
     file_s : float
         Longest span of receipt times in one file. [s]
     flush_s : float
-        Age after which a received message is on disk. [s] A killed process loses only younger messages.
+        Age after which a received message is synced to disk. [s] A crash or a power failure loses only younger
+        messages.
     clock : callable
         Function that returns monotonic time. [s]
 
@@ -49,11 +78,13 @@ class Recorder:
         Files written so far, the newest last.
     recorded, unrecorded : int
         Number of messages that are written or will be written at the next flush, and number that the disk refused.
+    place : Place
+        End of what is synced to disk.
 
     Raises
     ------
     SettingsError
-        If the folder cannot be created, or if a limit is not positive.
+        If the folder cannot be created or another process records there, or if a limit is not positive.
     """
 
     def __init__(
@@ -70,7 +101,10 @@ class Recorder:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise SettingsError(f"{folder} cannot be made: {error.strerror}; choose another folder") from error
+        self._lock = FileLock(folder / ".lock", folder)
         self.files: list[Path] = []
+        before = list_recordings(folder)
+        self.place = Place(before[-1].name if before else "")
         self.recorded = self.unrecorded = 0
         self._folder, self._file_bytes, self._file_ns, self._flush_s = folder, file_bytes, round(file_s * 1e9), flush_s
         self._clock = clock
@@ -97,14 +131,62 @@ class Recorder:
         elif messages:
             self.unrecorded += len(messages)
         if now - self._flushed_s >= self._flush_s:
-            self._flush(now)
+            self.sync()
+
+    def sync(self) -> None:
+        """Return once every recorded message is on disk; a disk that refuses data is logged and counted."""
+        self._flushed_s = self._clock()
+        if self._sink is not None:
+            try:
+                self._sink.sync()
+                self.place = Place(self._sink.path.name, self._sink.kept)
+            except RecordingError as error:
+                self._give_up(error, 0, self._flushed_s)
+
+    def read_after(self, place: Place) -> Iterator[list[Message]]:
+        """Yield the messages that were recorded after a place, in their order.
+
+        Parameters
+        ----------
+        place : Place
+            Place in a file of this folder, that an earlier process noted.
+
+        Yields
+        ------
+        list of Message
+        """
+        files = list_recordings(self._folder)
+        if place.file and place.file not in {path.name for path in files}:
+            _log.warning("%s is gone: samples that only it holds are not in the state", self._folder / place.file)
+        for path in files:
+            if _order(path.name) < _order(place.file):
+                continue
+            skip = place.messages if path.name == place.file else 0
+            if skip == WHOLE:
+                continue
+            try:
+                source = McapSource(path)
+            except RecordingError as error:  # the process ended before the first chunk
+                _log.warning("not read: %s", error)
+                continue
+            for messages in source:
+                if skip < len(messages):
+                    yield messages[skip:]
+                skip = max(0, skip - len(messages))
 
     def close(self) -> None:
+        """Close the current file and free the folder; a second call has no effect."""
+        self._end_file()
+        self._lock.close()
+
+    def _end_file(self) -> None:
         """Close the current file."""
         if self._sink is None:
             return
         try:
+            self._sink.sync()
             self._sink.close()
+            self.place = Place(self._sink.path.name)
             self._sink = None
         except RecordingError as error:
             self._give_up(error, 0, self._clock())
@@ -114,10 +196,11 @@ class Recorder:
         first_ns = messages[0].receipt_ns
         sink = self._sink
         if sink is not None and (sink.written >= self._file_bytes or first_ns - self._first_ns >= self._file_ns):
-            self.close()
+            self._end_file()
             sink = None
         if sink is None:
             sink = self._sink = McapSink(self._find_fresh_path(first_ns))
+            sync_folder(self._folder)
             self.files.append(sink.path)
             self._first_ns, self._taken = first_ns, 0
         room = sink.room(messages)
@@ -125,26 +208,16 @@ class Recorder:
         self._taken += room
         self.recorded += room
         if room < len(messages):  # the format cannot number more keys in one file
-            self.close()
+            self._end_file()
             self._write(messages[room:])
 
     def _find_fresh_path(self, receipt_ns: int) -> Path:
-        """Return a path that does not exist, named by the time of receipt."""
+        """Return a path that does not exist and comes after all files, named by the time of receipt."""
         moment = datetime.fromtimestamp(receipt_ns // 10**9, UTC)
-        stem = f"{moment:%Y%m%dT%H%M%S}.{receipt_ns // 10**6 % 1000:03}Z"
-        path, number = self._folder / f"{stem}.mcap", 1
-        while path.exists():
-            path, number = self._folder / f"{stem}-{number}.mcap", number + 1
-        return path
-
-    def _flush(self, now: float) -> None:
-        """Write the received messages to disk."""
-        self._flushed_s = now
-        if self._sink is not None:
-            try:
-                self._sink.flush()
-            except RecordingError as error:
-                self._give_up(error, 0, now)
+        stem, number = f"{moment:%Y%m%dT%H%M%S}.{receipt_ns // 10**6 % 1000:03}Z", 0
+        if (before := list_recordings(self._folder)) and (last := _order(before[-1].name)) >= (stem, 0):
+            stem, number = last[0], last[1] + 1
+        return self._folder / (f"{stem}-{number}.mcap" if number else f"{stem}.mcap")
 
     def _give_up(self, error: RecordingError, count: int, now: float) -> None:
         """Abandon the file, count the messages that it lacks, and schedule an attempt with another file."""
@@ -157,3 +230,21 @@ class Recorder:
             self.unrecorded += lost
             self._sink.abandon()
             self._sink = None
+
+
+def list_recordings(folder: Path) -> list[Path]:
+    """Return the files of a recorder, the oldest first.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the files.
+    """
+    return sorted(folder.glob("*.mcap"), key=lambda path: _order(path.name))
+
+
+def _order(name: str) -> tuple[str, int]:
+    """Return the time in the name of a file, and its number among files of the same time."""
+    stem = name.removesuffix(".mcap")
+    numbered = re.fullmatch(r"(.*Z)-(\d+)", stem)
+    return (numbered[1], int(numbered[2])) if numbered else (stem, 0)

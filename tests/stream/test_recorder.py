@@ -8,7 +8,7 @@ from core.errors import RecordingError, SettingsError
 from core.wire.messages import Message
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
-from stream.recorder import Recorder
+from stream.recorder import Recorder, list_recordings
 from stream.source import merge_sources
 
 SECOND = 1_000_000_000
@@ -29,7 +29,7 @@ def make_messages(count: int, begin: int = 0, payload: bytes = b'{"time_s": 1}')
 
 
 def read_folder(folder: Path) -> list[Message]:
-    return [m for block in merge_sources([McapSource(path) for path in sorted(folder.iterdir())]) for m in block]
+    return [m for block in merge_sources([McapSource(path) for path in list_recordings(folder)]) for m in block]
 
 
 def test_every_payload_is_recorded_verbatim_even_if_invalid(tmp_path: Path):
@@ -47,9 +47,9 @@ def test_file_name_is_utc_time_of_first_message(tmp_path: Path):
         recorder = Recorder(tmp_path)
         recorder.put(make_messages(1))
         recorder.close()
-    assert [path.name for path in sorted(tmp_path.iterdir())] == [
-        "20260131T235959.123Z-1.mcap",
+    assert [path.name for path in list_recordings(tmp_path)] == [
         "20260131T235959.123Z.mcap",
+        "20260131T235959.123Z-1.mcap",
     ]
 
 

@@ -37,7 +37,9 @@ class Consumer(Fleet):
         super().__init__()
         self.taken: list[Message] = []
 
-    def take(self, messages) -> None:
+    def take(self, messages, record=None) -> None:
+        if record:
+            record(messages)
         self.taken += messages
 
     def forecasts(self, **_) -> list[Message]:

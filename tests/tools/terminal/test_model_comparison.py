@@ -23,7 +23,6 @@ from tests.support.commands import called, refused
 from tests.support.live_consumers import consumers, logged
 from tests.support.recorded_shift import shift
 from tests.support.zenoh_sessions import eventually
-from tools.commands.live import StateKeeper
 from tools.terminal.live_table import LiveTable, make_fleet_table
 from tools.terminal.model_comparison import (
     describe_gain,
@@ -32,6 +31,7 @@ from tools.terminal.model_comparison import (
     make_models_table,
     warn_of_training_days,
 )
+from tools.terminal.ride_log import RideLog
 
 BOTH = ("--model", "extended_physical", "--model", "basic_physical")
 
@@ -201,15 +201,15 @@ def test_change_of_verdict_is_logged_once(monkeypatch):
     logger, records = logging.getLogger("test_standings"), []
     logger.setLevel(logging.INFO)
     logger.addFilter(lambda record: records.append(record) or False)
-    monkeypatch.setattr("tools.commands.live._log", logger)
+    monkeypatch.setattr("tools.terminal.ride_log._log", logger)
     pipeline = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
     now = [0.0]
-    keeper = StateKeeper(pipeline, clock=lambda: now[0])
+    rides = RideLog(pipeline, lambda: now[0])
     for turn in range(4):
         for i in range(20):
             pipeline.shadows.monitors[1]._all.add_cluster(5, 1.0 + 0.1 * (i % 5))
         now[0] += 10.0
-        keeper(Tally())
+        rides(Tally())
         assert len(records) == 1, turn
     assert records[0].getMessage() == "verdict"
     assert records[0].fields["gain_verdict"] == "better"

@@ -1,0 +1,133 @@
+"""Save the state of a pipeline at an interval, and continue from the last state and the recording after it."""
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any, Final, Protocol
+
+import msgspec
+
+from core.errors import SettingsError, SocastError
+from core.wire.messages import Message
+from stream.loop import Forecaster
+from stream.recorder import Place, Recorder
+from stream.state_file import StateFile
+from stream.structured_log import event_fields
+
+SAVE_S: Final = 30.0
+"""Time between two states. [s]"""
+
+_log = logging.getLogger("socast.state")
+
+
+class Restorable(Forecaster, Protocol):
+    """Define the methods of `core.pipeline.Pipeline` that checkpoints call."""
+
+    def snapshot(self, note: Any = None) -> bytes:
+        """Return the state, with a note."""
+
+    def restore(self, snapshot: bytes) -> Any:
+        """Replace the state, and return the note."""
+
+
+class Checkpoints:
+    """Keep the state of a pipeline in a file, as a watch of the loop.
+
+    A state on disk names its place in the recording, and every sample that it holds is on disk before it. After a
+    crash, `restore` therefore finds every recorded sample, and none twice.
+
+    Parameters
+    ----------
+    pipeline : Restorable
+        Pipeline that holds the state.
+    file : StateFile
+        File of the state.
+    recorder : Recorder, optional
+        Recorder of the messages. Without it, samples that came after the last state are only in the caches of
+        publishers.
+    clock : callable
+        Function that returns monotonic time. [s]
+
+    Attributes
+    ----------
+    caught_up : int
+        Number of messages that `restore` took from the recording.
+    saved_s : float
+        Monotonic time of the last state. [s]
+    """
+
+    def __init__(
+        self,
+        pipeline: Restorable,
+        file: StateFile,
+        recorder: Recorder | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.caught_up = 0
+        self.saved_s = clock()
+        self._pipeline, self._file, self._recorder, self._clock = pipeline, file, recorder, clock
+
+    def restore(self) -> list[Message]:
+        """Continue from the last state, then from what was recorded after it, and save the state.
+
+        Returns
+        -------
+        list of Message
+            Newest forecast of each vehicle whose forecast became due in the recording.
+
+        Raises
+        ------
+        SocastError
+            If the file holds no state of this version and model.
+        SettingsError
+            If the file cannot be read or written.
+        """
+        forecasts: dict[str, Message] = {}
+        if self._file.exists:
+            note = self._file.load(self._pipeline.restore)
+            if self._recorder is not None and note is not None:
+                forecasts = self._catch_up(self._recorder, note)
+            vehicles = self._pipeline.quality()["vehicles"]
+            _log.info(
+                "restored", extra=event_fields(file=str(self._file.path), vehicles=vehicles, caught_up=self.caught_up)
+            )
+        self.save()
+        return list(forecasts.values())
+
+    def __call__(self, _: object) -> None:
+        """Save the state when it is due; log if it cannot be saved."""
+        if self._clock() - self.saved_s < SAVE_S:
+            return
+        try:
+            self.save()
+        except SettingsError as error:
+            self.saved_s = self._clock()
+            _log.error("state not kept: %s", error)
+
+    def save(self) -> None:
+        """Sync the recording to disk, then replace the state.
+
+        Raises
+        ------
+        SettingsError
+            If the file cannot be written.
+        """
+        note = None
+        if self._recorder is not None:
+            self._recorder.sync()
+            note = msgspec.to_builtins(self._recorder.place)
+        self._file.save(self._pipeline.snapshot(note))
+        self.saved_s = self._clock()
+
+    def _catch_up(self, recorder: Recorder, note: Any) -> dict[str, Message]:
+        """Take what was recorded after the state; return the newest forecast by key."""
+        try:
+            place = msgspec.convert(note, Place)
+        except msgspec.ValidationError as error:
+            raise SocastError(f"{self._file.path}: its place in the recording is no place: {error}") from error
+        forecasts: dict[str, Message] = {}
+        for messages in recorder.read_after(place):
+            self.caught_up += len(messages)
+            self._pipeline.take(messages)
+            forecasts.update((forecast.key, forecast) for forecast in self._pipeline.forecasts(newest_only=True))
+        return forecasts

@@ -1,0 +1,80 @@
+"""Locks that keep a second process from writing the same files."""
+
+import fcntl
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from core.errors import SettingsError
+
+
+class FileLock:
+    """Hold a lock for the life of the process; a context manager.
+
+    The operating system frees the lock when the process ends, however it ends. The lock file remains.
+
+    Parameters
+    ----------
+    lock : Path
+        Lock file; it is made if it does not exist.
+    what : Path
+        File or folder that the lock protects, for the message.
+
+    Raises
+    ------
+    SettingsError
+        If another process holds the lock, or if the lock file cannot be made.
+    """
+
+    def __init__(self, lock: Path, what: Path) -> None:
+        try:
+            self._file = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise SettingsError(f"{what} cannot be written: {error.strerror}; choose another place") from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            owner = os.read(self._file, 20).decode(errors="replace").strip()
+            os.close(self._file)
+            raise SettingsError(
+                f"{what} is in use by process {owner or 'of another user'}; stop that process, or choose another place"
+            ) from error
+        os.ftruncate(self._file, 0)
+        os.pwrite(self._file, f"{os.getpid()}\n".encode(), 0)
+
+    def close(self) -> None:
+        """Free the lock; a second call has no effect."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Free the lock."""
+        self.close()
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the names of new and renamed files in a folder are on disk.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the files.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be opened.
+    """
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)

@@ -1,0 +1,126 @@
+"""The file that keeps the state of every car: replaced whole, with the state before it as a second copy."""
+
+import logging
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+from core.errors import SettingsError, SocastError
+from stream.file_lock import FileLock, sync_folder
+from stream.structured_log import event_fields
+
+PREVIOUS: Final = ".previous"
+"""End of the name of the file that holds the state before the last one."""
+
+_log = logging.getLogger("socast.state")
+
+
+class StateFile:
+    """Save and load snapshots under one name; a context manager that locks the file for this process.
+
+    A complete state exists under the name at any time, however the process ends. `{name}.previous` holds the state
+    that was saved before it.
+
+    Parameters
+    ----------
+    path : Path
+        State file; it need not exist.
+
+    Raises
+    ------
+    SettingsError
+        If another process uses the file, or if its folder cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._previous = path.with_name(path.name + PREVIOUS)
+        self._lock = FileLock(path.with_name(f".{path.name}.lock"), path)
+
+    @property
+    def exists(self) -> bool:
+        """Return whether a state was saved."""
+        return self.path.exists() or self._previous.exists()
+
+    def load(self, restore: Callable[[bytes], Any]) -> Any:
+        """Restore the last state that is intact, and return what `restore` returns.
+
+        Parameters
+        ----------
+        restore : callable
+            Function that takes a snapshot and raises `SocastError` if it cannot use it.
+
+        Raises
+        ------
+        SocastError
+            If neither the last state nor the one before can be used; the message concerns the last one.
+        """
+        failure: SocastError | None = None
+        for path in (self.path, self._previous):
+            try:
+                note = restore(path.read_bytes())
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                failure = failure or SettingsError(f"{path} cannot be read: {error.strerror}")
+            except SocastError as error:
+                failure = failure or SocastError(f"{path}: {error}")
+            else:
+                if path == self._previous:
+                    saved = datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="seconds")
+                    reason = str(failure) if failure else f"{self.path} does not exist"
+                    _log.error("state before the last one used", extra=event_fields(reason=reason, saved=saved))
+                return note
+        raise failure or SettingsError(f"{self.path} does not exist")
+
+    def save(self, snapshot: bytes) -> None:
+        """Replace the state; return once it is on disk.
+
+        Parameters
+        ----------
+        snapshot : bytes
+            State of every car.
+
+        Raises
+        ------
+        SettingsError
+            If the file cannot be written; the last state remains.
+        """
+        fresh = self.path.with_name(f".{self.path.name}.new")
+        try:
+            with fresh.open("wb") as file:
+                file.write(snapshot)
+                file.flush()
+                os.fsync(file.fileno())
+            self._keep_previous()
+            fresh.replace(self.path)
+            sync_folder(self.path.parent)
+        except OSError as error:
+            raise SettingsError(f"{self.path} cannot be written: {error.strerror}; choose another file") from error
+
+    def close(self) -> None:
+        """Free the lock; a second call has no effect."""
+        self._lock.close()
+
+    def _keep_previous(self) -> None:
+        """Give the last state its second name, so that the first name is never without a file."""
+        link = self.path.with_name(f".{self.path.name}.link")
+        with suppress(FileNotFoundError):
+            link.unlink()
+        with suppress(FileNotFoundError):
+            os.link(self.path, link)
+            link.replace(self._previous)
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Free the lock."""
+        self.close()
