@@ -76,6 +76,8 @@ class Tally:
         Number of messages that were sent but not received, as far as the transport detects it.
     seconds : float
         Time since the loop first read from the source. [s]
+    newest : Message, optional
+        Last message of the last list that was not empty.
     """
 
     received: int = 0
@@ -83,6 +85,7 @@ class Tally:
     model_errors: int = 0
     missed: int = 0
     seconds: float = 0.0
+    newest: Message | None = None
 
 
 def run(
@@ -142,7 +145,7 @@ def run(
             closing.callback(recorder.close)
         for messages in source:
             if messages:
-                tally.received += len(messages)
+                tally.received, tally.newest = tally.received + len(messages), messages[-1]
                 pipeline.take(messages, record)
             elif recorder is not None:
                 recorder.put(messages)  # a sync may be due

@@ -80,6 +80,8 @@ class Recorder:
         Number of messages that are written or will be written at the next flush, and number that the disk refused.
     place : Place
         End of what is synced to disk.
+    synced_s : float
+        Monotonic time up to which every recorded message is on disk. [s]
 
     Raises
     ------
@@ -111,7 +113,8 @@ class Recorder:
         self._sink: McapSink | None = None
         self._first_ns = self._taken = 0
         self._flushed_s = clock()
-        self._retry_s = self._flushed_s
+        self._retry_s = self.synced_s = self._flushed_s
+        self._rotates = False
 
     def put(self, messages: Sequence[Message]) -> None:
         """Write messages, and flush the file when a flush is due.
@@ -122,6 +125,9 @@ class Recorder:
             Messages in order of receipt; an empty sequence only flushes.
         """
         now = self._clock()
+        if self._rotates:
+            self._rotates = False
+            self._end_file()
         if messages and now >= self._retry_s:
             before = self.recorded
             try:
@@ -142,6 +148,13 @@ class Recorder:
                 self.place = Place(self._sink.path.name, self._sink.kept)
             except RecordingError as error:
                 self._give_up(error, 0, self._flushed_s)
+                return
+        if self._flushed_s >= self._retry_s:
+            self.synced_s = self._flushed_s
+
+    def request_rotation(self) -> None:
+        """Let the next `put` begin another file; a signal handler may call this."""
+        self._rotates = True
 
     def read_after(self, place: Place) -> Iterator[list[Message]]:
         """Yield the messages that were recorded after a place, in their order.

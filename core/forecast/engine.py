@@ -343,4 +343,6 @@ def _create_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
         sd=float(rows.raw_end_soc_sd[i]),
         soc=float(rows.soc[i]),
         bias_factor=float(rows.bias_factor[i]),
+        lower=float(rows.end_soc_p05[i]),
+        upper=float(rows.end_soc_p95[i]),
     )

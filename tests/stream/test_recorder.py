@@ -156,3 +156,38 @@ def test_folder_that_cannot_be_made_raises_settings_error(tmp_path: Path):
 def test_limit_of_zero_raises_settings_error(tmp_path: Path):
     with pytest.raises(SettingsError, match="above 0"):
         Recorder(tmp_path, file_s=0.0)
+
+
+def test_requested_rotation_begins_another_file_without_loss(tmp_path: Path):
+    recorder = Recorder(tmp_path)
+    recorder.request_rotation()
+    recorder.put(make_messages(2))
+    assert len(recorder.files) == 1
+    recorder.request_rotation()
+    recorder.put([])
+    assert read_folder(tmp_path) == make_messages(2)
+    recorder.put(make_messages(3, 2))
+    recorder.put(make_messages(3, 5))
+    recorder.close()
+    assert len(list_recordings(tmp_path)) == len(recorder.files) == 2
+    assert read_folder(tmp_path) == make_messages(8)
+
+
+def test_time_of_the_last_sync_stands_still_while_the_disk_refuses_data(tmp_path: Path, monkeypatch):
+    clock = Clock()
+    recorder = Recorder(tmp_path, flush_s=5.0, clock=clock)
+    clock.now = 6.0
+    recorder.put(make_messages(2))
+    assert recorder.synced_s == 6.0
+
+    def refuse(_):
+        raise RecordingError("no space left on device")
+
+    monkeypatch.setattr(McapSink, "sync", refuse)
+    for clock.now in (12.0, 18.0):
+        recorder.put(make_messages(2))
+        assert recorder.synced_s == 6.0
+    monkeypatch.undo()
+    for clock.now in (24.0, 30.0):
+        recorder.put(make_messages(2))
+    assert recorder.synced_s == 30.0

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown
-from core.forecast.conformal import ConformalIntervals
+from core.forecast.conformal import BASES, ConformalIntervals
 from core.forecast.filter_state import LOG_FACTOR_PRIOR
 from core.forecast.learning.car_driver import ConsumptionFactors, ShiftPattern
 from core.forecast.learning.forecast_errors import BiasCorrection, ShiftErrors
@@ -75,12 +75,15 @@ class FleetStatistics:
     ----------
     prior : (lanes,) LOG_FACTOR_PRIOR
         Logarithm of the consumption factor of each car at the beginning of a shift.
+    interval_outcomes : (bases, 3) int
+        Numbers of evaluated forecasts with the outcome below, inside and above their published interval.
     """
 
     def __init__(self, context: RunContext, width: int) -> None:
         self._context, self._cars = context, context.cars
         self.rides, self.factors = RideStatistics(width), ConsumptionFactors()
         self.conformal, self.bias = ConformalIntervals(), BiasCorrection()
+        self.interval_outcomes: Ints = np.zeros((BASES, 3), np.int64)
         self.prior = np.zeros(0, LOG_FACTOR_PRIOR)
         self._patterns = np.zeros(0, SHIFT_PATTERN)
         self._waiting: list[ShiftEnergy] = []  # until the daily update
@@ -117,6 +120,7 @@ class FleetStatistics:
         for each in errors:
             self.conformal.add_shift(each.basis, each.ahead_km, each.ambient_c, each.scores)
             self.bias.add_shift(each)
+            self.interval_outcomes[each.basis] += each.outcomes
 
     def add_shift(self, energy: ShiftEnergy, pattern: ShiftPattern | None) -> None:
         """Add a shift that has ended.
@@ -210,11 +214,12 @@ class FleetStatistics:
     def dump(self) -> Any:
         """Return the state as plain values."""
         parts = self.rides.dump(), self.factors.dump(), self.conformal.dump(), self.bias.dump()
-        return parts, self._waiting, self.prior.tobytes(), self._patterns.tobytes()
+        arrays = self.prior.tobytes(), self._patterns.tobytes(), self.interval_outcomes.tobytes()
+        return parts, self._waiting, *arrays
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, once the cars are known."""
-        (rides, factors, conformal, bias), waiting, prior, patterns = state
+        (rides, factors, conformal, bias), waiting, prior, patterns, outcomes = state
         self.rides.load(rides)
         self.factors.load(factors)
         self.conformal.load(conformal)
@@ -223,6 +228,7 @@ class FleetStatistics:
         self._waiting = [ShiftEnergy(*each) for each in waiting]
         self.prior = np.frombuffer(prior, LOG_FACTOR_PRIOR).copy()
         self._patterns = np.frombuffer(patterns, SHIFT_PATTERN).copy()
+        self.interval_outcomes = np.frombuffer(outcomes, np.int64).reshape(BASES, 3).copy()
 
 
 class _StackedTables(NamedTuple):

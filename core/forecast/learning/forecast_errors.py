@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, grown
+from core.batch import Floats, Ints, grown
 from core.forecast.conformal import BASES
 
 RECORD_PERIOD: Final = 600.0
@@ -50,6 +50,8 @@ class ForecastRecord(NamedTuple):
         Charge when it was made. [1]
     bias_factor : float
         Factor of the energy ahead from earlier errors, see `BiasCorrection`. [1]
+    lower, upper : float
+        Bounds of the published charge, NaN without an interval. [1]
     """
 
     time: float
@@ -61,6 +63,8 @@ class ForecastRecord(NamedTuple):
     sd: float
     soc: float = nan
     bias_factor: float = 1.0
+    lower: float = nan
+    upper: float = nan
 
 
 FORECAST_RECORDS: Final = np.dtype([(name, "f8") for name in ForecastRecord._fields])
@@ -79,6 +83,8 @@ class ShiftErrors(NamedTuple):
         Standardised errors. [1]
     fall, forecast_fall : (n,) float
         Fall of the charge, and its forecast before the bias correction. [1]
+    outcomes : (3,) int
+        Numbers of forecasts with the outcome below, inside and above the published interval.
     """
 
     basis: int
@@ -87,6 +93,7 @@ class ShiftErrors(NamedTuple):
     scores: Floats
     fall: Floats
     forecast_fall: Floats
+    outcomes: Ints
 
 
 class BiasCorrection:
@@ -232,6 +239,37 @@ def compute_shift_errors(records: NDArray[np.void], soc: float, charged: float) 
         scores = (soc - mean) / of_basis["sd"]
         forecast_fall = (began - mean) / of_basis["bias_factor"]
         out.append(
-            ShiftErrors(int(basis), of_basis["ahead_km"], of_basis["ambient_c"], scores, began - soc, forecast_fall)
+            ShiftErrors(
+                int(basis),
+                of_basis["ahead_km"],
+                of_basis["ambient_c"],
+                scores,
+                began - soc,
+                forecast_fall,
+                count_outcomes(of_basis["lower"], of_basis["upper"], soc),
+            )
         )
     return out
+
+
+def count_outcomes(lower: Floats, upper: Floats, outcome: float) -> Ints:
+    """Return how many intervals have the outcome below, inside and above them; bounds that are NaN do not count.
+
+    Parameters
+    ----------
+    lower, upper : (n,) float
+        Bounds, which belong to the interval.
+    outcome : float
+
+    Returns
+    -------
+    (3,) int
+
+    Examples
+    --------
+    >>> count_outcomes(np.array([0.2, 0.4, 0.6, np.nan]), np.array([0.3, 0.5, 0.7, np.nan]), 0.5).tolist()
+    [1, 1, 1]
+    """
+    known = np.isfinite(lower) & np.isfinite(upper)
+    below, above = known & (outcome < lower), known & (outcome > upper)
+    return np.array([below.sum(), (known & ~below & ~above).sum(), above.sum()], np.int64)

@@ -303,3 +303,20 @@ def test_shifts_are_evaluated_as_they_end_and_bounds_move_at_daily_update():
 def count_evaluated_shifts(pipeline):
     """Return the number of shifts over all classes of errors."""
     return sum(len(shifts) for shifts in pipeline.engine.statistics.conformal._scores.values())
+
+
+def test_outcomes_of_published_intervals_are_counted_at_the_end_of_the_shift_and_kept():
+    pipeline = trained_pipeline()
+    before = pipeline.engine.statistics.interval_outcomes.copy()
+    messages = [m for _, m in shift("c", DAYS)]
+    published = forecasts(pipeline.push(messages), "c")
+    pipeline.finish()
+    known = [each.soc_end_of_shift_pct for each in published.values() if each.soc_end_of_shift_pct is not None]
+    end = columns("c", DAYS)["soc_pct"][-1]
+    below, inside, above = (pipeline.engine.statistics.interval_outcomes - before)[0].tolist()
+    assert len(known) > below + inside + above > 0
+    assert (inside > 0) == any(each.p05 <= end <= each.p95 for each in known)
+    assert (below + above > 0) <= any(not each.p05 <= end <= each.p95 for each in known)
+    other = Pipeline(settings=SETTINGS)
+    other.restore(pipeline.snapshot())
+    assert (other.engine.statistics.interval_outcomes == pipeline.engine.statistics.interval_outcomes).all()

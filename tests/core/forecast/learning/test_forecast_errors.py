@@ -137,3 +137,12 @@ def test_loaded_state_continues_as_uninterrupted():
     other.load(one.dump())
     assert other.dump() == one.dump()
     assert str(one.evaluate_until(0, END, 0.5, np.nan)) == str(other.evaluate_until(0, END, 0.5, np.nan))
+
+
+def test_outcomes_inside_the_published_interval_are_counted_by_basis():
+    inside = note(0.0)._replace(lower=0.4, upper=0.5)
+    forecasts = [inside, inside, note(600.0)._replace(lower=0.5, upper=0.6), note(700.0)]
+    forecasts += [note(800.0, basis=1)._replace(lower=0.1, upper=0.44), note(900.0, basis=1)]
+    by_plan, by_history = evaluated(forecasts, 0.45, np.nan)
+    assert by_plan.outcomes.tolist() == [1, 2, 0]
+    assert by_history.outcomes.tolist() == [0, 0, 1]

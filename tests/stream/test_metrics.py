@@ -1,0 +1,96 @@
+"""Metrics have one line each per value, in the form that Prometheus reads, from one snapshot."""
+
+import builtins
+from dataclasses import fields
+
+import pytest
+from prometheus_client.exposition import generate_latest
+from prometheus_client.parser import text_string_to_metric_families
+
+from core.errors import SettingsError
+from stream.metrics import BUILD, LAG, LOOP_AGE, METRICS, READY, list_metric_names, make_registry
+from stream.service_snapshot import LAG_BUCKETS, LagCounts, ServiceSnapshot
+from tests.support.service import FULL, read_metrics
+
+NOW = 101.5
+
+
+def export(snapshot: ServiceSnapshot | None) -> str:
+    """Return the text of all metrics."""
+    registry = make_registry(lambda: snapshot, lambda: snapshot is not None, lambda: 0.25, lambda: NOW)
+    return generate_latest(registry).decode()
+
+
+def test_every_value_of_a_snapshot_is_exported_under_its_name():
+    samples = read_metrics(export(FULL))
+    assert samples["socast_messages_total"] == 9.0
+    assert samples['socast_rejected_total{cause="not_json"}'] == 1.0
+    assert samples['socast_interval_outcomes_total{basis="plan",place="inside"}'] == 18.0
+    assert samples['socast_model_mae_kwh{model="a/1"}'] == 0.25
+    assert samples["socast_queue_bytes"] == 300.0
+    assert samples["socast_newest_sample_age_seconds"] == 1.5
+    assert samples["socast_state_age_seconds"] == 11.5
+    assert samples["socast_publishes"] == 1.0
+    assert samples['socast_vehicle_sample_age_seconds{vehicle="car-2"}'] == 61.5
+    assert samples['socast_vehicle_lost_total{vehicle="car-1"}'] == 5.0
+    named = {name.partition("{")[0] for name in samples}
+    assert set(list_metric_names()) <= named
+
+
+def test_values_that_the_service_does_not_have_are_not_exported():
+    named = {name.partition("{")[0] for name in read_metrics(export(ServiceSnapshot()))}
+    assert "socast_messages_total" in named
+    assert not {"socast_lost_total", "socast_queue_bytes", "socast_state_age_seconds"} & named
+    assert not any(name.startswith("socast_vehicle_") for name in named)
+
+
+def test_no_metric_but_those_of_vehicles_has_a_label_for_vehicles():
+    assert {row.name for row in METRICS if "vehicle" in row.labels} == {
+        "socast_vehicle_sample_age_seconds",
+        "socast_vehicle_lost",
+    }
+
+
+def test_readiness_and_process_are_exported_before_the_first_snapshot():
+    samples = read_metrics(export(None))
+    assert samples[READY] == 0.0
+    assert samples[LOOP_AGE] == 0.25
+    assert samples["process_resident_memory_bytes"] > 0.0
+    assert any(name.startswith(BUILD) for name in samples)
+    assert "socast_messages_total" not in samples
+
+
+def test_lag_is_a_histogram_whose_buckets_add_up():
+    counts = LagCounts((1, 2, *(0,) * (len(LAG_BUCKETS) - 2), 3), 10_801.0)
+    samples = read_metrics(export(ServiceSnapshot(lag=counts)))
+    assert samples[f'{LAG}_bucket{{le="0.1"}}'] == 1.0
+    assert samples[f'{LAG}_bucket{{le="3600.0"}}'] == 3.0
+    assert samples[f'{LAG}_bucket{{le="+Inf"}}'] == samples[f"{LAG}_count"] == 6.0
+    assert samples[f"{LAG}_sum"] == 10_801.0
+
+
+def test_text_is_valid_and_explains_every_metric():
+    families = {each.name: each for each in text_string_to_metric_families(export(FULL))}
+    assert all(families[row.name].documentation == row.meaning for row in METRICS)
+    assert all(row.meaning.endswith(".") for row in METRICS)
+
+
+def test_every_field_of_a_snapshot_is_exported():
+    """A value that differs from that of an empty snapshot changes the text."""
+    plain = export(ServiceSnapshot())
+    for each in fields(ServiceSnapshot):
+        value = LagCounts((1,) * (len(LAG_BUCKETS) + 1), 1.0) if each.name == "lag" else getattr(FULL, each.name)
+        assert export(ServiceSnapshot(**{each.name: value})) != plain or value in (0, None), each.name
+
+
+def test_missing_package_is_one_line_with_its_remedy(monkeypatch):
+    original = builtins.__import__
+
+    def refuse(name, *rest):
+        if name.startswith("prometheus_client"):
+            raise ImportError(name)
+        return original(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(SettingsError, match=r"install it with: pip install 'socast\[service\]'"):
+        export(None)

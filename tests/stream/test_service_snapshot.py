@@ -1,0 +1,61 @@
+"""A snapshot of the service holds what the pipeline, the recorder and the loop count."""
+
+from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
+from core.pipeline import Pipeline
+from core.wire.messages import Message
+from stream.loop import Tally, run
+from stream.memory import MemorySink, MemorySource
+from stream.recorder import Recorder
+from stream.service_snapshot import LAG_BUCKETS, LagMeter, SnapshotTaker
+from stream.service_status import ServiceStatus, ServiceWatch
+from tests.support.recorded_shift import BEGIN, shift
+
+
+def test_counts_of_a_shift_are_those_of_the_pipeline(tmp_path):
+    pipeline = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
+    recorder, source, status = Recorder(tmp_path), MemorySource(shift(), 50), ServiceStatus()
+    take = SnapshotTaker(pipeline, source, recorder, per_vehicle=True, now=lambda: BEGIN + 1300.0)
+    watch = ServiceWatch(status, take)
+    tally = run(source, pipeline, [MemorySink()], recorder=recorder, watch=watch, keep_open=True)
+    snapshot = take(tally, LagMeter())
+    quality = pipeline.quality()
+    assert snapshot.messages == tally.received == len(shift())
+    assert snapshot.received == quality["received"]
+    assert snapshot.rejected == {"not_json": 1}
+    assert snapshot.duplicates == quality["duplicates"] > 0
+    assert (snapshot.recorded, snapshot.unrecorded) == (recorder.recorded, 0)
+    assert snapshot.rides == quality["rides"] > 0
+    assert snapshot.model_rides[("extended_physical/1", "predicted")] > 0
+    assert set(snapshot.model_mae_kwh) == {"extended_physical/1", "basic_physical/1"}
+    assert snapshot.of_vehicles.names == ("car-0", "car-1", "car-2")
+    assert 0.0 <= snapshot.newest_sample_s - BEGIN <= 1300.0
+    assert (snapshot.vehicles, snapshot.active_vehicles) == (3, 3)
+    assert sum(status.snapshot.lag.counts) > 0
+
+
+def test_sample_far_ahead_of_the_clock_is_not_the_newest():
+    pipeline = Pipeline()
+    source = MemorySource(shift())
+    run(source, pipeline, keep_open=True)
+    moment = BEGIN + 600.0
+    for _ in range(2):
+        snapshot = SnapshotTaker(pipeline, source, now=lambda: moment)(Tally(), LagMeter())
+        assert snapshot.newest_sample_s is None
+        assert snapshot.active_vehicles == 0
+
+
+def test_lag_counts_single_samples_only():
+    meter = LagMeter()
+    for key, payload in (
+        ("fleet/a/telemetry", b'{"vehicle_id": "a", "time_s": 97.0}'),
+        ("fleet/a/telemetry", b'{"time_s": 1000.0}'),
+        ("fleet/a/telemetry", b'[{"time_s": 97.0}]'),
+        ("fleet/a/telemetry", b'{"time_s": "x"}'),
+        ("fleet/a/telemetry", b"\xff"),
+        ("weather/a", b'{"time_s": 97.0}'),
+    ):
+        meter.observe(Message(key, payload, 100 * 10**9))
+    counted = meter.count()
+    assert counted.counts[LAG_BUCKETS.index(5.0)] == 1
+    assert counted.counts[0] == 1
+    assert (sum(counted.counts), counted.total) == (2, 3.0)
