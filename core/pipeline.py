@@ -267,7 +267,7 @@ class Pipeline:
             names = self._ride_names(sums.rides)
             reasons = unfit_reason(sums.rides, self.context)
             self.counters.count_rides(sums.rides, reasons, self.context)
-            if self.shadows:
+            if self.keep_forecasts or self.shadows:
                 fit = np.array([reason is None for reason in reasons])
                 self.shadows.add(sums.rides, fit, self.context)
         if self.keep_tables:
@@ -480,7 +480,7 @@ class Pipeline:
 
     def _components(self) -> dict[str, Stateful]:
         """Return every component that has a state, in the order in which they must load."""
-        names = [*STATEFUL, *(["deferred"] if self.deferred else []), *(["shadows"] if self.shadows else [])]
+        names = [*STATEFUL, *(["deferred"] if self.deferred else []), "shadows"]
         return {name: getattr(self, name) for name in names}
 
     def _forget_ride_names(self) -> None:

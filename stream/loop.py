@@ -206,6 +206,22 @@ def stop_on_signals() -> Iterator[Event]:
             signal.signal(number, handler)
 
 
+@contextmanager
+def act_on_hangup(act: Callable[[], None]) -> Iterator[None]:
+    """Call a function at SIGHUP, in the thread of the loop.
+
+    Parameters
+    ----------
+    act : callable
+        Function that only sets a flag. The previous signal handler returns at the end.
+    """
+    before = signal.signal(signal.SIGHUP, lambda *_: act())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def _pass_on(forecasts: list[Message], errors: list[Message], sinks: Sequence[Sink], tally: Tally) -> None:
     """Pass forecasts and errors of models to every sink."""
     tally.forecasts += len(forecasts)

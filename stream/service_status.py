@@ -5,6 +5,7 @@ Each attribute is replaced as a whole by the thread of the loop. Other threads o
 
 import time
 from collections.abc import Callable
+from threading import Event
 from typing import Final, Literal
 
 from stream.loop import Tally
@@ -78,6 +79,8 @@ class ServiceWatch:
         Function that returns the present snapshot.
     notifier : SystemdNotifier, optional
         By default nobody is told.
+    stop : Event, optional
+        Event that requests the stop of the service.
     clock : callable
         Function that returns monotonic time. [s]
     """
@@ -87,10 +90,11 @@ class ServiceWatch:
         status: ServiceStatus,
         take_snapshot: Callable[[Tally, LagMeter], ServiceSnapshot],
         notifier: SystemdNotifier | None = None,
+        stop: Event | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._status, self._take_snapshot = status, take_snapshot
-        self._notifier, self._clock = notifier or SystemdNotifier(), clock
+        self._notifier, self._stop, self._clock = notifier or SystemdNotifier(), stop or Event(), clock
         self._lag = LagMeter()
         self._snapshot_due_s = self._status_due_s = clock()
 
@@ -102,6 +106,8 @@ class ServiceWatch:
         if tally.newest is not None:
             self._lag.observe(tally.newest)
             tally.newest = None
+        if self._stop.is_set():
+            self.end()
         if now >= self._snapshot_due_s:
             self._status.snapshot = snapshot = self._take_snapshot(tally, self._lag)
             self._snapshot_due_s = now + max(SNAPSHOT_S, (self._clock() - now) / SNAPSHOT_SHARE)
@@ -113,9 +119,10 @@ class ServiceWatch:
                 self._notifier.set_status(describe_snapshot(snapshot))
 
     def end(self) -> None:
-        """Tell that the service stops."""
-        self._status.phase = "stopping"
-        self._notifier.announce_stop()
+        """Tell that the service stops; a second call has no effect."""
+        if self._status.phase != "stopping":
+            self._status.phase = "stopping"
+            self._notifier.announce_stop()
 
 
 def describe_snapshot(snapshot: ServiceSnapshot) -> str:

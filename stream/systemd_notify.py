@@ -12,6 +12,8 @@ import socket
 from collections.abc import Mapping
 from typing import Final, Self
 
+SEND_S: Final = 0.1
+"""Longest time that a message waits for a full socket. [s]"""
 _ABSTRACT: Final = "@"
 """First character of the name of an abstract socket, in place of a zero byte."""
 
@@ -21,7 +23,7 @@ _log = logging.getLogger("socast.systemd")
 class SystemdNotifier:
     """Send messages to systemd; without systemd every method does nothing.
 
-    A message never waits and never fails: a full or vanished socket costs that message only.
+    A message waits at most `SEND_S` and never fails: a full or vanished socket costs that message only.
 
     Parameters
     ----------
@@ -42,7 +44,7 @@ class SystemdNotifier:
         self._due_s = 0.0
         self._failed = False
         if self._socket is not None:
-            self._socket.setblocking(False)
+            self._socket.settimeout(SEND_S)
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Self:
@@ -58,6 +60,11 @@ class SystemdNotifier:
         ours = not pid or pid == str(os.getpid())
         watchdog_s = int(usec) * 1e-6 if usec.isdecimal() and int(usec) > 0 and ours else None
         return cls(environment.get("NOTIFY_SOCKET", ""), watchdog_s)
+
+    @property
+    def is_connected(self) -> bool:
+        """Return whether messages are sent."""
+        return self._socket is not None
 
     def announce_ready(self) -> None:
         """Tell that the service has started."""
@@ -90,7 +97,7 @@ class SystemdNotifier:
             self._socket = None
 
     def _send(self, line: str) -> None:
-        """Send a line without waiting."""
+        """Send a line."""
         if self._socket is None:
             return
         try:

@@ -55,7 +55,7 @@ class EndedRides(NamedTuple):
 
 
 class ShadowModels:
-    """Run the models in service and follow their errors; with a single model this costs nothing.
+    """Run the models in service and follow their errors.
 
     Parameters
     ----------
@@ -238,8 +238,8 @@ class ShadowModels:
                 monitor.load(monitors[monitor.label])
 
     def _keep_messages(self) -> None:
-        """Keep the present errors for `messages`."""
-        if self._keep:
+        """Keep the present errors for `messages`; those of a single model are not published."""
+        if self._keep and self:
             self._due += self.errors()
 
     def _check_identities(self) -> None:

@@ -72,9 +72,11 @@ def test_real_loop_that_waits_in_its_source_is_not_live():
 
 
 def test_service_that_stops_is_live_but_not_ready(server, status, clock):
-    watch = ServiceWatch(status, lambda *_: FULL, clock=clock)
+    stop = Event()
+    watch = ServiceWatch(status, lambda *_: FULL, stop=stop, clock=clock)
     watch(Tally())
-    watch.end()
+    stop.set()
+    watch(Tally())
     clock.now += 10 * LIVE_S
     assert ask_page(server.address, "/livez")[0] == 200
     assert ask_page(server.address, "/readyz") == (503, "stopping\n")

@@ -1,5 +1,7 @@
 """The status follows the loop, at a bounded cost, and systemd is told."""
 
+from threading import Event
+
 import pytest
 
 from stream.loop import Tally
@@ -38,11 +40,14 @@ def test_snapshot_is_renewed_once_a_second_and_less_often_where_it_takes_long(st
 
 def test_systemd_is_told_of_the_start_the_watchdog_and_the_end(status, clock, tmp_path):
     with systemd_socket(tmp_path) as (received, address):
-        watch = ServiceWatch(status, lambda *_: FULL, SystemdNotifier(address, 60.0), clock=clock)
+        stop = Event()
+        watch = ServiceWatch(status, lambda *_: FULL, SystemdNotifier(address, 60.0), stop, clock)
         assert received.read() == []
         for _ in range(3):
             watch(Tally())
             clock.now += 9.0
-        watch.end()
+        stop.set()
+        for _ in range(2):
+            watch(Tally())
         line = "STATUS=9 messages, 4 forecasts, 1 of 2 vehicles active, 2 rides"
         assert received.read() == ["WATCHDOG=1", "READY=1", line, "WATCHDOG=1", line, "STOPPING=1"]

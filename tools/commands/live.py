@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from threading import Event
 from typing import Annotated, get_args
 
 import typer
@@ -15,10 +16,12 @@ from core.pipeline import Pipeline
 from core.wire.messages import Message, Telemetry, encode
 from stream.checkpoints import Checkpoints
 from stream.latest_only_sink import LatestOnlySink
-from stream.loop import PUBLISH_S, REPORT_S, Tally, run, stop_on_signals
+from stream.loop import PUBLISH_S, REPORT_S, Tally, act_on_hangup, run, stop_on_signals
 from stream.nightly_diagnosis import NightlyDiagnosis
 from stream.query_service import QueryService
 from stream.recorder import FILE_BYTES, FILE_S, FLUSH_S, Recorder
+from stream.service_monitor import ServiceMonitor
+from stream.service_snapshot import SnapshotTaker
 from stream.source import Sink
 from stream.state_file import StateFile
 from stream.structured_log import event_fields, log_lines
@@ -74,6 +77,15 @@ def live(
     ] = None,
     report: Annotated[float, typer.Option(metavar="S", help="Time between two log lines of counters.")] = REPORT_S,
     json_log: Annotated[bool, typer.Option("--json-log", help="Log JSON instead of key=value.")] = False,
+    metrics: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Serve /metrics, /livez and /readyz at a port on loopback, or at HOST:PORT."
+        ),
+    ] = None,
+    metrics_per_car: Annotated[
+        bool, typer.Option("--metrics-per-car", help="Also serve metrics of each vehicle.")
+    ] = False,
 ) -> None:
     """Listen to cars over Zenoh, publish a forecast for each, and answer questions about their shifts.
 
@@ -92,15 +104,19 @@ def live(
     socast live --connect tcp/router.example:7447 --prefix montreal --json-log 2>live.log
     socast live --model fitted.json --model extended_physical --warm-up january.mcap
     socast live --model fitted.json --record kept --watch findings.json
+    socast live --state fleet.state --record kept --metrics 9464
     """
     log_lines(as_json=json_log)
     _check_watch(options, record, watch)
+    if metrics_per_car and metrics is None:
+        raise SettingsError("--metrics-per-car adds to what --metrics serves: give --metrics ADDRESS too")
     models = load_models(options.models)
-    compile_kernels(*models)
     connection = Connection(
         tuple(connect or ()), tuple(listen or ()), _parse_mode(mode), options.prefix, config, recovery
     )
     with ExitStack() as ending:
+        monitor = ending.enter_context(ServiceMonitor(metrics))
+        compile_kernels(*models)
         stop = ending.enter_context(stop_on_signals())
         file = ending.enter_context(StateFile(state)) if state else None
         restored = file is not None and file.exists
@@ -110,6 +126,7 @@ def live(
             )
         pipeline = make_pipeline(options, models, warm=not restored)
         recorder = Recorder(record, round(record_mb * 2**20), record_minutes * 60, flush) if record else None
+        ending.enter_context(act_on_hangup(_choose_act(recorder, stop)))
         checkpoints = Checkpoints(pipeline, file, recorder) if file else None
         first = checkpoints.restore() if checkpoints else []
         if pipeline.cleaner.has_new_map:
@@ -118,12 +135,14 @@ def live(
         queryable = ending.enter_context(ZenohQueryable(node))
         service, rides = QueryService(queryable, pipeline), RideLog(pipeline)
         source = ZenohSource(node, stop)
-        _log_start(node, pipeline, models)
+        _log_start(node, pipeline, models, monitor)
         sink = LatestOnlySink(ZenohSink(node))
         sink.put(first)
         watches: list[Callable[[Tally], None]] = [service, rides]
         if checkpoints:
             watches.append(checkpoints)
+        take = SnapshotTaker(pipeline, source, recorder, checkpoints, service, per_vehicle=metrics_per_car)
+        watches += monitor.make_watches(take, stop)
         if record and watch:
             nightly = make_nightly_diagnosis(options, pipeline, sink, record, watch)
             ending.callback(nightly.end)
@@ -139,18 +158,28 @@ def live(
                 watch=combine_watches(*watches, table),
                 report_s=report,
             )
+        monitor.announce_stop()
         service.end()
         rides.end()
         if checkpoints:
             checkpoints.save()
 
 
-def _log_start(node: Node, pipeline: Pipeline, models: Sequence[Model]) -> None:
+def _choose_act(recorder: Recorder | None, stop: Event) -> Callable[[], None]:
+    """Return what SIGHUP does: stop where a terminal has gone, else begin another file of the recording."""
+    if sys.stdout.isatty():
+        return stop.set
+    return recorder.request_rotation if recorder else lambda: None
+
+
+def _log_start(node: Node, pipeline: Pipeline, models: Sequence[Model], monitor: ServiceMonitor) -> None:
     """Log where the service listens and what it runs."""
     endpoints = ",".join(node.endpoints or node.connection.connect)
     beside = {"shadows": ",".join(shadow.name for shadow in models[1:])} if models[1:] else {}
     if elevation := pipeline.cleaner.map_lookup.identity:
         beside |= {"elevation_map": elevation}
+    if monitor.server:
+        beside |= {"metrics": str(monitor.server.address)}
     _log.info("listening", extra=event_fields(endpoints=endpoints, model=models[0].name, **beside))
 
 

@@ -296,3 +296,14 @@ def test_snapshot_without_shadows_loads_with_shadows_of_the_same_effects():
     beside.restore(alone.snapshot())
     beside.finish()
     assert beside.shadows.errors()[1].overall.rides == 1
+
+
+def test_errors_of_a_single_model_are_followed_but_not_published():
+    alone, _, published = served(lapped(), shadows=())
+    beside, _, _ = served(lapped())
+    assert published == []
+    assert alone.shadows.errors() == beside.shadows.errors()[:1]
+    assert alone.shadows.errors()[0].overall.rides == 6
+    again = Pipeline(BASIC_PHYSICAL)
+    again.restore(alone.snapshot())
+    assert again.shadows.errors() == alone.shadows.errors()

@@ -1,0 +1,80 @@
+"""The monitor of the live service: the web server and systemd, begun before the state is loaded and ended last."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from threading import Event
+from types import TracebackType
+from typing import Self
+
+from stream.health import HealthServer, parse_http_address
+from stream.loop import Tally
+from stream.metrics import make_registry
+from stream.service_snapshot import SnapshotTaker
+from stream.service_status import ServiceStatus, ServiceWatch
+from stream.systemd_notify import SystemdNotifier
+
+
+class ServiceMonitor:
+    """Serve the metrics of the service, and tell systemd of it; a context manager.
+
+    Parameters
+    ----------
+    address : str, optional
+        Where to serve metrics, as `stream.health.parse_http_address` reads it; None serves none.
+
+    Attributes
+    ----------
+    server : HealthServer or None
+
+    Raises
+    ------
+    SettingsError
+        If the address is wrong or busy, or prometheus-client is not installed.
+    """
+
+    def __init__(self, address: str | None = None) -> None:
+        self._status, self._notifier = ServiceStatus(), SystemdNotifier.from_environment()
+        self._watch: ServiceWatch | None = None
+        self.server: HealthServer | None = None
+        with ExitStack() as closing:
+            closing.callback(self._notifier.close)
+            if address is not None:
+                status = self._status
+                registry = make_registry(
+                    lambda: status.snapshot, lambda: not status.find_obstacle(), status.get_loop_age
+                )
+                self.server = closing.enter_context(HealthServer(parse_http_address(address), status, registry))
+            self._closing = closing.pop_all()
+
+    def make_watches(self, take_snapshot: SnapshotTaker, stop: Event) -> list[Callable[[Tally], None]]:
+        """Return the watch of the loop, or none where nobody is told.
+
+        Parameters
+        ----------
+        take_snapshot : SnapshotTaker
+        stop : Event
+            Event that requests the stop of the service.
+        """
+        if self.server is None and not self._notifier.is_connected:
+            return []
+        self._watch = ServiceWatch(self._status, take_snapshot, self._notifier, stop)
+        return [self._watch]
+
+    def announce_stop(self) -> None:
+        """Tell that the loop has ended."""
+        if self._watch is not None:
+            self._watch.end()
+
+    def close(self) -> None:
+        """Stop the server and leave systemd."""
+        self._closing.close()
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
