@@ -3,9 +3,10 @@
 Live operation, replay, training and tests run the same steps.
 """
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -19,11 +20,12 @@ from core.cleaning.segmentation import NO_RIDE_EVENTS, RIDE_EVENT, UNKNOWN_NAME
 from core.columns import JOULES_PER_KWH
 from core.errors import AskError, SettingsError
 from core.forecast.day_rollover import DailyUpdate, DayRollover
+from core.forecast.due_forecasts import DueForecasts
 from core.forecast.engine import ForecastEngine, PendingInput
-from core.forecast.forecast_rows import ForecastRows
 from core.forecast.messages import build_forecasts
 from core.forecast.newest_plans import NewestPlans
 from core.forecast.plan_tracker import DriverNamed, PlanArrival
+from core.forecast.plausibility import withhold_implausible
 from core.forecast.soc_filter import SHIFT_GAP
 from core.forecast.status import VehicleStatus, build_statuses
 from core.forecast.tables import PublishedForecasts, tabulate_outlooks, tabulate_shifts
@@ -34,7 +36,7 @@ from core.settings import Settings, checked
 from core.signals.signals import flag_ambient
 from core.signals.weather import Stations
 from core.snapshot import open_snapshot, seal_snapshot
-from core.totals.accumulator import Accumulator, Sums, Totals, join_totals
+from core.totals.accumulator import Accumulator, Sums, Totals
 from core.totals.clean_rows import CleanRows, PowerOfEffect, sum_rows
 from core.totals.closed_rides import ClosedTotals
 from core.totals.context import RunContext
@@ -62,13 +64,6 @@ STATEFUL: Final = (
     *("accumulator", "displays", "counters", "engine"),
 )
 """Attributes of a pipeline that have a state, in the order in which they must load."""
-
-
-class Due(NamedTuple):
-    """Hold forecasts that have become due: running totals of n rides, and the n forecasts to publish with them."""
-
-    totals: Totals
-    rows: ForecastRows
 
 
 class Pipeline:
@@ -143,7 +138,7 @@ class Pipeline:
         self._powers += [(effect.per, partial(self.shadows.power, effect)) for effect in rest]
         self.engine = ForecastEngine(self.context, self.accumulator.width)
         self._pending = PendingInput(self.accumulator.none())
-        self._due: list[Due] = []
+        self._due, self.implausible = DueForecasts(self.accumulator.none()), Counter[str]()
         self._published: list[PublishedForecasts] = []
 
     def push(self, messages: Sequence[Message]) -> list[Message]:
@@ -280,7 +275,7 @@ class Pipeline:
         sums, plans, drivers = self._pending.take(end)
         rows = self.engine.process(sums, plans, drivers)
         if len(sums.running.lane):
-            self._due.append(Due(sums.running, rows))
+            self._due.add(sums.running, rows)
             if self.keep_outlooks:
                 self._published.append(PublishedForecasts.create(sums.running, rows))
         if not self.keep_outlooks:
@@ -332,15 +327,10 @@ class Pipeline:
             Forecasts in the order in which they became due.
         """
         self._update_forecasts()
-        taken, self._due = self._due, []
-        if not taken:
+        if not self._due:
             return []
-        due = join_totals([each.totals for each in taken], self.accumulator.none())
-        rows = ForecastRows.join([each.rows for each in taken])
-        if newest_only:
-            last = due.newest()
-            due, rows = due.rows(last), rows.rows(last)
-        return build_forecasts(due, rows, self._ride_names(due), self.context, self.prefix)
+        due, rows = self._due.take(newest_only=newest_only)
+        return build_forecasts(due, rows, self._ride_names(due), self.context, self.prefix, self.implausible)
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
         """Return the running errors of all models after each ride, or the last one, that ended since the last call."""
@@ -392,21 +382,23 @@ class Pipeline:
         lane = self.lanes.find(vehicle_id)
         if lane is None or not self.engine.has_sample(lane):
             raise AskError(f"vehicle {vehicle_id!r} has sent nothing so far: give one that has", "unknown_vehicle")
-        outlook, silent = answer_query(self.engine, lane, leg, plan), self.day_rollover.compute_silence(lane)
+        outlook = withhold_implausible(answer_query(self.engine, lane, leg, plan), self.implausible)
+        silent = self.day_rollover.compute_silence(lane)
         return withhold_charge(outlook, silent) if silent > SHIFT_GAP else outlook
 
     def quality(self) -> dict[str, Any]:
         """Return the counters since the start.
 
-        Keys: `received` by kind, `duplicates` dropped, `undecodable` by cause, `samples` by quality bit, `rides`
-        ended, rides `unfit` and `unpredicted` by reason, `vehicles`, `unpredictable` vehicle messages by reason. With
-        shadows also `unpredicted_by_shadow`, of the rides that count, and `shadow_faults` by cause. With a map also
-        `elevation_map`.
+        Keys: `received` by kind, `duplicates` dropped, `implausible_forecasts` withheld by cause, `undecodable` by
+        cause, `samples` by quality bit, `rides` ended, rides `unfit` and `unpredicted` by reason, `vehicles`,
+        `unpredictable` vehicle messages by reason. With shadows also `unpredicted_by_shadow`, of the rides that count,
+        and `shadow_faults` by cause. With a map also `elevation_map`.
         """
         counts = {
             "vehicles": len(self.lanes),
             "received": dict(self.decoder.received),
             "duplicates": self.duplicates.dropped,
+            "implausible_forecasts": dict(self.implausible),
             "undecodable": dict(self.decoder.rejected),
             "samples": self.counters.samples_by_cause(),
             "rides": self.counters.rides,
@@ -487,7 +479,7 @@ class Pipeline:
         """Forget the names of rides that have ended, once there are many."""
         if len(self.decoder.rides) > 2 * len(self.lanes) + MOST_RIDE_NAMES:
             self._update_forecasts()
-            used = [each.totals.at_last("code") for each in self._due]
+            used = self._due.get_ride_codes()
             if self.deferred is not None:  # rides that wait, and rides that the next row of their car will close
                 used += [self.deferred.ride_codes(), self.accumulator.ride_codes()]
             self.decoder.rides.keep(set(np.concatenate([self.cleaner.ride_codes(), *used]).tolist()))

@@ -102,6 +102,8 @@ CRAWL: Final = 0.5
 """Speed below which the car stands. [m/s]"""
 MOVING: Final = 1.5
 """Speed above which the car moves. [m/s]"""
+LONGEST_BRIDGE: Final = 86_400.0
+"""Longest time for which an odometer bridges a hole. A faulty clock would otherwise allow any distance. [s]"""
 BRIDGING: Final = 20 * KMH
 """Least speed that is assumed for a bridged distance. [m/s]"""
 
@@ -314,7 +316,8 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
         state.rough = ROUGH_WINDOW
     state.odometer_distance += shortfall
     since = state.odometer_age
-    owed = find_odometer_shortfall(state, row.raw_odometer, settings.speed_limit * since + settings.tunnel_limit)
+    most = settings.speed_limit * min(since, LONGEST_BRIDGE) + settings.tunnel_limit
+    owed = find_odometer_shortfall(state, row.raw_odometer, most)
     if owed > 0.0:
         state.fix_distance += owed
         shortfall += owed

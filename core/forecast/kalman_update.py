@@ -11,9 +11,15 @@ References
 Kalman, Journal of Basic Engineering 82 (1960) 35, DOI 10.1115/1.3662552.
 """
 
-from typing import Any
+from math import log
+from typing import Any, Final
 
 from numba import njit
+
+LARGEST_LOG_CONSUMPTION: Final = log(5.0)
+"""Largest absolute value of `a`: no car uses five times the prediction, or a fifth of it, for a day. [1]"""
+LARGEST_LOG_CAPACITY: Final = log(3.0)
+"""Largest absolute value of `c`, eleven standard deviations of its prior. [1]"""
 
 
 @njit(cache=False)
@@ -49,8 +55,15 @@ def update_state(state: Any, residual: float, cov_s: float, cov_a: float, cov_c:
 def update_mean(state: Any, residual: float, cov_s: float, cov_a: float, cov_c: float, variance: float) -> None:
     """Update the mean of the state as `update_state` does, and keep its covariance."""
     state.soc += cov_s / variance * residual
-    state.log_consumption += cov_a / variance * residual
-    state.log_capacity += cov_c / variance * residual
+    consumption, capacity = cov_a / variance * residual, cov_c / variance * residual
+    state.log_consumption = clip(state.log_consumption + consumption, LARGEST_LOG_CONSUMPTION)
+    state.log_capacity = clip(state.log_capacity + capacity, LARGEST_LOG_CAPACITY)
+
+
+@njit(cache=False)
+def clip(value: float, limit: float) -> float:
+    """Return a value clipped to plus or minus a limit."""
+    return min(max(value, -limit), limit)
 
 
 @njit(cache=False)

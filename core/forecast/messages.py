@@ -1,5 +1,6 @@
 """Build the published forecasts from rows of running totals."""
 
+from collections import Counter
 from collections.abc import Sequence
 from math import isnan
 from typing import Final
@@ -9,6 +10,7 @@ import numpy as np
 from core.batch import Floats
 from core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
 from core.forecast.forecast_rows import ForecastRows
+from core.forecast.plausibility import find_implausible
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
 from core.totals.measured_energy import measure_energy
@@ -39,8 +41,9 @@ def build_forecasts(
     ride_names: Sequence[str | None],
     context: RunContext,
     prefix: str,
+    implausible: Counter[str],
 ) -> list[Message]:
-    """Return one message per row of running totals, under `{prefix}fleet/{vehicle}/forecast`.
+    """Return one message per row of running totals that is plausible, under `{prefix}fleet/{vehicle}/forecast`.
 
     The receipt time is the event time of the sample behind the forecast. Outside of rides there is no energy, and
     unknown values are null.
@@ -55,15 +58,19 @@ def build_forecasts(
     context : RunContext
     prefix : str
         Chunks before `fleet` in the keys, with a slash at the end.
+    implausible : Counter of str
+        Receives the number of forecasts that are not published, by cause, see `core.forecast.plausibility`.
 
     Returns
     -------
-    list of n Message
+    list of Message
     """
     names, version = context.vehicle_ids, context.model_label
     riding = running.ride >= 0
-    predicted = np.where(riding, rows.predicted, np.nan).tolist()
-    measured = np.where(riding, measure_energy(running, context.cars).energy, np.nan).tolist()
+    predicted = np.where(riding, rows.predicted, np.nan)
+    measured = np.where(riding, measure_energy(running, context.cars).energy, np.nan)
+    withheld = find_implausible(running, rows, predicted, measured, context.cars)
+    implausible.update(cause for cause in withheld if cause)
     counts = [QualityCounts(*row) for row in zip(*count_quality(running).values(), strict=True)]
     soc, soc_sd, risk = (100.0 * rows.soc).tolist(), (100.0 * rows.soc_sd).tolist(), rows.risk.tolist()
     range_km = _list_intervals(rows.range_km, rows.range_km_p05, rows.range_km_p95)
@@ -73,6 +80,8 @@ def build_forecasts(
     duration = np.where(riding, running.amount("duration"), 0.0).tolist()
     out = []
     for i, lane in enumerate(running.lane.tolist()):
+        if withheld[i] is not None:
+            continue
         forecast = Forecast(
             vehicle_id=names[lane],
             time_s=time[i],
@@ -80,8 +89,8 @@ def build_forecasts(
             model=version,
             ride_distance_km=distance[i],
             ride_duration_s=duration[i],
-            ride_energy_predicted_kwh=none_if_nan(predicted[i]),
-            ride_energy_measured_kwh=none_if_nan(measured[i]),
+            ride_energy_predicted_kwh=none_if_nan(float(predicted[i])),
+            ride_energy_measured_kwh=none_if_nan(float(measured[i])),
             soc_pct=none_if_nan(soc[i]),
             soc_sd_pct=none_if_nan(soc_sd[i]),
             range_km=range_km[i],

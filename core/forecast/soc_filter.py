@@ -61,6 +61,13 @@ UNMODELLED_POWER: Final = 5.0
 """Standard deviation of the power of a car without a prediction and without a meter. [kW]"""
 CAPACITY_AGEING: Final = 0.005
 """Standard deviation of the change of `c` from shift to shift, by age and more by the battery's temperature. [1]"""
+BEYOND_MARGIN: Final = 0.1
+"""Furthest that the estimate of the charge may lie below empty or above full. [1]
+
+A reading corrects an estimate that is a little beyond. A prediction that continues while the display is frozen must not
+lead to -82 %."""
+LARGEST_VARIANCE: Final = 0.25
+"""Largest variance of a quantity from 0 to 1; an estimate with a larger one knows nothing."""
 
 
 @njit(cache=True)
@@ -160,6 +167,10 @@ def update_with_totals(state: Any, event: Any) -> None:
         noise = ENERGY_SD**2 * (WARM_UP_VARIANCE_FACTOR if warming else 1.0)
         predict_state(state, predicted, used, duration, event.capacity, noise)
     update_with_reading(state, event)
+    if state.soc < -BEYOND_MARGIN or state.soc > 1.0 + BEYOND_MARGIN:  # never NaN
+        state.soc = min(max(state.soc, -BEYOND_MARGIN), 1.0 + BEYOND_MARGIN)
+    if state.p_ss > LARGEST_VARIANCE:
+        discard_soc(state)
     if state.charging == 0.0 and isnan(state.suspect) and not isnan(state.reported):
         record_shift_soc(state)
 
@@ -257,8 +268,9 @@ def record_shift_soc(state: Any) -> None:
 
 @njit(cache=False)
 def write_estimate(state: Any, out: Any) -> None:
-    """Write the estimate of a car; `out` is a SOC_ESTIMATE."""
-    out.soc, out.variance = compute_published_soc(state, state.quantum), state.p_ss
+    """Write the estimate of a car, with a charge from empty to full; `out` is a SOC_ESTIMATE."""
+    soc = compute_published_soc(state, state.quantum)
+    out.soc, out.variance = soc if isnan(soc) else min(max(soc, 0.0), 1.0), state.p_ss
     out.log_factor = state.log_consumption - state.log_capacity
     out.log_factor_variance = state.p_aa + state.p_cc - 2.0 * state.p_ac
     out.covariance = state.p_sa - state.p_sc

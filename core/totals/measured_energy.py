@@ -16,6 +16,7 @@ from core.cleaning.meters import COARSEST_SOC, FROZEN_SOC
 from core.cleaning.quality import CAUSES
 from core.columns import GRAVITY, JOULES_PER_KWH
 from core.totals.accumulator import Totals
+from core.vehicles.catalogue import BOUNDS
 from core.vehicles.fleet import Cars
 
 METER_GAIN: Final = 0.01
@@ -35,6 +36,10 @@ LEAST_CONSUMPTION: Final = 0.0017
 """Least energy that a car takes per distance on level road, over its capacity. [1/km]
 
 Estimated: 0.04 kWh/km of 24 kWh, half of the rolling resistance and drag of a compact car at 40 km/h."""
+BATTERIES: Final = 1.5
+"""Largest energy of a ride without charging, in capacities: the capacity in the catalogue and the model may err. [1]"""
+LARGEST_BATTERY: Final = BOUNDS["nominal_capacity_kwh"][1]
+"""Capacity of a car whose own is unknown. [kWh]"""
 
 NO_SOURCE: Final = 0
 BY_POWER: Final = 1
@@ -244,6 +249,27 @@ def measure_energy(totals: Totals, cars: Cars) -> MeasuredEnergy:
         np.where(by_power, power_sd, np.where(by_soc, soc_sd, np.nan)),
         source,
     )
+
+
+def compute_largest_energy(totals: Totals, cars: Cars) -> Floats:
+    """Return the energy that rides cannot exceed, taken from the battery or returned to it.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides or windows.
+    cars : Cars
+        Source of capacities; a car without one has that of the largest battery.
+
+    Returns
+    -------
+    (n,) float
+        `BATTERIES` capacities, and as many again in each hour of a ride with charging. [kWh]
+    """
+    capacity = np.nan_to_num(cars.capacity[totals.at_last("kind").astype(np.int64)], nan=LARGEST_BATTERY)
+    duration = totals.amount("duration")
+    charged = totals.at_last("since_charge") < duration
+    return BATTERIES * capacity * np.where(charged, 1.0 + duration / 3600.0, 1.0)
 
 
 def list_energy_faults(totals: Totals, cars: Cars) -> tuple[tuple[str, NDArray[np.bool_]], ...]:

@@ -23,7 +23,7 @@ from core.forecast.outlook import UsualConsumption
 from core.forecast.soc_filter import WARM_UP_TIME
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
-from core.totals.measured_energy import measure_energy
+from core.totals.measured_energy import compute_largest_energy, measure_energy
 from core.totals.tables import unfit_reason
 from core.vehicles.fleet import UNKNOWN
 
@@ -200,7 +200,9 @@ class FleetStatistics:
         return self._row_of_kind[kinds]
 
     def _add(self, add: AddTotals, totals: Totals, predicted: Floats, measured: Floats, fit: NDArray[np.bool_]) -> None:
-        """Add those rows that are fit, of cars whose model is known."""
+        """Add those rows that are fit, of cars whose model is known, with energies that their batteries can hold."""
+        most = compute_largest_energy(totals, self._cars)
+        fit = fit & ~(np.abs(predicted) > most) & ~(np.abs(measured) > most)
         names = [self._cars.name(kind) or "" for kind in totals.at_last("kind").astype(np.int64).tolist()]
         known = np.array([name != "" for name in names])
         which = np.flatnonzero(fit & known & (totals.amount("duration") > 0.0))

@@ -21,6 +21,10 @@ RECOVERED_SHARE: Final = 0.6
 """Share of the surplus energy of a descent that returns to the battery. Estimated. [1]"""
 STEEPEST_DESCENT: Final = 300.0
 """Largest descent of a leg that returns energy; a reported descent beyond it returns none. [m/km]"""
+LARGEST_PER_KM: Final = 5.0
+"""Largest plausible energy of rides and idle periods over the kilometres of rides. [kWh/km]"""
+LARGEST_POWER: Final = 100.0
+"""Largest plausible mean of their power. [kW]"""
 
 
 class LegTerms(NamedTuple):
@@ -91,6 +95,11 @@ class LegEnergyTables(NamedTuple):
     energy_per_km: Floats
     mean_power: Floats
     mean_pause: float
+
+    def is_plausible(self) -> bool:
+        """Return whether the consumption is positive and possible at every temperature; else no car has such tables."""
+        limits = (self.energy_per_km, LARGEST_PER_KM), (self.mean_power, LARGEST_POWER)
+        return not any(((values <= 0.0) | (values > most)).any() for values, most in limits)
 
     def compute_leg_energy(
         self, km: Floats, seconds: Floats, gained: Floats, lost: Floats, *, begun: bool = False

@@ -88,7 +88,7 @@ class ModelSums:
         )
 
     def build_tables(self, context: RunContext) -> LegEnergyTables | None:
-        """Return the tables of leg energy by the model of `context`, None where there are too few rides for them."""
+        """Return the tables of leg energy by the model of `context`, None where there are too few plausible rides."""
         if self.rides < LEAST_RIDES:
             return None
         rides, idle = (
@@ -96,7 +96,9 @@ class ModelSums:
             IdleSums(self.idle_energy, self.standing, float(self.idle_periods)),
         )
         tables = build_leg_energy_tables(rides, idle, RideEdges(self.first_edge, self.last_edge), context)
-        return tables and fit_leg_energy(tables, LegEquations(self.matrix, self.right))
+        if tables is None or not tables.is_plausible():
+            return None
+        return fit_leg_energy(tables, LegEquations(self.matrix, self.right))
 
     def dump(self) -> Any:
         """Return the sums as plain values."""
