@@ -280,4 +280,5 @@ def _read_quality(quality: dict[str, Any]) -> dict[str, Any]:
         "rides": quality["rides"],
         "unfit_rides": quality["unfit"],
         "unpredicted_rides": quality["unpredicted"],
+        "refused_forecasts": quality["implausible_forecasts"],
     }

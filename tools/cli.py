@@ -220,11 +220,15 @@ def _usage(error: UsageError, chosen: str | None) -> str:
     words = error.format_message().rstrip(".")
     wrong: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
     if wrong:  # typer leaves the value out
-        name, wanted = error.param.get_error_hint().strip("'"), wrong[0]["msg"].partition(",")[0]
-        words = f"{name} is '{wrong[0]['input']}', {wanted.replace('Input should', 'must')}"
+        name, message = error.param.get_error_hint().strip("'"), wrong[0]["msg"]
+        choices = message.partition("Value error, ")[2].rstrip(".")
+        wanted = message.partition(",")[0].replace("Input should", "must")
+        words = f"{name} is wrong: {choices}" if choices else f"{name} is '{wrong[0]['input']}', {wanted}"
     command = error.ctx.command_path if error.ctx else f"socast {chosen}" if chosen in COMMANDS else "socast"
     mark = "" if words.endswith("?") else ";"
-    return _one_line(f"{words[0].lower()}{words[1:]}{mark} `{command} --help` lists the options")
+    reader = sys.modules.get("tools.terminal.settings_file")  # imported only by commands that read settings
+    place = reader.name_place(error) if reader and isinstance(error, typer.BadParameter) else ""
+    return _one_line(f"{place}{words[0].lower()}{words[1:]}{mark} `{command} --help` lists the options")
 
 
 def _one_line(message: str) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
-from typing import Annotated, get_args
+from typing import Annotated
 
 import typer
 
@@ -35,6 +35,7 @@ from tools.terminal.live_table import LiveTable
 from tools.terminal.model_comparison import DEFAULT_MODEL, load_models
 from tools.terminal.output import check_outputs
 from tools.terminal.ride_log import RideLog
+from tools.terminal.settings_file import SettingsFile
 
 _log = logging.getLogger("socast.live")
 
@@ -50,7 +51,7 @@ def live(
         typer.Option(metavar="E", help=f"Listen at E; repeatable. [default: {LOOPBACK} without --connect]"),
     ] = None,
     mode: Annotated[
-        str | None,
+        Mode | None,
         typer.Option(metavar="MODE", help="client, peer or router. [default: client with --connect, else router]"),
     ] = None,
     config: Annotated[
@@ -62,11 +63,15 @@ def live(
     record: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Record every payload as it came, decodable or not.")
     ] = None,
-    record_mb: Annotated[float, typer.Option(metavar="MB", help="Size at which the next file begins.")] = FILE_BYTES
-    / 2**20,
-    record_minutes: Annotated[float, typer.Option(metavar="MIN", help="Time span of a file.")] = FILE_S / 60,
+    record_mb: Annotated[
+        float, typer.Option(metavar="MB", help="Size at which the next file begins.", min=0.001, max=1e6)
+    ] = FILE_BYTES / 2**20,
+    record_minutes: Annotated[
+        float, typer.Option(metavar="MIN", help="Time span of a file.", min=0.001, max=1e6)
+    ] = FILE_S / 60,
     flush: Annotated[
-        float, typer.Option(metavar="S", help="Longest time until a received message is synced to disk.")
+        float,
+        typer.Option(metavar="S", help="Longest time until a received message is synced to disk.", min=0.001, max=1e6),
     ] = FLUSH_S,
     state: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Keep the state of every car here, and continue from it.")
@@ -75,7 +80,9 @@ def live(
         Path | None,
         typer.Option(metavar="FILE", help="Diagnose the first model every night on --record, and keep findings here."),
     ] = None,
-    report: Annotated[float, typer.Option(metavar="S", help="Time between two log lines of counters.")] = REPORT_S,
+    report: Annotated[
+        float, typer.Option(metavar="S", help="Time between two log lines of counters.", min=0.001, max=1e6)
+    ] = REPORT_S,
     json_log: Annotated[bool, typer.Option("--json-log", help="Log JSON instead of key=value.")] = False,
     metrics: Annotated[
         str | None,
@@ -86,6 +93,7 @@ def live(
     metrics_per_car: Annotated[
         bool, typer.Option("--metrics-per-car", help="Also serve metrics of each vehicle.")
     ] = False,
+    settings_file: SettingsFile = None,  # noqa: ARG001 - its values arrive as those of the other options
 ) -> None:
     """Listen to cars over Zenoh, publish a forecast for each, and answer questions about their shifts.
 
@@ -105,15 +113,14 @@ def live(
     socast live --model fitted.json --model extended_physical --warm-up january.mcap
     socast live --model fitted.json --record kept --watch findings.json
     socast live --state fleet.state --record kept --metrics 9464
+    socast live --settings deploy/socast.toml
     """
     log_lines(as_json=json_log)
     _check_watch(options, record, watch)
     if metrics_per_car and metrics is None:
         raise SettingsError("--metrics-per-car adds to what --metrics serves: give --metrics ADDRESS too")
     models = load_models(options.models)
-    connection = Connection(
-        tuple(connect or ()), tuple(listen or ()), _parse_mode(mode), options.prefix, config, recovery
-    )
+    connection = Connection(tuple(connect or ()), tuple(listen or ()), mode, options.prefix, config, recovery)
     with ExitStack() as ending:
         monitor = ending.enter_context(ServiceMonitor(metrics))
         compile_kernels(*models)
@@ -239,11 +246,3 @@ def _check_watch(options: ForecastOptions, record: Path | None, watch: Path | No
         raise SettingsError("--watch diagnoses what --record keeps: give --record DIR too")
     check_outputs(options.files, watch)
     read_findings(watch)
-
-
-def _parse_mode(text: str | None) -> Mode | None:
-    """Return a mode of Zenoh, or raise `SettingsError`."""
-    known: dict[str | None, Mode | None] = {None: None, **{mode: mode for mode in get_args(Mode)}}
-    if text not in known:
-        raise SettingsError(f"--mode is '{text}'; give client, peer or router")
-    return known[text]
