@@ -10,8 +10,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
+from core.batch import Floats, Ints, grown
 from core.columns import KMH, ZERO_CELSIUS
+from core.signals.nearest_station import find_nearest_stations, take_observations
 from core.wire.messages import Weather
 
 KEPT: Final = 48
@@ -89,13 +90,7 @@ class _Observation(NamedTuple):
     snow: float = 0.0
 
 
-class _Station(NamedTuple):
-    times: list[float]
-    rows: list[_Observation]
-    latitude: float = np.nan
-    longitude: float = np.nan
-
-
+_WATER, _SNOW = _Observation._fields.index("water"), _Observation._fields.index("snow")
 _PLAUSIBLE: Final = {
     "temperature_c": (-75.0, 65.0),
     "wind_speed_kmh": (0.0, 400.0),
@@ -109,10 +104,21 @@ _PLAUSIBLE: Final = {
 
 
 class Stations:
-    """Keep every known weather station with its latest observations."""
+    """Keep every known weather station with its latest observations.
+
+    An array has a row for each station, in the order in which the stations became known.
+    """
 
     def __init__(self) -> None:
-        self._stations: dict[str, _Station] = {}
+        self._of: dict[str, int] = {}
+        self._times = np.zeros((0, KEPT + 1))
+        self._counts = np.zeros(0, np.int64)
+        self._values = np.zeros((0, KEPT + 1, len(Sky._fields)))
+        self._places = np.zeros((0, 3))  # latitude, longitude, and cosine of the latitude
+        self._by_latitude: tuple[Ints, Floats] | None = None
+
+    def __len__(self) -> int:
+        return len(self._of)
 
     def observe(self, message: Weather) -> bool:
         """Take an observation, and return whether it is plausible.
@@ -133,20 +139,21 @@ class Stations:
         place = np.radians(message.latitude_deg), np.radians(message.longitude_deg)
         if not (abs(place[0]) <= np.pi / 2 and abs(place[1]) <= np.pi and 0.0 <= message.time_s <= LATEST):
             return False
-        times, rows, *_ = self._stations.get(message.station_id, _Station([], []))
-        self._stations[message.station_id] = _Station(times, rows, *map(float, place))
-        at = int(np.searchsorted(times, message.time_s))
-        if at == 0 and len(times) == KEPT:  # it is older than all observations that are kept
+        station = self._find_row(message.station_id)
+        self._move(station, *map(float, place))
+        count, times, rows = int(self._counts[station]), self._times[station], self._values[station]
+        at = int(np.searchsorted(times[:count], message.time_s))
+        if at == 0 and count == KEPT:  # it is older than all observations that are kept
             return True
-        earlier = times[at - 1] if at else message.time_s - _HOUR
-        row = _observation(message, max(60.0, message.time_s - earlier))
-        if at < len(times) and times[at] == message.time_s:
-            rows[at] = row
-        else:
-            times.insert(at, message.time_s)
-            rows.insert(at, row)
-        _lay(rows, at)
-        del times[:-KEPT], rows[:-KEPT]
+        earlier = float(times[at - 1]) if at else message.time_s - _HOUR
+        if at == count or times[at] != message.time_s:
+            times[at + 1 : count + 1], rows[at + 1 : count + 1] = times[at:count].copy(), rows[at:count].copy()
+            count += 1
+        times[at], rows[at] = message.time_s, _observation(message, max(60.0, message.time_s - earlier))
+        _lay(rows[:count], at)
+        if count > KEPT:
+            times[:KEPT], rows[:KEPT] = times[1:].copy(), rows[1:].copy()
+        self._counts[station] = min(count, KEPT)
         return True
 
     def sky(self, time: Floats, latitude: Floats, longitude: Floats) -> Sky:
@@ -164,33 +171,52 @@ class Stations:
         Sky of n rows
             Weather at each row.
         """
-        n = len(time)
-        best = np.full(n, np.inf)
-        values = np.full((len(Sky._fields), n), np.nan)
-        for station in self._stations.values():
-            north = latitude - station.latitude
-            east = np.abs(longitude - station.longitude)
-            east = np.minimum(east, 2.0 * np.pi - east) * np.cos(station.latitude)
-            far = np.nan_to_num(north * north + east * east, nan=1e9)
-            latest = np.searchsorted(station.times, time, side="right") - 1
-            nearer = (far < best) & (latest >= 0)
-            if nearer.all():
-                best = far
-                values = np.array(station.rows).T.take(latest, axis=1)
-            elif nearer.any():
-                best[nearer] = far[nearer]
-                values[:, nearer] = np.array(station.rows)[latest[nearer]].T
+        values = np.full((len(Sky._fields), len(time)), np.nan)
+        if count := len(self._of):
+            if self._by_latitude is None:
+                order = np.argsort(self._places[:count, 0], kind="stable")
+                self._by_latitude = order, self._places[order, 0]
+            nearest = np.empty(len(time), np.int64)
+            first = self._times[:count, 0]
+            find_nearest_stations(time, latitude, longitude, *self._by_latitude, self._places, first, nearest)
+            take_observations(time, nearest, self._times, self._counts, self._values, values)
         return Sky(*values)
+
+    def _find_row(self, name: str) -> int:
+        """Return the row of a station, a new one for a station not known so far."""
+        station = self._of.setdefault(name, len(self._of))
+        if len(self._counts) < len(self._of):
+            self._times, self._counts = grown(self._times, station + 1), grown(self._counts, station + 1)
+            self._values, self._places = grown(self._values, station + 1), grown(self._places, station + 1)
+        return station
+
+    def _move(self, station: int, latitude: float, longitude: float) -> None:
+        """Set the position of a station."""
+        place = latitude, longitude, float(np.cos(latitude))
+        if self._counts[station] == 0 or place != tuple(self._places[station].tolist()):
+            self._places[station], self._by_latitude = place, None
 
     def dump(self) -> Any:
         """Return the state as plain lists, for a snapshot."""
-        return [[name, *station] for name, station in self._stations.items()]
+        rows = ((name, station, int(self._counts[station])) for name, station in self._of.items())
+        return [
+            [
+                name,
+                self._times[station, :count].tolist(),
+                self._values[station, :count].tolist(),
+                *self._places[station, :2].tolist(),
+            ]
+            for name, station, count in rows
+        ]
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        self._stations = {
-            name: _Station(times, [_Observation(*row) for row in rows], *place) for name, times, rows, *place in state
-        }
+        self.__init__()  # type: ignore[misc]
+        for name, times, rows, latitude, longitude in state:
+            station = self._find_row(name)
+            self._move(station, latitude, longitude)
+            self._times[station, : len(times)], self._counts[station] = times, len(times)
+            self._values[station, : len(times)] = rows
 
 
 def held(depth: Any, rate: Any, age: Any, memory: Any) -> Any:
@@ -271,15 +297,15 @@ def snow_left(snow: Any, ambient: Any, precipitation: Any, age: Any) -> Any:
     return held(snow, np.where(frost, np.nan_to_num(precipitation), 0.0), age, np.where(frost, CLEARING, THAWING))
 
 
-def _lay(rows: list[_Observation], first: int) -> None:
+def _lay(rows: Floats, first: int) -> None:
     """Compute the depths on the road from an observation on; precipitation of an observation fell before it."""
     for at in range(first, len(rows)):
-        row = rows[at]
-        before = rows[at - 1] if at else None
+        row = _Observation(*rows[at].tolist())
+        before = _Observation(*rows[at - 1].tolist()) if at else None
         age = row.observed - before.observed if before else _HOUR
         water, snow = (before.water, before.snow) if before else (0.0, 0.0)
         weather = row.ambient, row.precipitation, age
-        rows[at] = row._replace(water=float(water_left(water, *weather)), snow=float(snow_left(snow, *weather)))
+        rows[at, _WATER], rows[at, _SNOW] = water_left(water, *weather), snow_left(snow, *weather)
 
 
 def _observation(message: Weather, since: float) -> _Observation:

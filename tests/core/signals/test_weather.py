@@ -48,6 +48,39 @@ def test_nearest_station_with_a_past_observation_is_used(seed):
         assert sky_at(stations, now, car).ambient[0] - 273.15 == pytest.approx(expected, nan_ok=True)
 
 
+def look_at_every_station(stations, time, latitude, longitude):
+    """Return the weather by a loop over all stations."""
+    best, values = np.full(len(time), np.inf), np.full((len(Sky._fields), len(time)), np.nan)
+    for _, times, rows, *place in stations.dump():
+        north, east = latitude - place[0], np.abs(longitude - place[1])
+        east = np.minimum(east, 2.0 * np.pi - east) * np.cos(place[0])
+        far = np.nan_to_num(north * north + east * east, nan=1e9)
+        latest = np.searchsorted(times, time, side="right") - 1
+        nearer = (far < best) & (latest >= 0)
+        best[nearer] = far[nearer]
+        values[:, nearer] = np.array(rows)[latest[nearer]].T
+    return Sky(*values)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_search_equals_a_loop_over_all_stations_to_the_bit(seed):
+    rng = np.random.default_rng(seed)
+    stations = Stations()
+    span = rng.choice([0.02, 1.0, 80.0])
+    places = (rng.uniform(-span, span, (300, 2)) * (1.0, 2.0)).round(int(rng.integers(1, 5)))  # some coincide
+    for number in rng.integers(0, 300, 900).tolist():
+        time = float(rng.integers(0, 30))
+        moved = places[number] + (0.01 if rng.random() < 0.1 else 0.0)
+        stations.observe(station(f"s{number}", time, moved, temperature_c=float(rng.normal()), precipitation_mm=1.0))
+    rows = 200
+    latitude, longitude = np.radians(rng.uniform(-span, span, (2, rows)) * [[1.0], [2.0]]).round(4)
+    latitude[::17], longitude[::13] = np.nan, np.nan
+    time = rng.integers(-1, 20, rows).astype(float)
+    expected = look_at_every_station(stations, time, latitude, longitude)
+    for one, other in zip(stations.sky(time, latitude, longitude), expected, strict=True):
+        assert np.array_equal(one, other, equal_nan=True)
+
+
 def test_car_without_position_gets_the_weather_of_a_station():
     stations = Stations()
     stations.observe(station(temperature_c=4.0))
@@ -121,7 +154,7 @@ def test_loaded_state_equals_the_dumped_state():
     stations.observe(station(time=3.0, temperature_c=1.25, wind_speed_kmh=7.0, wind_from_deg=200.0))
     loaded = Stations()
     loaded.load(stations.dump())
-    assert loaded.dump() == stations.dump()
+    assert repr(loaded.dump()) == repr(stations.dump())
     for one, other in zip(sky_at(stations, 9.0), sky_at(loaded, 9.0), strict=True):
         assert np.array_equal(one, other, equal_nan=True)
 
