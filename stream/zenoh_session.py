@@ -11,6 +11,8 @@ The module allows for this observed behaviour of zenoh 1.10:
   read it, so `Node.flush` waits for a query.
 """
 
+import ipaddress
+import logging
 import re
 import socket
 import time
@@ -43,6 +45,8 @@ _OURS: Final[tuple[tuple[str, Any, Any], ...]] = (  # each value replaces Zenoh'
 
 Mode = Literal["client", "peer", "router"]
 
+_log = logging.getLogger("socast.zenoh")
+
 
 @dataclass(frozen=True)
 class Connection:
@@ -51,7 +55,8 @@ class Connection:
     Parameters
     ----------
     connect : tuple of str
-        Endpoints to connect to, such as `tcp/router.example:7447` or `tls/...`.
+        Endpoints to connect to, such as `tcp/router.example:7447` or `tls/...`. A client without any, here and in the
+        file, connects to loopback.
     listen : tuple of str
         Endpoints to listen at; a free port replaces port 0. By default a router or peer listens on loopback only.
     mode : str, optional
@@ -108,6 +113,7 @@ class Node:
             raise SettingsError(
                 f"Zenoh cannot be joined: {format_zenoh_error(error)}; is a router listening there?"
             ) from error
+        _warn_if_open(config)
 
     def close(self) -> None:
         """Close the session."""
@@ -207,6 +213,8 @@ def _make_config(connection: Connection) -> zenoh.Config:
     _insert(config, "mode", mode)
     if connection.connect:
         _insert(config, "connect/endpoints", list(connection.connect))
+    elif mode == "client" and not _read(config, "connect/endpoints"):
+        _insert(config, "connect/endpoints", [LOOPBACK])
     if connection.listen:
         _insert(config, "listen/endpoints", [_fill_port(end) for end in connection.listen])
     elif _read(config, "listen/endpoints") == _read(zenoh.Config(), "listen/endpoints"):
@@ -216,6 +224,33 @@ def _make_config(connection: Connection) -> zenoh.Config:
         if _read(config, name) == unset:
             _insert(config, name, value)
     return config
+
+
+def _warn_if_open(config: zenoh.Config) -> None:
+    """Log one warning if nodes elsewhere can join without a certificate, or say whatever they like."""
+    open_ends = [end for end in _list_endpoints(config) if not _is_local(end)]
+    has_rules = _read(config, "access_control/enabled") and _read(config, "access_control/default_permission") == "deny"
+    is_mutual = _read(config, "transport/link/tls/enable_mtls") and all(
+        end.partition("/")[0] in {"tls", "quic"} for end in open_ends
+    )
+    if open_ends and not (has_rules and is_mutual):
+        _log.warning(
+            "anybody who reaches %s can read and publish everything: "
+            "make certificates and access control with `socast secure init`, or listen on loopback",
+            ", ".join(open_ends),
+        )
+
+
+def _is_local(endpoint: str) -> bool:
+    """Return whether only programs on this computer reach an endpoint."""
+    protocol, _, address = endpoint.partition("/")
+    host = re.split(r"[?#]", address)[0].rpartition(":")[0].strip("[]")
+    if protocol.startswith("unix") or host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def _only_listening_fails(config: zenoh.Config) -> bool:

@@ -64,6 +64,7 @@ COMMANDS: Final = {
     "import": Command(
         "tools.commands.import_drives", "import_drives", "Convert a public data set of real drives to a recording."
     ),
+    "secure": Command("tools.commands.secure", "app", "Make certificates and access control for a fleet."),
     "effects": Command("tools.commands.effects", "app", "List the physical effects of models, or check your own."),
 }
 """Every command, in the order of `socast --help`."""

@@ -7,7 +7,16 @@ from pathlib import Path
 import pytest
 
 from core.errors import SettingsError
-from stream.zenoh_session import Connection, Node, _list_endpoints, _make_config, find_free_port
+from stream.zenoh_session import (
+    LOOPBACK,
+    Connection,
+    Node,
+    _list_endpoints,
+    _make_config,
+    _read,
+    _warn_if_open,
+    find_free_port,
+)
 from tests.support.zenoh_sessions import router
 
 
@@ -89,3 +98,46 @@ def test_command_line_overrides_configuration_file(tmp_path: Path):
         Node(Connection(config=file))
     with router() as (_, endpoint), Node(Connection(config=file, connect=(endpoint,))) as client:
         assert client.endpoints == []
+
+
+def test_client_without_endpoints_joins_loopback():
+    assert _read(_make_config(Connection(mode="client")), "connect/endpoints") == [LOOPBACK]
+
+
+SECURED = '{access_control: {enabled: %s, default_permission: "%s"}, transport: {link: {tls: {enable_mtls: %s}}}}'
+
+
+@pytest.mark.parametrize(
+    ("listen", "settings", "warns"),
+    [
+        ("tcp/127.0.0.1:7447", None, False),
+        ("tcp/[::1]:7447", None, False),
+        ("tcp/localhost:7447", None, False),
+        ("unixsock-stream//tmp/socast", None, False),
+        ("tcp/0.0.0.0:7447", None, True),
+        ("tcp/[::]:7447#iface=eth0", None, True),
+        ("tcp/10.0.0.5:7447", None, True),
+        ("tls/router.example:7447", None, True),
+        ("tls/router.example:7447", SECURED % ("true", "deny", "true"), False),
+        ("tls/router.example:7447", SECURED % ("true", "deny", "false"), True),
+        ("tls/router.example:7447", SECURED % ("true", "allow", "true"), True),
+        ("tls/router.example:7447", SECURED % ("false", "deny", "true"), True),
+        ("tcp/10.0.0.5:7447", SECURED % ("true", "deny", "true"), True),
+    ],
+)
+def test_listening_beyond_loopback_without_security_warns_once(tmp_path, caplog, listen, settings, warns):
+    file = tmp_path / "node.json5" if settings else None
+    if file:
+        file.write_text(settings)
+    _warn_if_open(_make_config(Connection(listen=(listen,), config=file)))
+    assert len(caplog.records) == warns
+    if warns:
+        assert listen in caplog.text
+        assert "`socast secure init`" in caplog.text
+
+
+def test_node_that_listens_beyond_loopback_warns(caplog):
+    with Node(Connection(listen=("tcp/0.0.0.0:0",))):
+        pass
+    (record,) = caplog.records
+    assert "anybody who reaches tcp/0.0.0.0:" in record.message

@@ -55,18 +55,28 @@ class Consumer(Fleet):
 
 
 @contextmanager
-def live(prefix: str = "") -> Iterator[tuple[Consumer, QueryService, Node]]:
-    """Give a consumer whose loop runs in a thread, its query service, and a client at its router."""
+def serving(node: Node) -> Iterator[tuple[Consumer, QueryService]]:
+    """Give a consumer whose loop runs in a thread, and its query service."""
     stop, consumer = Event(), Consumer()
-    with router(prefix=prefix) as (node, endpoint), ZenohQueryable(node) as queries:
+    with ZenohQueryable(node) as queries:
         service = QueryService(queries, consumer)
         source = ZenohSource(node, stop)
         thread = Thread(target=run, args=(source, consumer), kwargs={"watch": service})
         thread.start()
         try:
-            with Node(Connection(connect=(endpoint,), prefix=prefix)) as client:
-                yield consumer, service, client
+            yield consumer, service
         finally:
             stop.set()
             thread.join(20)
     assert not thread.is_alive()
+
+
+@contextmanager
+def live(prefix: str = "") -> Iterator[tuple[Consumer, QueryService, Node]]:
+    """Give a consumer whose loop runs in a thread, its query service, and a client at its router."""
+    with (
+        router(prefix=prefix) as (node, endpoint),
+        serving(node) as (consumer, service),
+        Node(Connection(connect=(endpoint,), prefix=prefix)) as client,
+    ):
+        yield consumer, service, client

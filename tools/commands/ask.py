@@ -42,9 +42,11 @@ def ask_outlook(
         Path | None,
         typer.Option(metavar="F.json", help="Answer for this plan instead of the known one; JSON as on the wire."),
     ] = None,
-    connect: Annotated[str, typer.Option(metavar="E", help="Router to join.")] = LOOPBACK,
+    connect: Annotated[
+        str | None, typer.Option(metavar="E", help=f"Router to join. [default: that of --config, else {LOOPBACK}]")
+    ] = None,
     config: Annotated[
-        Path | None, typer.Option(metavar="F.json5", help="Zenoh's own configuration: TLS and the rest.")
+        Path | None, typer.Option(metavar="F.json5", help="Zenoh's own configuration, such as dispatch.json5.")
     ] = None,
     prefix: Annotated[str, typer.Option(metavar="P", help="Key chunks before `fleet`, such as montreal.")] = "",
     timeout_s: Annotated[float, typer.Option(metavar="S", help="Longest wait for the answer.")] = 5.0,
@@ -59,6 +61,7 @@ def ask_outlook(
     --------
     socast ask taxi-012 --distance-km 18 --duration-s 1500 --gained-m 40
     socast ask taxi-012 --plan plan.json --connect tcp/router.example:7447 --prefix montreal
+    socast ask taxi-012 --config dispatch.json5 --prefix montreal
     """
     ride = {"distance_km": distance_km, "duration_s": duration_s, "gained_m": gained_m, "lost_m": lost_m}
     given = {name: str(value) for name, value in ride.items() if value is not None}
@@ -68,7 +71,8 @@ def ask_outlook(
     parse_leg(given)
     if not 0.0 < timeout_s <= LONGEST_S:
         raise SettingsError(f"--timeout-s is {timeout_s:g}, must be above 0 and at most {LONGEST_S:g} s")
-    with Node(Connection((connect,), prefix=prefix, config=config)) as node:
+    joined = Connection((connect,) if connect else (), mode="client", prefix=prefix, config=config)
+    with Node(joined) as node:
         answer = query_outlook(node, vehicle, given, payload, timeout_s)
     try:
         outlook = msgspec.json.decode(answer, type=Outlook)

@@ -42,6 +42,10 @@ def replay(
     connect: Annotated[
         str | None, typer.Option(metavar="E", help="Publish to the router at E, such as tcp/127.0.0.1:7447.")
     ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="F.json5", help="Publish with Zenoh's own configuration, such as taxi-1.json5."),
+    ] = None,
     in_process: Annotated[bool, typer.Option("--in-process", help="Run the model here. [default]")] = False,
     options: ForecastOptions,
     longest_gap: Annotated[
@@ -57,7 +61,7 @@ def replay(
     In this process they run through the same loop as live telemetry. The tables at the end compare predicted with
     measured energy, several models with each other, and forecasts of each shift's end with its outcome.
 
-    With --connect the recordings are published, and the listeners at the router make the forecasts.
+    With --connect or --config the recordings are published, and the listeners at the router make the forecasts.
 
     Examples
     --------
@@ -66,20 +70,22 @@ def replay(
     socast replay recordings/shift.mcap --connect tcp/127.0.0.1:7447 --speed 60
     """
     local = (in_process, out, json_file, options.models, options.effect_files, options.warm_up, options.elevation)
-    if connect and (any(local) or options.settings != Settings()):
+    publishes = bool(connect or config)
+    if publishes and (any(local) or options.settings != Settings()):
         raise SettingsError(
-            "--connect only publishes and makes no forecasts; leave out --in-process, --out, --json, --model, "
-            "--effects, --warm-up, --elevation and the settings of cleaning"
+            f"{'--connect' if connect else '--config'} only publishes and makes no forecasts; leave out --in-process, "
+            "--out, --json, --model, --effects, --warm-up, --elevation and the settings of cleaning"
         )
     prefix = parse_prefix(options.prefix)
-    rate = parse_speed(pace or ("1" if connect else "max"))
+    rate = parse_speed(pace or ("1" if publishes else "max"))
     sources = open_recordings(recordings)
     check_outputs([*recordings, *options.files], out, json_file)
     with stop_on_signals() as stop:
         source = stop_source(pace_source(merge_sources(sources), rate, longest_gap_s=longest_gap), stop)
-        if connect:
-            with Node(Connection(connect=(connect,))) as node:
-                _publish(source, ZenohSink(node, prefix), sources, stop, connect)
+        if publishes:
+            joined = Connection((connect,) if connect else (), mode="client", config=config)
+            with Node(joined) as node:
+                _publish(source, ZenohSink(node, prefix), sources, stop, connect or f"the router of {config}")
         else:
             _forecast(source, sources, rate, options, out, json_file)
     warn_of_losses(sources)

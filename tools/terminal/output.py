@@ -34,6 +34,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "info": 1,
     "quality": 1,
     "replay": 1,
+    "secure": 1,
     "tables": 1,
 }
 """Name -> format version of each JSON report.

@@ -1,0 +1,232 @@
+"""`socast secure`: certificates and access control, so that each node of a fleet says only what it may say."""
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.text import Text
+
+from core.errors import SettingsError
+from tools.security.access import CONSUMER
+from tools.security.certificates import Issued, now_utc
+from tools.security.folder import RENEW_DAYS, ROUTER, SecureFolder, shorten_name
+from tools.security.zenoh_settings import PORT
+from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from tools.terminal.rich_table import Column, make_table
+
+DAYS = 365.0
+"""Default validity of certificates. [d]"""
+
+app = typer.Typer(help="Certificates and access control of a fleet.", no_args_is_help=True)
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder that `socast secure init` made.")]
+Names = Annotated[
+    list[str] | None, typer.Argument(metavar="NAME...", help="Cars, or router, consumer, dispatch or weather.")
+]
+Cars = Annotated[list[str] | None, typer.Option("--car", metavar="ID", help="Identifier of a car; repeatable.")]
+CarFile = Annotated[
+    Path | None, typer.Option("--cars", metavar="FILE", help="File with one identifier of a car a line.")
+]
+AuthorityKey = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Private key of the authority. [default: DIR/authority/authority.key]"),
+]
+
+
+@app.command("init")
+def initialise(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder.")],
+    router: Annotated[
+        list[str] | None,
+        typer.Option(metavar="HOST", help="Name or address by which clients reach the router; repeatable."),
+    ] = None,
+    port: Annotated[int, typer.Option(min=1, max=65535, metavar="N", help="TCP port of the router.")] = PORT,
+    car: Cars = None,
+    car_file: CarFile = None,
+    prefix: Annotated[str, typer.Option(metavar="P", help="Key chunks before `fleet`, such as montreal.")] = "",
+    days: Annotated[float, typer.Option(min=1.0, max=3650.0, metavar="N", help="Validity of certificates.")] = DAYS,
+) -> None:
+    """Make a certificate authority, and a configuration with mutual TLS for each node of a fleet.
+
+    The router then accepts nobody without a certificate of this authority. A car publishes under its own key only, the
+    consumer alone publishes forecasts, and dispatch alone publishes rides and plans and asks for outlooks.
+
+    Each configuration is one file that holds its certificate and its private key. Copy it to its machine over a safe
+    channel, and keep it secret there. Without --router, the router is reached on this machine only.
+
+    Examples
+    --------
+    socast secure init fleet-keys --router router.example --car taxi-001 --car taxi-002
+    socast secure init fleet-keys --router router.example --router 10.0.0.5 --cars cars.txt --prefix montreal
+    """
+    hosts = router or ["localhost", "127.0.0.1"]
+    made = SecureFolder.create(folder, hosts, read_cars(car, car_file), port=port, prefix=prefix, days=days)
+    console = make_console()
+    number = len(made.list_certificates())
+    option = f" --prefix {made.prefix.rstrip('/')}" if made.prefix else ""
+    lines = (
+        f"{folder} holds an authority, {number} certificates and a configuration for each, valid for {days:g} days.",
+        f"Start the router:    zenohd --config {made.locate(ROUTER)}",
+        f"and the consumer:    socast live --config {made.locate(CONSUMER)}{option}",
+        f"or both in one:      socast live --config {made.locate(ROUTER)}{option}",
+        f"Then move {folder / 'authority' / 'authority.key'} to a place that is offline.",
+    )
+    console.print("\n".join(lines), markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command("add")
+def add_cars(folder: Folder, car: Cars = None, car_file: CarFile = None, authority_key: AuthorityKey = None) -> None:
+    """Make certificates and configurations of more cars; the router accepts them once it has started again.
+
+    Examples
+    --------
+    socast secure add fleet-keys --car taxi-003
+    socast secure add fleet-keys --cars new.txt --authority-key /media/vault/authority.key
+    """
+    cars = read_cars(car, car_file)
+    if not cars:
+        raise SettingsError("no car is given; name one with --car ID, or a file of names with --cars FILE")
+    made = SecureFolder(folder, authority_key)
+    made.add(cars)
+    _advise(made, "added", cars)
+
+
+@app.command("list")
+def list_certificates(folder: Folder, json_file: JsonFile = None) -> None:
+    """List the certificates in force and when they expire.
+
+    Examples
+    --------
+    socast secure list fleet-keys
+    socast secure list fleet-keys --json - | jq '.certificates[] | select(.days_left < 30)'
+    """
+    check_outputs([], json_file)
+    now = now_utc()
+    found = SecureFolder(folder).list_certificates()
+    records = make_records(found, now)
+    write_json(json_file, "secure", {"certificates": records})
+    columns = [Column("name"), Column("issue", number=True), Column("valid until"), Column("days left", number=True)]
+    table = make_table([*columns, Column("")], f"Certificates in {folder}")
+    for record, each in zip(records, found, strict=True):
+        left = record["days_left"]
+        state, style = ("expired", "bold red") if left <= 0 else ("renew it", "yellow") if record["due"] else ("", "")
+        table.add_row(record["name"], str(each.issue), f"{each.ends:%Y-%m-%d}", f"{left:.0f}", Text(state, style))
+    console = make_console(json_file)
+    console.print(table)
+    if any(record["due"] for record in records):
+        console.print(f"renew with: socast secure renew {folder}", markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command("renew")
+def renew_certificates(
+    folder: Folder,
+    names: Names = None,
+    revoke: Annotated[
+        bool, typer.Option("--revoke", help="Refuse the former certificates from now on, because a key was stolen.")
+    ] = False,
+    authority_key: AuthorityKey = None,
+) -> None:
+    """Issue new keys and certificates: for names, or for all that expire within 30 days.
+
+    The former certificate stays in force until it expires, so that the nodes change one after another. A replaced file
+    goes to DIR/former.
+
+    Examples
+    --------
+    socast secure renew fleet-keys
+    socast secure renew fleet-keys taxi-002 --revoke
+    """
+    if revoke and not names:
+        raise SettingsError("--revoke needs the names whose keys were stolen: socast secure renew DIR NAME... --revoke")
+    made = SecureFolder(folder, authority_key)
+    renewed = made.renew(names or [], revoke=revoke)
+    if renewed:
+        _advise(made, "renewed", renewed)
+    else:
+        make_console().print(f"nothing expires within {RENEW_DAYS:g} days", highlight=False)
+
+
+@app.command("revoke")
+def revoke_certificates(folder: Folder, names: Names = None) -> None:
+    """Let the router accept nothing more from nodes, such as a car that left the fleet.
+
+    Examples
+    --------
+    socast secure revoke fleet-keys taxi-002
+    """
+    if not names:
+        raise SettingsError("no name is given; `socast secure list DIR` shows them")
+    made = SecureFolder(folder)
+    made.revoke(names)
+    _advise(made, "revoked", names, moved=True)
+
+
+def read_cars(cars: Sequence[str] | None, file: Path | None) -> list[str]:
+    """Return the identifiers of cars from options and from a file.
+
+    Parameters
+    ----------
+    cars : sequence of str, optional
+        Values of `--car`.
+    file : Path, optional
+        File with one identifier a line; blank lines and text after `#` do not count.
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    SettingsError
+        If the file cannot be read.
+    """
+    lines: list[str] = []
+    if file is not None:
+        try:
+            lines = file.read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise SettingsError(f"{file} cannot be read: {error}; give a text file with one car a line") from error
+    return [*(cars or []), *filter(None, (line.partition("#")[0].strip() for line in lines))]
+
+
+def make_records(certificates: Sequence[Issued], now: datetime) -> list[dict[str, Any]]:
+    """Return certificates as records for JSON.
+
+    Parameters
+    ----------
+    certificates : sequence of Issued
+        Certificates; of one name, the newest comes last.
+    now : datetime
+        Time with its time zone.
+
+    Returns
+    -------
+    list of dict
+        `due` is true for the newest certificate of a name if it is to be renewed.
+    """
+    newest = {each.name: each.issue for each in certificates}
+    return [
+        {
+            "name": shorten_name(each.name),
+            "issue": each.issue,
+            "common_name": each.common_name,
+            "valid_from": each.begins.isoformat(),
+            "valid_until": each.ends.isoformat(),
+            "days_left": round(each.days_left(now), 2),
+            "due": each.issue == newest[each.name] and each.days_left(now) < RENEW_DAYS,
+            "hosts": list(each.hosts),
+        }
+        for each in certificates
+    ]
+
+
+def _advise(folder: SecureFolder, done: str, names: Sequence[str], *, moved: bool = False) -> None:
+    """Print what was done, and what is to be done next."""
+    console = make_console()
+    shown = ", ".join(map(shorten_name, names))
+    console.print(f"{done}: {shown}", markup=False, highlight=False, soft_wrap=True)
+    copies = "" if moved else "copy the new configurations to their machines, and "
+    text = f"Now {copies}start the router again with the changed {folder.locate(ROUTER)}."
+    console.print(text, markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,150 @@
+"""What each identity of a fleet may say and read, and the access control of the router that enforces it.
+
+Notes
+-----
+The module allows for this observed behaviour of zenoh 1.10:
+
+- A rule permits a message only if one of its key expressions includes that of the message. `**` includes no chunk that
+  begins with `@`. Advanced publishers and subscribers use keys under `{key}/@adv`, which need rules of their own.
+- The router filters what it receives (ingress) and what it sends (egress). It does so for every transport, and not for
+  the session of its own process.
+- A declaration that reaches another node shows the key of its sender. The key of a publisher's cache contains the
+  sender's Zenoh identifier. The router therefore shows caches only to those who may read them.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+CONSUMER: Final = "socast consumer"
+"""Name of the identity that forecasts; the blank keeps it apart from any car."""
+DISPATCH: Final = "socast dispatch"
+"""Name of the identity that plans."""
+WEATHER: Final = "socast weather"
+"""Name of the identity that observes the weather."""
+
+
+@dataclass(frozen=True)
+class Access:
+    """State what an identity may say and read, as key expressions without the prefix of the fleet.
+
+    Parameters
+    ----------
+    puts : tuple of str
+        Keys that it publishes, with the cache and the token of an advanced publisher.
+    reads : tuple of str
+        Keys that it subscribes to, with the history and the recovery of an advanced subscriber.
+    answers : tuple of str
+        Keys of queries that it answers.
+    asks : tuple of str
+        Keys that it queries.
+    """
+
+    puts: tuple[str, ...] = ()
+    reads: tuple[str, ...] = ()
+    answers: tuple[str, ...] = ()
+    asks: tuple[str, ...] = ()
+
+
+SERVICES: Final[Mapping[str, Access]] = {
+    CONSUMER: Access(
+        puts=("fleet/*/forecast", "models/**", "findings/**", "socast/**"),
+        reads=("fleet/**", "weather/**", "socast/**"),
+        answers=("fleet/*/outlook",),
+    ),
+    DISPATCH: Access(
+        puts=("fleet/*/ride", "fleet/*/plan"),
+        reads=("fleet/*/forecast", "models/**", "findings/**"),
+        asks=("fleet/*/outlook",),
+    ),
+    WEATHER: Access(puts=("weather/*",)),
+}
+"""Name -> access of every identity that is not a car.
+
+Several consumers agree under `socast/**` which one of them publishes.
+"""
+
+
+def make_car_access(car: str) -> Access:
+    """Return what a car may say and read: its own telemetry, and what others say of it.
+
+    Parameters
+    ----------
+    car : str
+        Identifier of the car.
+    """
+    return Access(
+        puts=(f"fleet/{car}/telemetry", f"fleet/{car}/vehicle"),
+        reads=(f"fleet/{car}/forecast", f"fleet/{car}/plan", f"fleet/{car}/ride"),
+    )
+
+
+def make_access_control(identities: Iterable[tuple[str, Sequence[str]]], prefix: str = "") -> dict[str, Any]:
+    """Return the setting `access_control` of the router, which denies whatever no rule allows.
+
+    Parameters
+    ----------
+    identities : iterable of tuple of (str, sequence of str)
+        Name of each identity, and the common names of its certificates. Any other name than those of `SERVICES` is a
+        car.
+    prefix : str
+        Key chunks before `fleet`, with a slash at the end; empty without any.
+
+    Returns
+    -------
+    dict
+    """
+    rules: list[dict[str, Any]] = []
+    subjects: list[dict[str, Any]] = []
+    policies: list[dict[str, Any]] = []
+    for name, common_names in identities:
+        access = SERVICES.get(name) or make_car_access(name)
+        made = list(_make_rules(name, access, prefix))
+        rules += made
+        subjects.append({"id": name, "cert_common_names": list(common_names)})
+        policies.append({"rules": [rule["id"] for rule in made], "subjects": [name]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _make_rules(name: str, access: Access, prefix: str) -> Iterable[dict[str, Any]]:
+    """Yield the rules of an identity: what the router takes from it, and what the router sends to it."""
+    puts, reads, answers, asks = (
+        [prefix + key for key in keys] for keys in (access.puts, access.reads, access.answers, access.asks)
+    )
+    puts_advanced, reads_advanced = ([f"{key}/@adv/**" for key in keys] for keys in (puts, reads))
+    subscriptions = ["**", "**/@adv/**"] if puts else []
+    rules = {
+        "ingress": {
+            ("put",): puts + puts_advanced,
+            ("liveliness_token",): puts_advanced,
+            ("declare_queryable",): puts_advanced + answers,
+            ("reply",): puts + puts_advanced + answers,
+            ("declare_subscriber",): reads + reads_advanced,
+            ("declare_liveliness_subscriber", "liveliness_query"): reads_advanced,
+            ("query",): reads_advanced + asks,
+        },
+        "egress": {
+            ("put",): reads + reads_advanced,
+            ("liveliness_token",): reads_advanced,
+            ("declare_queryable",): reads_advanced + asks,
+            ("reply",): reads + reads_advanced + asks,
+            ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"): subscriptions,
+            ("query",): [f"{prefix}**/@adv/**"] * bool(puts) + answers,
+        },
+    }
+    for flow, of_flow in rules.items():
+        for messages, keys in of_flow.items():
+            if keys:
+                yield {
+                    "id": f"{name}: {flow} {messages[0]}",
+                    "messages": list(messages),
+                    "flows": [flow],
+                    "permission": "allow",
+                    "key_exprs": keys,
+                }

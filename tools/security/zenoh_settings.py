@@ -1,0 +1,103 @@
+"""Complete configurations of Zenoh nodes with mutual TLS, each in one file that holds its own certificate and key."""
+
+from base64 import b64encode
+from collections.abc import Sequence
+from typing import Any, Final
+
+from tools.security.certificates import Credential
+
+PORT: Final = 7447
+"""Default port of a Zenoh router."""
+LARGEST_MESSAGE: Final = 16 * 2**20
+"""Size above which the router drops a message. [bytes]"""
+
+
+def make_router_settings(
+    credential: Credential, authority: str, port: int, access_control: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the configuration of the router, for `zenohd` or for `socast live` with its embedded router.
+
+    Parameters
+    ----------
+    credential : Credential
+        Certificate and key of the router.
+    authority : str
+        PEM certificate of the authority.
+    port : int
+        TCP port at which it listens on all interfaces.
+    access_control : dict
+        Rules, see `tools.security.access`.
+
+    Returns
+    -------
+    dict
+    """
+    settings = _make_settings("router", make_tls("listen", credential, authority))
+    settings["listen"] = {"endpoints": [f"tls/0.0.0.0:{port}"]}
+    settings["adminspace"] = {"enabled": False}
+    settings["transport"]["link"]["rx"] = {"max_message_size": LARGEST_MESSAGE}
+    return settings | {"access_control": access_control}
+
+
+def make_client_settings(credential: Credential, authority: str, hosts: Sequence[str], port: int) -> dict[str, Any]:
+    """Return the configuration of a client of the router.
+
+    Parameters
+    ----------
+    credential : Credential
+        Certificate and key of the client.
+    authority : str
+        PEM certificate of the authority.
+    hosts : sequence of str
+        Names and addresses of the router; the client joins the first that answers.
+    port : int
+        TCP port of the router.
+
+    Returns
+    -------
+    dict
+    """
+    settings = _make_settings("client", make_tls("connect", credential, authority))
+    ends = [f"tls/[{host}]:{port}" if ":" in host else f"tls/{host}:{port}" for host in hosts]
+    return settings | {"connect": {"endpoints": ends}}
+
+
+def make_tls(side: str, credential: Credential, authority: str) -> dict[str, Any]:
+    """Return the setting `transport/link/tls`.
+
+    Parameters
+    ----------
+    side : str
+        `listen` or `connect`.
+    credential : Credential
+        Certificate and key of the node.
+    authority : str
+        PEM certificate of the authority.
+
+    Returns
+    -------
+    dict
+    """
+    return {
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+        "root_ca_certificate_base64": _encode(authority),
+        f"{side}_certificate_base64": _encode(credential.certificate),
+        f"{side}_private_key_base64": _encode(credential.key),
+    }
+
+
+def _make_settings(mode: str, tls: dict[str, Any]) -> dict[str, Any]:
+    """Return what all nodes have in common: only TLS, no discovery, and no time stamps on samples of others."""
+    return {
+        "mode": mode,
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "timestamping": {"enabled": False},
+        "transport": {"link": {"protocols": ["tls"], "tls": tls}},
+    }
+
+
+def _encode(text: str) -> str:
+    """Return text in base64."""
+    return b64encode(text.encode()).decode()
