@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple, get_args, get_origin
+from typing import Any, Final, Literal, NamedTuple, get_args, get_origin
 
 import typer
 from markdown_text import code, paragraphs, plain, table
@@ -89,6 +89,8 @@ def _takes(parameter: Any) -> str:
     if getattr(parameter, "is_flag", False):
         return "switch"
     kind = parameter.type_descriptor.annotation
+    if get_origin(kind) is Literal:
+        return " or ".join(map(code, get_args(kind)))
     several = get_origin(kind) is list
     words = TYPES[get_args(kind)[0] if several else kind]
     low, high = getattr(parameter, "min", None), getattr(parameter, "max", None)

@@ -10,6 +10,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from core.errors import SettingsError
 from stream.metrics import BUILD, LAG, LOOP_AGE, METRICS, READY, list_metric_names, make_registry
 from stream.service_snapshot import LAG_BUCKETS, LagCounts, ServiceSnapshot
+from tests.support.paths import ROOT
 from tests.support.service import FULL, read_metrics
 
 NOW = 101.5
@@ -94,3 +95,13 @@ def test_missing_package_is_one_line_with_its_remedy(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", refuse)
     with pytest.raises(SettingsError, match=r"install it with: pip install 'socast\[service\]'"):
         export(None)
+
+
+def test_guide_describes_every_metric():
+    guide = (ROOT / "docs" / "guide" / "operate.md").read_text()
+    for row in METRICS:
+        labels = f"{{{', '.join(row.labels)}}}" if row.labels else ""
+        meaning = row.meaning[0].lower() + row.meaning[1:].rstrip(".")
+        assert f"| `{row.exported}{labels}` | {meaning} |" in guide, row.name
+    for name in (LAG, READY, LOOP_AGE, BUILD):
+        assert name in guide
