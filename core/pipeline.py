@@ -3,7 +3,7 @@
 Live operation, replay, training and tests run the same steps.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Final
@@ -21,7 +21,7 @@ from core.columns import JOULES_PER_KWH
 from core.errors import AskError, SettingsError
 from core.forecast.day_rollover import DailyUpdate, DayRollover
 from core.forecast.due_forecasts import DueForecasts
-from core.forecast.engine import ForecastEngine, PendingInput
+from core.forecast.engine import DueInput, ForecastEngine, PendingInput
 from core.forecast.messages import build_forecasts
 from core.forecast.newest_plans import NewestPlans
 from core.forecast.plan_tracker import DriverNamed, PlanArrival
@@ -44,10 +44,10 @@ from core.totals.deferred_rows import DeferredRows
 from core.totals.display_yield import DisplayYields
 from core.totals.run_counters import RunCounters
 from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
-from core.vehicles.fleet import Cars
+from core.vehicles.fleet import Cars, ReplacedKind
 from core.wire.decoder import Decoder
 from core.wire.duplicate_filter import DuplicateFilter
-from core.wire.message_order import MessageOrder, Piece
+from core.wire.message_order import MessageOrder, Piece, VehicleChange
 from core.wire.messages import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
 from core.wire.rides import RideDrivers
 
@@ -165,21 +165,20 @@ class Pipeline:
         self._forget_ride_names()
         batch, events = self.decoder.decode(messages)
         events = self.day_rollover.add_updates(batch, events)
-        order, piece = MessageOrder(batch.size, events), Piece(0, [], [])
+        order, piece = MessageOrder(batch.size, events), Piece(0, [], [], [])
         for number, (row, lane, value) in enumerate(events):
             place = order.of_event(number)
             if isinstance(value, Vehicle):
-                if self._matters(lane, batch.lane[:row]) and (piece.changes or not self.cars.is_one(lane, value)):
-                    piece = self._advance(batch, order, piece, row)
-                    self._update_forecasts(place)
-                piece.changes.append((row - piece.start, lane, value))
+                piece.changes.append(VehicleChange(row - piece.start, lane, value, place))
             elif isinstance(value, Ride):
                 piece.ride_events.append((row, lane, place, *self._take_ride(place, lane, value)))
             elif isinstance(value, Plan):
                 self._take_plan(place, lane, value)
-            elif isinstance(value, Weather | DailyUpdate):  # it applies to every later row
+            elif isinstance(value, Weather):
+                piece.observations.append((row, value))
+            elif isinstance(value, DailyUpdate):  # it applies to every later row
                 piece = self._advance(batch, order, piece, row)
-                self._take_weather_or_daily_update(place, value)
+                self._take_daily_update(place)
         self._advance(batch, order, piece, batch.size)
         if self._pending.size >= BLOCK:
             self._update_forecasts(order.size)
@@ -194,7 +193,7 @@ class Pipeline:
             self._take_released(self.deferred, self.deferred.close())
         self._take_closed(sums := self.displays.attach(self.accumulator.close(), len(self.lanes)))
         if self.keep_forecasts:
-            self.engine.process(sums, [], [])
+            self.engine.process(DueInput(sums))
             self.engine.finish()
         if self.shadows:
             self.shadows.close()
@@ -203,13 +202,19 @@ class Pipeline:
     def _advance(self, batch: Batch, order: MessageOrder, piece: Piece, stop: int) -> Piece:
         """Run the steps on the rows of a piece, a block at a time; return the empty piece after it."""
         start, ride_events = piece.start, np.array(piece.ride_events, RIDE_EVENT)
-        kind = self.cars.kinds(batch.lane[start:stop], piece.changes, len(self.lanes))
+        replaced, observed = list[ReplacedKind](), deque(piece.observations)
+        kind = self.cars.kinds(batch.lane[start:stop], piece.changes, len(self.lanes), replaced)
+        self._pending.add_replaced(replaced)
         for at in range(start, stop + 1 if stop == start and len(ride_events) else stop, BLOCK):
             end = min(at + BLOCK, stop)
             now = ride_events[: np.searchsorted(ride_events["row"], end, side="right")]
             ride_events = ride_events[len(now) :]
             now["row"] -= at
-            rows = self.clean_up(batch.rows(at, end), kind[at - start : end - start], order.of_rows[at:end], now)
+            seen = []
+            while observed and observed[0][0] < end:
+                row, value = observed.popleft()
+                seen.append((row - at, value))
+            rows = self.clean_up(batch.rows(at, end), kind[at - start : end - start], order.of_rows[at:end], now, seen)
             if self.deferred is not None:
                 self._take_released(self.deferred, self.deferred.add(rows))
                 continue
@@ -218,10 +223,17 @@ class Pipeline:
                 self._pending.add_sums(sums, end - at)
                 if self._pending.size >= BLOCK:
                     self._update_forecasts(order.of_row(end))
-        return Piece(stop, [], [])
+        for _, value in observed:
+            self.decoder.refuse("weather", "out_of_range", number=not self.stations.observe(value))
+        return Piece(stop, [], [], [])
 
     def clean_up(
-        self, batch: Batch, kind: Ints, place: Ints | None = None, ride_events: NDArray[np.void] = NO_RIDE_EVENTS
+        self,
+        batch: Batch,
+        kind: Ints,
+        place: Ints | None = None,
+        ride_events: NDArray[np.void] = NO_RIDE_EVENTS,
+        observations: Sequence[tuple[int, Weather]] = (),
     ) -> CleanRows:
         """Clean samples and look up their weather.
 
@@ -235,11 +247,14 @@ class Pipeline:
             Place of each row among the messages of the batch; its number without it.
         ride_events : (events,) RIDE_EVENT
             Beginnings and ends of rides from dispatch, between the rows.
+        observations : sequence of (row, Weather)
+            Observations of the weather, each with the row before which it came.
         """
         place = np.arange(batch.size) if place is None else place
         capacity, lanes = self.cars.capacity.take(kind) * JOULES_PER_KWH, len(self.lanes)
         clean, ends = self.cleaner.clean_between(batch, lanes, place, ride_events, capacity)
-        sky = self.stations.sky(clean.time, clean.latitude, clean.longitude)
+        sky, ignored = self.stations.sky_between(clean.time, clean.latitude, clean.longitude, observations)
+        self.decoder.refuse("weather", "out_of_range", number=ignored)
         clean = clean._replace(quality=flag_ambient(clean, sky))
         self.counters.count_samples(clean.quality)
         return CleanRows(clean, sky, kind, place, ends)
@@ -272,31 +287,21 @@ class Pipeline:
         """Update filters, plans and forecasts by the messages up to the place `end`; between batches, by all."""
         if not self._pending:
             return
-        sums, plans, drivers = self._pending.take(end)
-        rows = self.engine.process(sums, plans, drivers)
-        if len(sums.running.lane):
-            self._due.add(sums.running, rows)
+        due = self._pending.take(end)
+        rows, running = self.engine.process(due), due.sums.running
+        if len(running.lane):
+            self._due.add(running, rows)
             if self.keep_outlooks:
-                self._published.append(PublishedForecasts.create(sums.running, rows))
+                self._published.append(PublishedForecasts.create(running, rows))
         if not self.keep_outlooks:
             self.engine.take_shifts()
 
-    def _matters(self, lane: int, before: Ints) -> bool:
-        """Return whether forecasts depend on anything received of a car so far, including this batch."""
-        if not self.keep_forecasts:
-            return False
-        planned = lane in self._pending.lanes or lane in self.engine.plans.plans
-        return bool(self.cleaner.heard(lane) or planned or (before == lane).any())
-
-    def _take_weather_or_daily_update(self, place: int, value: Weather | DailyUpdate) -> None:
-        """Take a weather observation, or run the daily update, at a place in the batch."""
-        if isinstance(value, DailyUpdate):
-            self._update_forecasts(place)
-            pool = partial(self.deferred.add_daily_update, place) if self.deferred else self.displays.apply_daily_update
-            pool(self.cars.of_lane)
-            self.engine.apply_daily_update()
-        elif not self.stations.observe(value):
-            self.decoder.refuse("weather", "out_of_range")
+    def _take_daily_update(self, place: int) -> None:
+        """Run the daily update at a place in the batch."""
+        self._update_forecasts(place)
+        pool = partial(self.deferred.add_daily_update, place) if self.deferred else self.displays.apply_daily_update
+        pool(self.cars.of_lane)
+        self.engine.apply_daily_update()
 
     def _take_ride(self, place: int, lane: int, ride: Ride) -> tuple[float, float, bool]:
         """Take the driver of a ride; return the code of its name, when it begins or ends, and whether it ends."""

@@ -5,7 +5,9 @@ the day and applied by the daily update (`core.forecast.learning.fleet`). So for
 cut into batches, nor on which other cars sent samples a moment earlier.
 """
 
+from bisect import bisect_right
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -28,12 +30,14 @@ from core.forecast.forecast_rows import END_OF_SHIFT, ForecastRows, compute_fore
 from core.forecast.learning.car_driver import ShiftPattern, compute_driver_code
 from core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
 from core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord
+from core.forecast.learning.leg_energy import LegEnergyTables
 from core.forecast.outlook import compute_temperature_weights
 from core.forecast.plan_tracker import CUT_SHORT_MARGIN, DriverNamed, PlanArrival, PlanTracker
 from core.forecast.soc_filter import close_shift, filter_events
 from core.totals.accumulator import Sums, Totals, join_totals
 from core.totals.context import RunContext
 from core.totals.tables import model_columns
+from core.vehicles.fleet import UNKNOWN, Cars, ReplacedKind
 
 SHORT_SHIFT: Final = 0.5
 """A shorter shift does not update the consumption factors. [h]"""
@@ -43,8 +47,8 @@ _UNKNOWN_END: Final = np.array((np.nan, np.nan, np.nan, np.nan), END_OF_SHIFT)[(
 class PendingInput:
     """Collect totals and dispatch messages until it pays to compute forecasts.
 
-    Batches may be small, and weather observations cut them into pieces of a few rows. Forecasts do not depend on these
-    cuts, so the pieces are processed together. Messages are counted from the first pending batch.
+    Batches may be small. Forecasts do not depend on where they are cut, so they are processed together. Messages
+    are counted from the first pending batch.
 
     Parameters
     ----------
@@ -55,15 +59,14 @@ class PendingInput:
     ----------
     size : int
         Number of pending samples and dispatch messages.
-    lanes : set of int
-        Lanes with pending dispatch messages.
     """
 
     def __init__(self, none: Totals) -> None:
         self._none = none
         self._sums: list[Sums] = []
         self._dispatch: list[PlanArrival | DriverNamed] = []
-        self.size, self.lanes = 0, set[int]()
+        self._replaced: list[ReplacedKind] = []
+        self.size = 0
         self._before = 0  # messages of batches before the present one
 
     def __bool__(self) -> bool:
@@ -77,26 +80,74 @@ class PendingInput:
     def add_dispatch(self, message: PlanArrival | DriverNamed) -> None:
         """Add a plan or the name of a driver, in the order of their arrival."""
         self._dispatch.append(message._replace(at=self._before + message.at))
-        self.lanes.add(message.lane)
         self.size += 1
+
+    def add_replaced(self, kinds: Sequence[ReplacedKind]) -> None:
+        """Add the kinds of car that vehicle messages replaced, in the order of their arrival."""
+        self._replaced += [each._replace(at=self._before + each.at) for each in kinds]
 
     def end_batch(self, messages: int) -> None:
         """Mark the end of a batch with a number of messages."""
         self._before = self._before + messages if self else 0
+        if not self:
+            self._replaced = []
 
-    def take(self, end: int) -> tuple[Sums, list[PlanArrival], list[DriverNamed]]:
+    def take(self, end: int) -> "DueInput":
         """Return and drop all sums, joined, and the dispatch messages up to the place `end` in the batch."""
         sums, self._sums, self.size = self._sums, [], 0
         due = [each for each in self._dispatch if each.at <= self._before + end]
         self._dispatch = self._dispatch[len(due) :]
-        self.lanes = {each.lane for each in self._dispatch}
+        replaced, self._replaced = self._replaced, [each for each in self._replaced if each.at > self._before + end]
         plans = [each for each in due if isinstance(each, PlanArrival)]
         drivers = [each for each in due if isinstance(each, DriverNamed)]
         rides, idle, running = (
             join_totals([getattr(each, name) for each in sums], self._none)
             for name in ("rides", "idle_periods", "running")
         )
-        return Sums(rides, idle, self._none, running), plans, drivers
+        return DueInput(Sums(rides, idle, self._none, running), plans, drivers, replaced)
+
+
+class DueInput(NamedTuple):
+    """Hold totals and dispatch messages for which forecasts are to be computed.
+
+    Parameters
+    ----------
+    sums : Sums
+    arrivals : sequence of PlanArrival
+    drivers : sequence of DriverNamed
+    replaced : sequence of ReplacedKind
+        Kinds of car that vehicle messages replaced among these messages, and after them.
+    """
+
+    sums: Sums
+    arrivals: Sequence[PlanArrival] = ()
+    drivers: Sequence[DriverNamed] = ()
+    replaced: Sequence[ReplacedKind] = ()
+
+
+class KindHistory:
+    """Find the kind that a car was of at a place among the messages of a batch.
+
+    Parameters
+    ----------
+    cars : Cars
+    replaced : sequence of ReplacedKind
+        In the order of their places.
+    """
+
+    def __init__(self, cars: Cars, replaced: Sequence[ReplacedKind]) -> None:
+        self._of_lane = cars.of_lane
+        self._replaced: dict[int, list[ReplacedKind]] = {}
+        for each in replaced:
+            self._replaced.setdefault(each.lane, []).append(each)
+
+    def find(self, lane: int, at: int) -> int:
+        """Return the kind of the car of a lane at a place."""
+        later = self._replaced.get(lane, ())
+        first = bisect_right(later, at, key=attrgetter("at"))
+        if first < len(later):
+            return later[first].kind
+        return int(self._of_lane[lane]) if lane < len(self._of_lane) else UNKNOWN
 
 
 class _Evaluation(NamedTuple):
@@ -136,19 +187,9 @@ class ForecastEngine:
         self.ends = np.zeros(0, END_OF_SHIFT)
         self.closed: list[NDArray[np.void]] = []
 
-    def process(self, sums: Sums, arrivals: Sequence[PlanArrival], drivers: Sequence[DriverNamed]) -> ForecastRows:
-        """Process the totals and dispatch messages of a batch; return the forecasts at each of its running rows.
-
-        Parameters
-        ----------
-        sums : Sums
-        arrivals : sequence of PlanArrival
-        drivers : sequence of DriverNamed
-
-        Returns
-        -------
-        ForecastRows
-        """
+    def process(self, due: DueInput) -> ForecastRows:
+        """Process the totals and dispatch messages of a batch; return the forecasts at each of its running rows."""
+        sums, kinds = due.sums, KindHistory(self._cars, due.replaced)
         lanes = len(self.context.lanes)
         self._grow(lanes)
         parts = sums.rides, sums.idle_periods, sums.running
@@ -158,14 +199,18 @@ class ForecastEngine:
         of_rides, of_idle, of_running = np.split(predicted, ends[:-1])
         self.statistics.add_rides(sums.rides, of_rides)
         self.statistics.add_idle_periods(sums.idle_periods, of_idle)
-        events, at = self._build_events(whole, predicted, int(ends[1]), drivers)
+        events, at = self._build_events(whole, predicted, int(ends[1]), due.drivers)
         estimates, shifts = np.empty(len(events), SOC_ESTIMATE), np.empty(len(events), CLOSED_SHIFT)
         shifts = shifts[: filter_events(events, self.state, self.statistics.prior, estimates, shifts)]
         estimates = estimates[events["kind"] == RUNNING]
-        progress = self.plans.process(sums.running, sums.rides, arrivals, self.statistics.get_tables, lanes)
+
+        def get_tables(lane: int, at: int) -> LegEnergyTables | None:
+            return self.statistics.get_tables(lane, kinds.find(lane, at))
+
+        progress = self.plans.process(sums.running, sums.rides, due.arrivals, get_tables, lanes)
         rows = compute_forecast_rows(sums.running, of_running, estimates, progress, self.statistics, self._cars)
         self.ends[sums.running.lane] = rows.get_end_of_shift()
-        self._evaluate(sums.running, rows, shifts, at)
+        self._evaluate(sums.running, rows, shifts, at, kinds)
         return rows
 
     def _grow(self, lanes: int) -> None:
@@ -234,7 +279,9 @@ class ForecastEngine:
             event["kind"], event["lane"], event["driver"] = DRIVER_NAMED, named.lane, code
             event["driver_mean"], event["driver_variance"] = part.mean, part.variance
 
-    def _evaluate(self, running: Totals, rows: ForecastRows, shifts: NDArray[np.void], at: Ints) -> None:
+    def _evaluate(
+        self, running: Totals, rows: ForecastRows, shifts: NDArray[np.void], at: Ints, kinds: "KindHistory"
+    ) -> None:
         """Record forecasts, and evaluate those whose end has come, in the order of their places.
 
         `at` is the place of each event in the batch.
@@ -245,24 +292,24 @@ class ForecastEngine:
         lanes = np.union1d(lanes, shifts["lane"])
         due = np.flatnonzero(np.isin(running.lane, lanes)) if len(lanes) else lanes
         steps += [_Evaluation(place, True, i) for place, i in zip(running.at[due].tolist(), due.tolist(), strict=True)]
-        for _, of_forecast, i in sorted(steps):
+        for place, of_forecast, i in sorted(steps):
             if not of_forecast:
-                self._close_shift(shifts[i])
+                self._close_shift(shifts[i], kinds.find(int(shifts[i]["lane"]), place))
             elif self.log.is_due(lane := int(running.lane[i]), time[i], rows.raw_end_soc[i]):
                 now, charged = float(time[i]), float(rows.charged[i])
                 self.statistics.add_errors(self.log.evaluate_until(lane, now, float(rows.reported_soc[i]), charged))
                 self.log.record(lane, _create_record(now, rows, i))
 
-    def _close_shift(self, shift: NDArray[np.void]) -> None:
-        """Learn from a shift that has ended."""
+    def _close_shift(self, shift: NDArray[np.void], kind: int) -> None:
+        """Learn from a shift of a car of a kind that has ended."""
         lane, charged = int(shift["lane"]), float(shift["charged"])
         self.closed.append(shift.copy())
         self.statistics.add_errors(self.log.evaluate_shift(lane, float(shift["last_soc"]), charged))
-        capacity = float(self._cars.capacity[self._cars.of_lane[lane]])
+        capacity = float(self._cars.capacity[kind])
         used = (float(shift["begin_soc"]) - float(shift["last_soc"])) * capacity
         if shift["hours"] >= SHORT_SHIFT and np.isnan(charged) and np.isfinite(used):
             ambient = np.array([float(shift["warmth"] / shift["hours"])])
-            usual = self.statistics.compute_usual(self._cars.of_lane[[lane]], compute_temperature_weights(ambient))
+            usual = self.statistics.compute_usual(np.array([kind]), compute_temperature_weights(ambient))
             hours = (float(shift["end"]) - float(shift["begin"])) / 3600.0
             predicted = float(shift["predicted"])
             driver = int(shift["driver"]) if shift["driver"] >= 0.0 else None
@@ -293,7 +340,7 @@ class ForecastEngine:
         shifts = np.empty(1, CLOSED_SHIFT)
         for lane in open_lanes.tolist():
             close_shift(self.state[lane], 0, lane, shifts[0])
-            self._close_shift(shifts[0])
+            self._close_shift(shifts[0], int(self._cars.of_lane[lane]))
         self.state["shift"][open_lanes] = -1.0
         self.state["active"][open_lanes] = 0.0
 

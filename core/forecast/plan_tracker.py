@@ -32,8 +32,8 @@ CUT_SHORT_MARGIN: Final = 900.0
 
 _PLAN_CAME, _RIDE_ENDED, _ROW = range(3)  # kinds of steps, in the order in which they apply at the same place
 
-GetTables = Callable[[int], LegEnergyTables | None]
-"""Returns the tables of a lane's vehicle model."""
+GetTables = Callable[[int, int], LegEnergyTables | None]
+"""Returns the tables of the vehicle model that the car of a lane had at a place in the batch."""
 
 
 class PlanArrival(NamedTuple):
@@ -119,7 +119,7 @@ class PlanTracker:
             Rides that ended.
         arrivals : sequence of PlanArrival
         get_tables : callable
-            Returns the tables of a lane's vehicle model.
+            Returns the tables of the vehicle model that the car of a lane had at a place in the batch.
         lanes : int
             Number of lanes so far.
 
@@ -146,7 +146,7 @@ class PlanTracker:
                 driven = float(km[rows[-1]] if len(rows) else self._ride_km[lane])
                 plan = self.later[lane] if kind == _ROW else arrivals[i].plan
                 self._add_plan(lane, plan, float(time[i]) if kind == _ROW else plan.time_s, driven)
-            self.progress[lane] = self._compute_progress(lane, get_tables)
+            self.progress[lane] = self._compute_progress(lane, get_tables(lane, at))
             out[of_lane & (running.at >= at)] = self.progress[lane]
         now = running.lane[~over]
         self._ride_km[now], self._riding[now] = km[~over], running.ride[~over] >= 0
@@ -226,9 +226,9 @@ class PlanTracker:
             done = km >= SHORTEST_RIDE and time - active.plan.time_s >= PLAN_LAG
             self.plans[lane] = active._replace(done=active.done + done, driven_km=0.0)
 
-    def _compute_progress(self, lane: int, get_tables: GetTables) -> NDArray[np.void]:
+    def _compute_progress(self, lane: int, tables: LegEnergyTables | None) -> NDArray[np.void]:
         """Return the progress of a lane's plan; an empty one without a plan or without tables of the car."""
-        active, tables = self.plans.get(lane), get_tables(lane)
+        active = self.plans.get(lane)
         if active is None or tables is None:
             return np.zeros((), PLAN_PROGRESS)
         legs = active.legs or compute_planned_legs(active.plan, tables)

@@ -6,6 +6,7 @@ Each observation also holds the rain and the snow that earlier precipitation lef
 h' = p - h / τ, with precipitation p and time constant τ.
 """
 
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -181,6 +182,34 @@ class Stations:
             find_nearest_stations(time, latitude, longitude, *self._by_latitude, self._places, first, nearest)
             take_observations(time, nearest, self._times, self._counts, self._values, values)
         return Sky(*values)
+
+    def sky_between(
+        self, time: Floats, latitude: Floats, longitude: Floats, observations: Sequence[tuple[int, Weather]]
+    ) -> tuple[Sky, int]:
+        """Return the weather at rows, while observations arrive between them.
+
+        Parameters
+        ----------
+        time, latitude, longitude : (n,) float
+            As for `sky`.
+        observations : sequence of (row, Weather)
+            Observations in the order of their arrival, each with the row before which it came.
+
+        Returns
+        -------
+        Sky of n rows
+            Weather at each row.
+        int
+            Number of observations that were ignored, see `observe`.
+        """
+        if not observations:
+            return self.sky(time, latitude, longitude), 0
+        parts, start, ignored = [], 0, 0
+        for row, message in observations:
+            parts.append(self.sky(time[start:row], latitude[start:row], longitude[start:row]))
+            start, ignored = row, ignored + (not self.observe(message))
+        parts.append(self.sky(time[start:], latitude[start:], longitude[start:]))
+        return Sky(*(np.concatenate(columns) for columns in zip(*parts, strict=True))), ignored
 
     def _find_row(self, name: str) -> int:
         """Return the row of a station, a new one for a station not known so far."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from core.batch import Floats, Ints, grown
 from core.vehicles.catalogue import VehicleModel, vehicle_model
+from core.wire.message_order import VehicleChange
 from core.wire.messages import Vehicle
 
 UNKNOWN: Final = 0
@@ -43,21 +44,11 @@ class CarParameters(NamedTuple):
     accessory_scale: Floats
 
 
-class Change(NamedTuple):
-    """State that a car is of a kind from a row of the batch on.
+class ReplacedKind(NamedTuple):
+    """Hold the kind that the car of a lane was of up to a place among the messages."""
 
-    Parameters
-    ----------
-    lane : int
-        Lane of the car.
-    row : int
-        First row of the batch to which the change applies.
-    kind : int
-        Kind of the car from then on.
-    """
-
+    at: int
     lane: int
-    row: int
     kind: int
 
 
@@ -117,30 +108,21 @@ class Cars:
         """
         return CarParameters(*self.parameters.take(kinds, axis=0).T)
 
-    def is_one(self, lane: int, message: Vehicle) -> bool:
-        """Return whether a message describes a car as it is already known.
-
-        Parameters
-        ----------
-        lane : int
-            Lane of the car.
-        message : Vehicle
-            Message of the car.
-        """
-        kind = int(self.of_lane[lane]) if lane < len(self.of_lane) else UNKNOWN
-        return self.messages[kind] == _strip_identity(message)
-
-    def kinds(self, lane: Ints, changes: Sequence[tuple[int, int, Vehicle]], lanes: int) -> Ints:
+    def kinds(
+        self, lane: Ints, changes: Sequence[VehicleChange], lanes: int, replaced: list[ReplacedKind] | None = None
+    ) -> Ints:
         """Apply vehicle messages, and return the kind of car of each row.
 
         Parameters
         ----------
         lane : (n,) int
             Lane of each row.
-        changes : sequence of (row, lane, Vehicle)
-            Vehicle messages, each with the row before which it came and the lane of its car.
+        changes : sequence of VehicleChange
+            Vehicle messages in the order of their arrival.
         lanes : int
             Number of lanes so far.
+        replaced : list of ReplacedKind, optional
+            Receives the kinds that messages replaced, in their order.
 
         Returns
         -------
@@ -151,16 +133,17 @@ class Cars:
         before = self.of_lane.take(lane)
         if not changes:
             return before
-        reported = [Change(who, row, self._find_kind(message)) for row, who, message in changes]
-        self.unpredictable.update(why for change in reported if (why := self._reasons[change.kind]) is not None)
-        for change in reported:
-            self.of_lane[change.lane] = change.kind
-        reported.sort(key=lambda change: change[:2])
-        span = len(lane) + 1
-        keys = np.array([change.lane * span + change.row for change in reported])
-        last = np.searchsorted(keys, lane * span + np.arange(len(lane)), side="right") - 1
-        applies = (last >= 0) & (keys[last] // span == lane)
-        return np.where(applies, np.array([change.kind for change in reported])[last], before)
+        applied: list[tuple[int, int, int]] = []
+        for row, who, message, place in changes:
+            kind, known = self._find_kind(message), int(self.of_lane[who])
+            if (why := self._reasons[kind]) is not None:
+                self.unpredictable[why] += 1
+            if kind != known:
+                self.of_lane[who] = kind
+                applied.append((who, row, kind))
+                if replaced is not None:
+                    replaced.append(ReplacedKind(place, who, known))
+        return _apply_changes(before, lane, applied) if applied else before
 
     def _find_kind(self, message: Vehicle) -> int:
         """Return the kind that a message describes, and add it if it is new."""
@@ -195,6 +178,16 @@ class Cars:
             self._find_kind(msgspec.convert(message, Vehicle))
         self.of_lane = np.array(state[1], np.int64)
         self.unpredictable = Counter(state[2])
+
+
+def _apply_changes(before: Ints, lane: Ints, applied: list[tuple[int, int, int]]) -> Ints:
+    """Return the kind of each row after changes, each (lane, row, kind) in the order of their arrival."""
+    applied.sort(key=lambda change: change[:2])
+    span = len(lane) + 1
+    keys = np.array([who * span + row for who, row, _ in applied])
+    last = np.searchsorted(keys, lane * span + np.arange(len(lane)), side="right") - 1
+    applies = (last >= 0) & (keys[last] // span == lane)
+    return np.where(applies, np.array([kind for *_, kind in applied])[last], before)
 
 
 def _strip_identity(message: Vehicle) -> Vehicle:

@@ -113,18 +113,21 @@ class Decoder:
         self.received, self.rejected = Counter(received), Counter(rejected)
         self._lane_of_key.clear()
 
-    def refuse(self, kind: str, cause: str) -> None:
-        """Count a message as rejected that had been counted as received.
+    def refuse(self, kind: str, cause: str, *, number: int = 1) -> None:
+        """Count messages as rejected that had been counted as received.
 
         Parameters
         ----------
         kind : str
-            Kind of the message, such as `weather`.
+            Kind of the messages, such as `weather`.
         cause : str
             Cause of the rejection.
+        number : int
+            Number of messages.
         """
-        self.received[kind] -= 1
-        self.rejected[cause] += 1
+        if number:
+            self.received[kind] -= number
+            self.rejected[cause] += number
 
     def _decode_block(self, block: Sequence[Message], events: list[Event], rows: int) -> Floats:
         """Decode a block, with a shortcut for the most frequent message: one valid sample of a known vehicle."""

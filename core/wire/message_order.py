@@ -6,7 +6,28 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from core.wire.decoder import Event
-from core.wire.messages import Vehicle
+from core.wire.messages import Vehicle, Weather
+
+
+class VehicleChange(NamedTuple):
+    """Hold a vehicle message and where it came.
+
+    Parameters
+    ----------
+    row : int
+        First row of the batch to which it applies.
+    lane : int
+        Lane of its car.
+    message : Vehicle
+        Message of the car.
+    place : int
+        Place among the messages of the batch.
+    """
+
+    row: int
+    lane: int
+    message: Vehicle
+    place: int = 0
 
 
 class Piece(NamedTuple):
@@ -16,15 +37,18 @@ class Piece(NamedTuple):
     ----------
     start : int
         First row.
-    changes : list of (row, lane, Vehicle)
+    changes : list of VehicleChange
         Vehicle messages, with the row of the piece before which each came.
     ride_events : list of tuple
         Fields of RIDE_EVENT of each beginning and end of a ride, with the row of the batch before which it came.
+    observations : list of (row, Weather)
+        Observations, with the row of the batch before which each came.
     """
 
     start: int
-    changes: list[tuple[int, int, Vehicle]]
+    changes: list[VehicleChange]
     ride_events: list[tuple[Any, ...]]
+    observations: list[tuple[int, Weather]]
 
 
 class MessageOrder:

@@ -144,9 +144,10 @@ class FleetStatistics:
             self._patterns[lane] = self.factors.get_usual_pattern(lane)
         self._stack_rows()
 
-    def get_tables(self, lane: int) -> LegEnergyTables | None:
-        """Return the tables of a lane's vehicle model, None where there are none."""
-        kind = int(self._cars.of_lane[lane]) if lane < len(self._cars.of_lane) else UNKNOWN
+    def get_tables(self, lane: int, kind: int | None = None) -> LegEnergyTables | None:
+        """Return the tables of the vehicle model of a kind of car, by default that of a lane; None without tables."""
+        if kind is None:
+            kind = int(self._cars.of_lane[lane]) if lane < len(self._cars.of_lane) else UNKNOWN
         return self.rides.tables.get(self._cars.name(kind) or "")
 
     def compute_corrections(self, kinds: Ints, riding: NDArray[np.bool_], weights: Floats) -> tuple[Floats, Floats]:

@@ -11,6 +11,7 @@ import core.pipeline
 from core.forecast.engine import PendingInput
 from core.forecast.plan_tracker import DriverNamed, PlanArrival
 from core.totals.accumulator import Accumulator, join_totals
+from core.vehicles.fleet import ReplacedKind
 from tests.support.fleet_days import CARS, DAYS, merged, plan, shift, trained_pipeline
 from tests.support.telemetry import START, chunked, leaf, make_message, observed
 
@@ -73,6 +74,40 @@ def test_late_or_changed_vehicle_model_gives_same_forecasts_for_any_cut():
     assert payloads != whole([m for m in messages if m is not other])
 
 
+def test_changes_of_the_vehicle_model_between_plans_and_shifts_give_same_forecasts_for_any_cut():
+    """The car of lane z is another one from some message on: plans, ends of shifts and what they teach follow it."""
+    heavy = [(BEGIN + at, leaf("z", BEGIN + at, mass_kg=2000.0 + at)) for at in (30.0, 900.0, 3600.0, 20_000.0)]
+    light = [(time + 1.0, leaf("z", time)) for time, _ in heavy]
+    plans = [(BEGIN + at, plan("z", DAYS, BEGIN + at, last=4)) for at in (30.5, 31.5, 3600.5, 3601.5)]
+    late = [
+        (time + 43_200.0, m._replace(payload=m.payload.replace(b'"time_s": 17057', b'"time_s": 17058')))
+        for time, m in renamed(shift("c", DAYS), "z")[:40]
+        if m.key.endswith("telemetry")
+    ]
+    messages = merged(
+        *(shift(car, DAYS) for car in CARS[:2]), renamed(shift("c", DAYS), "z"), heavy, light, plans, late
+    )
+    first = trained_pipeline()
+    expected = [m.payload for m in first.push(messages)]
+    state = first.snapshot()
+    for step in (1, 7, 100):
+        pipeline = trained_pipeline()
+        assert [
+            m.payload for chunk in chunked(messages, range(0, len(messages), step)) for m in pipeline.push(chunk)
+        ] == expected
+        assert pipeline.snapshot() == state
+
+
+def test_vehicle_messages_and_observations_do_not_cut_a_batch(monkeypatch):
+    pipeline, calls = trained_pipeline(), []
+    clean = pipeline.cleaner.clean_between
+    monkeypatch.setattr(pipeline.cleaner, "clean_between", lambda *args: calls.append(1) or clean(*args))
+    samples = [m for _, m in shift("c", DAYS)][:200]
+    between = zip((leaf("c", mass_kg=1500.0 + i % 3) for i in range(200)), (m for _, m in weather(200)), strict=True)
+    pipeline.push([m for sample, others in zip(samples, between, strict=True) for m in (sample, *others)])
+    assert len(calls) == 1
+
+
 @given(cuts=st.lists(st.integers(0, 1400), max_size=6), queried=st.lists(st.integers(0, 6), max_size=3))
 def test_status_queries_and_snapshots_change_no_forecast(cuts, queried):
     pipeline, messages = trained_pipeline(), day(*weather(5))
@@ -96,15 +131,16 @@ def test_later_dispatch_messages_wait_and_messages_count_from_first_batch():
     pending.add_sums(accumulator.close()._replace(running=rows._replace(at=rows.at + 3)), 2)
     pending.add_sums(accumulator.close()._replace(running=rows._replace(at=rows.at + 5)), 2)
     assert pending.size == 6
-    assert pending.lanes == {0, 1}
-    sums, plans, drivers = pending.take(7)
+    pending.add_replaced([ReplacedKind(6, 0, 1), ReplacedKind(8, 0, 2)])
+    sums, plans, drivers, replaced = pending.take(7)
+    assert replaced == [ReplacedKind(6, 0, 1), ReplacedKind(8, 0, 2)]
     assert sums.running.at.tolist() == [3, 3, 5, 5]
     assert (plans, drivers) == ([], [DriverNamed(5, 0, "x")])
     assert pending.size == 0
-    assert pending.lanes == {1}
     pending.end_batch(9)
     pending.add_sums(accumulator.close()._replace(running=rows._replace(at=rows.at + 2)), 2)
-    sums, plans, _ = pending.take(4)
+    sums, plans, _, replaced = pending.take(4)
+    assert replaced == [ReplacedKind(8, 0, 2)]
     assert sums.running.at.tolist() == [11, 11]
     assert plans == [plan_later]
     assert not pending

@@ -13,6 +13,7 @@ from core.totals.display_record import create_unknown_yields
 from core.totals.display_yield import READING_SDS, RELEARN_AFTER, DisplayYields
 from core.totals.measured_energy import RIDE_SD, find_usable_capacity, measure_by_soc
 from core.vehicles.fleet import Cars
+from core.wire.message_order import VehicleChange
 from core.wire.messages import Vehicle
 from tests.core.totals.test_measured_energy import shift
 from tests.support.telemetry import chunked, leaf, ran, telemetry
@@ -24,7 +25,9 @@ NONE = Accumulator(0).none()
 def fleet(lanes):
     """Return cars of one vehicle model."""
     cars = Cars()
-    changes = [(0, lane, Vehicle(vehicle_id="", time_s=0.0, model="nissan-leaf-2013")) for lane in range(lanes)]
+    changes = [
+        VehicleChange(0, lane, Vehicle(vehicle_id="", time_s=0.0, model="nissan-leaf-2013")) for lane in range(lanes)
+    ]
     cars.kinds(np.zeros(0, np.int64), changes, lanes)
     return cars
 

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.vehicles import load_catalogue
-from core.vehicles.fleet import UNKNOWN, CarParameters, Cars
+from core.vehicles.fleet import UNKNOWN, CarParameters, Cars, ReplacedKind
+from core.wire.message_order import VehicleChange
 from core.wire.messages import Vehicle
 from tests.support.telemetry import chunked, drive, leaf, make_message, ran, telemetry
 
@@ -16,13 +17,28 @@ def vehicle(model="nissan-leaf-2013", **fields):
     return Vehicle("a", 0.0, model, **fields)
 
 
+def report(cars, *messages):
+    """Apply one message of each lane, without rows."""
+    changes = [VehicleChange(0, lane, message) for lane, message in enumerate(messages)]
+    cars.kinds(np.zeros(0, int), changes, len(messages))
+
+
+def test_only_a_message_that_changes_the_car_replaces_its_kind():
+    cars, replaced = Cars(), []
+    other = vehicle(mass_kg=1700.0)
+    messages = [vehicle(), vehicle(), other, other, vehicle()]
+    changes = [VehicleChange(0, 0, message, place) for place, message in enumerate(messages)]
+    cars.kinds(np.zeros(0, int), changes, 1, replaced)
+    assert replaced == [ReplacedKind(0, 0, UNKNOWN), ReplacedKind(2, 0, 1), ReplacedKind(4, 0, 2)]
+
+
 @given(st.integers(0, 2**32 - 1))
 def test_message_applies_from_its_row_on_and_only_in_its_lane(seed):
     rng = np.random.default_rng(seed)
     lane = rng.integers(0, 4, 50)
     models = list(load_catalogue())
     changes = sorted((int(rng.integers(0, 51)), int(rng.integers(0, 4)), i) for i in range(6))
-    messages = [(row, who, vehicle(models[i])) for row, who, i in changes]
+    messages = [VehicleChange(row, who, vehicle(models[i])) for row, who, i in changes]
     cars = Cars()
     kinds = cars.kinds(lane, messages, 4)
     now = dict.fromkeys(range(4))
@@ -36,14 +52,14 @@ def test_message_applies_from_its_row_on_and_only_in_its_lane(seed):
 def test_equal_cars_share_a_kind_and_overrides_make_a_new_one():
     cars = Cars()
     messages = [vehicle(), msgspec.structs.replace(vehicle(), vehicle_id="b", time_s=9.0), vehicle(mass_kg=1700.0)]
-    cars.kinds(np.zeros(0, int), [(0, lane, message) for lane, message in enumerate(messages)], 3)
+    report(cars, *messages)
     assert cars.of_lane[:3].tolist() == [1, 1, 2]
     assert cars.parameters[:, CarParameters._fields.index("mass_kg")][2] == 1700.0
 
 
 def test_unpredictable_car_is_counted_by_reason_and_keeps_its_model_name():
     cars = Cars()
-    cars.kinds(np.zeros(0, int), [(0, 0, vehicle("horse")), (0, 1, vehicle(mass_kg=1.0)), (0, 2, vehicle("horse"))], 3)
+    report(cars, vehicle("horse"), vehicle(mass_kg=1.0), vehicle("horse"))
     assert dict(cars.unpredictable) == {"unknown_vehicle_model": 2, "override_out_of_range": 1}
     assert cars.name(int(cars.of_lane[0])) == "horse"
     assert cars.name(UNKNOWN) is None
@@ -52,7 +68,7 @@ def test_unpredictable_car_is_counted_by_reason_and_keeps_its_model_name():
 
 def test_loaded_state_equals_the_dumped_state():
     cars = Cars()
-    cars.kinds(np.zeros(0, int), [(0, 0, vehicle()), (0, 1, vehicle("horse")), (0, 2, vehicle(mass_kg=1700.5))], 3)
+    report(cars, vehicle(), vehicle("horse"), vehicle(mass_kg=1700.5))
     loaded = Cars()
     loaded.load(msgspec.msgpack.decode(msgspec.msgpack.encode(cars.dump())))
     assert np.array_equal(loaded.parameters, cars.parameters, equal_nan=True)

@@ -32,6 +32,7 @@ from core.totals.display_yield import DisplayYields
 from core.totals.tables import tabulate_rides, tabulate_windows
 from core.vehicles.fleet import Cars
 from core.wire.decoder import Decoder
+from core.wire.message_order import VehicleChange
 from core.wire.messages import Message, Ride, Vehicle, Weather, encode
 from core.wire.rides import RideDrivers, RideNames
 from tools.bench.hidden.drives import (
@@ -252,7 +253,9 @@ def record_drives(drives: Drives, messages: Sequence[Message] | None = None) -> 
     decoder = Decoder(lanes)
     batch, events = decoder.decode(drives.messages if messages is None else messages)
     cars = Cars()
-    vehicles = [(event.row, event.lane, event.value) for event in events if isinstance(event.value, Vehicle)]
+    vehicles = [
+        VehicleChange(event.row, event.lane, event.value) for event in events if isinstance(event.value, Vehicle)
+    ]
     kind = cars.kinds(batch.lane, vehicles, len(lanes))
     drivers = RideDrivers()
     for event in events:
