@@ -136,6 +136,13 @@ METRICS: Final = (
         ("basis", "place"),
     ),
     MetricRow(
+        "socast_model_interval_outcomes",
+        "counter",
+        "Ended rides with measured energy: below, inside or above the 90 % interval of a model that has one.",
+        lambda s, _: s.model_interval_outcomes,
+        ("model", "place"),
+    ),
+    MetricRow(
         "socast_model_rides",
         "counter",
         "Ended rides with measured energy, by model and by whether it predicted them.",

@@ -21,6 +21,8 @@ ACTIVE_S: Final = 300.0
 """Age of its newest sample up to which a vehicle is active. [s]"""
 AHEAD_S: Final = 60.0
 """Time by which a sample may be ahead of the system clock; a sample further ahead has a wrong time. [s]"""
+PLACES: Final = "below", "inside", "above"
+"""Places of an outcome beside an interval."""
 _TELEMETRY: Final = "/telemetry"
 LAG_BUCKETS: Final = (0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 300.0, 3600.0)
 """Upper limits of the buckets of the receipt lag. [s]"""
@@ -99,6 +101,8 @@ class ServiceSnapshot:
         Refused queries by cause.
     interval_outcomes : mapping of (str, str) to int
         Outcomes of forecast intervals by basis of the forecast and by place: `below`, `inside` or `above`.
+    model_interval_outcomes : mapping of (str, str) to int
+        Rides by model and by the place of their energy beside the model's own interval, for models that have one.
     model_rides : mapping of (str, str) to int
         Rides by model and by whether the model predicted them: `predicted` or `unpredicted`.
     model_mae_kwh, model_bias_kwh, model_mae_ratio : mapping of str to float
@@ -135,6 +139,7 @@ class ServiceSnapshot:
     answered: int = 0
     refused_queries: Mapping[str, int] = field(default_factory=dict)
     interval_outcomes: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    model_interval_outcomes: Mapping[tuple[str, str], int] = field(default_factory=dict)
     model_rides: Mapping[tuple[str, str], int] = field(default_factory=dict)
     model_mae_kwh: Mapping[str, float] = field(default_factory=dict)
     model_bias_kwh: Mapping[str, float] = field(default_factory=dict)
@@ -255,6 +260,12 @@ class SnapshotTaker:
         return {
             "model_rides": {(model, "predicted"): one.rides for model, one in errors.items()}
             | {(model, "unpredicted"): one.unpredicted_rides for model, one in errors.items()},
+            "model_interval_outcomes": {
+                (monitor.label, place): count
+                for monitor in self._pipeline.shadows.monitors
+                for place, count in zip(PLACES, monitor.interval_outcomes.tolist(), strict=True)
+                if monitor.interval_outcomes.any()
+            },
             "model_mae_kwh": {model: one.mae_kwh for model, one in predicted.items()},
             "model_bias_kwh": {model: one.bias_kwh for model, one in predicted.items()},
             "model_mae_ratio": {
@@ -266,7 +277,7 @@ class SnapshotTaker:
         """Yield the outcomes of intervals by basis and place."""
         outcomes = self._pipeline.engine.statistics.interval_outcomes
         for basis, name in ((BY_PLAN, "plan"), (BY_HISTORY, "history")):
-            for place, count in zip(("below", "inside", "above"), outcomes[basis].tolist(), strict=True):
+            for place, count in zip(PLACES, outcomes[basis].tolist(), strict=True):
                 yield (name, place), count
 
 

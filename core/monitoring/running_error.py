@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.batch import grown
+from core.batch import Ints, grown
 from core.models import Model
 from core.stats.confidence_sequence import ClusterMoments
 from core.wire.messages import Gain, ModelErrors, RideErrors
@@ -129,6 +129,11 @@ class ModelMonitor:
     model : Model
     level : float, optional
         As for `RunningErrors`; None for the first model.
+
+    Attributes
+    ----------
+    interval_outcomes : (3,) int
+        Numbers of rides whose measured energy lies below, inside and above the model's own interval, if it has one.
     """
 
     def __init__(self, model: Model, level: float | None) -> None:
@@ -137,6 +142,7 @@ class ModelMonitor:
         self._all = RunningErrors(None, level)
         self._by_group: list[RunningErrors] = []
         self._days = np.zeros(0, VEHICLE_DAY)  # in progress, by lane
+        self.interval_outcomes: Ints = np.zeros(3, np.int64)
 
     def add_ride(
         self, lane: int, day: float, group: int | None, error: float, first_error: float, measured: float
@@ -202,14 +208,16 @@ class ModelMonitor:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return [errors.dump() for errors in (self._all, *self._by_group)], self._days.tobytes()
+        errors = [errors.dump() for errors in (self._all, *self._by_group)]
+        return errors, self._days.tobytes(), self.interval_outcomes.tobytes()
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, once the vehicle models are added."""
-        errors, days = state
+        errors, days, outcomes = state
         for part, dumped in zip((self._all, *self._by_group), errors, strict=True):
             part.load(dumped)
         self._days = np.frombuffer(days, VEHICLE_DAY).copy()
+        self.interval_outcomes = np.frombuffer(outcomes, np.int64).copy()
 
     def _list_errors(self, group: int | None) -> tuple[RunningErrors, ...]:
         """Return the running errors to which a ride of a vehicle model contributes."""

@@ -17,6 +17,7 @@ from core.batch import Floats, Ints
 from core.columns import SECONDS_PER_DAY
 from core.effects.declaration import Effect
 from core.errors import ModelError
+from core.forecast.learning.forecast_errors import count_outcomes
 from core.models import Model
 from core.monitoring.running_error import ModelMonitor
 from core.signals.signals import Signals
@@ -29,6 +30,9 @@ from core.wire.messages import Message, ModelErrors, encode, identify_model
 
 MOST_VEHICLE_MODELS: Final = 64
 """Number of vehicle models with running errors of their own; rides of later ones count only among all rides."""
+
+INTERVAL_LEVEL: Final = 0.9
+"""Probability with which the energy of a ride lies inside the interval of a model."""
 
 
 class EndedRides(NamedTuple):
@@ -158,6 +162,8 @@ class ShadowModels:
         if not len(rows):
             return
         taken = rides.rows(rows)
+        for monitor in self.monitors:
+            self._count_interval_outcomes(monitor, taken, context, measured[rows])
         kinds = taken.at_last("kind").astype(np.int64).tolist()
         self.add_ended(
             EndedRides(
@@ -264,6 +270,21 @@ class ShadowModels:
             for monitor in self.monitors:
                 monitor.add_groups(self._groups)
         return self._groups.index(name)
+
+    def _count_interval_outcomes(
+        self, monitor: ModelMonitor, rides: Totals, context: RunContext, measured: Floats
+    ) -> None:
+        """Count the rides whose measured energy lies inside the interval of a model, if it has one. [kWh]"""
+        interval = getattr(monitor.model, "interval", None)
+        if interval is None:
+            return
+        try:
+            columns = model_columns(rides, context, (*monitor.model.needs, *interval.needs))
+            lower, upper = interval.bounds(monitor.model.predict(columns), columns, INTERVAL_LEVEL)
+        except Exception as fault:  # noqa: BLE001 - a fault of a shadow must not stop the first model
+            self.faults[f"interval of {monitor.label}: {type(fault).__name__}"] += 1
+            return
+        monitor.interval_outcomes += count_outcomes(lower, upper, measured)
 
     def _predict_or_count(self, monitor: ModelMonitor, columns: Mapping[str, Any] | pd.DataFrame, rows: int) -> Floats:
         """Return the energy by a model; NaN, and counted as a fault, where it fails."""

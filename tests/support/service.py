@@ -34,6 +34,7 @@ FULL = ServiceSnapshot(
     answered=3,
     refused_queries={"unknown_vehicle": 1},
     interval_outcomes={("plan", "below"): 1, ("plan", "inside"): 18, ("plan", "above"): 1},
+    model_interval_outcomes={("a/1", "inside"): 2},
     model_rides={("a/1", "predicted"): 2, ("a/1", "unpredicted"): 0},
     model_mae_kwh={"a/1": 0.25},
     model_bias_kwh={"a/1": -0.125},

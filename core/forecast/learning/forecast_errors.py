@@ -252,14 +252,14 @@ def compute_shift_errors(records: NDArray[np.void], soc: float, charged: float) 
     return out
 
 
-def count_outcomes(lower: Floats, upper: Floats, outcome: float) -> Ints:
-    """Return how many intervals have the outcome below, inside and above them; bounds that are NaN do not count.
+def count_outcomes(lower: Floats, upper: Floats, outcome: Floats | float) -> Ints:
+    """Return how many intervals have their outcome below, inside and above them; bounds that are NaN do not count.
 
     Parameters
     ----------
     lower, upper : (n,) float
         Bounds, which belong to the interval.
-    outcome : float
+    outcome : (n,) float, or float
 
     Returns
     -------

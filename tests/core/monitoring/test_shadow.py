@@ -13,6 +13,7 @@ from core import effects
 from core.effects import registry
 from core.errors import ModelError, SocastError
 from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
+from core.models.interval import PredictionInterval
 from core.monitoring.shadow import MOST_VEHICLE_MODELS, EndedRides, ShadowModels
 from core.pipeline import Pipeline
 from core.wire.messages import ModelErrors
@@ -307,3 +308,26 @@ def test_errors_of_a_single_model_are_followed_but_not_published():
     again = Pipeline(BASIC_PHYSICAL)
     again.restore(alone.snapshot())
     assert again.shadows.errors() == alone.shadows.errors()
+
+
+def calibrated(model, half_width):
+    """Return a model with an interval of a constant half width. [kWh]"""
+    interval = PredictionInterval(
+        scales={ANY: (half_width, 0.0, 0.0)}, distances_km=(0.0,), levels=(0.05, 0.95), quantiles=((-1.0, 1.0),)
+    )
+    return msgspec.structs.replace(model, interval=interval)
+
+
+@pytest.mark.parametrize(("half_width", "outcomes"), [(100.0, [0, 6, 0]), (1e-9, None)])
+def test_rides_inside_the_interval_of_a_model_are_counted(half_width, outcomes):
+    pipeline = Pipeline(calibrated(BASIC_PHYSICAL, half_width), shadows=[EXTENDED_PHYSICAL])
+    pipeline.push(lapped())
+    pipeline.finish()
+    with_interval, without_interval = pipeline.shadows.monitors
+    bias = pipeline.shadows.errors()[0].overall.bias_kwh
+    assert with_interval.interval_outcomes.tolist() == (outcomes or ([6, 0, 0] if bias > 0.0 else [0, 0, 6]))
+    assert without_interval.interval_outcomes.sum() == 0
+    again = Pipeline(calibrated(BASIC_PHYSICAL, half_width), shadows=[EXTENDED_PHYSICAL])
+    again.restore(pipeline.snapshot())
+    assert again.shadows.monitors[0].interval_outcomes.tolist() == with_interval.interval_outcomes.tolist()
+    assert pipeline.shadows.faults == {}
