@@ -14,17 +14,24 @@ Remaining error, for a period of 3 s and Gaussian errors of the stamps with stan
 
 - With a counter and s up to 1 s, the error is 0.19 s rms and at most 0.9 s. The duration of a drive is right to 0.6 s.
   A clock that is set costs no time: two samples continue on the old clock, then the new clock is used. A silence that
-  the counter does not count is treated as a clock that was set. Samples that are sent again are marked late, however
-  many there are.
+  the counter does not count is treated as a clock that was set.
 - Without a counter, the same holds for s up to 0.5 s. For s of 1 s the error is 0.5 s rms. One sample in 40 is then
   off by a period until later samples correct it (its `dt` is zero or double), and a duration is right to 3 s. If
   samples are also lost, the error is 1.2 s rms.
-- Without a counter, a clock set forward cannot be distinguished from a gap and is treated as one. A stamp more than 200
-  periods ahead is not used until the next stamp agrees with it. A single wild stamp therefore costs as much as one lost
-  sample. A gap of that length costs its first sample, or two if the first stamp is later than the second. Samples of
-  which each comes more than 200 periods after any other are never used.
-- Without a counter, a clock set back is accepted after ten samples in order; until then they are marked late. Fewer
-  late samples than that have no other effect.
+- Without a counter, a clock set forward cannot be distinguished from a gap and is treated as one.
+- A sample more than 200 periods ahead, with a counter that agrees or without one, is not used until the next stamp
+  agrees with it. A single wild sample therefore costs as much as one lost sample, whatever it claims. A gap of that
+  length costs its first sample, or two if the first stamp is later than the second. Samples of which each comes more
+  than 200 periods after any other are never used. After a power cycle, which a low counter shows, a gap of up to 30
+  days costs no sample. In 400 streams with one sample that claimed a power cycle and was years ahead, or whose counter
+  was too low, at most 3 samples had a wrong time.
+- Samples from the past are marked late and have no other effect. If a stream remains in the past, its clock was set
+  back, or the sample before was wild: it is believed after 20 samples in order with a counter, after 10 without one.
+- Samples of an outage may come from a cache, after newer ones. With a counter, they are late however many there are:
+  they fill the newest hole of 20 samples or more in the counter, and belong to the last 1,200 samples before its end.
+  A clock set back into such a hole is believed 20 samples after it leaves the hole, at most an hour later. More samples
+  than that, and ten or more without a counter, cannot be distinguished from a clock set back. Samples that were
+  delivered before do not come here (`core.wire.duplicate_filter`).
 - The mean delay of the stamps is not observable and remains, and so does the error of the first stamp.
 
 A period other than the nominal one is followed from the first samples where there is a counter, to within 0.4 periods
@@ -42,6 +49,7 @@ from typing import Any, Final
 from numba import njit
 
 from core.cleaning.quality import Quality
+from core.columns import SECONDS_PER_DAY
 
 FIELDS: Final = (
     "samples",  # number of accepted samples; zero for a new lane
@@ -56,8 +64,11 @@ FIELDS: Final = (
     "misfit",  # error of the last misfitting stamp [s]
     "misfits",  # number of successive misfitting stamps that agree
     "late_stamp",  # stamp of the last rejected sample [s]
+    "late_seq",  # counter of the last rejected sample
     "late_run",  # number of successive rejected samples that are in order among themselves
     "leap_stamp",  # stamp of the last sample that leapt far ahead [s]
+    "hole_start",  # counter of the last sample before the newest long hole in the counter
+    "hole_end",  # counter of the first sample after it
 )
 
 DUPLICATE: Final = int(Quality.DUPLICATE)
@@ -71,6 +82,10 @@ AGREE: Final = 3
 """Number of agreeing stamps after which a clock whose counter continues counts as set."""
 AGREE_BACK: Final = 10
 """The same for stamps from the past without a counter, as they may be late samples."""
+AGREE_LATE: Final = 20
+"""The same for samples whose counter is from the past too: a minute of the nominal period."""
+HISTORY: Final = 1200.0
+"""Number of samples before the end of a hole in the counter that may be sent late: an hour of the nominal period."""
 FIRST_MEMORY: Final = 2.0
 """Memory of the filter at its first sample. [samples]"""
 SETTLED_MEMORY: Final = 10.0
@@ -88,7 +103,9 @@ SIGMA: Final = 1.4826
 BELIEVED: Final = 100.0
 """Longest leap of the counter that is accepted without a stamp. [samples]"""
 LEAP: Final = 200.0
-"""Longest gap that is accepted without a counter and without confirmation by a second stamp. [periods]"""
+"""Longest gap that is accepted without confirmation by a second stamp. [periods]"""
+PAUSE: Final = 30.0 * SECONDS_PER_DAY
+"""The same for the first sample after a power cycle, whose counter is low. [s]"""
 UNUSED: Final = -1.0
 """The `dt` of a rejected sample."""
 
@@ -193,17 +210,29 @@ def follow_stamp(state: Any, stamp: float, count: float) -> tuple[float, int]:
 
 
 @njit(cache=False)
-def reject_or_reset(state: Any, stamp: float, seq: float) -> tuple[float, int]:
+def extends_late_run(state: Any, stamp: float, seq: float, counted: float) -> bool:
+    """Return whether a sample from the past follows the rejected sample before it."""
+    since = stamp - state.late_stamp
+    if counted == 0.0:
+        return 0.0 < since <= 2.0 * state.period
+    ahead = seq - state.late_seq
+    return 1.0 <= ahead <= AGREE_BACK and abs(since - ahead * state.period) <= 2.0 * state.period
+
+
+@njit(cache=False)
+def reject_or_reset(state: Any, stamp: float, seq: float, count: float, counted: float) -> tuple[float, int]:
     """Reject a stray sample, or set the clock back where enough samples from the past agree."""
-    if stamp > state.time:
+    if count > 0.0:
         return UNUSED, REPAIRED_TIME
-    in_order = 0.0 < stamp - state.late_stamp <= 2.0 * state.period
-    state.late_run = state.late_run + 1.0 if in_order else 1.0
+    fills_hole = counted < 0.0 and state.hole_start < seq < state.hole_end <= seq + HISTORY
+    in_order = extends_late_run(state, stamp, seq, counted)
+    state.late_run = 0.0 if fills_hole else state.late_run + 1.0 if in_order else 1.0
     state.late_stamp = stamp
-    if state.late_run < AGREE_BACK:
+    state.late_seq = seq
+    if state.late_run < (AGREE_BACK if counted == 0.0 else AGREE_LATE):
         return UNUSED, LATE
     dt = state.late_run * state.period
-    state.late_run = state.misfits = 0.0
+    state.late_run = state.misfits = state.hole_start = state.hole_end = 0.0
     state.memory = SETTLED_MEMORY
     state.time = state.stamp = stamp
     state.seq = seq
@@ -236,13 +265,23 @@ def count_periods_by_stamp(state: Any, elapsed: float) -> float:
 
 
 @njit(cache=False)
-def is_stray(state: Any, stamp: float, count: float) -> bool:
-    """Return whether a sample is from the past, or leaps far ahead of all samples before it."""
-    if count <= LEAP:
+def is_stray(state: Any, stamp: float, count: float, limit: float) -> bool:
+    """Return whether a sample is from the past, or leaps further ahead of all samples before it than the limit."""
+    if count <= limit:
         return count < 0.0
     follows = 0.0 < stamp - state.leap_stamp <= LEAP * state.period
     state.leap_stamp = stamp
     return not follows
+
+
+@njit(cache=False)
+def remember_hole(state: Any, seq: float, counted: float) -> None:
+    """Remember which samples may still come late, if a minute of them or more is missing before this one."""
+    if counted > AGREE_LATE:
+        state.hole_start = state.seq
+        state.hole_end = seq
+    elif counted < 0.0:
+        state.hole_start = state.hole_end = 0.0
 
 
 @njit(cache=False)
@@ -295,17 +334,16 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
     if isnan(stamp) or stamp == state.stamp:  # an unchanged stamp carries no information
         stamp = nan
         count = counted if 1.0 <= counted <= BELIEVED else 1.0
-    elif counted != 0.0:
-        count, bits = count_periods_by_seq(state, elapsed, counted)
-        if count < 0.0:
-            return UNUSED, LATE
-        anew = counted < 0.0 and elapsed > 0.0
     else:
-        count = count_periods_by_stamp(state, elapsed)
-        if is_stray(state, stamp, count):
-            return reject_or_reset(state, stamp, seq)
-        anew = count > LEAP
+        if counted != 0.0:
+            count, bits = count_periods_by_seq(state, elapsed, counted)
+        else:
+            count = count_periods_by_stamp(state, elapsed)
+        if is_stray(state, stamp, count, PAUSE / state.period if counted < 0.0 and seq <= BELIEVED else LEAP):
+            return reject_or_reset(state, stamp, seq, count, counted)
+        anew = elapsed > 0.0 if counted < 0.0 else counted == 0.0 and count > LEAP
     state.late_run = 0.0
+    remember_hole(state, seq, counted if bits == 0 or counted < 0.0 else 0.0)
     if not (anew or isnan(stamp)):
         counts = counted > 0.0 and bits == 0
         slipped = abs(count - 1.0) == 1.0 and not counts
