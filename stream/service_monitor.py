@@ -46,6 +46,11 @@ class ServiceMonitor:
                 self.server = closing.enter_context(HealthServer(parse_http_address(address), status, registry))
             self._closing = closing.pop_all()
 
+    def begin(self, step: str) -> None:
+        """Tell what the service does on its way to readiness, such as `loading the state`."""
+        self._status.step = step
+        self._notifier.set_status(f"starting: {step}")
+
     def make_watches(self, take_snapshot: SnapshotTaker, stop: Event) -> list[Callable[[Tally], None]]:
         """Return the watch of the loop, or none where nobody is told.
 

@@ -36,12 +36,15 @@ class ServiceStatus:
     ----------
     phase : str
         `starting` until the service has subscribed, loaded its state and caught up; then `ready`; then `stopping`.
+    step : str
+        What a service that starts is doing.
     snapshot : ServiceSnapshot or None
         Newest snapshot; None before the first turn of the loop.
     """
 
     def __init__(self, limit_s: float = LIVE_S, clock: Callable[[], float] = time.monotonic) -> None:
         self.phase: Literal["starting", "ready", "stopping"] = "starting"
+        self.step = ""
         self.snapshot: ServiceSnapshot | None = None
         self._limit_s, self._clock = limit_s, clock
         self._moved_s = clock()
@@ -63,7 +66,9 @@ class ServiceStatus:
 
     def find_obstacle(self) -> str:
         """Return why the service is not ready; an empty text where it is."""
-        return self.find_hang() if self.phase == "ready" else self.phase
+        if self.phase == "ready":
+            return self.find_hang()
+        return f"starting: {self.step}" if self.phase == "starting" and self.step else self.phase
 
 
 class ServiceWatch:

@@ -123,6 +123,7 @@ def live(
     connection = Connection(tuple(connect or ()), tuple(listen or ()), mode, options.prefix, config, recovery)
     with ExitStack() as ending:
         monitor = ending.enter_context(ServiceMonitor(metrics))
+        monitor.begin("compiling kernels")
         compile_kernels(*models)
         stop = ending.enter_context(stop_on_signals())
         file = ending.enter_context(StateFile(state)) if state else None
@@ -131,6 +132,7 @@ def live(
             _log.warning(
                 "--warm-up is ignored: the consumer continues from --state", extra=event_fields(state=str(state))
             )
+        monitor.begin("loading the state" if restored else "learning from earlier recordings")
         pipeline = make_pipeline(options, models, warm=not restored)
         recorder = Recorder(record, round(record_mb * 2**20), record_minutes * 60, flush) if record else None
         ending.enter_context(act_on_hangup(_choose_act(recorder, stop)))
@@ -138,6 +140,7 @@ def live(
         first = checkpoints.restore() if checkpoints else []
         if pipeline.cleaner.has_new_map:
             _log.warning("the state was made with another elevation map: elevation starts anew, all else continues")
+        monitor.begin("connecting to Zenoh")
         node = ending.enter_context(Node(connection))
         queryable = ending.enter_context(ZenohQueryable(node))
         service, rides = QueryService(queryable, pipeline), RideLog(pipeline)
