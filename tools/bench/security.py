@@ -1,0 +1,131 @@
+"""Measure what certificates and access control cost the live consumer, against plain TCP on the same stream."""
+
+import json
+import multiprocessing
+import tempfile
+from collections.abc import Sequence
+from contextlib import ExitStack
+from multiprocessing.synchronize import Event as ProcessEvent
+from pathlib import Path
+from statistics import median
+from typing import Final
+
+from stream.zenoh_pubsub import ZenohSink
+from stream.zenoh_session import Connection, Node, find_free_port
+from tools.bench.fleet import make_rounds, make_vehicles, name_car
+from tools.bench.live import PATIENCE_S, WARM_UP, make_full_consumer
+from tools.bench.measures import Measure
+from tools.security.access import make_access_control
+from tools.security.folder import SecureFolder
+
+WAYS: Final = "plain", "certificates", "rules"
+"""Plain TCP; mutual TLS; mutual TLS with access control."""
+FLEET: Final = 1000
+"""Number of cars that the rules know; only some of them publish."""
+
+
+def publish_streams(connections: Sequence[Connection], turns: int, ready: ProcessEvent, go: ProcessEvent) -> None:
+    """Publish the stream of each car in a session of its own, as fast as it is accepted, in a separate process.
+
+    Parameters
+    ----------
+    connections : sequence of Connection
+        Connection of each car.
+    turns : int
+        Number of samples of each car.
+    ready, go : Event
+        Set after the warm-up; awaited before the stream.
+    """
+    cars = len(connections)
+    rounds = list(make_rounds(cars, WARM_UP, turns))
+    with ExitStack() as ending:
+        sinks = [ZenohSink(ending.enter_context(Node(connection))) for connection in connections]
+        for turn in (make_vehicles(cars), *make_rounds(cars, 0, WARM_UP)):
+            for sink, message in zip(sinks, turn, strict=True):
+                sink.put([message])
+        ready.set()
+        go.wait(PATIENCE_S)
+        for turn in rounds:
+            for sink, message in zip(sinks, turn, strict=True):
+                sink.put([message])
+        for sink in sinks:
+            sink.close()
+
+
+def time_way(way: str, folder: SecureFolder, cars: int, turns: int) -> float:
+    """Return the time in which the live consumer takes the streams of cars. [s]
+
+    Parameters
+    ----------
+    way : str
+        One of `WAYS`.
+    folder : SecureFolder
+        Certificates and configurations.
+    cars, turns : int
+        Number of cars, and samples of each.
+    """
+    if way == "plain":
+        endpoint = f"tcp/127.0.0.1:{find_free_port()}"
+        router = Connection(listen=(endpoint,), mode="router")
+        connections = [Connection(connect=(endpoint,))] * cars
+    else:
+        config = folder.path / ("router.json5" if way == "rules" else "open.json5")
+        router = Connection(listen=(f"tls/127.0.0.1:{folder.port}",), config=config)
+        connections = [Connection(config=folder.locate(name_car(car))) for car in range(cars)]
+    context = multiprocessing.get_context("spawn")
+    ready, go = context.Event(), context.Event()
+    with Node(router) as node:
+        process = context.Process(target=publish_streams, args=(connections, turns, ready, go))
+        process.start()
+        took = make_full_consumer(cars, turns)(node, ready, go)
+        process.join(PATIENCE_S)
+    return took
+
+
+def make_folder(path: Path, cars: int) -> SecureFolder:
+    """Make a secured fleet, and a configuration of its router with certificates and without rules.
+
+    Parameters
+    ----------
+    path : Path
+        Folder that does not exist.
+    cars : int
+        Number of cars with a certificate. The rules know `FLEET` cars.
+    """
+    names = [name_car(car) for car in range(cars)]
+    folder = SecureFolder.create(path, ["127.0.0.1"], names, port=find_free_port(), days=1.0)
+    settings = json.loads((path / "router.json5").read_text())
+    known = [(name, [f"{name}/1"]) for name in map(name_car, range(FLEET))]
+    for name, changed in (("open", {"enabled": False}), ("router", make_access_control(known))):
+        (path / f"{name}.json5").write_text(json.dumps(settings | {"access_control": changed}))
+    return folder
+
+
+def measure_security(repeats: int = 5, cars: int = 20, turns: int = 10_000) -> Measure:
+    """Measure the live consumer with certificates and access control against the same with plain TCP.
+
+    Parameters
+    ----------
+    repeats : int
+        Number of repetitions of each way, in turn, of which the median counts.
+    cars, turns : int
+        Number of cars, each with a session of its own, and samples of each.
+    """
+    total = cars * turns
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = make_folder(Path(temporary) / "keys", cars)
+        timings = [[time_way(way, folder, cars, turns) for way in WAYS] for _ in range(repeats)]
+    plain_s, certificates_s, rules_s = (median(of_way) for of_way in zip(*timings, strict=True))
+    return Measure(
+        f"live consumer with certificates and access control, {FLEET:,} cars",
+        "the same with plain TCP",
+        plain_s / rules_s,
+        ">= 0.8",
+        plain_s / rules_s >= 0.8,
+        {
+            "plain_samples_per_s": total / plain_s,
+            "secured_samples_per_s": total / rules_s,
+            "ratio_of_certificates_alone": plain_s / certificates_s,
+        },
+        "",
+    )
