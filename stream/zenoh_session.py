@@ -111,7 +111,8 @@ class Node:
                     "choose another endpoint with --listen, or join the router that has it with --connect"
                 ) from error
             raise SettingsError(
-                f"Zenoh cannot be joined: {format_zenoh_error(error)}; is a router listening there?"
+                f"Zenoh cannot be joined: {format_zenoh_error(error)}; "
+                f"is a router listening there{_ask_certificate(config)}?"
             ) from error
         _warn_if_open(config)
 
@@ -239,6 +240,13 @@ def _warn_if_open(config: zenoh.Config) -> None:
             "make certificates and access control with `socast secure init`, or listen on loopback",
             ", ".join(open_ends),
         )
+
+
+def _ask_certificate(config: zenoh.Config) -> str:
+    """Return what else may be wrong with a connection over TLS, because Zenoh does not say."""
+    if not re.search(r'"(tls|quic)/', config.get_json("connect/endpoints")):
+        return ""
+    return ", and is your certificate in force (`socast secure list`)"
 
 
 def _is_local(endpoint: str) -> bool:

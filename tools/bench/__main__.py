@@ -18,12 +18,14 @@ from tools.bench.learning import measure_fit, measure_fit_memory
 from tools.bench.live import measure_live
 from tools.bench.measures import Measure, measure_arrays, measure_replay, measure_scale
 from tools.bench.nothing_hidden import SECTION as NOTHING
+from tools.bench.security import measure_security
 from tools.bench.siblings import SECTION as SIBLINGS
 from tools.bench.startup import measure_effects_start, measure_help_start, measure_version_start
 from tools.terminal.rich_table import Column, make_table
 
 MEASURES: tuple[Callable[[], Measure], ...] = (
     measure_live,
+    measure_security,
     measure_replay,
     measure_arrays,
     measure_scale,

@@ -119,32 +119,38 @@ def _make_rules(name: str, access: Access, prefix: str) -> Iterable[dict[str, An
     )
     puts_advanced, reads_advanced = ([f"{key}/@adv/**" for key in keys] for keys in (puts, reads))
     subscriptions = ["**", "**/@adv/**"] if puts else []
-    rules = {
+    keys_of = {
         "ingress": {
-            ("put",): puts + puts_advanced,
-            ("liveliness_token",): puts_advanced,
-            ("declare_queryable",): puts_advanced + answers,
-            ("reply",): puts + puts_advanced + answers,
-            ("declare_subscriber",): reads + reads_advanced,
-            ("declare_liveliness_subscriber", "liveliness_query"): reads_advanced,
-            ("query",): reads_advanced + asks,
+            "put": puts + puts_advanced,
+            "liveliness_token": puts_advanced,
+            "declare_queryable": puts_advanced + answers,
+            "reply": puts + puts_advanced + answers,
+            "declare_subscriber": reads + reads_advanced,
+            "declare_liveliness_subscriber": reads_advanced,
+            "liveliness_query": reads_advanced,
+            "query": reads_advanced + asks,
         },
         "egress": {
-            ("put",): reads + reads_advanced,
-            ("liveliness_token",): reads_advanced,
-            ("declare_queryable",): reads_advanced + asks,
-            ("reply",): reads + reads_advanced + asks,
-            ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"): subscriptions,
-            ("query",): [f"{prefix}**/@adv/**"] * bool(puts) + answers,
+            "put": reads + reads_advanced,
+            "liveliness_token": reads_advanced,
+            "declare_queryable": reads_advanced + asks,
+            "reply": reads + reads_advanced + asks,
+            "declare_subscriber": subscriptions,
+            "declare_liveliness_subscriber": subscriptions,
+            "liveliness_query": subscriptions,
+            "query": [f"{prefix}**/@adv/**"] * bool(puts) + answers,
         },
     }
-    for flow, of_flow in rules.items():
-        for messages, keys in of_flow.items():
-            if keys:
+    for flow, keys_of_message in keys_of.items():
+        messages_of: dict[tuple[str, ...], list[str]] = {}
+        for message, keys in keys_of_message.items():
+            messages_of.setdefault(tuple(keys), []).append(message)
+        for of_messages, messages in messages_of.items():
+            if of_messages:
                 yield {
-                    "id": f"{name}: {flow} {messages[0]}",
-                    "messages": list(messages),
+                    "id": f"{name}: {flow} {', '.join(messages)}",
+                    "messages": messages,
                     "flows": [flow],
                     "permission": "allow",
-                    "key_exprs": keys,
+                    "key_exprs": list(of_messages),
                 }

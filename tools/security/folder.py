@@ -28,6 +28,7 @@ LONGEST_CAR: Final = 58
 RENEW_DAYS: Final = 30.0
 """Time before its expiry at which a certificate is due for renewal. [d]"""
 _SETTINGS: Final = "fleet.json"
+_ACCESS: Final = "access_control"
 _CAR: Final = re.compile(rf"[A-Za-z0-9_.-]{{1,{LONGEST_CAR}}}")
 _HOST: Final = re.compile(r"[A-Za-z0-9.:-]+")
 
@@ -168,7 +169,7 @@ class SecureFolder:
         router = self._read_router()
         for car in cars:
             self._issue_client(authority, car)
-        self._replace(ROUTER, router | {"access_control": self._make_access_control()})
+        self._replace(ROUTER, router | {_ACCESS: self._make_access_control()})
 
     def renew(self, names: Sequence[str] = (), *, revoke: bool = False) -> list[str]:
         """Issue further certificates with new keys; those that they replace stay in force until they expire.
@@ -214,7 +215,7 @@ class SecureFolder:
         self._retire(lambda each: each.days_left(self._clock()) <= 0.0)
         if revoke:
             self._retire(lambda each: each.name in chosen and each.issue <= newest[each.name].issue)
-        self._replace(ROUTER, router | {"access_control": self._make_access_control()})
+        self._replace(ROUTER, router | {_ACCESS: self._make_access_control()})
         return chosen
 
     def revoke(self, names: Sequence[str]) -> None:
@@ -238,7 +239,7 @@ class SecureFolder:
         self._retire(lambda each: each.name in chosen)
         for name in chosen:
             self._move(self.locate(name))
-        self._replace(ROUTER, router | {"access_control": self._make_access_control()})
+        self._replace(ROUTER, router | {_ACCESS: self._make_access_control()})
 
     def _find_name(self, name: str, known: dict[str, Issued]) -> str:
         """Return the name in certificates of a name on the command line."""
@@ -363,8 +364,20 @@ def _find_stem(name: str) -> str:
 
 
 def _format(settings: dict[str, Any]) -> str:
-    """Return a configuration as text."""
-    return json.dumps(settings, indent=2) + "\n"
+    """Return a configuration as JSON, with a line for each rule of access."""
+    text = json.dumps({name: value for name, value in settings.items() if name != _ACCESS}, indent=2)
+    if _ACCESS not in settings:
+        return f"{text}\n"
+    parts = ",\n".join(f"    {json.dumps(name)}: {_format_part(part)}" for name, part in settings[_ACCESS].items())
+    return f'{text[:-2]},\n  "{_ACCESS}": {{\n{parts}\n  }}\n}}\n'
+
+
+def _format_part(part: Any) -> str:
+    """Return a part of the rules of access as JSON, with a line for each entry of a list."""
+    if not isinstance(part, list):
+        return json.dumps(part)
+    entries = ",\n".join(f"      {json.dumps(entry)}" for entry in part)
+    return f"[\n{entries}\n    ]"
 
 
 def _read_json(file: Path, missing: str) -> dict[str, Any]:

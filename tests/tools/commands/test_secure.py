@@ -77,6 +77,13 @@ def test_router_accepts_the_certificates_in_force_and_no_others(folder):
     assert "taxi-1/1" not in accepted(folder)
 
 
+def test_router_file_has_a_line_for_each_rule(folder):
+    text = (folder / "router.json5").read_text()
+    rules = json.loads(text)["access_control"]["rules"]
+    lines = [json.loads(line.strip().rstrip(",")) for line in text.splitlines() if '"permission"' in line]
+    assert lines == rules
+
+
 def test_own_settings_in_the_files_stay(folder):
     for name in ("router.json5", "cars/taxi-1.json5"):
         settings = json.loads((folder / name).read_text())

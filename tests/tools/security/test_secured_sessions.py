@@ -4,6 +4,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,7 +14,7 @@ import zenoh
 
 from core.errors import AskError, SettingsError
 from core.wire.messages import Message, Outlook
-from stream.zenoh_pubsub import CACHE, ZenohSink
+from stream.zenoh_pubsub import CACHE, ZenohSink, _subscribe
 from stream.zenoh_queryable import query_outlook
 from stream.zenoh_session import Connection, Node
 from tests.support.secure_fleets import CARS, EXPIRED, REVOKED, change_tls, join, make_fleet, open_router
@@ -110,6 +111,17 @@ def test_history_of_a_car_reaches_a_consumer_that_starts_later(fleet):
     assert [message.payload for message in consumer.taken] == [message.payload for message in sent]
 
 
+def test_history_of_forecasts_reaches_a_dispatch_that_starts_later(fleet):
+    sent = [Message(f"montreal/fleet/{car}/forecast", b"newest", 0) for car in CARS]
+    with open_router(fleet), join(fleet, "consumer") as node:
+        sink = ZenohSink(node)
+        sink.put(sent)
+        with join(fleet, "dispatch") as dispatch:
+            subscriber = _subscribe(dispatch, "montreal/fleet/*/forecast")
+            heard = {str(subscriber.recv().key_expr) for _ in sent}
+    assert heard == {message.key for message in sent}
+
+
 def test_forecasts_reach_dispatch_and_their_car_but_no_forged_ones_and_no_other_car(service):
     key = f"montreal/fleet/{OWN}/forecast"
     heard: dict[str, list[bytes]] = {"dispatch": [], f"cars/{OWN}": [], f"cars/{OTHER}": []}
@@ -147,6 +159,8 @@ def test_nobody_but_the_consumer_reads_telemetry(service):
     for name in others:
         replies = service.join(name).session.get(f"montreal/fleet/{OWN}/telemetry/@adv/**", timeout=5.0)
         assert list(replies) == [], "the cache of the publisher answers"
+        tokens = service.join(name).session.liveliness().get(f"montreal/fleet/{OWN}/telemetry/@adv/**", timeout=5.0)
+        assert list(tokens) == [], "the token of the publisher shows its session"
     assert [sample for sample in heard if sample.payload.to_bytes() == b"private"] == []
     for subscriber in subscribers:
         subscriber.undeclare()
@@ -221,9 +235,23 @@ def stranger(fleet, tmp_path) -> Callable[[str], Any]:
 )
 def test_router_does_not_let_a_stranger_in(fleet, stranger, kind):
     with open_router(fleet) as router:
-        with pytest.raises(SettingsError, match="cannot be joined"):
+        with pytest.raises(SettingsError, match="cannot be joined") as caught:
             Node(stranger(kind))
+        assert ("is your certificate in force" in str(caught.value)) == (kind != "plain TCP")
         assert list(router.session.info.peers_zid()) == []
+
+
+def test_router_ends_a_connection_when_its_certificate_expires(fleet):
+    SecureFolder(fleet.path, clock=lambda: datetime.now(UTC) - timedelta(days=fleet.days, seconds=-3)).add(["taxi-5"])
+    with open_router(fleet), join(fleet, "cars/taxi-5") as car:
+        assert list(car.session.info.routers_zid()) != []
+        assert eventually(lambda: list(car.session.info.routers_zid()) == [], 10.0)
+
+
+def test_router_listens_with_tls_only(fleet):
+    endpoint = f"tcp/127.0.0.1:{fleet.port}"
+    with pytest.raises(SettingsError, match="cannot listen at"):
+        Node(Connection(config=fleet.path / "router.json5", listen=(endpoint,)))
 
 
 def test_client_does_not_join_a_car_that_passes_for_the_router(fleet, tmp_path):
