@@ -76,12 +76,24 @@ COMPLETION: Final = "_SOCAST_COMPLETE"
 CLOSED_PIPE: Final = 141
 """Exit code after standard output was closed: that of a process that SIGPIPE ended, 128 + 13."""
 
+_SETTINGS: Final = "tools.terminal.settings_file"
+"""Module of settings files; it is imported only by commands that take one."""
 _ARGUMENT: Final = re.compile(r"\{(.+?)(?:\.\.\.)?\}((?:\.\.\.)?)|\[(\[.+\])\]")
 """An argument as typer writes it in a usage line: `{NAME}`, `{NAME}...` or `[[NAME]]`."""
 
 
 class PlainCommand(TyperCommand):
     """Write the arguments of a command by their names alone, without the braces and the types that typer adds."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; an error about a value of a settings file names the file and the line."""
+        try:
+            return super().invoke(ctx)
+        except SocastError as error:
+            reader = sys.modules.get(_SETTINGS)
+            if reader and (place := reader.find_place(ctx, str(error))):
+                raise SocastError(f"{place}{error}") from error
+            raise
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return the words of the usage line after the name of the command."""
@@ -227,8 +239,8 @@ def _usage(error: UsageError, chosen: str | None) -> str:
         words = f"{name} is wrong: {choices}" if choices else f"{name} is '{wrong[0]['input']}', {wanted}"
     command = error.ctx.command_path if error.ctx else f"socast {chosen}" if chosen in COMMANDS else "socast"
     mark = "" if words.endswith("?") else ";"
-    reader = sys.modules.get("tools.terminal.settings_file")  # imported only by commands that read settings
-    place = reader.name_place(error) if reader and isinstance(error, typer.BadParameter) else ""
+    reader = sys.modules.get(_SETTINGS)
+    place = reader.name_place(error.ctx, error.param) if reader and isinstance(error, typer.BadParameter) else ""
     return _one_line(f"{place}{words[0].lower()}{words[1:]}{mark} `{command} --help` lists the options")
 
 

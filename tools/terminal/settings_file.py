@@ -102,15 +102,27 @@ def list_settings(command: Any) -> dict[str, Any]:
     return {opt.removeprefix("--"): each for opt, each in long.items()}
 
 
-def name_place(error: typer.BadParameter) -> str:
-    """Return the file and the line of the value that an error is about, with a colon; empty for the command line."""
-    context, parameter = error.ctx, error.param
-    if context is None or parameter is None or parameter.name is None:
+def name_place(context: typer.Context | None, parameter: Any) -> str:
+    """Return the file and the line of the value of a parameter, with a colon; empty where no file sets it.
+
+    Parameters
+    ----------
+    context : typer.Context, optional
+        Call of the command.
+    parameter : typer.core.TyperOption, optional
+    """
+    if context is None or parameter is None:
         return ""
     source = context.get_parameter_source(parameter.name)
     places: dict[str, str] = context.meta.get(_PLACES, {})
     is_of_file = source is not None and source.name == "DEFAULT_MAP" and parameter.name in places
     return f"{places[parameter.name]}: " if is_of_file else ""
+
+
+def find_place(context: typer.Context, words: str) -> str:
+    """Return the place of the option that an error message begins with, such as `--prefix is ...`; empty for others."""
+    named = re.match(r"(?:--)?([a-z-]+) is ", words)
+    return name_place(context, list_settings(context.command).get(named[1])) if named else ""
 
 
 def _explain(file: Path, content: bytes, error: Exception) -> str:

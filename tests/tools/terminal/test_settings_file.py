@@ -82,6 +82,8 @@ def test_command_line_takes_precedence_over_the_file(tmp_path):
         ("record-mb = -1.0", "--record-mb is '-1.0', must be greater than or equal to 0.001"),
         ("record-minutes = inf", "--record-minutes is 'inf', must be less than or equal to 1000000"),
         ('mode = "queen"', "--mode is wrong: 'queen' is not one of 'client', 'peer', 'router'"),
+        ('prefix = "a/**"', "prefix is 'a/**'; give plain chunks"),
+        ('metrics = "nine"', "--metrics is 'nine'; give a port from 0 to 65535"),
         ("smoothing 3", "not TOML: Expected '=' after a key"),
         ('prefix = "a', "not TOML: Unterminated string; write NAME = VALUE"),
     ],
@@ -102,6 +104,8 @@ def test_file_that_cannot_be_read_is_one_line(tmp_path, capsys):
 def test_mistake_on_the_command_line_is_not_blamed_on_the_file(tmp_path, capsys):
     file = write(tmp_path, "smoothing = 3")
     assert refused(capsys, "live", "--settings", file, "--smoothing", "9").startswith("socast: --smoothing is '9'")
+    file = write(tmp_path, "metrics = '9464'")
+    assert refused(capsys, "live", "--settings", file, "--metrics", "x").startswith("socast: --metrics is 'x'")
 
 
 def test_example_holds_every_option_and_is_valid(tmp_path):
