@@ -84,7 +84,8 @@ def test_faults_are_counted_from_the_beginning_of_the_ride():
     columns["soc_pct"][40] = 300.0
     columns["time_s"][50] += 1.2
     messages = [leaf(), *telemetry(columns)]
-    messages[60:60] = [messages[60]] * 3
+    sent = messages[60]  # again with other bytes, so that they are not the same message
+    messages[60:60] = [sent._replace(payload=sent.payload + b" " * spaces) for spaces in (1, 2, 3)]
     del messages[100:105]
     _, _, published = forecasts_of([*messages, make_message("ride", ride_id="r1", event="end")])
     assert published[-1]["quality"] == {

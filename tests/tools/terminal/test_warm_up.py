@@ -109,4 +109,4 @@ def test_consumer_with_existing_state_ignores_warm_up(capsys, tmp_path):
     assert code == 2
     ignored, failure = printed.splitlines()
     assert "--warm-up is ignored" in ignored
-    assert "127.0.0.1:1" in failure
+    assert "not a snapshot" in failure
