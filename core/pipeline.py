@@ -32,7 +32,7 @@ from core.forecast.tables import PublishedForecasts, tabulate_outlooks, tabulate
 from core.forecast.what_if import answer_query, withhold_charge
 from core.models import EXTENDED_PHYSICAL, Model
 from core.monitoring.shadow import ShadowModels
-from core.settings import Settings, checked
+from core.settings import Limits, Settings, check_limits, checked
 from core.signals.signals import flag_ambient
 from core.signals.weather import Stations
 from core.snapshot import open_snapshot, seal_snapshot
@@ -92,11 +92,13 @@ class Pipeline:
         True sums a ride only after its end, with its elevation smoothed from both sides; it excludes forecasts.
     elevation_map : ElevationMap, optional
         Corrects the elevation of every car's fixes before the cleaning.
+    limits : Limits
+        Limits of what is taken in, so that no sender can exhaust memory or time.
 
     Raises
     ------
     SettingsError
-        If a setting is outside its limits, or `two_sided` is combined with `keep_forecasts`.
+        If a setting or limit is outside its bounds, or `two_sided` is combined with `keep_forecasts`.
     ModelError
         If two models have the same name and version.
     """
@@ -114,6 +116,7 @@ class Pipeline:
         keep_outlooks: bool = False,
         two_sided: bool = False,
         elevation_map: ElevationMap | None = None,
+        limits: Limits = Limits(),  # noqa: B008 - immutable
     ) -> None:
         if two_sided and keep_forecasts:
             raise SettingsError("two_sided is True, but forecasts are causal; set keep_forecasts=False")
@@ -122,12 +125,12 @@ class Pipeline:
         of_model = dict.fromkeys((*model.effects, *also))
         of_shadows = dict.fromkeys(name for shadow in shadows for name in shadow.effects)
         self.effects = [effects.get(name) for name in of_model | of_shadows]
-        self.lanes, self.cars = Lanes(), Cars()
+        self.lanes, self.cars = Lanes(), Cars(check_limits(limits))
         self.context = RunContext(self.lanes, self.cars, [each.name for each in self.effects], self.settings, model)
-        self.duplicates, self.decoder = DuplicateFilter(self.lanes), Decoder(self.lanes)
+        self.duplicates, self.decoder = DuplicateFilter(self.lanes), Decoder(self.lanes, limits)
         self.drivers, self.plans, self.day_rollover = RideDrivers(), NewestPlans(), DayRollover()
         self.cleaner = Cleaner(self.settings, elevation_map)
-        self.stations = Stations()
+        self.stations = Stations(limits.stations)
         self.accumulator = Accumulator(len(self.effects))
         self.deferred = DeferredRows() if two_sided else None
         self.displays, self.counters = DisplayYields(self.cars), RunCounters()
@@ -224,7 +227,8 @@ class Pipeline:
                 if self._pending.size >= BLOCK:
                     self._update_forecasts(order.of_row(end))
         for _, value in observed:
-            self.decoder.refuse("weather", "out_of_range", number=not self.stations.observe(value))
+            if (cause := self.stations.observe(value)) is not None:
+                self.decoder.refuse("weather", cause)
         return Piece(stop, [], [], [])
 
     def clean_up(
@@ -254,7 +258,8 @@ class Pipeline:
         capacity, lanes = self.cars.capacity.take(kind) * JOULES_PER_KWH, len(self.lanes)
         clean, ends = self.cleaner.clean_between(batch, lanes, place, ride_events, capacity)
         sky, ignored = self.stations.sky_between(clean.time, clean.latitude, clean.longitude, observations)
-        self.decoder.refuse("weather", "out_of_range", number=ignored)
+        for cause in ignored:
+            self.decoder.refuse("weather", cause)
         clean = clean._replace(quality=flag_ambient(clean, sky))
         self.counters.count_samples(clean.quality)
         return CleanRows(clean, sky, kind, place, ends)

@@ -1,5 +1,6 @@
-"""Define the settings of cleaning and forecasting that an operator may change, with their limits."""
+"""Define what an operator may set: thresholds of cleaning and forecasting, and limits of what is taken in."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from core.columns import KMH, SECONDS_PER_DAY
@@ -55,6 +56,38 @@ class Settings(NamedTuple):
     least_distance: float = 200.0
 
 
+class Limits(NamedTuple):
+    """Hold the limits of what a consumer takes in, so that no sender can exhaust its memory or its time.
+
+    Whatever exceeds a limit is counted by its cause under `undecodable` in the counters.
+
+    Parameters
+    ----------
+    payload_bytes : float
+        Largest payload (`too_large`). [bytes]
+    list_samples : float
+        Largest number of samples in a payload that is a list (`too_many_samples`).
+    vehicles : float
+        Largest number of vehicles (`too_many_vehicles`), and of different vehicle descriptions.
+    stations : float
+        Largest number of weather stations (`too_many_stations`).
+    vehicle_models : float
+        Largest number of names of vehicle models (`too_many_models`).
+    key_rate : float
+        Messages of a key per second of receipt (`rate_limited`); 0 for no limit, as for recordings. [1/s]
+    key_burst : float
+        Number of messages that a key may send at once; a sample every 3 s makes 9,600 in an outage of 8 h.
+    """
+
+    payload_bytes: float = 4_000_000
+    list_samples: float = 20_000
+    vehicles: float = 100_000
+    stations: float = 10_000
+    vehicle_models: float = 1_000
+    key_rate: float = 0.0
+    key_burst: float = 10_000
+
+
 LIMITS = {
     "period": (0.1, 60.0),
     "speed_limit": (30 * KMH, 300 * KMH),
@@ -71,6 +104,18 @@ LIMITS = {
     "least_distance": (0.0, 100_000.0),
 }
 """Closed interval of each setting, in SI units."""
+BOUNDS_OF_LIMITS = {
+    "payload_bytes": (1_000, 1_000_000_000),
+    "list_samples": (1, 100_000_000),
+    "vehicles": (1, 10_000_000),
+    "stations": (1, 1_000_000),
+    "vehicle_models": (1, 1_000_000),
+    "key_rate": (0.0, 1_000_000.0),
+    "key_burst": (1, 100_000_000),
+}
+"""Closed interval of each limit."""
+LIVE_KEY_RATE = 50.0
+"""Messages of a key per second that the live service accepts. [1/s]"""
 
 
 def checked(settings: Settings) -> Settings:
@@ -96,8 +141,40 @@ def checked(settings: Settings) -> Settings:
     >>> checked(Settings(window=5)).window
     5
     """
-    for name, value in settings._asdict().items():
-        low, high = LIMITS[name]
-        if not low <= value <= high:
-            raise SettingsError(f"{name} is {value:g}, but must be from {low:g} to {high:g} (SI units)")
+    _check(settings._asdict(), LIMITS, " (SI units)")
     return settings
+
+
+def check_limits(limits: Limits) -> Limits:
+    """Return the limits if each of them is possible.
+
+    Parameters
+    ----------
+    limits : Limits
+        Limits to check.
+
+    Returns
+    -------
+    Limits
+        The same limits.
+
+    Raises
+    ------
+    SettingsError
+        If a limit is not possible; the message names the limit, its value and its bounds.
+
+    Examples
+    --------
+    >>> check_limits(Limits(vehicles=200)).vehicles
+    200
+    """
+    _check(limits._asdict(), BOUNDS_OF_LIMITS, "")
+    return limits
+
+
+def _check(values: Mapping[str, float], bounds: Mapping[str, tuple[float, float]], unit: str) -> None:
+    """Raise SettingsError for a value outside its bounds."""
+    for name, value in values.items():
+        low, high = bounds[name]
+        if not low <= value <= high:
+            raise SettingsError(f"{name} is {value:g}, but must be from {low:g} to {high:g}{unit}")

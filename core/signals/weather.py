@@ -7,6 +7,7 @@ h' = p - h / τ, with precipitation p and time constant τ.
 """
 
 from collections.abc import Sequence
+from math import inf
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -108,9 +109,15 @@ class Stations:
     """Keep every known weather station with its latest observations.
 
     An array has a row for each station, in the order in which the stations became known.
+
+    Parameters
+    ----------
+    most : float
+        Largest number of stations.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most: float = inf) -> None:
+        self._most = most
         self._of: dict[str, int] = {}
         self._times = np.zeros((0, KEPT + 1))
         self._counts = np.zeros(0, np.int64)
@@ -121,8 +128,8 @@ class Stations:
     def __len__(self) -> int:
         return len(self._of)
 
-    def observe(self, message: Weather) -> bool:
-        """Take an observation, and return whether it is plausible.
+    def observe(self, message: Weather) -> str | None:
+        """Take an observation, or return the cause for which it is ignored.
 
         An observation replaces an earlier one of the same station and time. The newest message defines the position of
         a station that moves.
@@ -134,18 +141,20 @@ class Stations:
 
         Returns
         -------
-        bool
-            False if the position is not on Earth or the time is out of range; the observation is then ignored.
+        str or None
+            `out_of_range` if the position is not on Earth or the time is out of range, or `too_many_stations`.
         """
         place = np.radians(message.latitude_deg), np.radians(message.longitude_deg)
         if not (abs(place[0]) <= np.pi / 2 and abs(place[1]) <= np.pi and 0.0 <= message.time_s <= LATEST):
-            return False
+            return "out_of_range"
+        if message.station_id not in self._of and len(self._of) >= self._most:
+            return "too_many_stations"
         station = self._find_row(message.station_id)
         self._move(station, *map(float, place))
         count, times, rows = int(self._counts[station]), self._times[station], self._values[station]
         at = int(np.searchsorted(times[:count], message.time_s))
         if at == 0 and count == KEPT:  # it is older than all observations that are kept
-            return True
+            return None
         earlier = float(times[at - 1]) if at else message.time_s - _HOUR
         if at == count or times[at] != message.time_s:
             times[at + 1 : count + 1], rows[at + 1 : count + 1] = times[at:count].copy(), rows[at:count].copy()
@@ -155,7 +164,7 @@ class Stations:
         if count > KEPT:
             times[:KEPT], rows[:KEPT] = times[1:].copy(), rows[1:].copy()
         self._counts[station] = min(count, KEPT)
-        return True
+        return None
 
     def sky(self, time: Floats, latitude: Floats, longitude: Floats) -> Sky:
         """Return the weather at positions and times.
@@ -185,7 +194,7 @@ class Stations:
 
     def sky_between(
         self, time: Floats, latitude: Floats, longitude: Floats, observations: Sequence[tuple[int, Weather]]
-    ) -> tuple[Sky, int]:
+    ) -> tuple[Sky, list[str]]:
         """Return the weather at rows, while observations arrive between them.
 
         Parameters
@@ -199,15 +208,18 @@ class Stations:
         -------
         Sky of n rows
             Weather at each row.
-        int
-            Number of observations that were ignored, see `observe`.
+        list of str
+            Causes of the observations that are ignored, see `observe`.
         """
         if not observations:
-            return self.sky(time, latitude, longitude), 0
-        parts, start, ignored = [], 0, 0
+            return self.sky(time, latitude, longitude), []
+        parts, start = [], 0
+        ignored: list[str] = []
         for row, message in observations:
             parts.append(self.sky(time[start:row], latitude[start:row], longitude[start:row]))
-            start, ignored = row, ignored + (not self.observe(message))
+            start = row
+            if (cause := self.observe(message)) is not None:
+                ignored.append(cause)
         parts.append(self.sky(time[start:], latitude[start:], longitude[start:]))
         return Sky(*(np.concatenate(columns) for columns in zip(*parts, strict=True))), ignored
 
@@ -240,7 +252,7 @@ class Stations:
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        self.__init__()  # type: ignore[misc]
+        self.__init__(self._most)  # type: ignore[misc]
         for name, times, rows, latitude, longitude in state:
             station = self._find_row(name)
             self._move(station, latitude, longitude)

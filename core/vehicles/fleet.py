@@ -2,12 +2,14 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from math import inf
 from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
 
 from core.batch import Floats, Ints, grown
+from core.settings import Limits
 from core.vehicles.catalogue import VehicleModel, vehicle_model
 from core.wire.message_order import VehicleChange
 from core.wire.messages import Vehicle
@@ -16,6 +18,9 @@ UNKNOWN: Final = 0
 """Kind of a car whose model is unknown, or that has not sent a vehicle message."""
 SILENT: Final = "no_vehicle_message"
 """Reason: the car has not sent a vehicle message."""
+
+TOO_MANY_MODELS: Final = "too_many_models"
+"""Reason: there are as many vehicle models, or descriptions of vehicles, as the limits allow."""
 
 
 class CarParameters(NamedTuple):
@@ -58,6 +63,11 @@ class Cars:
     A kind is a vehicle model with its overrides. Cars with the same model and overrides are of one kind and share a row
     of `parameters`.
 
+    Parameters
+    ----------
+    limits : Limits
+        A message that would exceed them is counted as `too_many_models` and does not change its car.
+
     Attributes
     ----------
     messages : list of (Vehicle or None)
@@ -74,7 +84,9 @@ class Cars:
         Number of vehicle messages without a prediction, by reason.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, limits: Limits = Limits()) -> None:  # noqa: B008 - immutable
+        self._limits = limits
+        self._names: set[str] = set()
         self.messages: list[Vehicle | None] = [None]
         self.models: list[VehicleModel | None] = [None]
         self.parameters: Floats = np.full((1, len(CarParameters._fields)), np.nan)
@@ -136,22 +148,27 @@ class Cars:
         applied: list[tuple[int, int, int]] = []
         for row, who, message, place in changes:
             kind, known = self._find_kind(message), int(self.of_lane[who])
-            if (why := self._reasons[kind]) is not None:
+            why = TOO_MANY_MODELS if kind is None else self._reasons[kind]
+            if why is not None:
                 self.unpredictable[why] += 1
-            if kind != known:
+            if kind is not None and kind != known:
                 self.of_lane[who] = kind
                 applied.append((who, row, kind))
                 if replaced is not None:
                     replaced.append(ReplacedKind(place, who, known))
         return _apply_changes(before, lane, applied) if applied else before
 
-    def _find_kind(self, message: Vehicle) -> int:
-        """Return the kind that a message describes, and add it if it is new."""
+    def _find_kind(self, message: Vehicle) -> int | None:
+        """Return the kind that a message describes, and add it if it is new; None where there are too many."""
         content = _strip_identity(message)
         key = msgspec.json.encode(content)
         kind = self._kinds.get(key)
         if kind is not None:
             return kind
+        is_new = content.model not in self._names
+        if (is_new and len(self._names) >= self._limits.vehicle_models) or len(self.models) > self._limits.vehicles:
+            return None
+        self._names.add(content.model)
         described = vehicle_model(message)
         kind = len(self.models)
         self._reasons.append(described if isinstance(described, str) else None)
@@ -173,11 +190,13 @@ class Cars:
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        self.__init__()  # type: ignore[misc]
+        limits = self._limits
+        self.__init__(limits._replace(vehicles=inf, vehicle_models=inf))  # type: ignore[misc]
         for message in state[0]:
             self._find_kind(msgspec.convert(message, Vehicle))
         self.of_lane = np.array(state[1], np.int64)
         self.unpredictable = Counter(state[2])
+        self._limits = limits
 
 
 def _apply_changes(before: Ints, lane: Ints, applied: list[tuple[int, int, int]]) -> Ints:

@@ -13,7 +13,9 @@ import numpy as np
 
 from core.batch import Batch, Floats, Lanes
 from core.columns import KMH, TELEMETRY, ZERO_CELSIUS
-from core.wire.messages import KINDS, OF_VEHICLES, Message, Telemetry, Wire, address, identity
+from core.settings import Limits
+from core.wire.messages import KINDS, LONGEST_KEY, OF_VEHICLES, Message, Telemetry, Wire, address, identity
+from core.wire.rate_limit import RateLimit
 from core.wire.rides import RideNames
 
 
@@ -39,6 +41,7 @@ _COLUMN_OF: Final = {"vehicle_id": "lane", "ride_id": "ride"} | {column.source: 
 _POSITION: Final = {field: Batch._fields.index(column) for field, column in _COLUMN_OF.items()}
 """Telemetry field -> its column among those of a batch."""
 _BLOCK: Final = 512
+_MOST_KEYS: Final = 1 << 20
 _LOST = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
@@ -60,16 +63,20 @@ class Decoder:
     - `wrong_type`: a field is missing or has the wrong type;
     - `empty_list`;
     - `key_mismatch`: the payload names another vehicle, station or model than its key;
-    - `out_of_range`: a weather station has an impossible position or time.
+    - `out_of_range`: a weather station has an impossible position or time;
+    - `too_long`: a key or a text is too long;
+    - `too_large`, `too_many_samples`, `too_many_vehicles`, `rate_limited`: see `core.settings.Limits`.
 
     Parameters
     ----------
     lanes : Lanes
         Lanes of the vehicles; every new vehicle gets one.
+    limits : Limits
     """
 
-    def __init__(self, lanes: Lanes) -> None:
-        self.lanes = lanes
+    def __init__(self, lanes: Lanes, limits: Limits = Limits()) -> None:  # noqa: B008 - immutable
+        self.lanes, self._limits = lanes, limits
+        self._rates = RateLimit(limits.key_rate, limits.key_burst)
         self.received: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
         self.rides = RideNames()
@@ -95,7 +102,9 @@ class Decoder:
         """
         tables: list[Floats] = []
         events: list[Event] = []
-        rows = 0
+        rows, received = 0, len(messages)
+        messages = self._rates.select(messages)
+        self._count_refused("rate_limited", received - len(messages))
         for start in range(0, len(messages), _BLOCK):
             tables.append(self._decode_block(messages[start : start + _BLOCK], events, rows))
             rows += tables[-1].shape[1]
@@ -113,30 +122,28 @@ class Decoder:
         self.received, self.rejected = Counter(received), Counter(rejected)
         self._lane_of_key.clear()
 
-    def refuse(self, kind: str, cause: str, *, number: int = 1) -> None:
-        """Count messages as rejected that had been counted as received.
+    def refuse(self, kind: str, cause: str) -> None:
+        """Count a message as rejected that had been counted as received.
 
         Parameters
         ----------
         kind : str
-            Kind of the messages, such as `weather`.
+            Kind of the message, such as `weather`.
         cause : str
             Cause of the rejection.
-        number : int
-            Number of messages.
         """
-        if number:
-            self.received[kind] -= number
-            self.rejected[cause] += number
+        self.received[kind] -= 1
+        self.rejected[cause] += 1
 
     def _decode_block(self, block: Sequence[Message], events: list[Event], rows: int) -> Floats:
         """Decode a block, with a shortcut for the most frequent message: one valid sample of a known vehicle."""
         samples: list[Telemetry] = []
         lanes: list[int] = []
         decode, lane_of, names = self._one.decode, self._lane_of_key.get, self.lanes.names
+        most = self._limits.payload_bytes
         for message in block:
             lane = lane_of(message[0])
-            if lane is not None:
+            if lane is not None and len(message[1]) <= most:
                 try:
                     sample = decode(message[1])
                 except _LOST:
@@ -152,20 +159,40 @@ class Decoder:
         self, message: Message, samples: list[Telemetry], lanes: list[int], events: list[Event], rows: int
     ) -> None:
         """Add the content of a message to the samples or events of its block, and count losses by cause."""
+        if len(message.key) > LONGEST_KEY:
+            self.rejected["too_long"] += 1
+            return
         whose = address(message.key)
         if whose is None:
             self.rejected["unknown_key"] += 1
+        elif len(message.payload) > self._limits.payload_bytes:
+            self.rejected["too_large"] += 1
         elif whose.kind == "telemetry":
-            if good := self._decode_samples(message.payload, whose.identity):
-                lane = self._lane_of_key[message.key] = self.lanes.lane(whose.identity)
+            good = self._decode_samples(message.payload, whose.identity)
+            if good and (lane := self._find_lane(whose.identity, len(good))) is not None:
+                if len(self._lane_of_key) >= _MOST_KEYS:  # strangers may make up prefixes
+                    self._lane_of_key.clear()
+                self._lane_of_key[message.key] = lane
                 lanes += [lane] * len(good)
                 samples += good
         else:
             value = self._decode_object(self._others[whose.kind], message.payload, whose.identity)
-            if value is not None:
+            lane = self._find_lane(whose.identity) if value is not None and whose.kind in OF_VEHICLES else -1
+            if value is not None and lane is not None:
                 self.received[whose.kind] += 1
-                lane = self.lanes.lane(whose.identity) if whose.kind in OF_VEHICLES else -1
                 events.append(Event(rows + len(lanes), lane, value))
+
+    def _find_lane(self, name: str, number: int = 1) -> int | None:
+        """Return the lane of a vehicle; count its messages and return None where there are too many vehicles."""
+        if self.lanes.find(name) is None and len(self.lanes) >= self._limits.vehicles:
+            self.rejected["too_many_vehicles"] += number
+            return None
+        return self.lanes.lane(name)
+
+    def _count_refused(self, cause: str, number: int) -> None:
+        """Count messages that are refused."""
+        if number:
+            self.rejected[cause] += number
 
     def _decode_samples(self, payload: bytes, identity: str) -> list[Telemetry]:
         """Return the valid samples of a payload, which holds one sample or a list of them."""
@@ -176,6 +203,9 @@ class Decoder:
             parts = [payload]
         if not parts:
             self.rejected["empty_list"] += 1
+        if len(parts) > self._limits.list_samples:
+            self.rejected["too_many_samples"] += len(parts)
+            return []
         decoded = (self._decode_object(self._one, part, identity) for part in parts)
         return [sample for sample in decoded if sample is not None]
 
@@ -183,8 +213,8 @@ class Decoder:
         """Decode one object whose identity must match its key; count the cause and return None if it cannot be used."""
         try:
             value = decoder.decode(payload)
-        except msgspec.ValidationError:
-            self.rejected["wrong_type"] += 1
+        except msgspec.ValidationError as error:
+            self.rejected["too_long" if "of length <=" in str(error) else "wrong_type"] += 1
         except _LOST:
             self.rejected["not_json"] += 1
         else:

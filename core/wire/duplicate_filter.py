@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from xxhash import xxh3_64_intdigest
 
 from core.batch import Lanes
-from core.wire.messages import Message
+from core.wire.messages import LONGEST_KEY, Message
 
 PER_VEHICLE: Final = 1280
 """Number of messages that are remembered, per vehicle; an hour of samples every 3 s is 1,200."""
@@ -136,9 +136,11 @@ class _KeySeeds(dict[str, int]):
     """Map a key to the seed of the hashes of its payloads."""
 
     def __missing__(self, key: str) -> int:
-        if len(self) >= 1 << 16:  # strangers may make up keys
-            self.clear()
-        seed = self[key] = xxh3_64_intdigest(key.encode(errors="surrogatepass"))
+        seed = xxh3_64_intdigest(key.encode(errors="surrogatepass"))
+        if len(key) <= LONGEST_KEY:
+            if len(self) >= 1 << 16:  # strangers may make up keys
+                self.clear()
+            self[key] = seed
         return seed
 
 

@@ -15,6 +15,12 @@ from msgspec import Meta
 IDENTITY: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 """Valid identity of a vehicle or a station."""
 
+LONGEST_KEY: Final = 512
+"""Largest number of characters of a key."""
+LONGEST_TEXT: Final = 256
+"""Largest number of characters of a name: of a ride, a driver or a vehicle model."""
+
+Name = Annotated[str, Meta(max_length=LONGEST_TEXT)]
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 
 
@@ -46,7 +52,7 @@ class Telemetry(Wire):
     vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
     time_s: Annotated[float, Meta(description="Time on the logger's own clock. [Unix s]")]
     ride_id: Annotated[
-        str | None, Meta(description="The logger's name of the ride in progress; null or absent between rides.")
+        Name | None, Meta(description="The logger's name of the ride in progress; null or absent between rides.")
     ] = None
     seq: Annotated[Count | None, Meta(description="The logger's sample counter.")] = None
     latitude_deg: Annotated[float | None, Meta(description="Latitude, WGS 84. [deg]")] = None
@@ -73,7 +79,7 @@ class Vehicle(Wire):
 
     vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
     time_s: Annotated[float, Meta(description="Time from which the message applies. [Unix s]")]
-    model: Annotated[str, Meta(description="Key of the vehicle model in the catalogue.")]
+    model: Annotated[Name, Meta(description="Key of the vehicle model in the catalogue.")]
     nominal_capacity_kwh: Annotated[
         float | None, Meta(description="Rated energy of the new battery; replaces that of the catalogue. [kWh]")
     ] = None
@@ -91,7 +97,7 @@ class Vehicle(Wire):
         ),
     ] = None
     in_service_date: Annotated[
-        str | None, Meta(description="Date of first registration, ISO 8601; accepted and not used.")
+        Name | None, Meta(description="Date of first registration, ISO 8601; accepted and not used.")
     ] = None
 
 
@@ -100,9 +106,9 @@ class Ride(Wire):
 
     vehicle_id: Annotated[str, Meta(description="Identity of the vehicle, as in the key.")]
     time_s: Annotated[float, Meta(description="Time at which the ride begins or ends. [Unix s]")]
-    ride_id: Annotated[str, Meta(description="Name of the ride, as in its telemetry.")]
+    ride_id: Annotated[Name, Meta(description="Name of the ride, as in its telemetry.")]
     event: Annotated[Literal["start", "end"], Meta(description="Whether the ride begins (start) or ends (end).")]
-    driver_id: Annotated[str | None, Meta(description="Identity of the driver.")] = None
+    driver_id: Annotated[Name | None, Meta(description="Identity of the driver.")] = None
 
 
 class Leg(Wire):

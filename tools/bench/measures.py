@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from core.batch import Batch, Lanes
 from core.models import EXTENDED_PHYSICAL
 from core.pipeline import BLOCK, Pipeline
+from core.settings import Limits
 from core.wire.decoder import Decoder
 from core.wire.messages import Message
 from stream.mcap_reader import McapSource
@@ -181,7 +182,7 @@ def measure_arrays(repeats: int = 5, cars: int = 1000, turns: int = 200) -> Meas
 
 def _prepared_pipeline(cars: int) -> Pipeline:
     """Return a pipeline that knows its cars."""
-    pipeline = Pipeline(EXTENDED_PHYSICAL, keep_tables=False)
+    pipeline = Pipeline(EXTENDED_PHYSICAL, keep_tables=False, limits=Limits(vehicles=cars))
     pipeline.push(make_vehicles(cars))
     return pipeline
 

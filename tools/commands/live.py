@@ -13,6 +13,7 @@ import typer
 from core.errors import SettingsError
 from core.models import Model
 from core.pipeline import Pipeline
+from core.settings import Limits
 from core.wire.messages import Message, Telemetry, encode
 from stream.checkpoints import Checkpoints
 from stream.latest_only_sink import LatestOnlySink
@@ -31,6 +32,7 @@ from stream.zenoh_session import LOOPBACK, Connection, Mode, Node, parse_prefix
 from tools.terminal.diagnosis_process import DiagnosisProcess
 from tools.terminal.findings_file import make_finding_fields, read_findings
 from tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
+from tools.terminal.limit_options import LimitLog, insert_limit_options
 from tools.terminal.live_table import LiveTable
 from tools.terminal.model_comparison import DEFAULT_MODEL, load_models
 from tools.terminal.output import check_outputs
@@ -40,6 +42,7 @@ from tools.terminal.settings_file import SettingsFile
 _log = logging.getLogger("socast.live")
 
 
+@insert_limit_options
 @insert_forecast_options
 def live(
     *,
@@ -60,6 +63,7 @@ def live(
     ] = None,
     recovery: Annotated[bool, typer.Option(help="Request missed samples from the publishers.")] = True,
     options: ForecastOptions,
+    limits: Limits,
     record: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Record every payload as it came, decodable or not.")
     ] = None,
@@ -133,7 +137,7 @@ def live(
                 "--warm-up is ignored: the consumer continues from --state", extra=event_fields(state=str(state))
             )
         monitor.begin("loading the state" if restored else "learning from earlier recordings")
-        pipeline = make_pipeline(options, models, warm=not restored)
+        pipeline = make_pipeline(options, models, limits, warm=not restored)
         recorder = Recorder(record, round(record_mb * 2**20), record_minutes * 60, flush) if record else None
         ending.enter_context(act_on_hangup(_choose_act(recorder, stop)))
         checkpoints = Checkpoints(pipeline, file, recorder) if file else None
@@ -148,7 +152,7 @@ def live(
         _log_start(node, pipeline, models, monitor)
         sink = LatestOnlySink(ZenohSink(node))
         sink.put(first)
-        watches: list[Callable[[Tally], None]] = [service, rides]
+        watches: list[Callable[[Tally], None]] = [service, rides, LimitLog(pipeline)]
         if checkpoints:
             watches.append(checkpoints)
         take = SnapshotTaker(pipeline, source, recorder, checkpoints, service, per_vehicle=metrics_per_car)

@@ -9,7 +9,7 @@ import typer
 
 from core.models import LinearModel
 from core.pipeline import Pipeline
-from core.settings import Settings
+from core.settings import Limits, Settings
 from stream.elevation_files import open_elevation
 from stream.mcap_reader import McapSource
 from stream.zenoh_session import parse_prefix
@@ -79,6 +79,7 @@ insert_forecast_options = insert_options("options", _make_options)
 def make_pipeline(
     options: ForecastOptions,
     models: Sequence[LinearModel],
+    limits: Limits = Limits(),  # noqa: B008 - immutable
     *,
     replayed: Sequence[McapSource] = (),
     warm: bool = True,
@@ -92,6 +93,8 @@ def make_pipeline(
         Values of the shared options.
     models : sequence of LinearModel
         The loaded models of the options.
+    limits : Limits
+        Limits of what is taken in.
     replayed : sequence of McapSource
         Recordings to be forecast. The warm-up recordings must end before these begin.
     warm : bool
@@ -116,7 +119,13 @@ def make_pipeline(
     earlier = options.warm_up if warm else None
     learned = learn_from_recordings(first, shadows, options.settings, earlier, replayed, elevation_map)
     pipeline = Pipeline(
-        first, options.settings, prefix, shadows=shadows, keep_outlooks=keep_outlooks, elevation_map=elevation_map
+        first,
+        options.settings,
+        prefix,
+        shadows=shadows,
+        keep_outlooks=keep_outlooks,
+        elevation_map=elevation_map,
+        limits=limits,
     )
     if learned:
         pipeline.learn_from(learned)

@@ -127,7 +127,7 @@ def test_value_out_of_range_is_unknown():
 @pytest.mark.parametrize("place", [(1e308, 0.0), (0.0, 1e308), (91.0, 0.0), (0.0, 400.0)])
 def test_observation_with_impossible_position_is_rejected_and_counted(place):
     stations = Stations()
-    assert not stations.observe(station("lost", place=place, temperature_c=1.0))
+    assert stations.observe(station("lost", place=place, temperature_c=1.0)) == "out_of_range"
     pipeline, _ = ran([observed(place=place), observed()])
     assert pipeline.quality()["received"]["weather"] == 1
     assert pipeline.quality()["undecodable"] == {"out_of_range": 1}
@@ -266,5 +266,5 @@ def test_depths_on_the_road_do_not_depend_on_the_order_of_arrival():
 def test_observation_older_than_all_kept_ones_changes_nothing():
     stations = observed_hourly([1.0] * (KEPT + 5), [-3.0] * (KEPT + 5))
     before = repr(stations.dump())
-    assert stations.observe(station(time=0.5, precipitation_mm=500.0, temperature_c=-3.0))
+    assert stations.observe(station(time=0.5, precipitation_mm=500.0, temperature_c=-3.0)) is None
     assert repr(stations.dump()) == before

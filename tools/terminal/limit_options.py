@@ -1,0 +1,88 @@
+"""The limits of what the live service takes in: their options, and the warning when one is first reached."""
+
+import logging
+from typing import Annotated, Any, Final
+
+import typer
+
+from core.pipeline import Pipeline
+from core.settings import BOUNDS_OF_LIMITS, LIVE_KEY_RATE, Limits
+from stream.structured_log import event_fields
+from tools.terminal.option_groups import insert_options
+
+_DEFAULTS: Final = Limits()
+_log = logging.getLogger("socast.live")
+
+
+def _option(name: str, field: str, metavar: str, words: str) -> Any:
+    """Return an option with the bounds of a limit."""
+    low, high = BOUNDS_OF_LIMITS[field]
+    return typer.Option(name, metavar=metavar, help=words, min=low, max=high)
+
+
+def make_limits(
+    max_vehicles: Annotated[
+        int, _option("--max-vehicles", "vehicles", "N", "Ignore new vehicles beyond this number.")
+    ] = int(_DEFAULTS.vehicles),
+    max_stations: Annotated[
+        int, _option("--max-stations", "stations", "N", "Ignore new weather stations beyond this number.")
+    ] = int(_DEFAULTS.stations),
+    max_models: Annotated[
+        int, _option("--max-models", "vehicle_models", "N", "Ignore new vehicle models beyond this number.")
+    ] = int(_DEFAULTS.vehicle_models),
+    max_payload_bytes: Annotated[
+        int, _option("--max-payload-bytes", "payload_bytes", "N", "Refuse larger payloads.")
+    ] = int(_DEFAULTS.payload_bytes),
+    max_list_samples: Annotated[
+        int, _option("--max-list-samples", "list_samples", "N", "Refuse lists of more samples.")
+    ] = int(_DEFAULTS.list_samples),
+    max_key_rate: Annotated[
+        float, _option("--max-key-rate", "key_rate", "HZ", "Refuse more messages a second under a key; 0 for no limit.")
+    ] = LIVE_KEY_RATE,
+    key_burst: Annotated[
+        int, _option("--key-burst", "key_burst", "N", "Messages under a key that may come at once, as after an outage.")
+    ] = int(_DEFAULTS.key_burst),
+) -> Limits:
+    """Return the limits that the options define."""
+    return Limits(max_payload_bytes, max_list_samples, max_vehicles, max_stations, max_models, max_key_rate, key_burst)
+
+
+insert_limit_options = insert_options("limits", make_limits)
+"""Decorator that gives a command the options of the limits in place of its argument `limits`."""
+
+OPTION_OF_CAUSE: Final = {
+    "too_many_vehicles": "--max-vehicles",
+    "too_many_stations": "--max-stations",
+    "too_many_models": "--max-models",
+    "too_large": "--max-payload-bytes",
+    "too_many_samples": "--max-list-samples",
+    "rate_limited": "--max-key-rate",
+}
+"""Cause of a refusal -> option that sets its limit."""
+
+
+class LimitLog:
+    """Warn once of each limit that has been reached, as a watch of the loop.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+    """
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self._pipeline = pipeline
+        self._warned: set[str] = set()
+
+    def __call__(self, _: object) -> None:
+        """Warn of limits that were reached since the last call."""
+        for cause, option in OPTION_OF_CAUSE.items():
+            if cause not in self._warned and (count := self._count(cause)):
+                self._warned.add(cause)
+                _log.warning(
+                    "a limit is reached: what exceeds it is ignored and counted",
+                    extra=event_fields(cause=cause, count=count, option=option),
+                )
+
+    def _count(self, cause: str) -> int:
+        """Return how often a cause has been counted."""
+        return self._pipeline.decoder.rejected[cause] + self._pipeline.cars.unpredictable[cause]
