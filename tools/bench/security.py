@@ -3,12 +3,13 @@
 import json
 import multiprocessing
 import tempfile
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from multiprocessing.synchronize import Event as ProcessEvent
 from pathlib import Path
 from statistics import median
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 from stream.zenoh_pubsub import ZenohSink
 from stream.zenoh_session import Connection, Node, find_free_port
@@ -52,8 +53,36 @@ def publish_streams(connections: Sequence[Connection], turns: int, ready: Proces
             sink.close()
 
 
-def time_way(way: str, folder: SecureFolder, cars: int, turns: int) -> float:
-    """Return the time in which the live consumer takes the streams of cars. [s]
+class Way(NamedTuple):
+    """Hold the cost of taking the streams of cars.
+
+    Parameters
+    ----------
+    wall_s : float
+        Time from the first to the last sample. [s]
+    cpu_s : float
+        CPU time of the process with consumer and router. [s]
+    """
+
+    wall_s: float
+    cpu_s: float
+
+
+class _CpuTimer:
+    """Take the CPU time at which a stream begins, when the consumer asks for it."""
+
+    def __init__(self, go: ProcessEvent) -> None:
+        self._go = go
+        self.began_s = 0.0
+
+    def set(self) -> None:
+        """Note the CPU time, and let the stream begin."""
+        self.began_s = time.process_time()
+        self._go.set()
+
+
+def time_way(way: str, folder: SecureFolder, cars: int, turns: int) -> Way:
+    """Return the cost at which the live consumer takes the streams of cars.
 
     Parameters
     ----------
@@ -77,9 +106,11 @@ def time_way(way: str, folder: SecureFolder, cars: int, turns: int) -> float:
     with Node(router) as node:
         process = context.Process(target=publish_streams, args=(connections, turns, ready, go))
         process.start()
-        took = make_full_consumer(cars, turns)(node, ready, go)
+        timer: Any = _CpuTimer(go)
+        wall_s = make_full_consumer(cars, turns)(node, ready, timer)
+        cpu_s = time.process_time() - timer.began_s
         process.join(PATIENCE_S)
-    return took
+    return Way(wall_s, cpu_s)
 
 
 def make_folder(path: Path, cars: int) -> SecureFolder:
@@ -101,7 +132,7 @@ def make_folder(path: Path, cars: int) -> SecureFolder:
     return folder
 
 
-def measure_security(repeats: int = 5, cars: int = 20, turns: int = 10_000) -> Measure:
+def measure_security(repeats: int = 7, cars: int = 20, turns: int = 8000) -> Measure:
     """Measure the live consumer with certificates and access control against the same with plain TCP.
 
     Parameters
@@ -115,17 +146,25 @@ def measure_security(repeats: int = 5, cars: int = 20, turns: int = 10_000) -> M
     with tempfile.TemporaryDirectory() as temporary:
         folder = make_folder(Path(temporary) / "keys", cars)
         timings = [[time_way(way, folder, cars, turns) for way in WAYS] for _ in range(repeats)]
-    plain_s, certificates_s, rules_s = (median(of_way) for of_way in zip(*timings, strict=True))
+    plain, certificates, rules = (
+        Way(*(median(costs) for costs in zip(*of_way, strict=True))) for of_way in zip(*timings, strict=True)
+    )
+    ratio = plain.wall_s / rules.wall_s
     return Measure(
         f"live consumer with certificates and access control, {FLEET:,} cars",
         "the same with plain TCP",
-        plain_s / rules_s,
+        ratio,
         ">= 0.8",
-        plain_s / rules_s >= 0.8,
+        ratio >= 0.8,
         {
-            "plain_samples_per_s": total / plain_s,
-            "secured_samples_per_s": total / rules_s,
-            "ratio_of_certificates_alone": plain_s / certificates_s,
+            "plain_samples_per_s": total / plain.wall_s,
+            "secured_samples_per_s": total / rules.wall_s,
+            "ratio_of_certificates_alone": plain.wall_s / certificates.wall_s,
+            "plain_cpu_us": plain.cpu_s / total * 1e6,
+            "certificates_cpu_us": certificates.cpu_s / total * 1e6,
+            "secured_cpu_us": rules.cpu_s / total * 1e6,
         },
-        "",
+        "Each car has a session of its own. Publisher and consumer keep both cores busy. Zenoh decrypts in its own "
+        "threads and keeps the permission of each declared key, so that Python takes most of the time in either case. "
+        "The CPU times are those of the process with consumer and router, per sample.",
     )

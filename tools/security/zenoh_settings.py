@@ -34,6 +34,7 @@ def make_router_settings(
     """
     settings = _make_settings("router", make_tls("listen", credential, authority))
     settings["listen"] = {"endpoints": [f"tls/0.0.0.0:{port}"]}
+    settings["timestamping"] = {"enabled": False}
     settings["adminspace"] = {"enabled": False}
     settings["transport"]["link"]["rx"] = {"max_message_size": LARGEST_MESSAGE}
     return settings | {"access_control": access_control}
@@ -89,11 +90,10 @@ def make_tls(side: str, credential: Credential, authority: str) -> dict[str, Any
 
 
 def _make_settings(mode: str, tls: dict[str, Any]) -> dict[str, Any]:
-    """Return what all nodes have in common: only TLS, no discovery, and no time stamps on samples of others."""
+    """Return what all nodes have in common: only TLS, and no discovery."""
     return {
         "mode": mode,
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-        "timestamping": {"enabled": False},
         "transport": {"link": {"protocols": ["tls"], "tls": tls}},
     }
 
