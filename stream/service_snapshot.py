@@ -21,6 +21,8 @@ ACTIVE_S: Final = 300.0
 """Age of its newest sample up to which a vehicle is active. [s]"""
 AHEAD_S: Final = 60.0
 """Time by which a sample may be ahead of the system clock; a sample further ahead has a wrong time. [s]"""
+OF_SOURCE: Final = "missed", "lost", "recovered", "dropped", "queue_messages", "queue_bytes"
+"""Attributes of a source that a snapshot takes over, see `ServiceSnapshot`; a source may lack any of them."""
 PLACES: Final = "below", "inside", "above"
 """Places of an outcome beside an interval."""
 _TELEMETRY: Final = "/telemetry"
@@ -187,7 +189,7 @@ class SnapshotTaker:
     ----------
     pipeline : Pipeline
     source : object
-        Source of the messages. Its counts are exported as far as it has them.
+        Source of the messages. Those of its attributes that `OF_SOURCE` names are exported.
     recorder : Recorder, optional
     checkpoints : Checkpoints, optional
     queries : QueryService, optional
@@ -220,7 +222,7 @@ class SnapshotTaker:
         return ServiceSnapshot(
             messages=tally.received,
             forecasts=tally.forecasts,
-            missed=getattr(self._source, "missed", None),
+            **self._read_source(),
             duplicates=self._pipeline.duplicates.dropped,
             recorded=recorder.recorded if recorder else None,
             unrecorded=recorder.unrecorded if recorder else None,
@@ -238,6 +240,11 @@ class SnapshotTaker:
     def _to_unix(self, moment: float | None) -> float | None:
         """Return the Unix time of a monotonic time. [s]"""
         return None if moment is None else self._now() - (self._clock() - moment)
+
+    def _read_source(self) -> dict[str, Any]:
+        """Return the counts of the source."""
+        counts = {name: getattr(self._source, name, None) for name in OF_SOURCE}
+        return {name: dict(value) if isinstance(value, Mapping) else value for name, value in counts.items()}
 
     def _read_vehicles(self) -> dict[str, Any]:
         """Return the numbers of vehicles, the newest sample and, if asked for, values of each vehicle."""

@@ -6,7 +6,7 @@ from core.wire.messages import Message
 from stream.loop import Tally, run
 from stream.memory import MemorySink, MemorySource
 from stream.recorder import Recorder
-from stream.service_snapshot import LAG_BUCKETS, LagMeter, SnapshotTaker
+from stream.service_snapshot import LAG_BUCKETS, OF_SOURCE, LagMeter, SnapshotTaker
 from stream.service_status import ServiceStatus, ServiceWatch
 from tests.support.recorded_shift import BEGIN, shift
 
@@ -59,3 +59,13 @@ def test_lag_counts_single_samples_only():
     assert counted.counts[LAG_BUCKETS.index(5.0)] == 1
     assert counted.counts[0] == 1
     assert (sum(counted.counts), counted.total) == (2, 3.0)
+
+
+def test_counts_of_the_source_are_taken_over_as_far_as_it_has_them():
+    pipeline, source = Pipeline(), MemorySource([])
+    assert SnapshotTaker(pipeline, source)(Tally(), LagMeter()).lost is None
+    given = {"missed": 1, "lost": 2, "recovered": 3, "dropped": {"bytes": 4}, "queue_messages": 5, "queue_bytes": 6}
+    for name, value in given.items():
+        setattr(source, name, value)
+    snapshot = SnapshotTaker(pipeline, source)(Tally(), LagMeter())
+    assert {name: getattr(snapshot, name) for name in OF_SOURCE} == given
