@@ -38,12 +38,15 @@ class Access:
         Keys of queries that it answers.
     asks : tuple of str
         Keys that it queries.
+    claims : tuple of str
+        Keys of liveliness tokens that it holds, and watches.
     """
 
     puts: tuple[str, ...] = ()
     reads: tuple[str, ...] = ()
     answers: tuple[str, ...] = ()
     asks: tuple[str, ...] = ()
+    claims: tuple[str, ...] = ()
 
 
 SERVICES: Final[Mapping[str, Access]] = {
@@ -51,6 +54,7 @@ SERVICES: Final[Mapping[str, Access]] = {
         puts=("fleet/*/forecast", "models/**", "findings/**", "socast/**"),
         reads=("fleet/**", "weather/**", "socast/**"),
         answers=("fleet/*/outlook",),
+        claims=("socast/**",),
     ),
     DISPATCH: Access(
         puts=("fleet/*/ride", "fleet/*/plan"),
@@ -114,25 +118,26 @@ def make_access_control(identities: Iterable[tuple[str, Sequence[str]]], prefix:
 
 def _make_rules(name: str, access: Access, prefix: str) -> Iterable[dict[str, Any]]:
     """Yield the rules of an identity: what the router takes from it, and what the router sends to it."""
-    puts, reads, answers, asks = (
-        [prefix + key for key in keys] for keys in (access.puts, access.reads, access.answers, access.asks)
+    puts, reads, answers, asks, claims = (
+        [prefix + key for key in keys]
+        for keys in (access.puts, access.reads, access.answers, access.asks, access.claims)
     )
     puts_advanced, reads_advanced = ([f"{key}/@adv/**" for key in keys] for keys in (puts, reads))
     subscriptions = ["**", "**/@adv/**"] if puts else []
     keys_of = {
         "ingress": {
             "put": puts + puts_advanced,
-            "liveliness_token": puts_advanced,
+            "liveliness_token": puts_advanced + claims,
             "declare_queryable": puts_advanced + answers,
             "reply": puts + puts_advanced + answers,
             "declare_subscriber": reads + reads_advanced,
-            "declare_liveliness_subscriber": reads_advanced,
-            "liveliness_query": reads_advanced,
+            "declare_liveliness_subscriber": reads_advanced + claims,
+            "liveliness_query": reads_advanced + claims,
             "query": reads_advanced + asks,
         },
         "egress": {
             "put": reads + reads_advanced,
-            "liveliness_token": reads_advanced,
+            "liveliness_token": reads_advanced + claims,
             "declare_queryable": reads_advanced + asks,
             "reply": reads + reads_advanced + asks,
             "declare_subscriber": subscriptions,

@@ -192,6 +192,27 @@ def test_car_cannot_answer_in_place_of_the_consumer(fleet):
     assert asked == []
 
 
+def test_token_of_a_consumer_is_seen_by_another_consumer_alone(fleet):
+    key = "montreal/socast/publisher"
+    with (
+        open_router(fleet),
+        join(fleet, "consumer") as one,
+        join(fleet, "consumer") as two,
+        join(fleet, f"cars/{OWN}") as car,
+    ):
+        false = car.session.liveliness().declare_token(key)
+        car.flush()
+        assert list(two.session.liveliness().get(key, timeout=5.0)) == []
+        false.undeclare()
+        watch = two.session.liveliness().declare_subscriber(key)
+        token = one.session.liveliness().declare_token(key)
+        assert watch.recv().kind == zenoh.SampleKind.PUT
+        assert len(list(two.session.liveliness().get(key, timeout=5.0))) == 1
+        assert list(car.session.liveliness().get("montreal/socast/**", timeout=5.0)) == []
+        token.undeclare()
+        assert watch.recv().kind == zenoh.SampleKind.DELETE
+
+
 @pytest.fixture
 def stranger(fleet, tmp_path) -> Callable[[str], Any]:
     """Return a function that makes the connection of a stranger."""
