@@ -17,7 +17,7 @@ from core.batch import Batch, Ints, Lanes, Stateful
 from core.cleaning.elevation_map import ElevationMap
 from core.cleaning.kernel import Cleaner
 from core.cleaning.segmentation import NO_RIDE_EVENTS, RIDE_EVENT, UNKNOWN_NAME
-from core.columns import JOULES_PER_KWH
+from core.columns import JOULES_PER_KWH, SECONDS_PER_DAY
 from core.errors import AskError, SettingsError
 from core.forecast.day_rollover import DailyUpdate, DayRollover
 from core.forecast.due_forecasts import DueForecasts
@@ -125,7 +125,7 @@ class Pipeline:
         of_model = dict.fromkeys((*model.effects, *also))
         of_shadows = dict.fromkeys(name for shadow in shadows for name in shadow.effects)
         self.effects = [effects.get(name) for name in of_model | of_shadows]
-        self.lanes, self.cars = Lanes(), Cars(check_limits(limits))
+        self.limits, self.lanes, self.cars = check_limits(limits), Lanes(), Cars(limits)
         self.context = RunContext(self.lanes, self.cars, [each.name for each in self.effects], self.settings, model)
         self.duplicates, self.decoder = DuplicateFilter(self.lanes), Decoder(self.lanes, limits)
         self.drivers, self.plans, self.day_rollover = RideDrivers(), NewestPlans(), DayRollover()
@@ -181,7 +181,7 @@ class Pipeline:
                 piece.observations.append((row, value))
             elif isinstance(value, DailyUpdate):  # it applies to every later row
                 piece = self._advance(batch, order, piece, row)
-                self._take_daily_update(place)
+                self._take_daily_update(place, value.midnight - self.limits.silent_days * SECONDS_PER_DAY)
         self._advance(batch, order, piece, batch.size)
         if self._pending.size >= BLOCK:
             self._update_forecasts(order.size)
@@ -226,9 +226,7 @@ class Pipeline:
                 self._pending.add_sums(sums, end - at)
                 if self._pending.size >= BLOCK:
                     self._update_forecasts(order.of_row(end))
-        for _, value in observed:
-            if (cause := self.stations.observe(value)) is not None:
-                self.decoder.refuse("weather", cause)
+        self.decoder.refuse("weather", *filter(None, [self.stations.observe(value) for _, value in observed]))
         return Piece(stop, [], [], [])
 
     def clean_up(
@@ -258,8 +256,7 @@ class Pipeline:
         capacity, lanes = self.cars.capacity.take(kind) * JOULES_PER_KWH, len(self.lanes)
         clean, ends = self.cleaner.clean_between(batch, lanes, place, ride_events, capacity)
         sky, ignored = self.stations.sky_between(clean.time, clean.latitude, clean.longitude, observations)
-        for cause in ignored:
-            self.decoder.refuse("weather", cause)
+        self.decoder.refuse("weather", *ignored)
         clean = clean._replace(quality=flag_ambient(clean, sky))
         self.counters.count_samples(clean.quality)
         return CleanRows(clean, sky, kind, place, ends)
@@ -301,8 +298,9 @@ class Pipeline:
         if not self.keep_outlooks:
             self.engine.take_shifts()
 
-    def _take_daily_update(self, place: int) -> None:
-        """Run the daily update at a place in the batch."""
+    def _take_daily_update(self, place: int, silent: float) -> None:
+        """Run the daily update at a place in the batch, and forget stations that are silent since a time. [s]"""
+        self.stations.forget_silent(silent)
         self._update_forecasts(place)
         pool = partial(self.deferred.add_daily_update, place) if self.deferred else self.displays.apply_daily_update
         pool(self.cars.of_lane)

@@ -77,6 +77,8 @@ class Limits(NamedTuple):
         Messages of a key per second of receipt (`rate_limited`); 0 for no limit, as for recordings. [1/s]
     key_burst : float
         Number of messages that a key may send at once; a sample every 3 s makes 9,600 in an outage of 8 h.
+    silent_days : float
+        Event time after which a vehicle or a station that has sent nothing is forgotten, at the daily update. [days]
     """
 
     payload_bytes: float = 4_000_000
@@ -86,6 +88,7 @@ class Limits(NamedTuple):
     vehicle_models: float = 1_000
     key_rate: float = 0.0
     key_burst: float = 10_000
+    silent_days: float = 30.0
 
 
 LIMITS = {
@@ -112,6 +115,7 @@ BOUNDS_OF_LIMITS = {
     "vehicle_models": (1, 1_000_000),
     "key_rate": (0.0, 1_000_000.0),
     "key_burst": (1, 100_000_000),
+    "silent_days": (1.0, 36_500.0),
 }
 """Closed interval of each limit."""
 LIVE_KEY_RATE = 50.0

@@ -49,6 +49,8 @@ CAR_CLOCK: Final = np.dtype(
 class DailyUpdate(Wire):
     """Mark the daily update among the messages that are no samples; it is never published."""
 
+    midnight: float
+
 
 class DayRollover:
     """Detect the changes of the UTC day."""
@@ -75,7 +77,7 @@ class DayRollover:
         list of Event
             In the order of their rows; an update follows the messages that came before its row.
         """
-        updates = [Event(row, -1, DailyUpdate()) for row in self.find_rollovers(batch.lane, batch.stamp)]
+        updates = [Event(row, -1, DailyUpdate(end)) for row, end in self._find_days(batch.lane, batch.stamp)]
         return sorted([*events, *updates], key=itemgetter(0)) if updates else events
 
     def find_rollovers(self, lane: Ints, stamp: Floats) -> list[int]:
@@ -99,15 +101,19 @@ class DayRollover:
         >>> rollover.find_rollovers(np.zeros(5, np.int64), np.array([9e9, 109.0, 86398.0, 86401.0, 86404.0]))
         [4]
         """
+        return [row for row, _ in self._find_days(lane, stamp)]
+
+    def _find_days(self, lane: Ints, stamp: Floats) -> list[tuple[int, float]]:
+        """Return the rows before which the day changes, and the midnight at which each of the new days ends."""
         lanes = int(lane.max(initial=-1)) + 1
         self._clocks = grown(self._clocks, lanes, np.array((np.nan, np.nan, 0, 0), CAR_CLOCK))
-        rollovers: list[int] = []
+        days: list[tuple[int, float]] = []
         row = -1
         while (row := self._process_samples(lane, stamp, row + 1)) < len(lane):
             self._begin_day()
-            rollovers.append(row)
+            days.append((row, self._midnight))
         self._place = (self._place + len(lane)) % WINDOW_SAMPLES
-        return rollovers
+        return days
 
     @property
     def midnight(self) -> float:

@@ -18,8 +18,8 @@ from numba import njit
 
 LARGEST_LOG_CONSUMPTION: Final = log(5.0)
 """Largest absolute value of `a`: no car uses five times the prediction, or a fifth of it, for a day. [1]"""
-LARGEST_LOG_CAPACITY: Final = log(3.0)
-"""Largest absolute value of `c`, eleven standard deviations of its prior. [1]"""
+LARGEST_LOG_CAPACITY: Final = log(2.0)
+"""Largest absolute value of `c`, seven standard deviations of its prior. [1]"""
 
 
 @njit(cache=False)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats
-from core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
+from core.forecast.learning.leg_energy import LEAST_KM, TEMPERATURES, LegEnergyTables
 from core.wire.messages import Leg, Plan
 
 _KNOTS: Final = len(TEMPERATURES)
@@ -149,5 +149,5 @@ def compute_share_left(leg_km: Floats, driven_km: Floats) -> Floats:
     >>> compute_share_left(np.array([4.0, 4.0, 0.0]), np.array([1.0, 9.0, 1.0])).tolist()
     [0.75, 0.0, 1.0]
     """
-    done = np.divide(np.maximum(driven_km, 0.0), leg_km, out=np.zeros(len(leg_km)), where=leg_km > 0.0)
+    done = np.divide(np.maximum(driven_km, 0.0), leg_km, out=np.zeros(len(leg_km)), where=leg_km > LEAST_KM)
     return np.asarray(np.clip(1.0 - done, 0.0, 1.0))

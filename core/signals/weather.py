@@ -223,6 +223,17 @@ class Stations:
         parts.append(self.sky(time[start:], latitude[start:], longitude[start:]))
         return Sky(*(np.concatenate(columns) for columns in zip(*parts, strict=True))), ignored
 
+    def forget_silent(self, time: float) -> None:
+        """Forget the stations whose newest observation is older than a time. [Unix s]"""
+        count = len(self._of)
+        newest = self._times[np.arange(count), self._counts[:count] - 1]
+        left = np.flatnonzero(newest >= time)
+        if len(left) < count:
+            names = list(self._of)
+            self._of = {names[old]: new for new, old in enumerate(left.tolist())}
+            self._times, self._counts, self._values = self._times[left], self._counts[left], self._values[left]
+            self._places, self._by_latitude = self._places[left], None
+
     def _find_row(self, name: str) -> int:
         """Return the row of a station, a new one for a station not known so far."""
         station = self._of.setdefault(name, len(self._of))

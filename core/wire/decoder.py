@@ -122,18 +122,19 @@ class Decoder:
         self.received, self.rejected = Counter(received), Counter(rejected)
         self._lane_of_key.clear()
 
-    def refuse(self, kind: str, cause: str) -> None:
-        """Count a message as rejected that had been counted as received.
+    def refuse(self, kind: str, *causes: str) -> None:
+        """Count messages as rejected that had been counted as received.
 
         Parameters
         ----------
         kind : str
-            Kind of the message, such as `weather`.
-        cause : str
-            Cause of the rejection.
+            Kind of the messages, such as `weather`.
+        *causes : str
+            Cause of the rejection of each message.
         """
-        self.received[kind] -= 1
-        self.rejected[cause] += 1
+        if causes:
+            self.received[kind] -= len(causes)
+            self.rejected.update(causes)
 
     def _decode_block(self, block: Sequence[Message], events: list[Event], rows: int) -> Floats:
         """Decode a block, with a shortcut for the most frequent message: one valid sample of a known vehicle."""

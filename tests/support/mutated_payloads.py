@@ -221,7 +221,7 @@ def find_faults(forecast: Forecast | Outlook) -> list[str]:
         numbers.append(("ride_duration_s", forecast.ride_duration_s, 0.0, 1e7))
         intervals.append(("range_km", forecast.range_km, 0.0, 20_000.0))
     else:
-        numbers.append(("usable_capacity_kwh", forecast.usable_capacity_kwh, 0.1, 800.0))
+        numbers.append(("usable_capacity_kwh", forecast.usable_capacity_kwh, 0.1, 801.0))
         numbers.append(("consumption_scale", forecast.consumption_scale, 0.01, 100.0))
         for leg in [*forecast.legs, *([forecast.asked] if forecast.asked else [])]:
             intervals.append(("leg soc_pct", leg.soc_pct, 0.0, 100.0))

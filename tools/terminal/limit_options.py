@@ -42,9 +42,21 @@ def make_limits(
     key_burst: Annotated[
         int, _option("--key-burst", "key_burst", "N", "Messages under a key that may come at once, as after an outage.")
     ] = int(_DEFAULTS.key_burst),
+    silent_days: Annotated[
+        float, _option("--silent-days", "silent_days", "DAYS", "Forget what has been silent for longer.")
+    ] = _DEFAULTS.silent_days,
 ) -> Limits:
     """Return the limits that the options define."""
-    return Limits(max_payload_bytes, max_list_samples, max_vehicles, max_stations, max_models, max_key_rate, key_burst)
+    return Limits(
+        max_payload_bytes,
+        max_list_samples,
+        max_vehicles,
+        max_stations,
+        max_models,
+        max_key_rate,
+        key_burst,
+        silent_days,
+    )
 
 
 insert_limit_options = insert_options("limits", make_limits)

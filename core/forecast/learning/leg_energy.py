@@ -21,6 +21,8 @@ RECOVERED_SHARE: Final = 0.6
 """Share of the surplus energy of a descent that returns to the battery. Estimated. [1]"""
 STEEPEST_DESCENT: Final = 300.0
 """Largest descent of a leg that returns energy; a reported descent beyond it returns none. [m/km]"""
+LEAST_KM: Final = 1e-9
+"""A shorter distance is none; the time per kilometre would overflow. [km]"""
 LARGEST_PER_KM: Final = 5.0
 """Largest plausible energy of rides and idle periods over the kilometres of rides. [kWh/km]"""
 LARGEST_POWER: Final = 100.0
@@ -145,7 +147,7 @@ class LegEnergyTables(NamedTuple):
         LegTerms
         """
         minutes = seconds / 60.0
-        pace = np.divide(minutes, km, out=np.full(len(km), PACES[-1]), where=km > 0.0)
+        pace = np.divide(minutes, km, out=np.full(len(km), PACES[-1]), where=km > LEAST_KM)
         weights = compute_knot_weights(pace, PACES)
         climb = np.nan_to_num(gained - weights @ self.climbed_per_km * km, nan=0.0)
         descent = np.nan_to_num(lost - weights @ self.descended_per_km * km, nan=0.0)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from core.batch import Floats
 from core.columns import ZERO_CELSIUS
-from core.forecast.learning.leg_energy import PACES, TEMPERATURES, LegEnergyTables, compute_knot_weights
+from core.forecast.learning.leg_energy import LEAST_KM, PACES, TEMPERATURES, LegEnergyTables, compute_knot_weights
 from core.forecast.learning.leg_energy_fit import (
     CELLS,
     ENERGY_SUMS,
@@ -147,7 +147,7 @@ class RideStatistics:
             Energy, NaN where unknown. [kWh]
         """
         minutes, km = rides.amount("duration") / 60.0, rides.amount("distance") / 1000.0
-        pace = np.divide(minutes, km, out=np.full(len(km), np.inf), where=km > 0.0)
+        pace = np.divide(minutes, km, out=np.full(len(km), np.inf), where=km > LEAST_KM)
         paces, driving = compute_knot_weights(pace, PACES), pace <= PACES[-1]
         ambient, amounts = _compute_temperature_weights(rides), np.nan_to_num(rides.amounts)
         energy = _compute_energy_sums(rides, predicted, measured)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from core.settings import Limits
 from core.signals.weather import CLEARING, DRYING, KEPT, THAWING, Sky, Stations, held, snow_left, water_left
 from core.wire.messages import Weather
 from tests.support.telemetry import PERIOD, PLACE, START, drive, leaf, observed, ran, telemetry, without
@@ -147,6 +148,33 @@ def test_number_of_kept_observations_is_limited():
     for hour in range(3 * KEPT):
         stations.observe(station(time=3600.0 * hour, temperature_c=1.0))
     assert len(stations.dump()[0][1]) == KEPT
+
+
+def test_silent_station_is_forgotten_and_the_others_are_as_if_it_had_never_been():
+    stations, without_it = Stations(), Stations()
+    for number, name in enumerate("abcd"):
+        seen = station(name, time=100.0 * (name != "b"), place=(45.0, number), temperature_c=float(number))
+        stations.observe(seen)
+        if name != "b":
+            without_it.observe(seen)
+    sky_at(stations, 200.0)
+    stations.forget_silent(50.0)
+    assert repr(stations.dump()) == repr(without_it.dump())
+    assert sky_at(stations, 200.0, (45.0, 1.2)).ambient[0] == pytest.approx(275.15)
+    stations.observe(station("e", 300.0, (45.0, 1.2), temperature_c=9.0))
+    assert sky_at(stations, 300.0, (45.0, 1.2)).ambient[0] == pytest.approx(282.15)
+
+
+def test_station_that_is_silent_for_days_is_forgotten_at_the_daily_update():
+    day = 86_400.0
+    sent = [telemetry(drive(40, time_s=START + number * day + PERIOD * np.arange(40))) for number in range(4)]
+    often = [observed("often", START + number * day, temperature_c=1.0) for number in range(4)]
+    messages = [observed("once"), *(m for pair in zip(often, sent, strict=True) for m in (pair[0], *pair[1]))]
+    for cuts in ((), range(0, len(messages), 3)):
+        pipeline, _ = ran(messages, cuts, limits=Limits(silent_days=2.0))
+        assert [name for name, *_ in pipeline.stations.dump()] == ["often"]
+        pipeline, _ = ran(messages, cuts, limits=Limits(silent_days=5.0))
+        assert [name for name, *_ in pipeline.stations.dump()] == ["once", "often"]
 
 
 def test_loaded_state_equals_the_dumped_state():
