@@ -19,8 +19,8 @@ from core.wire.messages import address
 from core.wire.schema import make_schema
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-LARGEST_CHUNK: Final = 1 << 30
-"""Largest credible size of a chunk; a chunk that claims more is damaged. [B]"""
+LARGEST_CHUNK: Final = 64 << 20
+"""Largest size of a chunk, compressed or not, and of a message outside chunks; larger ones are left out. [B]"""
 
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, DATA_END = 2, 3, 4, 5, 6, 8, 11, 15
 RECORD: Final = struct.Struct("<BQ")
@@ -31,6 +31,10 @@ FOOTER_RECORD: Final = struct.Struct("<BQQQI")
 """Footer record: opcode, length [B], start of the summary [B], start of its offsets [B], CRC."""
 _CHUNK_HEAD: Final = struct.Struct("<BQQQQII")  # opcode, length, first and last time, size, CRC, length of a name
 _LENGTH: Final = struct.Struct("<I")
+
+
+class OversizedError(ValueError):
+    """Refuse a record that would take more memory or time than its file justifies."""
 
 
 def iterate_records(data: bytes) -> Iterator[tuple[int, bytes]]:
@@ -49,10 +53,14 @@ def iterate_records(data: bytes) -> Iterator[tuple[int, bytes]]:
     ------
     struct.error
         If the data end within the head of a record.
+    ValueError
+        If a record has no opcode.
     """
     at = 0
     while at < len(data):
         opcode, length = RECORD.unpack_from(data, at)
+        if not opcode:
+            raise ValueError("a record without opcode")
         at += RECORD.size + length
         yield opcode, data[at - length : at]
 
@@ -88,13 +96,15 @@ def iterate_strings(body: bytes, at: int, count: int) -> Iterator[bytes]:
         yield body[at - length : at]
 
 
-def decompress_chunk(record: bytes) -> bytes:
+def decompress_chunk(record: bytes, limit: int = LARGEST_CHUNK) -> bytes:
     """Return the decompressed records of a chunk, after a check of size and checksum.
 
     Parameters
     ----------
     record : bytes
         The whole chunk record.
+    limit : int
+        Largest size of the result. [B]
 
     Returns
     -------
@@ -104,6 +114,8 @@ def decompress_chunk(record: bytes) -> bytes:
     ------
     ValueError
         If the chunk is incomplete, its compression is unknown, or its size or checksum differs.
+    OversizedError
+        If the chunk claims more than the limit. No more than it claims is decompressed.
     zstandard.ZstdError, RuntimeError
         If the compressed data are damaged.
     """
@@ -111,12 +123,16 @@ def decompress_chunk(record: bytes) -> bytes:
     at = _CHUNK_HEAD.size + name_length
     name = record[_CHUNK_HEAD.size : at]
     packed = record[at + 8 :]
-    if opcode != CHUNK or size > LARGEST_CHUNK or int.from_bytes(record[at : at + 8], "little") != len(packed):
+    if opcode != CHUNK or int.from_bytes(record[at : at + 8], "little") != len(packed):
         raise ValueError("not a whole chunk")
+    if size > limit:
+        raise OversizedError(f"a chunk of {size:,} bytes, above the limit of {limit:,}")
     if name == b"zstd":
-        data = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+        if zstandard.get_frame_parameters(packed).content_size not in {size, zstandard.CONTENTSIZE_UNKNOWN}:
+            raise ValueError("a chunk differs from its size")  # the library would allocate what the frame claims
+        data = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK).decompress(packed, max_output_size=size)
     elif name == b"lz4":
-        data = lz4.frame.decompress(packed)
+        data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
     elif not name:
         data = packed
     else:
@@ -131,9 +147,11 @@ def _list_lacking(kind: str, data: bytes) -> list[str]:
     """Return the required fields of a kind that a JSON schema does not have."""
     try:
         properties = json.loads(data).get("properties")
-    except (ValueError, AttributeError):
+    except (ValueError, AttributeError, RecursionError):
         return []
-    return sorted(set(make_schema(kind)["required"]) - set(properties)) if properties else []
+    if not properties or not isinstance(properties, dict):
+        return []
+    return sorted(set(make_schema(kind)["required"]) - set(properties))
 
 
 def explain_foreign_channel(topic: str, encoding: str, name: str, schema_encoding: str, data: bytes) -> str:

@@ -3,14 +3,16 @@
 The `mcap` package makes an object of every record, which takes 7 µs per message, and stops at the first invalid byte.
 This reader decompresses a chunk and splits it into messages in one loop, which takes less than 1 µs per message. It
 counts the data that it cannot read, and leaves them out.
+
+Files may be forged. Time and memory are therefore bounded, and time is linear in the size of the file: a chunk has at
+most `LARGEST_CHUNK` bytes, all chunks together expand to at most `EXPANSION` times the bytes read and `ALLOWANCE`, at
+most `MOST_HELD` bytes wait to be sorted, and a summary that contradicts the file is not used.
 """
 
 import struct
 import zlib
-from bisect import bisect_right
-from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from contextlib import suppress
 from math import inf
 from operator import itemgetter
 from pathlib import Path
@@ -27,77 +29,38 @@ from stream.mcap_format import (
     DATA_END,
     FOOTER,
     FOOTER_RECORD,
+    LARGEST_CHUNK,
     MAGIC,
     MESSAGE,
     MESSAGE_HEAD,
     RECORD,
     SCHEMA,
     STATISTICS,
+    OversizedError,
     decompress_chunk,
     explain_foreign_channel,
     iterate_records,
     iterate_strings,
 )
+from stream.mcap_losses import ALLOWANCE, EXPANSION, Losses
+from stream.waiting_messages import WaitingMessages
 
 RAW_BLOCK: Final = 1 << 20
 """Approximate size of the blocks in which the reader takes messages outside chunks. [B]"""
 
+LARGEST_SUMMARY: Final = 64 << 20
+"""Largest summary that is read; the chunks of a file with a larger one are found by a scan. [B]"""
+LARGEST_DESCRIPTION: Final = 1 << 20
+"""Largest schema or channel. [B]"""
+MOST_DESCRIPTIONS: Final = 1 << 18
+"""Largest number of descriptions that differ from the one before of the same number."""
+DESCRIPTION_BYTES: Final = 64 << 20
+"""Largest size of all schemas and channels together. [B]"""
+_STATISTICS: Final = struct.Struct("<QHIIII")  # messages, schemas, channels, attachments, metadata, chunks
 _CHUNK_PLACE: Final = struct.Struct("<QQQQ")  # first time, last time, offset, length
 _SPAN: Final = struct.Struct("<QQ")  # first and last time in the head of a chunk
 _TAIL: Final = FOOTER_RECORD.size + len(MAGIC)
 _DAMAGE: Final = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError, OverflowError)
-_receipt = itemgetter(2)
-
-
-@dataclass
-class Losses:
-    """Count the data that could not be read from a recording.
-
-    Parameters
-    ----------
-    unfinished : bool
-        Whether the file has no end mark, because its writer was killed. Data that the writer had not yet written are
-        lost.
-    truncated_bytes : int
-        Size of the incomplete record at the end of the file. [B]
-    damaged_chunks, damaged_bytes : int
-        Number and total size of the chunks that do not decompress or whose checksum differs. [1], [B]
-    missing_messages : int
-        Number of messages that the summary counts but the chunks do not contain.
-    undescribed : int
-        Number of messages whose channel the file does not describe.
-    foreign : Counter
-        Number of messages outside the wire contract by topic, because of another encoding or schema.
-    """
-
-    unfinished: bool = False
-    truncated_bytes: int = 0
-    damaged_chunks: int = 0
-    damaged_bytes: int = 0
-    missing_messages: int = 0
-    undescribed: int = 0
-    foreign: Counter[str] = field(default_factory=Counter)
-
-    def __bool__(self) -> bool:
-        """Return whether anything was lost."""
-        return bool(self.lines())
-
-    def lines(self) -> list[str]:
-        """Return one sentence per kind of loss; an empty list for a complete recording."""
-        sentences = []
-        if self.unfinished:
-            sentences.append(f"it breaks off: {self.truncated_bytes:,} bytes after the last whole chunk are lost")
-        if self.damaged_chunks:
-            sentences.append(f"{self.damaged_chunks:,} damaged chunks, {self.damaged_bytes:,} bytes, are lost")
-        if self.missing_messages:
-            sentences.append(f"{self.missing_messages:,} messages that its summary counts are lost")
-        if self.undescribed:
-            sentences.append(f"{self.undescribed:,} messages of channels that are nowhere described are left out")
-        if self.foreign:
-            sentences.append(
-                f"{self.foreign.total():,} messages on {len(self.foreign):,} topics outside the contract are left out"
-            )
-        return sentences
 
 
 class _Block(NamedTuple):
@@ -142,6 +105,7 @@ class McapSource:
         self._keys: dict[int, str | None] = {}
         self._foreign: dict[int, tuple[str, str]] = {}
         self._learnt: dict[tuple[int, bytes], bytes] = {}
+        self._learnt_bytes = self._changes = self._read_bytes = self._expanded = 0
         self._count: int | None = None
         try:
             with self.path.open("rb") as file:
@@ -149,7 +113,7 @@ class McapSource:
                 self._blocks = self._read_index(file) or self._scan_chunks(file)
         except OSError as error:
             raise RecordingError(f"{self.path} cannot be read: {(error.strerror or str(error)).lower()}") from error
-        self._unread = (self.losses.unfinished, self.losses.truncated_bytes)
+        self._of_file = self.losses
         if self._count is not None:
             self._refuse_foreign()
 
@@ -172,18 +136,19 @@ class McapSource:
 
     def __iter__(self) -> Iterator[list[Message]]:
         """Yield the messages in order of receipt, about one chunk at a time."""
-        self.losses = Losses(*self._unread)
+        whole = self._of_file
+        self.losses = Losses(whole.unfinished, whole.truncated_bytes, is_contradicted=whole.is_contradicted)
+        self._read_bytes = self._expanded = 0
         self.blocks_read = delivered = 0
-        held: list[Message] = []
+        waiting = WaitingMessages()
         with self.path.open("rb") as file:
             for at, block in enumerate(self._blocks):
-                held += self._read_messages(file, block)
-                held.sort(key=_receipt)
+                waiting.add(self._read_messages(file, block))
                 self.blocks_read = at + 1
                 following = self._blocks[at + 1].first_ns if at + 1 < len(self._blocks) else inf
-                cut = bisect_right(held, following, key=_receipt)
-                ready, held = held[:cut], held[cut:]
+                ready = waiting.release(following)
                 delivered += len(ready)
+                self.losses.disordered = waiting.disordered
                 yield ready
         left_out = self.losses.undescribed + self.losses.foreign.total()
         if self._count is not None:
@@ -207,31 +172,40 @@ class McapSource:
                 f"{self.path} is of another contract: {reason}; record with `socast live --record DIR`"
             )
 
-    def _read_index(self, file: BinaryIO) -> list[_Block]:
-        """Return the chunks that the summary lists; an empty list without an intact summary."""
+    def _read_summary(self, file: BinaryIO) -> tuple[int, bytes]:
+        """Return the place of the summary and its records; no records without an intact summary."""
         size = file.seek(0, 2)
         if size < 2 * len(MAGIC) + _TAIL:
-            return []
+            return 0, b""
         file.seek(size - _TAIL)
         tail = file.read(_TAIL)
         opcode, _, start, _, crc = FOOTER_RECORD.unpack(tail[: FOOTER_RECORD.size])
-        if opcode != FOOTER or not tail.endswith(MAGIC) or not 0 < start <= size - _TAIL:
-            return []
+        length = size - _TAIL - start
+        if opcode != FOOTER or not tail.endswith(MAGIC) or not start or not 0 <= length <= LARGEST_SUMMARY:
+            return 0, b""
         file.seek(start)
-        data = file.read(size - _TAIL - start)
-        if crc and zlib.crc32(tail[: FOOTER_RECORD.size - 4], zlib.crc32(data)) != crc:
-            return []
-        blocks, count = [], None
+        data = file.read(length)
+        is_damaged = crc and zlib.crc32(tail[: FOOTER_RECORD.size - 4], zlib.crc32(data)) != crc
+        return start, b"" if is_damaged else data
+
+    def _read_index(self, file: BinaryIO) -> list[_Block]:
+        """Return the chunks that the summary lists; an empty list without an intact summary that counts them."""
+        start, data = self._read_summary(file)
+        blocks: list[_Block] = []
+        count = chunks = None
         try:
             for opcode, body in iterate_records(data):
                 if opcode == CHUNK_INDEX:
                     first_ns, last_ns, offset, length = _CHUNK_PLACE.unpack_from(body)
                     blocks.append(_Block(first_ns, last_ns, offset, length, chunked=True))
                 elif opcode == STATISTICS:
-                    count = int.from_bytes(body[:8], "little")
+                    count, *_, chunks = _STATISTICS.unpack_from(body)
                 else:
                     self._learn(opcode, body)
         except _DAMAGE:
+            return []
+        if chunks != len(blocks) or not _are_apart(blocks, start):
+            self.losses.is_contradicted = bool(blocks) and chunks is not None
             return []
         self._count = count if blocks else None
         return sorted(blocks, key=itemgetter(0))
@@ -255,7 +229,8 @@ class McapSource:
                 _add_raw(blocks, int.from_bytes(head[15:23], "little"), at, end - at)
             elif opcode in {SCHEMA, CHANNEL}:
                 file.seek(at + RECORD.size)
-                self._learn(opcode, file.read(length))
+                with suppress(*_DAMAGE):  # its messages count as undescribed
+                    self._learn(opcode, file.read(min(length, LARGEST_DESCRIPTION + 1)))
             at = end
             if opcode == DATA_END:
                 self.losses.unfinished = False
@@ -275,6 +250,15 @@ class McapSource:
         """Store a schema or a channel; ignore other records."""
         if opcode not in {SCHEMA, CHANNEL} or self._learnt.get((opcode, body[:2])) == body:
             return
+        before = len(self._learnt.get((opcode, body[:2]), b""))
+        if (
+            len(body) > LARGEST_DESCRIPTION
+            or self._changes >= MOST_DESCRIPTIONS
+            or self._learnt_bytes + len(body) - before > DESCRIPTION_BYTES
+        ):
+            raise OversizedError(f"a description of {len(body):,} bytes, number {self._changes + 1:,}")
+        self._changes += 1
+        self._learnt_bytes += len(body) - before
         number = int.from_bytes(body[:2], "little")
         if opcode == SCHEMA:
             name, form, data = iterate_strings(body, 2, 3)
@@ -291,28 +275,44 @@ class McapSource:
 
     def _read_messages(self, file: BinaryIO, block: _Block) -> list[Message]:
         """Return the messages of a block in the order of the file; of a damaged block those before the damage."""
-        file.seek(block.offset)
         out: list[Message] = []
         try:
-            data = file.read(block.length)
-            self._split(decompress_chunk(data) if block.chunked else data, out)
+            self._split(self._read_block(file, block), out)
+        except OversizedError:
+            self.losses.oversized += 1
+            self.losses.oversized_bytes += block.length
         except _DAMAGE:
             self.losses.damaged_chunks += 1
             self.losses.damaged_bytes += block.length
         return out
+
+    def _read_block(self, file: BinaryIO, block: _Block) -> bytes:
+        """Return the records of a block, within the limits."""
+        if block.length > LARGEST_CHUNK:
+            raise OversizedError(f"a record of {block.length:,} bytes")
+        file.seek(block.offset)
+        data = file.read(block.length)
+        self._read_bytes += len(data)
+        if block.chunked:
+            left = ALLOWANCE + EXPANSION * self._read_bytes - self._expanded
+            data = decompress_chunk(data, min(LARGEST_CHUNK, left))
+            self._expanded += len(data)
+        return data
 
     def _split(self, data: bytes, out: list[Message]) -> None:
         """Split a chunk into records and append its messages to `out`."""
         at, end = 0, len(data)
         data += bytes(MESSAGE_HEAD.size)  # padding, so that a short last record needs no special case
         unpack, head, get, new = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, self._keys.get, tuple.__new__
-        append = out.append
+        append, shortest = out.append, head - RECORD.size
         while at < end:
             opcode, length, channel, _, receipt_ns, _ = unpack(data, at)
             stop = at + 9 + length
             if stop > end:
                 raise ValueError("a record reaches beyond its chunk")
             if opcode == MESSAGE:
+                if length < shortest:
+                    raise ValueError("a message without times")
                 key = get(channel)
                 if key is not None:
                     append(new(Message, (key, data[at + head : stop], receipt_ns)))
@@ -320,9 +320,21 @@ class McapSource:
                     self.losses.foreign[self._foreign[channel][0]] += 1
                 else:
                     self.losses.undescribed += 1
-            else:
+            elif opcode:
                 self._learn(opcode, data[at + 9 : stop])
+            else:
+                raise ValueError("a record without opcode")
             at = stop
+
+
+def _are_apart(blocks: list[_Block], end: int) -> bool:
+    """Return whether chunks lie in the file, before its summary, and none overlaps another."""
+    at = len(MAGIC)
+    for block in sorted(blocks, key=itemgetter(2)):
+        if block.offset < at or block.length < RECORD.size:
+            return False
+        at = block.offset + block.length
+    return at <= end
 
 
 def _add_raw(blocks: list[_Block], receipt_ns: int, offset: int, length: int) -> None:

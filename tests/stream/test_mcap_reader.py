@@ -200,7 +200,7 @@ def test_recording_without_messages_yields_none_and_no_losses(tmp_path: Path):
     assert not source.losses
 
 
-def test_chunk_with_excessive_length_counts_as_damaged(recording: Path):
+def test_chunk_with_excessive_length_is_left_out(recording: Path):
     with recording.open("rb") as file:
         first = make_reader(file).get_summary().chunk_indexes[0]
     data = bytearray(recording.read_bytes())
@@ -208,7 +208,7 @@ def test_chunk_with_excessive_length_counts_as_damaged(recording: Path):
     recording.write_bytes(data)
     source = McapSource(recording)
     assert 0 < sum(map(len, source)) < 500
-    assert source.losses.damaged_chunks == 1
+    assert source.losses.oversized == 1
 
 
 def test_recording_can_be_read_repeatedly(recording: Path):

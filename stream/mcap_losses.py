@@ -1,0 +1,87 @@
+"""What a reader could not read from an MCAP file, and the limits beyond which it leaves data out."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Final
+
+from stream.mcap_format import LARGEST_CHUNK
+from stream.waiting_messages import MOST_HELD
+
+EXPANSION: Final = 200
+"""Largest ratio of the size of decompressed chunks to the size of what was read of the file."""
+ALLOWANCE: Final = 64 << 20
+"""Size that chunks may have beyond that ratio. [B]"""
+
+
+@dataclass
+class Losses:
+    """Count the data that could not be read from a recording.
+
+    Parameters
+    ----------
+    unfinished : bool
+        Whether the file has no end mark, because its writer was killed. Data that the writer had not yet written are
+        lost.
+    truncated_bytes : int
+        Size of the incomplete record at the end of the file. [B]
+    damaged_chunks, damaged_bytes : int
+        Number and total size of the chunks that do not decompress or whose checksum differs. [1], [B]
+    missing_messages : int
+        Number of messages that the summary counts but the chunks do not contain.
+    undescribed : int
+        Number of messages whose channel the file does not describe.
+    foreign : Counter
+        Number of messages outside the wire contract by topic, because of another encoding or schema.
+    oversized, oversized_bytes : int
+        Number and total size in the file of the chunks and messages that exceed a limit. [1], [B]
+    disordered : int
+        Number of messages that came after messages with a later time of receipt.
+    is_contradicted : bool
+        Whether the summary lists chunks that overlap, repeat or lie outside the file, or not all of them.
+    """
+
+    unfinished: bool = False
+    truncated_bytes: int = 0
+    damaged_chunks: int = 0
+    damaged_bytes: int = 0
+    missing_messages: int = 0
+    undescribed: int = 0
+    foreign: Counter[str] = field(default_factory=Counter)
+    oversized: int = 0
+    oversized_bytes: int = 0
+    disordered: int = 0
+    is_contradicted: bool = False
+
+    def __bool__(self) -> bool:
+        """Return whether anything was lost."""
+        return bool(self.lines())
+
+    def lines(self) -> list[str]:
+        """Return one sentence per kind of loss; an empty list for a complete recording."""
+        sentences = []
+        if self.unfinished:
+            sentences.append(f"it breaks off: {self.truncated_bytes:,} bytes after the last whole chunk are lost")
+        if self.damaged_chunks:
+            sentences.append(f"{self.damaged_chunks:,} damaged chunks, {self.damaged_bytes:,} bytes, are lost")
+        if self.missing_messages:
+            sentences.append(f"{self.missing_messages:,} messages that its summary counts are lost")
+        if self.undescribed:
+            sentences.append(f"{self.undescribed:,} messages of channels that are nowhere described are left out")
+        if self.foreign:
+            sentences.append(
+                f"{self.foreign.total():,} messages on {len(self.foreign):,} topics outside the contract are left out"
+            )
+        if self.oversized:
+            sentences.append(
+                f"{self.oversized:,} chunks, {self.oversized_bytes:,} bytes, are left out: a chunk may have "
+                f"{LARGEST_CHUNK >> 20} MiB, and all may expand to {EXPANSION} times the file and "
+                f"{ALLOWANCE >> 20} MiB; write smaller chunks"
+            )
+        if self.disordered:
+            sentences.append(
+                f"{self.disordered:,} messages come out of order: chunks give a wrong time span, or more than "
+                f"{MOST_HELD >> 20} MiB would have to wait; sort the recording by log time"
+            )
+        if self.is_contradicted:
+            sentences.append("its summary contradicts the file: the chunks were found by a scan")
+        return sentences
