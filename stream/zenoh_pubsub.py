@@ -2,7 +2,9 @@
 
 One advanced subscriber receives the fleet and one the weather. Zenoh fills their channels without Python, and the
 iteration over the source drains them. The subscribers request missed samples from advanced publishers and count those
-that they could not get. Publishing blocks while the network is slow, so the sink drops nothing.
+that they could not get. At the start, and when publishers appear, the source asks their caches
+(`stream.zenoh_history`) and merges the answers with live samples, in the order of publication. Publishing blocks while
+the network is slow, so the sink drops nothing.
 
 Notes
 -----
@@ -31,6 +33,7 @@ from zenoh import ext, handlers
 from core.errors import SettingsError
 from core.wire.messages import Message
 from stream.source import LOOK_UP_S
+from stream.zenoh_history import CacheHistory, merge_samples
 from stream.zenoh_session import Node, format_zenoh_error
 
 QUEUE: Final = 1 << 14
@@ -88,11 +91,15 @@ class ZenohSource:
         self._keys = _Keys()
         self._looked_ns = 0
         self._session = node.session
+        self._own = str(node.session.zid())
         self._routers = len(node.session.info.routers_zid())
         self._subscribers = [_subscribe(node, f"{node.prefix}{space}/**") for space in _SPACES]
         self._receivers = [subscriber.handler.try_recv for subscriber in self._subscribers]
         self._misses: list[Any] = []
+        self._history: CacheHistory | None = None
+        self._held: list[Any] = []
         if node.connection.recovery:
+            self._history = CacheHistory(node, [f"{node.prefix}{space}/**" for space in _SPACES])
             self._misses = [each.sample_miss_listener(handlers.FifoChannel(QUEUE)) for each in self._subscribers]
 
     def __iter__(self) -> Iterator[list[Message]]:
@@ -103,10 +110,11 @@ class ZenohSource:
             stopping = self._stop.is_set()
             while stopping and self._subscribers:
                 self._subscribers.pop().undeclare()
-            messages = self._drain()
+            messages = self._drain(stopping=stopping)
             if messages and len(messages) < DRAIN and not stopping:
                 time.sleep(GATHER_S)
-                messages += self._drain()
+                messages += self._drain(stopping=stopping)
+            self._count_misses()
             self._watch_routers()
             if messages or quiet_s >= LOOK_UP_S:
                 yield messages
@@ -118,24 +126,41 @@ class ZenohSource:
                 quiet_s += nap
                 nap = min(2 * nap, longest)
 
-    def _drain(self) -> list[Message]:
-        """Return the queued messages, stamped with one time of receipt that never decreases."""
-        now = self._newest_ns = max(self._newest_ns, time.time_ns())
-        out: list[Message] = []
-        append, new, sample = out.append, tuple.__new__, None
-        keys = self._keys
+    def _drain(self, *, stopping: bool) -> list[Message]:
+        """Return the queued messages; while caches are asked, hold them, and return all together in their order.
+
+        A publisher's token comes before its samples, so the tokens are looked at after the samples.
+        """
+        samples = self._receive()
+        if self._history is not None:
+            now = time.monotonic()
+            answers = self._history.collect(now)
+            if self._history.is_waiting(now) and not stopping:
+                self._held += answers
+                self._held += samples
+                return []
+            if answers or self._held:
+                samples = merge_samples([*self._held, *answers, *samples])
+                self._held.clear()
+        if not samples:
+            return []
+        self._warn_of_stamps(samples[-1])
+        stamp = self._newest_ns = max(self._newest_ns, time.time_ns())
+        new, keys = tuple.__new__, self._keys
+        return [new(Message, (keys[each.key_expr], each.payload.to_bytes(), stamp)) for each in samples]
+
+    def _receive(self) -> list[Any]:
+        """Return queued samples, at most `DRAIN` of each space."""
+        out: list[Any] = []
+        append = out.append
         for receive in self._receivers:
             try:
                 for _ in range(DRAIN):
-                    following = receive()
-                    if following is None:
+                    if (sample := receive()) is None:
                         break
-                    sample = following
-                    append(new(Message, (keys[sample.key_expr], sample.payload.to_bytes(), now)))
+                    append(sample)
             except zenoh.ZError:
                 continue  # the subscription has ended and the channel is empty
-        if sample is not None:
-            self._look_after(sample)
         return out
 
     def _watch_routers(self) -> None:
@@ -150,17 +175,20 @@ class ZenohSource:
             )
             self._routers = routers
 
-    def _look_after(self, sample: Any) -> None:
-        """Count missed samples, and warn of a router that stamps the samples of plain publishers."""
-        if not self._misses:
-            return
+    def _count_misses(self) -> None:
+        """Count samples that publishers could not send again."""
         for listener in self._misses:
             try:
                 while (miss := listener.try_recv()) is not None:
                     self.missed += miss.nb
             except zenoh.ZError:
                 continue  # the subscription has ended and the listener is empty
-        if not self._warned and sample.timestamp is not None and sample.source_info is None:
+
+    def _warn_of_stamps(self, sample: Any) -> None:
+        """Warn once of a router that stamps the samples of plain publishers."""
+        if self._warned or not self._misses or sample.timestamp is None or sample.source_info is not None:
+            return
+        if str(sample.timestamp.get_id()) in {self._own, *map(str, self._session.info.routers_zid())}:
             self._warned = True
             _log.warning(
                 "a router stamps samples for plain publishers, and samples that cross may be lost: "
@@ -245,6 +273,5 @@ def _subscribe(node: Node, keys: str) -> Any:
         keys,
         channel,
         allowed_origin=zenoh.Locality.REMOTE,
-        history=ext.HistoryConfig(detect_late_publishers=True),
         recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
     )

@@ -38,7 +38,7 @@ _BARRIER: Final = "socast/barrier"
 _OURS: Final[tuple[tuple[str, Any, Any], ...]] = (  # each value replaces Zenoh's default, but not another value
     ("scouting/multicast/enabled", None, False),
     ("scouting/gossip/enabled", None, False),
-    ("timestamping/enabled", None, {"router": False, "peer": False, "client": False}),
+    ("timestamping/enabled", None, {"router": False, "peer": False, "client": True}),
     ("transport/link/tx/queue/congestion_control/block/wait_before_close", 5_000_000, STALL_US),
     ("transport/unicast/max_sessions", 1000, 1_000_000),
 )

@@ -143,10 +143,11 @@ def test_burst_of_plain_publishers_passes_embedded_router_without_loss():
 
 def test_source_warns_once_of_router_that_stamps_for_plain_publishers(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     (tmp_path / "stamping.json5").write_text("{timestamping: {enabled: {router: true, peer: false, client: false}}}")
+    (tmp_path / "plain.json5").write_text("{timestamping: {enabled: {router: true, peer: true, client: false}}}")
     stop = Event()
     with router(config=tmp_path / "stamping.json5") as (node, endpoint), caplog.at_level(logging.WARNING):
         source = ZenohSource(node, stop)
-        with Node(Connection(connect=(endpoint,))) as client:
+        with Node(Connection(connect=(endpoint,), config=tmp_path / "plain.json5")) as client:
             publisher = client.session.declare_publisher(KEYS[0])
             assert eventually(lambda: publisher.matching_status.matching)
             publisher.put(b"{}")
