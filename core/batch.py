@@ -112,9 +112,12 @@ class Lanes:
 
 
 def grown(array: NDArray[Any], rows: int, fill: Any = 0) -> NDArray[Any]:
-    """Return `array` itself if it has `rows` rows, else a copy with at least that many, doubled and filled."""
+    """Return `array` itself if it has `rows` rows, else a filled copy whose number of rows is the next power of two.
+
+    The size then depends on the rows alone, not on the steps in which they were added, and so does a snapshot.
+    """
     if len(array) >= rows:
         return array
-    larger = np.full((max(rows, 2 * len(array)), *array.shape[1:]), fill, dtype=array.dtype)
+    larger = np.full((1 << (rows - 1).bit_length(), *array.shape[1:]), fill, dtype=array.dtype)
     larger[: len(array)] = array
     return larger

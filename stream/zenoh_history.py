@@ -29,8 +29,9 @@ from stream.zenoh_session import Node, format_zenoh_error
 
 ANSWER_S: Final = 10.0
 """Longest wait for the answers of caches. [s]"""
-SETTLE_S: Final = 0.2 """Time after the last answer or token for which live samples still wait, so that samples in
-flight take their place. [s]""" SINGLY: Final = 8
+SETTLE_S: Final = 0.2
+"""Time for which live samples still wait after the last answer, so that samples in flight take their place. [s]"""
+SINGLY: Final = 8
 """Number of publishers that are asked one by one; more are asked together."""
 _ANSWERS: Final = 1 << 14
 _TOKENS: Final = 1 << 16
@@ -76,7 +77,8 @@ class CacheHistory:
         """
         for subscriber in self._tokens:
             tokens, _ = _receive(subscriber.handler)
-            self._fresh += [str(token.key_expr) for token in tokens if token.kind == zenoh.SampleKind.PUT]
+            keys = [str(token.key_expr) for token in tokens if token.kind == zenoh.SampleKind.PUT]
+            self._fresh += [key for key in keys if "/forecast/@adv/" not in key]
         out: list[Any] = []
         for query in list(self._open):
             replies, ended = _receive(query)
@@ -127,6 +129,7 @@ class CacheHistory:
                     target=zenoh.QueryTarget.ALL,
                     consolidation=zenoh.ConsolidationMode.NONE,
                     accept_replies=zenoh.ReplyKeyExpr.ANY,
+                    allowed_destination=zenoh.Locality.REMOTE,
                     timeout=ANSWER_S,
                 )
                 self._open.append(query)

@@ -57,10 +57,11 @@ _log = logging.getLogger("socast.zenoh")
 
 
 class _Keys(dict[Any, str]):
-    """Map a key expression to its text, which is made only once."""
+    """Map a key expression to its text, which is made only once; to an empty text for forecasts, which are no input."""
 
     def __missing__(self, key: Any) -> str:
-        text = self[key] = str(key)
+        text = str(key)
+        text = self[key] = "" if text.endswith("/forecast") else text
         return text
 
 
@@ -147,7 +148,7 @@ class ZenohSource:
         self._warn_of_stamps(samples[-1])
         stamp = self._newest_ns = max(self._newest_ns, time.time_ns())
         new, keys = tuple.__new__, self._keys
-        return [new(Message, (keys[each.key_expr], each.payload.to_bytes(), stamp)) for each in samples]
+        return [new(Message, (key, each.payload.to_bytes(), stamp)) for each in samples if (key := keys[each.key_expr])]
 
     def _receive(self) -> list[Any]:
         """Return queued samples, at most `DRAIN` of each space."""

@@ -219,6 +219,7 @@ class DisplayYields:
         if len(self._lanes) < lanes:
             added = lanes - len(self._lanes)
             self._lanes = np.concatenate([self._lanes, np.zeros(added, _LANE)])
+            self._lanes["pooled_model"][-added:] = -1.0
             self._yields = np.concatenate([self._yields, create_unknown_yields(added)])
             self._kind = np.concatenate([self._kind, np.full(added, -1)])
         if len(self._code_of_kind) < len(self._cars.models):
