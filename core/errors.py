@@ -4,8 +4,15 @@ Bad telemetry is counted and never raises an error. A bad command, file, model o
 the value, the limit and the remedy.
 """
 
+import errno
+import os
 from collections.abc import Iterable
 from difflib import get_close_matches
+from pathlib import Path
+from typing import Final
+
+LARGEST_INPUT: Final = 256 << 20
+"""Largest file of settings, effects, a model, findings or a plan that is read. [B]"""
 
 
 class SocastError(Exception):
@@ -74,3 +81,30 @@ def suggest_names(name: str, known: Iterable[str]) -> str:
     names = list(known)
     close = get_close_matches(name, names, n=3)
     return f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(names)}"
+
+
+def read_input(path: Path, limit: int = LARGEST_INPUT) -> bytes:
+    """Return the content of a file, if it is not too large to be what it is taken for.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    limit : int
+        Largest size. [B]
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read or is larger than the limit.
+    """
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size  # zero for a pipe
+        content = file.read(limit + 1) if size <= limit else b""
+    if (size := max(size, len(content))) > limit:
+        raise OSError(errno.EFBIG, f"it has {size:,} bytes or more, above the limit of {limit:,}", str(path))
+    return content

@@ -27,6 +27,7 @@ SRTM_VOID: Final = -32768
 """Value of a void of SRTM. [m]"""
 MOST_NODES: Final = 200_000_000
 """Largest number of nodes of a tile, in files and in memory; a tile of SRTM with 1 arc second has 13 million."""
+_TOO_LARGE: Final = f"it has more than {4 * MOST_NODES:,} bytes: cut it with gdal_translate -projwin"
 WGS84: Final = "EPSG:4326"
 """Latitude and longitude."""
 INSTALL: Final = "install it with: pip install 'socast[elevation]'"
@@ -94,6 +95,8 @@ def _read_content(path: Path) -> tuple[str, bytes]:
             with archive.open(inside[0]) as file:
                 return Path(inside[0]).name, _read_limited(file)
     with path.open("rb") as file:
+        if path.stat().st_size > 4 * MOST_NODES:
+            raise ValueError(_TOO_LARGE)
         return path.name, _read_limited(file)
 
 
@@ -103,7 +106,7 @@ def _read_limited(file: Any) -> bytes:
     if not content:
         raise ValueError("it is empty")
     if len(content) > 4 * MOST_NODES:
-        raise ValueError(f"it has more than {4 * MOST_NODES:,} bytes: cut it with gdal_translate -projwin")
+        raise ValueError(_TOO_LARGE)
     return content
 
 

@@ -9,12 +9,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-from core.errors import SettingsError, SocastError
+from core.errors import SettingsError, SocastError, read_input
 from stream.file_lock import FileLock, sync_folder
 from stream.structured_log import event_fields
 
 PREVIOUS: Final = ".previous"
 """End of the name of the file that holds the state before the last one."""
+
+LARGEST_STATE: Final = 4 << 30
+"""Largest state that is read. [B]"""
 
 _log = logging.getLogger("socast.state")
 
@@ -62,7 +65,7 @@ class StateFile:
         failure: SocastError | None = None
         for path in (self.path, self._previous):
             try:
-                note = restore(path.read_bytes())
+                note = restore(read_input(path, LARGEST_STATE))
             except FileNotFoundError:
                 continue
             except OSError as error:

@@ -24,7 +24,7 @@ from typing import Any, Final, Literal, Self
 import msgspec
 import zenoh
 
-from core.errors import SettingsError
+from core.errors import SettingsError, read_input
 
 LOOPBACK: Final = "tcp/127.0.0.1:7447"
 """Default endpoint at which the embedded router listens."""
@@ -207,6 +207,8 @@ def _make_config(connection: Connection) -> zenoh.Config:
     """Return Zenoh's configuration; raise `SettingsError` if the file or a value is invalid."""
     file = connection.config
     try:
+        if file:
+            read_input(file)  # Zenoh itself would read a file of any size
         config = zenoh.Config.from_file(file) if file else zenoh.Config()
     except (zenoh.ZError, OSError) as error:
         raise SettingsError(f"{file} is not a Zenoh configuration: {format_zenoh_error(error)}") from error

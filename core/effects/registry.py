@@ -27,7 +27,7 @@ from core.effects.powertrain import POWERTRAIN
 from core.effects.road_load import ROAD_LOAD
 from core.effects.tyres import TYRES
 from core.effects.verification import check_effect
-from core.errors import EffectError
+from core.errors import EffectError, read_input
 
 TIME_LIMIT: Final = 20.0
 """Longest time for importing and checking a user's file. [s]"""
@@ -192,7 +192,7 @@ def _check_confusions(path: Path, effects: list[Effect]) -> None:
 def _read(path: Path) -> str:
     """Return the text of a file."""
     try:
-        return path.read_text(encoding="utf-8")
+        return read_input(path).decode()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise EffectError(f"{path}: cannot read effects: {reason}; name a Python file") from error

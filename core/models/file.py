@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import msgspec
 
-from core.errors import EffectError, ModelError
+from core.errors import EffectError, ModelError, read_input
 from core.models.built_in import BUILT_IN_MODELS
 from core.models.features import ACCESSORIES_COLUMN, get_unit
 from core.models.linear import FORMAT, Fit, LinearModel
@@ -82,7 +82,7 @@ def load(name_or_path: str | Path, *, verify: bool = True) -> LinearModel:
             f"model {str(path)!r} is unknown: name one of {', '.join(BUILT_IN_MODELS)}, or give the path of a file"
         )
     try:
-        content = path.read_bytes()
+        content = read_input(path)
     except OSError as error:
         raise ModelError(
             f"{path}: cannot read a model: {error.strerror}; name a model file, or one of {', '.join(BUILT_IN_MODELS)}"

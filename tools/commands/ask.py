@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from core.errors import SettingsError
+from core.errors import SettingsError, read_input
 from core.forecast.plan_checks import parse_leg, parse_plan, parse_vehicle
 from core.wire.messages import Interval, LegOutlook, Outlook
 from stream.zenoh_queryable import query_outlook
@@ -165,7 +165,7 @@ def figures(outlook: Outlook) -> Iterator[tuple[str, str]]:
 def _read(path: Path) -> bytes:
     """Return the content of a file; refuse an empty one, which the consumer would treat as no plan."""
     try:
-        held = path.read_bytes()
+        held = read_input(path)
     except OSError as error:
         raise SettingsError(f"{path} cannot be read: {error.strerror}; name a file with a plan as JSON") from error
     if not held:

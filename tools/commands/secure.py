@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from core.errors import SettingsError
+from core.errors import SettingsError, read_input
 from tools.security.access import CONSUMER
 from tools.security.certificates import Issued, now_utc
 from tools.security.folder import RENEW_DAYS, ROUTER, SecureFolder, shorten_name
@@ -185,7 +185,7 @@ def read_cars(cars: Sequence[str] | None, file: Path | None) -> list[str]:
     lines: list[str] = []
     if file is not None:
         try:
-            lines = file.read_text(encoding="utf-8").splitlines()
+            lines = read_input(file).decode().splitlines()
         except (OSError, UnicodeDecodeError) as error:
             raise SettingsError(f"{file} cannot be read: {error}; give a text file with one car a line") from error
     return [*(cars or []), *filter(None, (line.partition("#")[0].strip() for line in lines))]

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import pandas as pd
 
-from core.errors import ImportFileError
+from core.errors import LARGEST_INPUT, ImportFileError, read_input
 
 SUFFIXES: Final = (".csv", ".csv.gz")
 
@@ -197,9 +197,12 @@ def read_table(path: Path, form: TableFormat) -> pd.DataFrame:
 def _content(path: Path) -> bytes:
     """Return the content of a file, unpacked."""
     try:
-        content = path.read_bytes()
+        content = read_input(path)
         if content[:2] == b"\x1f\x8b":
-            content = gzip.decompress(content)
+            with gzip.open(path) as file:
+                content = file.read(LARGEST_INPUT + 1)
+            if len(content) > LARGEST_INPUT:
+                raise ImportFileError(f"{path}: unpacks to more than {LARGEST_INPUT:,} bytes")
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise ImportFileError(f"{path}: is not a whole gzip file: {error}") from error
     except OSError as error:

@@ -8,7 +8,7 @@ import msgspec
 from rich.console import Console
 
 from core.diagnose.findings import list_changes
-from core.errors import SettingsError
+from core.errors import SettingsError, read_input
 from core.wire.messages import Finding
 from tools.terminal.output import write_json
 
@@ -33,7 +33,7 @@ def read_findings(path: Path) -> list[Finding]:
         If the file cannot be read, or holds something else.
     """
     try:
-        return msgspec.json.decode(path.read_bytes(), type=_Content).findings
+        return msgspec.json.decode(read_input(path), type=_Content).findings
     except FileNotFoundError:
         return []
     except OSError as error:

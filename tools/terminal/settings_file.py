@@ -15,7 +15,7 @@ from typing import Annotated, Any, Final, Union, get_args, get_origin
 
 import typer
 
-from core.errors import SettingsError
+from core.errors import SettingsError, read_input
 
 _PLACES: Final = "socast.settings_places"
 """Key under which the context of a command keeps where each setting stands."""
@@ -73,7 +73,7 @@ def read_settings(file: Path, command: Any) -> tuple[dict[str, Any], dict[str, s
         If the file cannot be read, is not TOML, names an option that does not exist, or has a value of a wrong type.
     """
     try:
-        content = file.read_bytes()
+        content = read_input(file)
     except OSError as error:
         raise SettingsError(f"{file} cannot be read: {error.strerror}; give an existing file with {_OWN}") from error
     try:
