@@ -111,7 +111,7 @@ class Recorder:
         self._folder, self._file_bytes, self._file_ns, self._flush_s = folder, file_bytes, round(file_s * 1e9), flush_s
         self._clock = clock
         self._sink: McapSink | None = None
-        self._first_ns = self._taken = 0
+        self._first_ns = self._newest_ns = self._taken = 0
         self._flushed_s = clock()
         self._retry_s = self.synced_s = self._flushed_s
         self._rotates = False
@@ -208,21 +208,32 @@ class Recorder:
         """Write messages to the current file, or to the next one if the current file has reached a limit."""
         first_ns = messages[0].receipt_ns
         sink = self._sink
-        if sink is not None and (sink.written >= self._file_bytes or first_ns - self._first_ns >= self._file_ns):
+        is_full = sink is not None and sink.written >= self._file_bytes
+        is_old = first_ns - self._first_ns >= self._file_ns or first_ns < self._newest_ns  # the clock was set back
+        if sink is not None and (is_full or is_old):
             self._end_file()
             sink = None
         if sink is None:
             sink = self._sink = McapSink(self._find_fresh_path(first_ns))
-            sync_folder(self._folder)
+            self._sync_folder()
             self.files.append(sink.path)
-            self._first_ns, self._taken = first_ns, 0
+            self._first_ns = self._newest_ns = first_ns
+            self._taken = 0
         room = sink.room(messages)
         sink.put(messages[:room])
+        self._newest_ns = messages[-1].receipt_ns
         self._taken += room
         self.recorded += room
         if room < len(messages):  # the format cannot number more keys in one file
             self._end_file()
             self._write(messages[room:])
+
+    def _sync_folder(self) -> None:
+        """Wait until the name of a new file is on disk; raise `RecordingError` if the disk refuses it."""
+        try:
+            sync_folder(self._folder)
+        except OSError as error:
+            raise RecordingError(f"{self._folder} cannot be written: {error.strerror}; make room") from error
 
     def _find_fresh_path(self, receipt_ns: int) -> Path:
         """Return a path that does not exist and comes after all files, named by the time of receipt."""

@@ -32,6 +32,7 @@ from zenoh import ext, handlers
 
 from core.errors import SettingsError
 from core.wire.messages import Message
+from stream.receipt_clock import ReceiptClock
 from stream.source import LOOK_UP_S
 from stream.zenoh_history import CacheHistory, merge_samples
 from stream.zenoh_session import Node, format_zenoh_error
@@ -44,8 +45,8 @@ GATHER_S: Final = 0.01
 """Time for which a short queue waits for more samples; a few large lists cost less than many small ones. [s]"""
 CACHE: Final = 64
 """Number of samples of each key that a publisher can send again."""
-WATCH_NS: Final = 1_000_000_000
-"""Time between two checks of the number of connected routers. [ns]"""
+WATCH_S: Final = 1.0
+"""Time between two checks of the number of connected routers. [s]"""
 _SPACES: Final = "weather", "fleet"
 """Key spaces in the order in which the source subscribes to them and drains them.
 
@@ -87,10 +88,10 @@ class ZenohSource:
     def __init__(self, node: Node, stop: Event) -> None:
         self.missed = 0
         self._stop = stop
-        self._newest_ns = 0
+        self._clock = ReceiptClock()
         self._warned = False
         self._keys = _Keys()
-        self._looked_ns = 0
+        self._looked_s = time.monotonic()
         self._session = node.session
         self._own = str(node.session.zid())
         self._routers = len(node.session.info.routers_zid())
@@ -146,7 +147,7 @@ class ZenohSource:
         if not samples:
             return []
         self._warn_of_stamps(samples[-1])
-        stamp = self._newest_ns = max(self._newest_ns, time.time_ns())
+        stamp = self._clock.read_ns()
         new, keys = tuple.__new__, self._keys
         return [new(Message, (key, each.payload.to_bytes(), stamp)) for each in samples if (key := keys[each.key_expr])]
 
@@ -166,9 +167,9 @@ class ZenohSource:
 
     def _watch_routers(self) -> None:
         """Log that a router was lost or joined; Zenoh itself reconnects to a router that returns."""
-        if self._newest_ns - self._looked_ns < WATCH_NS:
+        if (now := time.monotonic()) - self._looked_s < WATCH_S:
             return
-        self._looked_ns = self._newest_ns
+        self._looked_s = now
         routers = len(self._session.info.routers_zid())
         if routers != self._routers:
             _log.log(
