@@ -90,6 +90,12 @@ METRICS: Final = (
     MetricRow("socast_dropped", "counter", "Messages dropped by a limit.", lambda s, _: _by(s.dropped), ("limit",)),
     MetricRow("socast_recorded", "counter", "Messages that were recorded.", lambda s, _: s.recorded),
     MetricRow("socast_unrecorded", "counter", "Messages that the disk refused.", lambda s, _: s.unrecorded),
+    MetricRow(
+        "socast_catching_up",
+        "gauge",
+        "1 while live samples wait for what the caches of publishers hold.",
+        lambda s, _: s.is_catching_up,
+    ),
     MetricRow("socast_queue_messages", "gauge", "Messages that wait for the loop.", lambda s, _: s.queue_messages),
     MetricRow("socast_queue_bytes", "gauge", "Size of the messages that wait.", lambda s, _: s.queue_bytes),
     MetricRow(

@@ -21,7 +21,7 @@ ACTIVE_S: Final = 300.0
 """Age of its newest sample up to which a vehicle is active. [s]"""
 AHEAD_S: Final = 60.0
 """Time by which a sample may be ahead of the system clock; a sample further ahead has a wrong time. [s]"""
-OF_SOURCE: Final = "missed", "lost", "recovered", "dropped", "queue_messages", "queue_bytes"
+OF_SOURCE: Final = "missed", "lost", "recovered", "dropped", "queue_messages", "queue_bytes", "is_catching_up"
 """Attributes of a source that a snapshot takes over, see `ServiceSnapshot`; a source may lack any of them."""
 PLACES: Final = "below", "inside", "above"
 """Places of an outcome beside an interval."""
@@ -83,6 +83,8 @@ class ServiceSnapshot:
         Messages that the recorder wrote, and that the disk refused.
     dropped : mapping of str to int, optional
         Samples that a limit dropped, by the limit.
+    is_catching_up : bool, optional
+        Whether live samples wait for the answers of caches.
     queue_messages, queue_bytes : float, optional
         Messages that wait for the loop, and their size. [B]
     lag : LagCounts
@@ -128,6 +130,7 @@ class ServiceSnapshot:
     recorded: int | None = None
     unrecorded: int | None = None
     dropped: Mapping[str, int] | None = None
+    is_catching_up: bool | None = None
     queue_messages: float | None = None
     queue_bytes: float | None = None
     lag: LagCounts = LagCounts()

@@ -74,8 +74,8 @@ class ServiceStatus:
 class ServiceWatch:
     """Keep the status up to date and tell systemd, as a watch of the loop.
 
-    The first turn of the loop makes the service ready: the loop begins after the state has been loaded, the recording
-    has been read, and the subscription has been made.
+    The loop begins after the state has been loaded, the recording has been read, and the subscription has been made.
+    The service is ready at the first snapshot after the caches of publishers have been asked.
 
     Parameters
     ----------
@@ -116,7 +116,9 @@ class ServiceWatch:
         if now >= self._snapshot_due_s:
             self._status.snapshot = snapshot = self._take_snapshot(tally, self._lag)
             self._snapshot_due_s = now + max(SNAPSHOT_S, (self._clock() - now) / SNAPSHOT_SHARE)
-            if self._status.phase == "starting":
+            if self._status.phase == "starting" and snapshot.is_catching_up:
+                self._status.step = "asking the caches of publishers"
+            elif self._status.phase == "starting":
                 self._status.phase = "ready"
                 self._notifier.announce_ready()
             if now >= self._status_due_s:

@@ -83,10 +83,13 @@ class ZenohSource:
     ----------
     missed : int
         Number of samples that publishers sent but the source could not get, as far as publishers number their samples.
+    is_catching_up : bool
+        Whether live samples wait for the answers of caches.
     """
 
     def __init__(self, node: Node, stop: Event) -> None:
         self.missed = 0
+        self.is_catching_up = node.connection.recovery
         self._stop = stop
         self._clock = ReceiptClock()
         self._warned = False
@@ -137,7 +140,8 @@ class ZenohSource:
         if self._history is not None:
             now = time.monotonic()
             answers = self._history.collect(now)
-            if self._history.is_waiting(now) and not stopping:
+            self.is_catching_up = self._history.is_waiting(now) and not stopping
+            if self.is_catching_up:
                 self._held += answers
                 self._held += samples
                 return []

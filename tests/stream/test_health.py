@@ -3,6 +3,7 @@
 import logging
 import socket
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from threading import Event, Thread
 
 import pytest
@@ -43,6 +44,17 @@ def test_service_is_live_while_it_starts_and_ready_after_the_first_turn(server, 
     assert ask_page(server.address, "/readyz") == (503, "starting\n")
     ServiceWatch(status, lambda *_: FULL, clock=clock)(Tally())
     assert ask_page(server.address, "/readyz") == (200, "ok\n")
+
+
+def test_service_is_ready_once_the_caches_of_publishers_were_asked_and_remains_so(server, status, clock):
+    snapshots = iter([replace(FULL, is_catching_up=waits) for waits in (True, False, True)])
+    watch = ServiceWatch(status, lambda *_: next(snapshots), clock=clock)
+    watch(Tally())
+    assert ask_page(server.address, "/readyz") == (503, "starting: asking the caches of publishers\n")
+    for _ in range(2):
+        clock.now += 1.0
+        watch(Tally())
+        assert ask_page(server.address, "/readyz")[0] == 200
 
 
 def test_hung_loop_is_neither_live_nor_ready(server, status, clock):

@@ -65,6 +65,7 @@ def test_counts_of_the_source_are_taken_over_as_far_as_it_has_them():
     pipeline, source = Pipeline(), MemorySource([])
     assert SnapshotTaker(pipeline, source)(Tally(), LagMeter()).lost is None
     given = {"missed": 1, "lost": 2, "recovered": 3, "dropped": {"bytes": 4}, "queue_messages": 5, "queue_bytes": 6}
+    given["is_catching_up"] = True
     for name, value in given.items():
         setattr(source, name, value)
     snapshot = SnapshotTaker(pipeline, source)(Tally(), LagMeter())

@@ -22,6 +22,7 @@ FULL = ServiceSnapshot(
     recorded=9,
     unrecorded=0,
     dropped={"queue_bytes": 1},
+    is_catching_up=False,
     queue_messages=2,
     queue_bytes=300,
     newest_sample_s=100.0,
