@@ -22,6 +22,7 @@ $(INSTALLED): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
 	  --config-settings editable_mode=compat -e .
+	$(BIN)/python -m tools.terminal.kernels
 	touch $@
 
 demo: $(INSTALLED)  ## a shift of several cars, live over Zenoh, in this terminal

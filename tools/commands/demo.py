@@ -20,7 +20,8 @@ from stream.structured_log import log_lines
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
 from stream.zenoh_session import Connection, Node
 from tools.commands.info import describe_recording
-from tools.commands.live import combine_watches, compile_kernels
+from tools.commands.live import combine_watches
+from tools.terminal.kernels import compile_kernels
 from tools.terminal.live_table import LiveTable, add_predictions, make_ride_records, show_rides
 from tools.terminal.model_comparison import DEFAULT_MODEL
 from tools.terminal.output import JsonFile, ModelName, check_outputs, make_console, write_json
@@ -62,8 +63,12 @@ def demo(
     about = describe_recording(source_file)
     console = make_console(json_file)
     chosen = models.load(model)
-    console.print("preparing: compiling kernels, once", style="dim", highlight=False)
-    compile_kernels(chosen)
+
+    def report(compiled: int, total: int) -> None:
+        words = f"compiling kernels, once after installation: {compiled} of {total}"
+        console.print(words, style="dim", highlight=False)
+
+    compile_kernels(chosen, report=report)
     speed = max(1.0, about["duration_s"] / seconds)
     console.print(
         f"{recording.name}: {about['messages']:,} messages of {len(about['vehicles'])} cars over "

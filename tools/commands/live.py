@@ -14,7 +14,6 @@ from core.errors import SettingsError
 from core.models import Model
 from core.pipeline import Pipeline
 from core.settings import Limits
-from core.wire.messages import Message, Telemetry, encode
 from stream.checkpoints import Checkpoints
 from stream.latest_only_sink import LatestOnlySink
 from stream.loop import PUBLISH_S, REPORT_S, Tally, act_on_hangup, run, stop_on_signals
@@ -32,6 +31,7 @@ from stream.zenoh_session import LOOPBACK, Connection, Mode, Node, parse_prefix
 from tools.terminal.diagnosis_process import DiagnosisProcess
 from tools.terminal.findings_file import make_finding_fields, read_findings
 from tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
+from tools.terminal.kernels import compile_kernels
 from tools.terminal.limit_options import LimitLog, insert_limit_options
 from tools.terminal.live_table import LiveTable
 from tools.terminal.model_comparison import DEFAULT_MODEL, load_models
@@ -225,14 +225,6 @@ def make_nightly_diagnosis(
         make_finding_fields,
         parse_prefix(options.prefix),
     )
-
-
-def compile_kernels(*models: Model) -> None:
-    """Compile the numba kernels of a pipeline with these models, so that telemetry does not wait for the compiler."""
-    first, *shadows = models
-    pipeline = Pipeline(first, shadows=shadows)
-    samples = [Telemetry("compile", 1.7e9 + 3 * i, speed_kmh=30.0) for i in range(3)]
-    pipeline.push([Message("fleet/compile/telemetry", encode(sample), 0) for sample in samples])
 
 
 def combine_watches(*watches: Callable[[Tally], None]) -> Callable[[Tally], None]:

@@ -1,0 +1,146 @@
+"""Compile the numba kernels once after installation, and report the progress.
+
+The kernels are compiled by running a few made-up messages through every step. The cache beside the sources keeps them,
+so that a later start loads them in a fraction of a second. `make` runs this module after the installation; without
+that, the first command that needs the kernels compiles them.
+"""
+
+import logging
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+from numba.core import event
+from numba.core.caching import FunctionCache
+from numba.core.dispatcher import Dispatcher
+
+from core.models import EXTENDED_PHYSICAL, Model
+from core.models.trees import Trees
+from core.pipeline import Pipeline
+from core.settings import Limits
+from core.wire.messages import Message, Telemetry, Weather, encode
+from stream.structured_log import log_lines
+
+INTERVAL_S: Final = 2.0
+"""Time between two reports of the progress. [s]"""
+START: Final = 1.7e9
+"""Time of the first made-up sample. [Unix s]"""
+
+_log = logging.getLogger("socast.kernels")
+
+
+def log_progress(compiled: int, total: int) -> None:
+    """Log how many kernels have been compiled.
+
+    Parameters
+    ----------
+    compiled, total : int
+        Number of kernels compiled or begun so far, and number of all kernels.
+    """
+    _log.info("compiling kernels, once after installation: %d of %d", compiled, total)
+
+
+def compile_kernels(*models: Model, report: Callable[[int, int], None] = log_progress) -> int:
+    """Compile the kernels that are not in the cache, so that telemetry does not wait for the compiler.
+
+    Parameters
+    ----------
+    *models : Model
+        Models that will run; the built-in `extended_physical` without any.
+    report : callable
+        Function that receives the number of kernels compiled or begun so far and the number of all kernels, at the
+        first one, every `INTERVAL_S` and at the last one; it is not called if all kernels are in the cache.
+
+    Returns
+    -------
+    int
+        Number of kernels that were compiled.
+    """
+    progress = _Progress(report)
+    event.register("numba:compile", progress)  # type: ignore[no-untyped-call]
+    try:
+        _run_kernels(*(models or (EXTENDED_PHYSICAL,)))
+    finally:
+        event.unregister("numba:compile", progress)  # type: ignore[no-untyped-call]
+    progress.end()
+    return len(progress.compiled)
+
+
+class _Progress(event.Listener):
+    """Count the cached kernels that numba compiles."""
+
+    def __init__(self, report: Callable[[int, int], None]) -> None:
+        self.compiled: set[Dispatcher] = set()
+        self._report = report
+        self._all = list_kernels()
+        self._reported_s, self._reported = -INTERVAL_S, 0
+
+    def on_start(self, event: Any) -> None:
+        """Count a kernel whose compilation begins."""
+        dispatcher = event.data["dispatcher"]
+        if dispatcher not in self._all:  # it becomes a part of one of them
+            return
+        self.compiled.add(dispatcher)
+        now = time.monotonic()
+        if now - self._reported_s >= INTERVAL_S:
+            self._reported_s, self._reported = now, len(self.compiled)
+            self._report(self._reported, len(self._all))
+
+    def on_end(self, event: Any) -> None:
+        """Ignore the end of a compilation."""
+
+    def end(self) -> None:
+        """Report the last kernel."""
+        if self._reported < len(self.compiled):
+            self._report(len(self.compiled), len(self._all))
+
+
+def list_kernels() -> set[Dispatcher]:
+    """Return the compiled functions of the modules imported so far that numba keeps in its cache."""
+    modules = [module for name, module in list(sys.modules.items()) if name.partition(".")[0] in {"core", "stream"}]
+    found = {each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)}
+    return {each for each in found if isinstance(getattr(each, "_cache", None), FunctionCache)}
+
+
+def _run_kernels(model: Model, *shadows: Model) -> None:
+    """Run a few made-up messages through every step that has a kernel."""
+    first = Weather("compile", START - 60.0, 45.5, -73.6, temperature_c=5.0)
+    samples = [
+        Telemetry(
+            "compile",
+            START + 3.0 * i,
+            seq=i,
+            ride_id="compile" if i < 90 else None,
+            latitude_deg=45.5 + 1e-4 * i,
+            longitude_deg=-73.6,
+            elevation_m=30.0,
+            speed_kmh=13.3,
+            soc_pct=80.0,
+        )
+        for i in range(100)
+    ]
+    messages = [
+        Message("weather/compile", encode(first), 0),
+        *(Message("fleet/compile/telemetry", encode(sample), 0) for sample in samples),
+    ]
+    live = Pipeline(model, shadows=shadows, limits=Limits(key_rate=1000.0))
+    live.push(messages)
+    live.finish()
+    tables = Pipeline(keep_forecasts=False, two_sided=True)
+    tables.push(messages)
+    tables.finish()
+    leaf = {"roots": (0,), "feature": (-1,), "threshold": (0.0,), "value": (0.0,)}
+    Trees(features=(), baseline=0.0, left=(0,), right=(0,), missing_left=(0,), **leaf).predict({})  # type: ignore[arg-type]
+
+
+def main() -> None:
+    """Compile the kernels, and say what was done."""
+    log_lines()
+    begun = time.monotonic()
+    count = compile_kernels()
+    _log.info("%d kernels compiled in %.1f s", count, time.monotonic() - begun)
+
+
+if __name__ == "__main__":
+    main()
