@@ -107,8 +107,9 @@ def test_history_of_a_car_reaches_a_consumer_that_starts_later(fleet):
         sink = ZenohSink(car)  # its caches live as long as it does
         sink.put(sent)
         with join(fleet, "consumer") as node, serving(node) as (consumer, _):
-            assert eventually(lambda: len(consumer.taken) == len(sent), 10.0)
-    assert [message.payload for message in consumer.taken] == [message.payload for message in sent]
+            assert eventually(lambda: len(consumer.taken) >= len(sent), 10.0)
+    taken = dict.fromkeys(message.payload for message in consumer.taken)  # the pipeline drops repetitions
+    assert list(taken) == [message.payload for message in sent]
 
 
 def test_history_of_forecasts_reaches_a_dispatch_that_starts_later(fleet):
@@ -118,8 +119,14 @@ def test_history_of_forecasts_reaches_a_dispatch_that_starts_later(fleet):
         sink.put(sent)
         with join(fleet, "dispatch") as dispatch:
             subscriber = _subscribe(dispatch, "montreal/fleet/*/forecast")
-            heard = {str(subscriber.recv().key_expr) for _ in sent}
-    assert heard == {message.key for message in sent}
+            heard: set[str] = set()
+
+            def hears_all() -> bool:
+                while (sample := subscriber.try_recv()) is not None:
+                    heard.add(str(sample.key_expr))
+                return heard == {message.key for message in sent}
+
+            assert eventually(hears_all, 10.0)
 
 
 def test_forecasts_reach_dispatch_and_their_car_but_no_forged_ones_and_no_other_car(service):
@@ -204,13 +211,15 @@ def test_token_of_a_consumer_is_seen_by_another_consumer_alone(fleet):
         car.flush()
         assert list(two.session.liveliness().get(key, timeout=5.0)) == []
         false.undeclare()
-        watch = two.session.liveliness().declare_subscriber(key)
+        seen: list[zenoh.SampleKind] = []
+        watch = two.session.liveliness().declare_subscriber(key, lambda token: seen.append(token.kind), history=True)
         token = one.session.liveliness().declare_token(key)
-        assert watch.recv().kind == zenoh.SampleKind.PUT
+        assert eventually(lambda: seen == [zenoh.SampleKind.PUT], 10.0)
         assert len(list(two.session.liveliness().get(key, timeout=5.0))) == 1
         assert list(car.session.liveliness().get("montreal/socast/**", timeout=5.0)) == []
         token.undeclare()
-        assert watch.recv().kind == zenoh.SampleKind.DELETE
+        assert eventually(lambda: seen[1:] == [zenoh.SampleKind.DELETE], 10.0)
+        watch.undeclare()
 
 
 @pytest.fixture
@@ -298,7 +307,7 @@ def test_samples_sent_during_an_outage_of_the_router_are_recovered(fleet):
         consumer, _ = ending.enter_context(serving(node))
         sink = ZenohSink(car)
         sink.put([Message(key, b"0", 0)])
-        assert eventually(lambda: len(consumer.taken) == 1, 10.0)
+        assert eventually(lambda: consumer.taken, 10.0)
         router.close()
         sink.put([Message(key, b"%d" % number, 0) for number in range(1, CACHE // 2)])
         ending.enter_context(open_router(fleet))
@@ -310,7 +319,10 @@ def test_samples_sent_during_an_outage_of_the_router_are_recovered(fleet):
             sink.put([Message(key, b"%d" % last, 0)])
             last += 1
             time.sleep(0.05)
-            return len(consumer.taken) >= last
+            return len(find_payloads()) >= last
+
+        def find_payloads() -> list[bytes]:
+            return list(dict.fromkeys(message.payload for message in consumer.taken))  # the pipeline drops repetitions
 
         assert eventually(sends, 10.0)
-    assert [message.payload for message in consumer.taken] == [b"%d" % number for number in range(last)]
+        assert find_payloads() == [b"%d" % number for number in range(last)]
