@@ -21,6 +21,8 @@ from tests.support.recorded_shift import shift
 from tests.support.service import ask_page, read_metrics, systemd_socket
 from tests.support.zenoh_sessions import eventually
 
+pytestmark = pytest.mark.long
+
 
 def follow_readiness(address: HttpAddress, end: Event, answers: list[tuple[int, str]]) -> None:
     """Ask whether a service is ready until an event, from before it exists."""
