@@ -76,7 +76,7 @@ def test_keys_beyond_limit_of_format_go_to_next_file(tmp_path: Path):
     sent = [Message(f"fleet/car-{i}/telemetry", b"{}", BEGIN + i) for i in range(70_000)]
     recorder = Recorder(tmp_path)
     recorder.put(sent)
-    recorder.put(sent[:3])
+    recorder.put([message._replace(receipt_ns=BEGIN + SECOND) for message in sent[:3]])
     recorder.close()
     assert len(recorder.files) == 2
     assert recorder.recorded == 70_003
