@@ -397,15 +397,16 @@ class Pipeline:
     def quality(self) -> dict[str, Any]:
         """Return the counters since the start.
 
-        Keys: `received` by kind, `duplicates` dropped, `implausible_forecasts` withheld by cause, `undecodable` by
-        cause, `samples` by quality bit, `rides` ended, rides `unfit` and `unpredicted` by reason, `vehicles`,
-        `unpredictable` vehicle messages by reason. With shadows also `unpredicted_by_shadow`, of the rides that count,
-        and `shadow_faults` by cause. With a map also `elevation_map`.
+        Keys: `received` by kind, `duplicates` dropped, `lost` samples, `implausible_forecasts` withheld by cause,
+        `undecodable` by cause, `samples` by quality bit, `rides` ended, rides `unfit` and `unpredicted` by reason,
+        `vehicles`, `unpredictable` vehicle messages by reason. With shadows also `unpredicted_by_shadow`, of the rides
+        that count, and `shadow_faults` by cause. With a map also `elevation_map`.
         """
         counts = {
             "vehicles": len(self.lanes),
             "received": dict(self.decoder.received),
             "duplicates": self.duplicates.dropped,
+            "lost": int(self.decoder.losses.lost().sum()),
             "implausible_forecasts": dict(self.implausible),
             "undecodable": dict(self.decoder.rejected),
             "samples": self.counters.samples_by_cause(),

@@ -14,7 +14,7 @@ from typing import Any, Final, Protocol
 
 from core.wire.messages import Message
 from stream.recorder import Recorder
-from stream.source import Sink, Source
+from stream.source import RecoveredMessage, Sink, Source
 from stream.structured_log import event_fields, flatten_counts
 
 REPORT_S: Final = 30.0
@@ -74,6 +74,8 @@ class Tally:
         Numbers of messages received, forecasts sent, and messages sent on the errors of models.
     missed : int
         Number of messages that were sent but not received, as far as the transport detects it.
+    recovered : int
+        Number of new messages that came from the caches of publishers.
     seconds : float
         Time since the loop first read from the source. [s]
     newest : Message, optional
@@ -84,6 +86,7 @@ class Tally:
     forecasts: int = 0
     model_errors: int = 0
     missed: int = 0
+    recovered: int = 0
     seconds: float = 0.0
     newest: Message | None = None
 
@@ -108,7 +111,8 @@ def run(
     Parameters
     ----------
     source : Source
-        Source that ends by itself or at its stop event. The loop logs its count `missed`, if it has one.
+        Source that ends by itself or at its stop event. The loop logs its count `missed`, if it has one, and counts its
+        messages of the type `RecoveredMessage` if it says `has_recovered`.
     pipeline : Forecaster
         Pipeline that turns messages into forecasts.
     sinks : sequence of Sink
@@ -134,7 +138,7 @@ def run(
         Counts of the whole run.
     """
     tally, began, which = Tally(), clock(), {"newest_only": publish_s > 0.0}
-    record = recorder.put if recorder is not None else None
+    keep = _make_keeper(source, recorder, tally)
     due = began + report_s
     published = -inf
     with ExitStack() as closing:
@@ -146,7 +150,7 @@ def run(
         for messages in source:
             if messages:
                 tally.received, tally.newest = tally.received + len(messages), messages[-1]
-                pipeline.take(messages, record)
+                pipeline.take(messages, keep)
             elif recorder is not None:
                 recorder.put(messages)  # a sync may be due
             if clock() - published >= publish_s:
@@ -222,6 +226,18 @@ def act_on_hangup(act: Callable[[], None]) -> Iterator[None]:
         signal.signal(signal.SIGHUP, before)
 
 
+def _make_keeper(source: Source, recorder: Recorder | None, tally: Tally) -> Callable[[Sequence[Message]], None]:
+    """Return the function that receives new messages before the pipeline uses them."""
+
+    def keep(new: Sequence[Message]) -> None:
+        if getattr(source, "has_recovered", False):
+            tally.recovered += sum(isinstance(message, RecoveredMessage) for message in new)
+        if recorder is not None:
+            recorder.put(new)
+
+    return keep
+
+
 def _pass_on(forecasts: list[Message], errors: list[Message], sinks: Sequence[Sink], tally: Tally) -> None:
     """Pass forecasts and errors of models to every sink."""
     tally.forecasts += len(forecasts)
@@ -235,6 +251,8 @@ def _report(event: str, tally: Tally, source: Source, pipeline: Forecaster, reco
     """Log all counters under the name of an event."""
     tally.missed = getattr(source, "missed", 0)
     counts: dict[str, Any] = {"messages": tally.received, "forecasts": tally.forecasts, "missed": tally.missed}
+    if tally.recovered:
+        counts["recovered"] = tally.recovered
     if tally.model_errors:
         counts["model_errors"] = tally.model_errors
     if recorder is not None:

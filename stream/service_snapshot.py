@@ -21,7 +21,7 @@ ACTIVE_S: Final = 300.0
 """Age of its newest sample up to which a vehicle is active. [s]"""
 AHEAD_S: Final = 60.0
 """Time by which a sample may be ahead of the system clock; a sample further ahead has a wrong time. [s]"""
-OF_SOURCE: Final = "missed", "lost", "recovered", "dropped", "queue_messages", "queue_bytes", "is_catching_up"
+OF_SOURCE: Final = "missed", "dropped", "queue_messages", "queue_bytes", "is_catching_up"
 """Attributes of a source that a snapshot takes over, see `ServiceSnapshot`; a source may lack any of them."""
 PLACES: Final = "below", "inside", "above"
 """Places of an outcome beside an interval."""
@@ -227,6 +227,8 @@ class SnapshotTaker:
             forecasts=tally.forecasts,
             **self._read_source(),
             duplicates=self._pipeline.duplicates.dropped,
+            lost=int(self._pipeline.decoder.losses.lost().sum()),
+            recovered=tally.recovered,
             recorded=recorder.recorded if recorder else None,
             unrecorded=recorder.unrecorded if recorder else None,
             recorded_s=self._to_unix(recorder.synced_s if recorder else None),
@@ -260,7 +262,9 @@ class SnapshotTaker:
         }
         if self._per_vehicle:
             names = self._pipeline.lanes.names
-            out["of_vehicles"] = VehicleSnapshot(tuple(names[lane] for lane in lanes.tolist()), tuple(newest.tolist()))
+            lost = self._pipeline.decoder.losses.lost()[lanes]
+            heard = tuple(names[lane] for lane in lanes.tolist())
+            out["of_vehicles"] = VehicleSnapshot(heard, tuple(newest.tolist()), tuple(lost.tolist()))
         return out
 
     def _read_models(self) -> dict[str, Any]:

@@ -27,6 +27,10 @@ BREATH_S: Final = 0.02
 _receipt = attrgetter("receipt_ns")
 
 
+class RecoveredMessage(Message):
+    """Mark a message that came from the cache of its publisher."""
+
+
 class Sink(Protocol):
     """Receive messages."""
 

@@ -33,7 +33,7 @@ from zenoh import ext, handlers
 from core.errors import SettingsError
 from core.wire.messages import Message
 from stream.receipt_clock import ReceiptClock
-from stream.source import LOOK_UP_S
+from stream.source import LOOK_UP_S, RecoveredMessage
 from stream.zenoh_history import CacheHistory, merge_samples
 from stream.zenoh_session import Node, format_zenoh_error
 
@@ -85,11 +85,14 @@ class ZenohSource:
         Number of samples that publishers sent but the source could not get, as far as publishers number their samples.
     is_catching_up : bool
         Whether live samples wait for the answers of caches.
+    has_recovered : bool
+        Whether the last list holds messages of the type `RecoveredMessage`, which came from caches.
     """
 
     def __init__(self, node: Node, stop: Event) -> None:
         self.missed = 0
         self.is_catching_up = node.connection.recovery
+        self.has_recovered = False
         self._stop = stop
         self._clock = ReceiptClock()
         self._warned = False
@@ -103,6 +106,7 @@ class ZenohSource:
         self._misses: list[Any] = []
         self._history: CacheHistory | None = None
         self._held: list[Any] = []
+        self._answers: list[Any] = []
         if node.connection.recovery:
             self._history = CacheHistory(node, [f"{node.prefix}{space}/**" for space in _SPACES])
             self._misses = [each.sample_miss_listener(handlers.FifoChannel(QUEUE)) for each in self._subscribers]
@@ -116,7 +120,7 @@ class ZenohSource:
             while stopping and self._subscribers:
                 self._subscribers.pop().undeclare()
             messages = self._drain(stopping=stopping)
-            if messages and len(messages) < DRAIN and not stopping:
+            if messages and len(messages) < DRAIN and not stopping and not self.has_recovered:
                 time.sleep(GATHER_S)
                 messages += self._drain(stopping=stopping)
             self._count_misses()
@@ -137,23 +141,35 @@ class ZenohSource:
         A publisher's token comes before its samples, so the tokens are looked at after the samples.
         """
         samples = self._receive()
+        self.has_recovered = False
         if self._history is not None:
             now = time.monotonic()
             answers = self._history.collect(now)
+            self._held += samples
+            self._answers += answers
             self.is_catching_up = self._history.is_waiting(now) and not stopping
             if self.is_catching_up:
-                self._held += answers
-                self._held += samples
                 return []
-            if answers or self._held:
-                samples = merge_samples([*self._held, *answers, *samples])
-                self._held.clear()
+            samples, self._held = self._held, []
+            if self._answers:
+                return self._merge(samples)
         if not samples:
             return []
         self._warn_of_stamps(samples[-1])
         stamp = self._clock.read_ns()
         new, keys = tuple.__new__, self._keys
         return [new(Message, (key, each.payload.to_bytes(), stamp)) for each in samples if (key := keys[each.key_expr])]
+
+    def _merge(self, live: list[Any]) -> list[Message]:
+        """Return live samples and the answers of caches, in the order of publication."""
+        answers, self._answers = self._answers, []
+        self.has_recovered = True
+        recovered, stamp = {id(answer) for answer in answers}, self._clock.read_ns()
+        return [
+            (RecoveredMessage if id(each) in recovered else Message)(key, each.payload.to_bytes(), stamp)
+            for each in merge_samples([*live, *answers])
+            if (key := self._keys[each.key_expr])
+        ]
 
     def _receive(self) -> list[Any]:
         """Return queued samples, at most `DRAIN` of each space."""

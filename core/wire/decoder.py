@@ -17,6 +17,7 @@ from core.settings import Limits
 from core.wire.messages import KINDS, LONGEST_KEY, OF_VEHICLES, Message, Telemetry, Wire, address, identity
 from core.wire.rate_limit import RateLimit
 from core.wire.rides import RideNames
+from core.wire.sample_losses import SampleLosses
 
 
 class Event(NamedTuple):
@@ -79,6 +80,7 @@ class Decoder:
         self._rates = RateLimit(limits.key_rate, limits.key_burst)
         self.received: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
+        self.losses = SampleLosses(lanes)
         self.rides = RideNames()
         self._lane_of_key: dict[str, int] = {}
         self._one = msgspec.json.Decoder(Telemetry)
@@ -109,16 +111,20 @@ class Decoder:
             tables.append(self._decode_block(messages[start : start + _BLOCK], events, rows))
             rows += tables[-1].shape[1]
         self.received["telemetry"] += rows
-        return _join_blocks(tables), events
+        batch = _join_blocks(tables)
+        self.losses.count(batch)
+        return batch, events
 
     def dump(self) -> Any:
         """Return the names of rides and the counters as plain lists."""
-        return [self.rides.dump(), dict(sorted(self.received.items())), dict(sorted(self.rejected.items()))]
+        counters = dict(sorted(self.received.items())), dict(sorted(self.rejected.items()))
+        return [self.rides.dump(), *counters, self.losses.dump()]
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, made with the same lanes."""
-        rides, received, rejected = state
+        rides, received, rejected, losses = state
         self.rides.load(rides)
+        self.losses.load(losses)
         self.received, self.rejected = Counter(received), Counter(rejected)
         self._lane_of_key.clear()
 

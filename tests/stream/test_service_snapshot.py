@@ -1,5 +1,7 @@
 """A snapshot of the service holds what the pipeline, the recorder and the loop count."""
 
+import numpy as np
+
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from core.wire.messages import Message
@@ -9,6 +11,7 @@ from stream.recorder import Recorder
 from stream.service_snapshot import LAG_BUCKETS, OF_SOURCE, LagMeter, SnapshotTaker
 from stream.service_status import ServiceStatus, ServiceWatch
 from tests.support.recorded_shift import BEGIN, shift
+from tests.support.telemetry import drive, telemetry
 
 
 def test_counts_of_a_shift_are_those_of_the_pipeline(tmp_path):
@@ -63,10 +66,17 @@ def test_lag_counts_single_samples_only():
 
 def test_counts_of_the_source_are_taken_over_as_far_as_it_has_them():
     pipeline, source = Pipeline(), MemorySource([])
-    assert SnapshotTaker(pipeline, source)(Tally(), LagMeter()).lost is None
-    given = {"missed": 1, "lost": 2, "recovered": 3, "dropped": {"bytes": 4}, "queue_messages": 5, "queue_bytes": 6}
-    given["is_catching_up"] = True
+    assert SnapshotTaker(pipeline, source)(Tally(), LagMeter()).missed is None
+    given = {"missed": 1, "dropped": {"bytes": 4}, "queue_messages": 5, "queue_bytes": 6, "is_catching_up": True}
     for name, value in given.items():
         setattr(source, name, value)
     snapshot = SnapshotTaker(pipeline, source)(Tally(), LagMeter())
     assert {name: getattr(snapshot, name) for name in OF_SOURCE} == given
+
+
+def test_lost_and_recovered_samples_are_taken_over():
+    pipeline = Pipeline()
+    pipeline.take(telemetry(drive(50, speed=10.0) | {"seq": np.arange(50)})[::2])
+    snapshot = SnapshotTaker(pipeline, MemorySource([]), per_vehicle=True)(Tally(recovered=4), LagMeter())
+    assert (snapshot.lost, snapshot.recovered) == (24, 4)
+    assert snapshot.of_vehicles.lost == (24,)
