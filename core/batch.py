@@ -101,6 +101,10 @@ class Lanes:
             self.names.append(name)
         return lane
 
+    def keep(self, lanes: Ints) -> None:
+        """Keep the vehicles of some lanes only, in the given order."""
+        self.load([self.names[lane] for lane in lanes.tolist()])
+
     def dump(self) -> list[str]:
         """Return the names of the vehicles in the order of their lanes."""
         return list(self.names)
@@ -109,6 +113,24 @@ class Lanes:
         """Replace all vehicles by those that `dump` returned."""
         self.names[:] = state
         self._of = {name: lane for lane, name in enumerate(self.names)}
+
+
+class OfLanes(Protocol):
+    """Describe a component with a state of each lane."""
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order: the state of the first one becomes that of lane 0."""
+
+
+def take_lanes(array: NDArray[Any], lanes: Ints) -> NDArray[Any]:
+    """Return the rows of ascending lanes of an array that may be shorter than the number of lanes."""
+    return array[lanes[: np.searchsorted(lanes, len(array))]]
+
+
+def take_keys(values: dict[int, Any], lanes: Ints) -> dict[int, Any]:
+    """Return a mapping from some of its lanes, by their new numbers."""
+    number = {lane: new for new, lane in enumerate(lanes.tolist())}
+    return {number[lane]: value for lane, value in values.items() if lane in number}
 
 
 def grown(array: NDArray[Any], rows: int, fill: Any = 0) -> NDArray[Any]:

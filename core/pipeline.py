@@ -3,7 +3,6 @@
 Live operation, replay, training and tests run the same steps.
 """
 
-from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Final
@@ -22,10 +21,10 @@ from core.errors import AskError, SettingsError
 from core.forecast.day_rollover import DailyUpdate, DayRollover
 from core.forecast.due_forecasts import DueForecasts
 from core.forecast.engine import DueInput, ForecastEngine, PendingInput
-from core.forecast.messages import build_forecasts
 from core.forecast.newest_plans import NewestPlans
 from core.forecast.plan_tracker import DriverNamed, PlanArrival
 from core.forecast.plausibility import withhold_implausible
+from core.forecast.silent_cars import RestOfBatch, SilentCars, forget_lanes
 from core.forecast.soc_filter import SHIFT_GAP
 from core.forecast.status import VehicleStatus, build_statuses
 from core.forecast.tables import PublishedForecasts, tabulate_outlooks, tabulate_shifts
@@ -57,13 +56,15 @@ BLOCK: Final = 4000
 It is not a power of two: columns at a multiple of 4 KiB from each other would evict each other from the cache, and the
 kernel would take twice the time.
 """
-MOST_RIDE_NAMES: Final = 10_000
-"""Number of ride names that are remembered, in addition to two per vehicle."""
 STATEFUL: Final = (
     *("lanes", "cars", "duplicates", "decoder", "drivers", "plans", "day_rollover", "cleaner", "stations"),
-    *("accumulator", "displays", "counters", "engine"),
+    *("accumulator", "displays", "counters", "engine", "silent_cars"),
 )
 """Attributes of a pipeline that have a state, in the order in which they must load."""
+OF_LANES: Final = (
+    *("cars", "decoder", "plans", "cleaner", "accumulator", "displays", "engine", "silent_cars", "shadows", "closed"),
+)
+"""Attributes of a pipeline that have a state of each lane, beside the lanes themselves and the day."""
 
 
 class Pipeline:
@@ -130,7 +131,7 @@ class Pipeline:
         self.duplicates, self.decoder = DuplicateFilter(self.lanes), Decoder(self.lanes, limits)
         self.drivers, self.plans, self.day_rollover = RideDrivers(), NewestPlans(), DayRollover()
         self.cleaner = Cleaner(self.settings, elevation_map)
-        self.stations = Stations(limits.stations)
+        self.stations, self.silent_cars = Stations(limits.stations), SilentCars()
         self.accumulator = Accumulator(len(self.effects))
         self.deferred = DeferredRows() if two_sided else None
         self.displays, self.counters = DisplayYields(self.cars), RunCounters()
@@ -141,7 +142,7 @@ class Pipeline:
         self._powers += [(effect.per, partial(self.shadows.power, effect)) for effect in rest]
         self.engine = ForecastEngine(self.context, self.accumulator.width)
         self._pending = PendingInput(self.accumulator.none())
-        self._due, self.implausible = DueForecasts(self.accumulator.none()), Counter[str]()
+        self._due = DueForecasts(self.accumulator.none(), self.context, self.decoder.rides, prefix)
         self._published: list[PublishedForecasts] = []
 
     def push(self, messages: Sequence[Message]) -> list[Message]:
@@ -171,6 +172,7 @@ class Pipeline:
         order, piece = MessageOrder(batch.size, events), Piece(0, [], [], [])
         for number, (row, lane, value) in enumerate(events):
             place = order.of_event(number)
+            self.silent_cars.hear([lane] if lane >= 0 else [], samples=False)
             if isinstance(value, Vehicle):
                 piece.changes.append(VehicleChange(row - piece.start, lane, value, place))
             elif isinstance(value, Ride):
@@ -181,7 +183,8 @@ class Pipeline:
                 piece.observations.append((row, value))
             elif isinstance(value, DailyUpdate):  # it applies to every later row
                 piece = self._advance(batch, order, piece, row)
-                self._take_daily_update(place, value.midnight - self.limits.silent_days * SECONDS_PER_DAY)
+                rest = RestOfBatch(batch, row, events, number + 1, order)
+                self._take_daily_update(place, value.midnight, rest)
         self._advance(batch, order, piece, batch.size)
         if self._pending.size >= BLOCK:
             self._update_forecasts(order.size)
@@ -204,8 +207,9 @@ class Pipeline:
 
     def _advance(self, batch: Batch, order: MessageOrder, piece: Piece, stop: int) -> Piece:
         """Run the steps on the rows of a piece, a block at a time; return the empty piece after it."""
-        start, ride_events = piece.start, np.array(piece.ride_events, RIDE_EVENT)
-        replaced, observed = list[ReplacedKind](), deque(piece.observations)
+        start, ride_events, replaced = piece.start, np.array(piece.ride_events, RIDE_EVENT), list[ReplacedKind]()
+        self.silent_cars.hear(batch.lane[start:stop])
+        self.decoder.losses.count(batch.rows(start, stop))
         kind = self.cars.kinds(batch.lane[start:stop], piece.changes, len(self.lanes), replaced)
         self._pending.add_replaced(replaced)
         for at in range(start, stop + 1 if stop == start and len(ride_events) else stop, BLOCK):
@@ -213,10 +217,7 @@ class Pipeline:
             now = ride_events[: np.searchsorted(ride_events["row"], end, side="right")]
             ride_events = ride_events[len(now) :]
             now["row"] -= at
-            seen = []
-            while observed and observed[0][0] < end:
-                row, value = observed.popleft()
-                seen.append((row - at, value))
+            seen = [(row - at, value) for row, value in piece.observations if at <= row < end]
             rows = self.clean_up(batch.rows(at, end), kind[at - start : end - start], order.of_rows[at:end], now, seen)
             if self.deferred is not None:
                 self._take_released(self.deferred, self.deferred.add(rows))
@@ -226,7 +227,9 @@ class Pipeline:
                 self._pending.add_sums(sums, end - at)
                 if self._pending.size >= BLOCK:
                     self._update_forecasts(order.of_row(end))
-        self.decoder.refuse("weather", *filter(None, [self.stations.observe(value) for _, value in observed]))
+        self.decoder.refuse(
+            "weather", *filter(None, [self.stations.observe(value) for row, value in piece.observations if row == stop])
+        )
         return Piece(stop, [], [], [])
 
     def clean_up(
@@ -298,13 +301,18 @@ class Pipeline:
         if not self.keep_outlooks:
             self.engine.take_shifts()
 
-    def _take_daily_update(self, place: int, silent: float) -> None:
-        """Run the daily update at a place in the batch, and forget stations that are silent since a time. [s]"""
-        self.stations.forget_silent(silent)
+    def _take_daily_update(self, place: int, midnight: float, rest: RestOfBatch) -> None:
+        """Run the daily update at a place in the batch, and forget what has been silent for days."""
         self._update_forecasts(place)
         pool = partial(self.deferred.add_daily_update, place) if self.deferred else self.displays.apply_daily_update
         pool(self.cars.of_lane)
         self.engine.apply_daily_update()
+        since = midnight - self.limits.silent_days * SECONDS_PER_DAY
+        self.stations.forget_silent(since)
+        kept = self.silent_cars.begin_day(midnight, since, self.closed.get_lanes())
+        if kept is not None and not self.keep_outlooks and not self.deferred:
+            self._due.build_all()
+            forget_lanes(kept, rest, self.lanes, self.day_rollover, [getattr(self, name) for name in OF_LANES])
 
     def _take_ride(self, place: int, lane: int, ride: Ride) -> tuple[float, float, bool]:
         """Take the driver of a ride; return the code of its name, when it begins or ends, and whether it ends."""
@@ -335,10 +343,7 @@ class Pipeline:
             Forecasts in the order in which they became due.
         """
         self._update_forecasts()
-        if not self._due:
-            return []
-        due, rows = self._due.take(newest_only=newest_only)
-        return build_forecasts(due, rows, self._ride_names(due), self.context, self.prefix, self.implausible)
+        return self._due.take(newest_only=newest_only)
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
         """Return the running errors of all models after each ride, or the last one, that ended since the last call."""
@@ -390,7 +395,7 @@ class Pipeline:
         lane = self.lanes.find(vehicle_id)
         if lane is None or not self.engine.has_sample(lane):
             raise AskError(f"vehicle {vehicle_id!r} has sent nothing so far: give one that has", "unknown_vehicle")
-        outlook = withhold_implausible(answer_query(self.engine, lane, leg, plan), self.implausible)
+        outlook = withhold_implausible(answer_query(self.engine, lane, leg, plan), self._due.implausible)
         silent = self.day_rollover.compute_silence(lane)
         return withhold_charge(outlook, silent) if silent > SHIFT_GAP else outlook
 
@@ -407,7 +412,7 @@ class Pipeline:
             "received": dict(self.decoder.received),
             "duplicates": self.duplicates.dropped,
             "lost": int(self.decoder.losses.lost().sum()),
-            "implausible_forecasts": dict(self.implausible),
+            "implausible_forecasts": dict(self._due.implausible),
             "undecodable": dict(self.decoder.rejected),
             "samples": self.counters.samples_by_cause(),
             "rides": self.counters.rides,
@@ -442,16 +447,12 @@ class Pipeline:
         self.cars.unpredictable.clear()
         self.displays.learn_from(earlier.displays)
         self.engine.learn_from(earlier.engine)
+        self.silent_cars.hear(range(len(self.lanes)), samples=False)
 
     def snapshot(self, note: Any = None) -> bytes:
-        """Return the state of every vehicle, from which `restore` continues as if uninterrupted.
+        """Return the state of every vehicle, from which `restore` continues as if uninterrupted, and a plain note.
 
         The snapshot does not hold rides and windows that have ended but were not taken: take them first.
-
-        Parameters
-        ----------
-        note : object, optional
-            What the caller keeps with the state, of plain lists, dicts, numbers and text.
         """
         self._update_forecasts()
         state = {name: component.dump() for name, component in self._components().items()}
@@ -486,7 +487,7 @@ class Pipeline:
 
     def _forget_ride_names(self) -> None:
         """Forget the names of rides that have ended, once there are many."""
-        if len(self.decoder.rides) > 2 * len(self.lanes) + MOST_RIDE_NAMES:
+        if self.decoder.rides.are_many(len(self.lanes)):
             self._update_forecasts()
             used = self._due.get_ride_codes()
             if self.deferred is not None:  # rides that wait, and rides that the next row of their car will close

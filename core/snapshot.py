@@ -10,7 +10,7 @@ from core.cleaning.quality import CAUSES
 from core.errors import SocastError
 from core.totals.accumulator import AMOUNTS, EDGES
 
-SNAPSHOT: Final = 13
+SNAPSHOT: Final = 14
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 """Names of the fields in the arrays of a snapshot."""

@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from core import batch, columns
-from core.batch import Batch, Floats, Ints, grown
+from core.batch import Batch, Floats, Ints, grown, take_lanes
 from core.cleaning import clock, elevation, fleet_clock, meters, motion, quality, segmentation
 from core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
 from core.cleaning.fleet_clock import FLEET_CLOCK, RIDE_END, new_fleet_clock
@@ -291,6 +291,10 @@ class Cleaner:
     def ride_codes(self) -> Floats:
         """Return the codes of the rides that cars report, `NO_RIDE` or less where there is none."""
         return np.concatenate([self.state["code"], self.state["ended"]])
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order."""
+        self.state = take_lanes(self.state, lanes)
 
     def dump(self) -> Any:
         """Return the state of every lane and of the fleet clock as bytes, and that of the map."""

@@ -44,6 +44,7 @@ CAR_CLOCK: Final = np.dtype(
     ]
 )
 """Stamps and activity of a car."""
+_UNKNOWN_CLOCK: Final = np.array((np.nan, np.nan, 0, 0), CAR_CLOCK)[()]
 
 
 class DailyUpdate(Wire):
@@ -106,7 +107,7 @@ class DayRollover:
     def _find_days(self, lane: Ints, stamp: Floats) -> list[tuple[int, float]]:
         """Return the rows before which the day changes, and the midnight at which each of the new days ends."""
         lanes = int(lane.max(initial=-1)) + 1
-        self._clocks = grown(self._clocks, lanes, np.array((np.nan, np.nan, 0, 0), CAR_CLOCK))
+        self._clocks = grown(self._clocks, lanes, _UNKNOWN_CLOCK)
         days: list[tuple[int, float]] = []
         row = -1
         while (row := self._process_samples(lane, stamp, row + 1)) < len(lane):
@@ -180,6 +181,25 @@ class DayRollover:
             vote = _vote(clock["older"], clock["newer"], self._midnight)
             self._recent_votes[vote] += clock["recent"] > 0
             self._window_votes[vote] += 1
+
+    def keep(self, kept: Ints, later: Ints) -> None:
+        """Keep the state of some lanes only, in their order.
+
+        Parameters
+        ----------
+        kept : (n,) int
+            Lanes that are kept.
+        later : (m,) int
+            Lanes of cars that the batch brings later, in the order of their appearance; they follow the kept ones.
+        """
+        lanes = np.concatenate([kept, later])
+        number = np.full(int(max(lanes.max(initial=-1), self._newest.max())) + 2, -1)
+        number[lanes] = np.arange(len(lanes))
+        self._newest = number[self._newest]  # -1, no lane, stays the last one
+        self._clocks = grown(self._clocks, len(number), _UNKNOWN_CLOCK)[lanes]
+        returned = self._clocks[len(kept) :]
+        returned["older"][returned["newer"] - returned["older"] > BEHIND_LIMIT] = np.nan  # before it was forgotten
+        self._count_votes()
 
     def dump(self) -> Any:
         """Return the state as plain values."""

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints, grown
+from core.batch import Floats, Ints, grown, take_lanes
 from core.columns import JOULES_PER_KWH
 from core.forecast.conformal import BY_HISTORY, BY_PLAN
 from core.forecast.filter_state import (
@@ -364,6 +364,12 @@ class ForecastEngine:
         """Return the shifts that have ended since the last call, (n,) CLOSED_SHIFT."""
         taken, self.closed = self.closed, []
         return np.array(taken, CLOSED_SHIFT)
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order; call it after the daily update."""
+        self.state, self.ends = take_lanes(self.state, lanes), take_lanes(self.ends, lanes)
+        for part in (self.statistics, self.plans, self.log):
+            part.keep(lanes)
 
     def dump(self) -> Any:
         """Return the state as plain values."""

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from core.batch import Ints, take_keys
 from core.forecast.plan_checks import find_refusal, is_outdated
 from core.wire.messages import Plan
 
@@ -25,6 +26,10 @@ class NewestPlans:
     def accept(self, lane: int, plan: Plan) -> None:
         """Remember a usable plan as the newest of its lane."""
         self._made[lane] = plan.time_s
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order."""
+        self._made = take_keys(self._made, lanes)
 
     def dump(self) -> Any:
         """Return the state as plain values."""

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, grown
+from core.batch import Floats, Ints, grown, take_keys, take_lanes
 from core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
 from core.forecast.outlook import OVERTIME, is_plan_current
 from core.forecast.planned_legs import PLAN_PROGRESS, PlannedLegs, compute_planned_legs
@@ -234,6 +234,12 @@ class PlanTracker:
         legs = active.legs or compute_planned_legs(active.plan, tables)
         self.plans[lane] = active._replace(legs=legs)
         return legs.compute_progress(active.done, active.driven_km)
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order."""
+        self.plans, self.later = take_keys(self.plans, lanes), take_keys(self.later, lanes)
+        self.progress, self._ride_km = take_lanes(self.progress, lanes), take_lanes(self._ride_km, lanes)
+        self._riding, self._waiting = take_lanes(self._riding, lanes), take_lanes(self._waiting, lanes)
 
     def dump(self) -> Any:
         """Return the state as plain values."""

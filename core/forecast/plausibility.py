@@ -124,7 +124,7 @@ def _is_energy_plausible(leg: LegOutlook) -> bool:
     most = CLIMB + LARGEST_PER_KM * leg.distance_km + LARGEST_POWER * leg.duration_s / 3600.0
     if leg.energy_kwh is None:
         return True
-    return _lies_within(leg.energy_kwh, -most, most) and leg.energy_kwh.p05 <= leg.energy_kwh.p95
+    return _lies_within(leg.energy_kwh, -CLIMB, most) and leg.energy_kwh.p05 <= leg.energy_kwh.p95
 
 
 def _lies_within(interval: Interval, low: float, high: float) -> bool:

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.batch import Ints, grown
+from core.batch import Ints, grown, take_lanes
 from core.models import Model
 from core.stats.confidence_sequence import ClusterMoments
 from core.wire.messages import Gain, ModelErrors, RideErrors
@@ -183,6 +183,12 @@ class ModelMonitor:
     def add_groups(self, names: Sequence[str]) -> None:
         """Add running errors for each vehicle model that has none."""
         self._by_group += [RunningErrors(name, self._level) for name in names[len(self._by_group) :]]
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order, and end the vehicle-days of the others."""
+        for lane in np.setdiff1d(np.flatnonzero(self._days["rides"]), lanes).tolist():
+            self._end_day(lane)
+        self._days = take_lanes(self._days, lanes)
 
     def close(self) -> None:
         """End the vehicle-days in progress."""

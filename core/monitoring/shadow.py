@@ -226,6 +226,11 @@ class ShadowModels:
         counts = {monitor.label: monitor.unpredicted for monitor in self.monitors[1:]}
         return {"unpredicted_by_shadow": counts, "shadow_faults": dict(self.faults)}
 
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order."""
+        for monitor in self.monitors:
+            monitor.keep(lanes)
+
     def dump(self) -> Any:
         """Return the state as plain values."""
         monitors = {monitor.label: monitor.dump() for monitor in self.monitors}

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import NO_RIDE, Floats, Ints, grown
+from core.batch import NO_RIDE, Floats, Ints, grown, take_lanes
 from core.cleaning.fleet_clock import RIDE_END
 from core.cleaning.kernel import Clean
 from core.cleaning.quality import CAUSES
@@ -229,10 +229,8 @@ class Accumulator:
 
         Parameters
         ----------
-        clean : Clean
-            n rows.
+        clean : Clean of n rows
         kind : (n,) int
-            Kind of car.
         rates : (len(AMOUNTS) + effects, n) float
             What each row adds, see `core.totals.clean_rows.compute_amounts`.
         lanes : int
@@ -240,7 +238,6 @@ class Accumulator:
         place : (n,) int, optional
             Place of each row among the messages of the batch; its number without it.
         ends : (ends,) RIDE_END
-            Rides that ended between two rows.
         """
         if len(self._open) < lanes:
             self._open = grown(self._open, lanes, self._empty(1)[0])
@@ -288,6 +285,10 @@ class Accumulator:
         idle = self.running(np.flatnonzero(~riding & (duration > 0.0)))
         self._open = self._empty(len(self._open))
         return Sums(rides, idle, windows, self.none())
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order."""
+        self._open = take_lanes(self._open, lanes)
 
     def dump(self) -> bytes:
         """Return the open totals of every lane as bytes."""

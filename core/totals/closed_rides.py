@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from core.batch import Ints
 from core.totals.accumulator import Sums, Totals, join_totals
 
 
@@ -36,6 +37,15 @@ class ClosedTotals:
             self._ride_names += ride_names
         if len(sums.windows.lane):
             self._windows.append(_copy(sums.windows))
+
+    def get_lanes(self) -> Ints:
+        """Return the lanes of what is kept."""
+        return np.concatenate([np.zeros(0, np.int64), *(each.lane for each in (*self._rides, *self._windows))])
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep some lanes only, in their order, those of `get_lanes` among them."""
+        for parts in (self._rides, self._windows):
+            parts[:] = [each._replace(lane=np.searchsorted(lanes, each.lane)) for each in parts]
 
     def take_rides(self) -> tuple[Totals, list[str | None]]:
         """Return the rides and their names that were kept since the last call."""

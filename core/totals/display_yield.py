@@ -30,7 +30,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints, grown
+from core.batch import Floats, Ints, grown, take_lanes
 from core.totals.accumulator import Sums, Totals
 from core.totals.display_record import create_unknown_yields
 from core.totals.measured_energy import (
@@ -126,6 +126,7 @@ class DisplayYields:
         self._lanes: NDArray[Any] = _NO_LANES
         self._codes: dict[str, int] = {}
         self._pooled: Floats = np.zeros((0, 2))  # weight, and weight times factor, of each vehicle model
+        self._forgotten: Floats = np.zeros((0, 2))  # the part of it that comes from cars that are forgotten
         self._code_of_kind: Ints = np.zeros(0, np.int64)
         self._yields = create_unknown_yields(0)  # of each lane, for a car of the kind that follows
         self._kind: Ints = np.zeros(0, np.int64)  # -1 where the yield must be computed anew
@@ -194,23 +195,33 @@ class DisplayYields:
         code = np.where(usable, self._code_of_kind[kinds], -1)
         known["pooled_model"], known["pooled_weight"], known["pooled_sum"] = code, weight, weight * factor
         self._kind[:] = -1
-        self._pooled[:] = 0.0
+        self._pooled[:] = self._forgotten
         np.add.at(self._pooled, code[usable], np.column_stack([weight, weight * factor])[usable])
 
     def learn_from(self, earlier: "DisplayYields") -> None:
         """Take over what another instance has learned of the same lanes."""
         self.load(earlier.dump())
 
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order."""
+        forgotten = np.delete(self._lanes, lanes[lanes < len(self._lanes)])
+        forgotten = forgotten[forgotten["pooled_weight"] > 0.0]  # what they taught of their models remains
+        parts = np.column_stack([forgotten["pooled_weight"], forgotten["pooled_sum"]])
+        np.add.at(self._forgotten, forgotten["pooled_model"].astype(np.int64), parts)
+        self._lanes, self._yields = take_lanes(self._lanes, lanes), take_lanes(self._yields, lanes)
+        self._kind = take_lanes(self._kind, lanes)
+
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return self._lanes.tobytes(), list(self._codes), self._pooled.tolist()
+        return self._lanes.tobytes(), list(self._codes), self._pooled.tolist(), self._forgotten.tolist()
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        lanes, names, pooled = state
+        lanes, names, pooled, forgotten = state
         self._lanes = np.frombuffer(lanes, _LANE).copy()
         self._codes = {name: code for code, name in enumerate(names)}
         self._pooled = np.array(pooled, dtype=np.float64).reshape(-1, 2)
+        self._forgotten = np.array(forgotten, dtype=np.float64).reshape(-1, 2)
         self._code_of_kind = np.zeros(0, np.int64)
         self._yields, self._kind = create_unknown_yields(len(self._lanes)), np.full(len(self._lanes), -1)
 
@@ -227,6 +238,7 @@ class DisplayYields:
             codes = [self._codes.setdefault(name, len(self._codes)) for name in names]
             self._code_of_kind = np.array(codes, np.int64)
             self._pooled = grown(self._pooled, len(self._codes), 0.0)
+            self._forgotten = grown(self._forgotten, len(self._pooled), 0.0)
 
     def _find_yields(self, lanes: Ints, kind: Floats) -> NDArray[Any]:
         """Return the present yields of cars in lanes, (n,) DISPLAY_YIELD."""

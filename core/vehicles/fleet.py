@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from core.batch import Floats, Ints, grown
+from core.batch import Floats, Ints, grown, take_lanes
 from core.settings import Limits
 from core.vehicles.catalogue import VehicleModel, vehicle_model
 from core.wire.message_order import VehicleChange
@@ -183,6 +183,10 @@ class Cars:
         self.capacity = np.append(self.capacity, capacity)
         self._kinds[key] = kind
         return kind
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order."""
+        self.of_lane = take_lanes(self.of_lane, lanes)
 
     def dump(self) -> Any:
         """Return the state as plain lists, for a snapshot."""

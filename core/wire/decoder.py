@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from core.batch import Batch, Floats, Lanes
+from core.batch import Batch, Floats, Ints, Lanes
 from core.columns import KMH, TELEMETRY, ZERO_CELSIUS
 from core.settings import Limits
 from core.wire.messages import KINDS, LONGEST_KEY, OF_VEHICLES, Message, Telemetry, Wire, address, identity
@@ -111,9 +111,12 @@ class Decoder:
             tables.append(self._decode_block(messages[start : start + _BLOCK], events, rows))
             rows += tables[-1].shape[1]
         self.received["telemetry"] += rows
-        batch = _join_blocks(tables)
-        self.losses.count(batch)
-        return batch, events
+        return _join_blocks(tables), events
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order."""
+        self._lane_of_key.clear()
+        self.losses.keep(lanes)
 
     def dump(self) -> Any:
         """Return the names of rides and the counters as plain lists."""

@@ -6,6 +6,9 @@ from typing import Any, Final
 from core.batch import NO_RIDE
 from core.wire.messages import Ride
 
+NAMES: Final = 10_000
+"""Number of ride names that are remembered, in addition to `NAMES_PER_VEHICLE` per vehicle."""
+NAMES_PER_VEHICLE: Final = 2
 DRIVERS: Final = 10_000
 """Number of rides whose driver is remembered, in addition to `DRIVERS_PER_VEHICLE` per vehicle."""
 DRIVERS_PER_VEHICLE: Final = 8
@@ -27,6 +30,10 @@ class RideNames(dict[Any, float]):
         self._name_of[code] = name
         self._opened += 1
         return code
+
+    def are_many(self, vehicles: int) -> bool:
+        """Return whether so many names are known of a number of vehicles that some should be forgotten."""
+        return len(self) > NAMES_PER_VEHICLE * vehicles + NAMES
 
     def names(self, codes: Iterable[float]) -> list[str | None]:
         """Return the name of each code, None where it has none."""

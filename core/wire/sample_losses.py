@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import Batch, Lanes, grown
+from core.batch import Batch, Ints, Lanes, grown, take_lanes
 
 SAMPLE_LOSS: Final = np.dtype(
     [
@@ -63,9 +63,13 @@ class SampleLosses:
         """Return the number of samples that have not come of each car, (n,) in the order of lanes."""
         return self._known()["lost"]
 
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order."""
+        self._state = take_lanes(self._state, lanes)
+
     def dump(self) -> Any:
         """Return the state as bytes."""
-        return self._state.tobytes()
+        return self._known().tobytes()
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""

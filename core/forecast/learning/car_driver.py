@@ -12,6 +12,7 @@ from math import log, nan
 from statistics import fmean, median
 from typing import Any, Final, NamedTuple
 
+from core.batch import Ints, take_keys
 from core.forecast.filter_state import DEFAULT_QUANTUM
 from core.forecast.soc_filter import DRIVER_SD, ENERGY_SD
 
@@ -126,6 +127,10 @@ class ConsumptionFactors:
         if len(known) < LEAST_SHIFTS:
             return ShiftPattern(nan, nan)
         return ShiftPattern(median(each.hours for each in known), fmean(each.relative_power for each in known))
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order."""
+        self._cars, self._patterns = take_keys(self._cars, lanes), take_keys(self._patterns, lanes)
 
     def dump(self) -> Any:
         """Return the state as plain lists."""

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints, grown
+from core.batch import Floats, Ints, grown, take_lanes
 from core.forecast.conformal import BASES, ConformalIntervals
 from core.forecast.filter_state import LOG_FACTOR_PRIOR
 from core.forecast.learning.car_driver import ConsumptionFactors, ShiftPattern
@@ -213,6 +213,11 @@ class FleetStatistics:
         """Stack the tables of all vehicle models, for rows of cars of different models."""
         self._rows, self._row_of_model = _stack_tables(self.rides.tables)
         self._row_of_kind = np.zeros(0, np.int64)
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order; call it after the daily update."""
+        self.factors.keep(lanes)
+        self.prior, self._patterns = take_lanes(self.prior, lanes), take_lanes(self._patterns, lanes)
 
     def dump(self) -> Any:
         """Return the state as plain values."""

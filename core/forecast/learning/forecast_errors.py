@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints, grown
+from core.batch import Floats, Ints, grown, take_keys, take_lanes
 from core.forecast.conformal import BASES
 
 RECORD_PERIOD: Final = 600.0
@@ -198,6 +198,11 @@ class ForecastLog:
         self._records.pop(lane, None)
         self._next[lane], self._ends[lane] = 0.0, np.inf
         return compute_shift_errors(records, soc, charged)
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep the state of some lanes only, in their order."""
+        self._records = take_keys(self._records, lanes)
+        self._next, self._ends = take_lanes(self._next, lanes), take_lanes(self._ends, lanes)
 
     def get_records(self, lane: int) -> NDArray[np.void]:
         """Return the recorded forecasts of a lane, (n,) FORECAST_RECORDS."""
