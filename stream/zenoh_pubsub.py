@@ -23,6 +23,7 @@ The module allows for this observed behaviour of zenoh 1.10:
 
 import logging
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from threading import Event
 from typing import Any, Final
@@ -41,6 +42,12 @@ QUEUE: Final = 1 << 14
 """Capacity of a channel, in samples; a full channel blocks publishers. More samples would exceed the CPU's cache."""
 DRAIN: Final = 4000
 """Largest number of messages that are yielded at once; the processor's cache can hold them during processing."""
+DRAIN_BYTES: Final = 1 << 22
+"""Size of messages from which no more are yielded at once. [B]"""
+BLOCK: Final = 128
+"""Number of samples of the fleet after which their size is looked at."""
+STOP_S: Final = 3.0
+"""Time after a stop for which queued messages are still yielded; later they are dropped and counted. [s]"""
 GATHER_S: Final = 0.01
 """Time for which a short queue waits for more samples; a few large lists cost less than many small ones. [s]"""
 CACHE: Final = 64
@@ -83,6 +90,8 @@ class ZenohSource:
     ----------
     missed : int
         Number of samples that publishers sent but the source could not get, as far as publishers number their samples.
+    dropped : Counter of str
+        Number of queued messages that were dropped, by cause.
     is_catching_up : bool
         Whether live samples wait for the answers of caches.
     has_recovered : bool
@@ -91,6 +100,8 @@ class ZenohSource:
 
     def __init__(self, node: Node, stop: Event) -> None:
         self.missed = 0
+        self.dropped: Counter[str] = Counter()
+        self._stop_by_s: float | None = None
         self.is_catching_up = node.connection.recovery
         self.has_recovered = False
         self._stop = stop
@@ -117,12 +128,15 @@ class ZenohSource:
         quiet_s = 0.0
         while True:
             stopping = self._stop.is_set()
-            while stopping and self._subscribers:
-                self._subscribers.pop().undeclare()
-            messages = self._drain(stopping=stopping)
+            if stopping and self._subscribers:
+                self._end_subscriptions()
+            if self._has_no_time_left():
+                self._drop_queue()
+                return
+            messages = self._gather(stopping=stopping)
             if messages and len(messages) < DRAIN and not stopping and not self.has_recovered:
                 time.sleep(GATHER_S)
-                messages += self._drain(stopping=stopping)
+                messages += self._gather(stopping=stopping)
             self._count_misses()
             self._watch_routers()
             if messages or quiet_s >= LOOK_UP_S:
@@ -134,6 +148,39 @@ class ZenohSource:
                 time.sleep(nap)
                 quiet_s += nap
                 nap = min(2 * nap, longest)
+
+    def _gather(self, *, stopping: bool) -> list[Message]:
+        """Return queued messages up to a number and a size that the pipeline processes in a fraction of a second."""
+        out: list[Message] = []
+        size = 0
+        while len(out) < DRAIN and size < DRAIN_BYTES:
+            part = self._drain(stopping=stopping)
+            out += part
+            size += sum([len(message[1]) for message in part])
+            if not part or self.has_recovered:
+                break
+        return out
+
+    def _end_subscriptions(self) -> None:
+        """Receive nothing more; what is queued can still be taken for `STOP_S`."""
+        self._stop_by_s = time.monotonic() + STOP_S
+        while self._subscribers:
+            self._subscribers.pop().undeclare()
+        if self._history is not None:
+            self._history.close()
+
+    def _has_no_time_left(self) -> bool:
+        """Return whether a stop was requested so long ago that what is still queued must be dropped."""
+        return self._stop_by_s is not None and time.monotonic() > self._stop_by_s
+
+    def _drop_queue(self) -> None:
+        """Drop and count what is queued."""
+        count = len(self._held)
+        while part := len(self._receive()):
+            count += part
+        if count:
+            self.dropped["stop"] = count
+            _log.warning("%d messages dropped: they were queued %g s after the stop", count, STOP_S)
 
     def _drain(self, *, stopping: bool) -> list[Message]:
         """Return the queued messages; while caches are asked, hold them, and return all together in their order.
@@ -172,12 +219,12 @@ class ZenohSource:
         ]
 
     def _receive(self) -> list[Any]:
-        """Return queued samples, at most `DRAIN` of each space."""
+        """Return queued samples: weather up to `DRAIN`, and `BLOCK` of the fleet."""
         out: list[Any] = []
         append = out.append
-        for receive in self._receivers:
+        for receive, most in zip(self._receivers, (DRAIN, BLOCK), strict=True):
             try:
-                for _ in range(DRAIN):
+                for _ in range(most):
                     if (sample := receive()) is None:
                         break
                     append(sample)
