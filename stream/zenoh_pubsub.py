@@ -46,6 +46,8 @@ DRAIN_BYTES: Final = 1 << 22
 """Size of messages from which no more are yielded at once. [B]"""
 BLOCK: Final = 128
 """Number of samples of the fleet after which their size is looked at."""
+HOLD_BYTES: Final = 1 << 26
+"""Size of live samples that may wait for the answers of caches; more end the wait. [B]"""
 STOP_S: Final = 3.0
 """Time after a stop for which queued messages are still yielded; later they are dropped and counted. [s]"""
 GATHER_S: Final = 0.01
@@ -118,6 +120,7 @@ class ZenohSource:
         self._history: CacheHistory | None = None
         self._held: list[Any] = []
         self._answers: list[Any] = []
+        self._held_bytes = 0
         if node.connection.recovery:
             self._history = CacheHistory(node, [f"{node.prefix}{space}/**" for space in _SPACES])
             self._misses = [each.sample_miss_listener(handlers.FifoChannel(QUEUE)) for each in self._subscribers]
@@ -176,7 +179,7 @@ class ZenohSource:
     def _drop_queue(self) -> None:
         """Drop and count what is queued."""
         count = len(self._held)
-        while part := len(self._receive()):
+        while part := len(self._receive(DRAIN, DRAIN)):
             count += part
         if count:
             self.dropped["stop"] = count
@@ -187,19 +190,13 @@ class ZenohSource:
 
         A publisher's token comes before its samples, so the tokens are looked at after the samples.
         """
-        samples = self._receive()
+        samples = self._receive(DRAIN, BLOCK)
         self.has_recovered = False
-        if self._history is not None:
-            now = time.monotonic()
-            answers = self._history.collect(now)
-            self._held += samples
-            self._answers += answers
-            self.is_catching_up = self._history.is_waiting(now) and not stopping
-            if self.is_catching_up:
-                return []
-            samples, self._held = self._held, []
-            if self._answers:
-                return self._merge(samples)
+        if self._history is not None and self._must_hold(samples, stopping=stopping):
+            return []
+        if self._answers:
+            return self._merge()
+        samples, self._held = self._held or samples, []
         if not samples:
             return []
         self._warn_of_stamps(samples[-1])
@@ -207,9 +204,29 @@ class ZenohSource:
         new, keys = tuple.__new__, self._keys
         return [new(Message, (key, each.payload.to_bytes(), stamp)) for each in samples if (key := keys[each.key_expr])]
 
-    def _merge(self, live: list[Any]) -> list[Message]:
-        """Return live samples and the answers of caches, in the order of publication."""
-        answers, self._answers = self._answers, []
+    def _must_hold(self, samples: list[Any], *, stopping: bool) -> bool:
+        """Return whether the queued samples must wait for the answers of caches.
+
+        If they must wait, or if answers have come, the whole queue is held and later merged with the answers, because these
+        may be newer than the end of the queue.
+        """
+        assert self._history is not None
+        now = time.monotonic()
+        self._answers += self._history.collect(now)
+        self.is_catching_up = self._history.is_waiting(now) and not stopping and self._held_bytes < HOLD_BYTES
+        if self.is_catching_up or self._answers or self._held:
+            while samples and self._held_bytes < HOLD_BYTES:
+                self._held += samples
+                self._held_bytes += sum(len(sample.payload) for sample in samples)
+                samples = self._receive(DRAIN, DRAIN)
+            self._held += samples
+        if not self.is_catching_up:
+            self._held_bytes = 0
+        return self.is_catching_up
+
+    def _merge(self) -> list[Message]:
+        """Return the live samples that waited and the answers of caches, in the order of publication."""
+        live, answers, self._held, self._answers = self._held, self._answers, [], []
         self.has_recovered = True
         recovered, stamp = {id(answer) for answer in answers}, self._clock.read_ns()
         return [
@@ -218,11 +235,11 @@ class ZenohSource:
             if (key := self._keys[each.key_expr])
         ]
 
-    def _receive(self) -> list[Any]:
-        """Return queued samples: weather up to `DRAIN`, and `BLOCK` of the fleet."""
+    def _receive(self, *limits: int) -> list[Any]:
+        """Return queued samples, at most a number of each space."""
         out: list[Any] = []
         append = out.append
-        for receive, most in zip(self._receivers, (DRAIN, BLOCK), strict=True):
+        for receive, most in zip(self._receivers, limits, strict=True):
             try:
                 for _ in range(most):
                     if (sample := receive()) is None:
