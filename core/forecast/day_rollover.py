@@ -78,11 +78,11 @@ class DayRollover:
         list of Event
             In the order of their rows; an update follows the messages that came before its row.
         """
-        updates = [Event(row, -1, DailyUpdate(end)) for row, end in self._find_days(batch.lane, batch.stamp)]
+        updates = [Event(row, -1, DailyUpdate(end)) for row, end in self.find_rollovers(batch.lane, batch.stamp)]
         return sorted([*events, *updates], key=itemgetter(0)) if updates else events
 
-    def find_rollovers(self, lane: Ints, stamp: Floats) -> list[int]:
-        """Return the rows before which the day changes.
+    def find_rollovers(self, lane: Ints, stamp: Floats) -> list[tuple[int, float]]:
+        """Return the rows before which the day changes, and the midnight at which each of the new days ends.
 
         Parameters
         ----------
@@ -92,20 +92,17 @@ class DayRollover:
 
         Returns
         -------
-        list of int
+        list of (int, float)
+            Rows and Unix times. [s]
 
         Examples
         --------
         >>> rollover = DayRollover()
         >>> rollover.find_rollovers(np.zeros(3, np.int64), np.array([100.0, 103.0, 106.0]))
-        [1]
+        [(1, 86400.0)]
         >>> rollover.find_rollovers(np.zeros(5, np.int64), np.array([9e9, 109.0, 86398.0, 86401.0, 86404.0]))
-        [4]
+        [(4, 172800.0)]
         """
-        return [row for row, _ in self._find_days(lane, stamp)]
-
-    def _find_days(self, lane: Ints, stamp: Floats) -> list[tuple[int, float]]:
-        """Return the rows before which the day changes, and the midnight at which each of the new days ends."""
         lanes = int(lane.max(initial=-1)) + 1
         self._clocks = grown(self._clocks, lanes, _UNKNOWN_CLOCK)
         days: list[tuple[int, float]] = []
@@ -136,7 +133,7 @@ class DayRollover:
         --------
         >>> rollover = DayRollover()
         >>> rollover.find_rollovers(np.zeros(2, np.int64), np.array([100.0, 103.0]))
-        [1]
+        [(1, 86400.0)]
         >>> rollover.find_rollovers(np.ones(2000, np.int64), np.arange(2000.0))
         []
         >>> rollover.compute_silence(0), rollover.compute_silence(1)

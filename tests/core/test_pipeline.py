@@ -123,7 +123,7 @@ def test_number_of_kept_ride_names_is_limited():
     out = [forecast for start in range(0, 12_000, 3000) for forecast in pipeline.push(messages[start : start + 3000])]
     for start in range(0, 12_000, 3000):
         more = [
-            m._replace(payload=m.payload.replace(b'"r', b'"y').replace(b'"x', b'"z'))
+            m._replace(payload=m.payload.replace(b'": "r', b'": "y').replace(b'": "x', b'": "z'))
             for m in messages[start : start + 3000]
         ]
         out += pipeline.push(more)

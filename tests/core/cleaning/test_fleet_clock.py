@@ -39,8 +39,12 @@ def test_totals_of_silent_car_equal_those_at_its_next_sample():
     assert len(alone.status()) == 1
     for table in ("take_rides", "take_windows"):
         both = getattr(others, table)()
-        mine = both[both["vehicle_id"] == "a"].reset_index(drop=True)
-        pd.testing.assert_frame_equal(mine, getattr(alone, table)(), check_exact=True)
+        mine, only = both[both["vehicle_id"] == "a"].reset_index(drop=True), getattr(alone, table)()
+        count = [
+            "quality_repaired_time"
+        ]  # the first sample after the silence is not believed, and counts in either ride
+        mine, only = (each.drop(columns=count, errors="ignore") for each in (mine, only))
+        pd.testing.assert_frame_equal(mine, only, check_exact=True)
 
 
 def test_car_with_wrong_clock_ends_no_ride_of_others():
@@ -55,7 +59,9 @@ def test_stored_samples_that_come_together_end_no_ride_of_others():
 
 def test_many_cars_that_wake_after_a_night_end_no_ride_that_has_just_begun():
     streams = [sent(car, 50, first=10_000) for car in "abcdefghijklmnopqrstuvwxyz"]
-    assert set(count_ended(in_order(sent("z", 5, name=None), *streams))[5 + 26 :]) <= {1}
+    assert set(count_ended(in_order(sent("z", 5, name=None), *streams))[5 + 2 * 26 :]) <= {
+        1
+    }  # the first sample of each is not believed
 
 
 def test_stored_samples_of_a_silent_car_begin_another_ride():

@@ -34,7 +34,7 @@ def find_rollover_rows(lane, stamp, cuts=(), rollover=None):
     """Return the rows before which the day changes, for samples in several batches."""
     rollover, before, rows = rollover or DayRollover(), 0, []
     for lanes, part in zip(np.split(lane, sorted(cuts)), np.split(stamp, sorted(cuts)), strict=True):
-        rows += [before + row for row in rollover.find_rollovers(lanes, part)]
+        rows += [before + row for row, _ in rollover.find_rollovers(lanes, part)]
         before += len(part)
     return rows
 
@@ -154,7 +154,7 @@ def test_rollovers_are_ordered_for_any_stamps_cuts_and_restarts(stamps, cuts):
     before = one.find_rollovers(lane[:half], stamp[:half])
     other.load(one.dump())
     rest = other.find_rollovers(lane[half:], stamp[half:])
-    assert before + [half + row for row in rest] == rows
+    assert [row for row, _ in before] + [half + row for row, _ in rest] == rows
     assert one.find_rollovers(lane[half:], stamp[half:]) == rest
     assert one.dump() == other.dump()
 
