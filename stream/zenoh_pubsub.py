@@ -207,8 +207,8 @@ class ZenohSource:
     def _must_hold(self, samples: list[Any], *, stopping: bool) -> bool:
         """Return whether the queued samples must wait for the answers of caches.
 
-        If they must wait, or if answers have come, the whole queue is held and later merged with the answers, because these
-        may be newer than the end of the queue.
+        If they must wait, or if answers have come, the whole queue is held and later merged with the answers. These may
+        be newer than the end of the queue.
         """
         assert self._history is not None
         now = time.monotonic()
