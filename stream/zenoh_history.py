@@ -12,7 +12,7 @@ The module allows for this observed behaviour of zenoh 1.10:
 cache, the
   subscriber drops the answer, because it is older than the live sample, and does not count a miss. After a restart of
   the router this lost 388 of 12,000 samples. The caches are therefore asked by separate queries.
-- A token comes again within milliseconds of the link, before the next sample of its publisher.
+- A token of a publisher comes again before its next sample. If the router itself was away, it may come after it.
 """
 
 import logging
@@ -56,15 +56,16 @@ class CacheHistory:
 
     def __init__(self, node: Node, spaces: Sequence[str]) -> None:
         self.asked = 0
-        self._session, self._spaces = node.session, spaces
+        self._session = node.session
+        self._all = [f"{space}/@adv/pub/**" for space in spaces]
         self._open: list[Any] = []
-        self._fresh: list[str] = [f"{space}/@adv/pub/**" for space in spaces]
+        self._fresh: list[str] = list(self._all)
+        self._is_client, self._is_cut_off = bool(node.session.info.routers_zid()), False
         self._quiet_from = -inf
         self._began: float | None = None
         channel: Any = handlers.RingChannel
         self._tokens: list[Any] = [
-            node.session.liveliness().declare_subscriber(f"{space}/@adv/pub/**", channel(_TOKENS), history=True)
-            for space in spaces
+            node.session.liveliness().declare_subscriber(keys, channel(_TOKENS), history=True) for keys in self._all
         ]
 
     def collect(self, now: float) -> list[Any]:
@@ -79,6 +80,7 @@ class CacheHistory:
             tokens, _ = _receive(subscriber.handler)
             keys = [str(token.key_expr) for token in tokens if token.kind == zenoh.SampleKind.PUT]
             self._fresh += [key for key in keys if "/forecast/@adv/" not in key]
+            self._watch_link(has_lost_publishers=len(keys) < len(tokens))
         out: list[Any] = []
         for query in list(self._open):
             replies, ended = _receive(query)
@@ -100,6 +102,8 @@ class CacheHistory:
         now : float
             Monotonic time. [s]
         """
+        if self._is_cut_off:
+            return True
         if self._began is None:
             return False
         if now - self._quiet_from < SETTLE_S and now - self._began < ANSWER_S + SETTLE_S:
@@ -114,11 +118,19 @@ class CacheHistory:
         self._fresh.clear()
         self._open.clear()
 
+    def _watch_link(self, *, has_lost_publishers: bool) -> None:
+        """Ask all caches when the router returns; its live samples may come before the tokens of their publishers."""
+        if has_lost_publishers or self._is_cut_off:
+            has_router = bool(self._session.info.routers_zid())
+            if self._is_cut_off and has_router:
+                self._fresh += self._all
+            self._is_cut_off = self._is_client and not has_router
+
     def _ask(self) -> None:
         """Ask the publishers that have appeared, all in one query if they are many."""
         fresh, self._fresh = list(dict.fromkeys(self._fresh)), []
         if len(fresh) > SINGLY:
-            fresh = [f"{space}/@adv/pub/**" for space in self._spaces]
+            fresh = self._all
         channel: Any = handlers.FifoChannel
         try:
             for selector in fresh:

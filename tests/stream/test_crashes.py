@@ -1,0 +1,200 @@
+"""A consumer that crashes at a byte of the recording, or at a step of saving the state, continues as if it had not."""
+
+import io
+import os
+import shutil
+from collections.abc import Callable
+from itertools import count, pairwise
+from pathlib import Path
+
+import pytest
+
+from core.pipeline import Pipeline
+from core.wire.messages import Message
+from stream import recorder, state_file
+from stream.checkpoints import Checkpoints
+from stream.mcap_reader import McapSource
+from stream.recorder import Recorder, list_recordings
+from stream.state_file import StateFile
+from tests.support.faulty_shifts import shift
+
+CACHE = 64
+"""Number of messages that caches deliver again after a crash."""
+LIST = 16
+"""Number of messages in a list from the source."""
+SAVE = 5
+"""Number of lists between two states."""
+
+
+class Crash(BaseException):
+    """The end of the process."""
+
+
+class Consumer:
+    """A consumer without Zenoh, whose files can be left as a crash leaves them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.recorder = Recorder(folder / "kept", file_bytes=20_000, flush_s=1e-9)
+        self.file = StateFile(folder / "cars")
+        self.pipeline = Pipeline()
+        self.checkpoints = Checkpoints(self.pipeline, self.file, self.recorder)
+        try:
+            self.forecasts = self.checkpoints.restore()
+        except Crash:
+            self.free_locks()
+            raise
+
+    def take(self, messages: list[Message]) -> None:
+        """Take messages list by list, and save the state now and then."""
+        for number, start in enumerate(range(0, len(messages), LIST)):
+            self.pipeline.take(messages[start : start + LIST], self.recorder.put)
+            self.forecasts += self.pipeline.forecasts()
+            if number % SAVE == SAVE - 1:
+                self.checkpoints.save()
+
+    def free_locks(self) -> None:
+        """Free the locks, as the operating system does."""
+        self.recorder._lock.close()
+        self.file.close()
+
+
+@pytest.fixture(scope="module")
+def sent() -> list[Message]:
+    once = {(m.key, m.payload): m for m in reversed(shift(5))}
+    return [m._replace(receipt_ns=1_700_000_000 * 10**9 + i) for i, m in enumerate(reversed(once.values()))]
+
+
+@pytest.fixture(scope="module")
+def expected(sent: list[Message]) -> tuple[set[Message], bytes]:
+    pipeline = Pipeline()
+    return set(pipeline.push(sent)), pipeline.snapshot()
+
+
+def run_until_crash(folder: Path, sent: list[Message]) -> int | None:
+    """Run a consumer; return how many messages it had been given when it crashed, None if it did not."""
+    consumer = None
+    given = 0
+    try:
+        consumer = Consumer(folder)
+        for start in range(0, len(sent), LIST * SAVE):
+            given = min(start + LIST * SAVE, len(sent))
+            consumer.take(sent[start:given])
+        consumer.recorder.close()
+    except Crash:
+        return given
+    finally:
+        if consumer is not None:
+            consumer.free_locks()
+    return None
+
+
+def assert_continues(folder: Path, sent: list[Message], given: int, expected: tuple[set[Message], bytes]) -> None:
+    """Assert that a new consumer, to which caches deliver messages again, ends as an uninterrupted one."""
+    consumer = Consumer(folder)
+    consumer.take(sent[max(0, given - LIST * SAVE - CACHE) :])
+    consumer.recorder.close()
+    consumer.free_locks()
+    kept = [m for path in list_recordings(folder / "kept") for messages in McapSource(path) for m in messages]
+    assert [(m.key, m.payload) for m in kept] == [(m.key, m.payload) for m in sent]
+    assert set(consumer.forecasts) <= expected[0]
+    assert consumer.pipeline.snapshot() == expected[1]
+
+
+class CrashingFile:
+    """A file that reaches the disk byte by byte until the process ends."""
+
+    def __init__(self, path: Path, left: list[int]) -> None:
+        self._file, self._left = io.FileIO(path, "wb"), left
+
+    def write(self, data: bytes) -> int:
+        self._file.write(data[: max(0, self._left[0])])
+        self._left[0] -= len(data)
+        if self._left[0] < 0:
+            raise Crash
+        return len(data)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._file, name)
+
+
+def open_crashing(left: list[int]) -> Callable[..., object]:
+    """Return a replacement of `Path.open` that makes the process end after some bytes written to recordings."""
+    plain = Path.open
+
+    def choose(path: Path, mode: str = "r", *arguments: object, **named: object) -> object:
+        if path.suffix == ".mcap" and "w" in mode:
+            return CrashingFile(path, left)
+        return plain(path, mode, *arguments, **named)
+
+    return choose
+
+
+def test_crash_at_each_thousandth_byte_of_the_recording(tmp_path, monkeypatch, sent, expected):
+    crashes = 0
+    for byte in count(1000, 1000):
+        folder = tmp_path / str(byte)
+        folder.mkdir()
+        with monkeypatch.context() as disk:
+            disk.setattr(Path, "open", open_crashing([byte]))
+            given = run_until_crash(folder, sent)
+        if given is None:
+            break
+        crashes += 1
+        assert_continues(folder, sent, given, expected)
+        shutil.rmtree(folder)
+    assert crashes > 20
+
+
+_STEPS: list[tuple[object, str]] = [
+    (os, "fsync"),
+    (os, "link"),
+    (state_file, "sync_folder"),
+    (Path, "replace"),
+    (os, "fdatasync"),
+]
+
+
+@pytest.mark.parametrize("before", [True, False], ids=["before", "after"])
+@pytest.mark.parametrize("step", range(len(_STEPS)), ids=[name for _, name in _STEPS])
+def test_crash_at_each_step_of_saving_the_state(tmp_path, monkeypatch, sent, expected, step, before):
+    owner, name = _STEPS[step]
+    genuine: Callable[..., object] = getattr(owner, name)
+    crashes = 0
+    for number in (0, 1, 2, 5, 9):
+        folder, calls = tmp_path / str(number), count()
+        folder.mkdir()
+
+        def crash(*arguments: object, calls=calls, number=number) -> object:
+            now = next(calls) == number
+            if now and before:
+                raise Crash
+            result = genuine(*arguments)
+            if now:
+                raise Crash
+            return result
+
+        with monkeypatch.context() as disk:
+            disk.setattr(owner, name, crash)
+            given = run_until_crash(folder, sent)
+        if given is not None:
+            crashes += 1
+            assert_continues(folder, sent, given, expected)
+    assert crashes >= 2
+
+
+def test_every_truncated_recording_is_read_to_its_last_whole_chunk(tmp_path, sent):
+    kept = Recorder(tmp_path / "kept", flush_s=1e-9)
+    for start in range(0, 64, 8):
+        kept.put(sent[start : start + 8])
+    kept.close()
+    (path,) = kept.files
+    whole, numbers = path.read_bytes(), []
+    for size in range(0, len(whole), 97):
+        path.write_bytes(whole[:size])
+        again = Recorder(tmp_path / "kept")
+        read = [m for messages in again.read_after(recorder.Place("", 0)) for m in messages]
+        again.close()
+        assert read == sent[: len(read)]
+        numbers.append(len(read))
+    assert all(a <= b for a, b in pairwise(numbers))
+    assert numbers[-1] == 64
