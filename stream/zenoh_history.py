@@ -31,6 +31,10 @@ ANSWER_S: Final = 10.0
 """Longest wait for the answers of caches. [s]"""
 SETTLE_S: Final = 0.2
 """Time for which live samples still wait after the last answer, so that samples in flight take their place. [s]"""
+DOUBT_S: Final = 0.1
+"""Time after the loss of a publisher within which the loss of the router shows. [s]"""
+RETURN_S: Final = 5.0
+"""Longest wait for publishers after the return of the router; they try to connect every few seconds. [s]"""
 SINGLY: Final = 8
 """Number of publishers that are asked one by one; more are asked together."""
 _ANSWERS: Final = 1 << 14
@@ -61,6 +65,8 @@ class CacheHistory:
         self._open: list[Any] = []
         self._fresh: list[str] = list(self._all)
         self._is_client, self._is_cut_off = bool(node.session.info.routers_zid()), False
+        self._gone: set[str] = set()
+        self._doubt_s = -inf
         self._quiet_from = -inf
         self._began: float | None = None
         channel: Any = handlers.RingChannel
@@ -78,9 +84,8 @@ class CacheHistory:
         """
         for subscriber in self._tokens:
             tokens, _ = _receive(subscriber.handler)
-            keys = [str(token.key_expr) for token in tokens if token.kind == zenoh.SampleKind.PUT]
-            self._fresh += [key for key in keys if "/forecast/@adv/" not in key]
-            self._watch_link(has_lost_publishers=len(keys) < len(tokens))
+            self._take_tokens(tokens, now)
+        self._watch_link(now)
         out: list[Any] = []
         for query in list(self._open):
             replies, ended = _receive(query)
@@ -102,7 +107,7 @@ class CacheHistory:
         now : float
             Monotonic time. [s]
         """
-        if self._is_cut_off:
+        if self._is_cut_off or self._gone:
             return True
         if self._began is None:
             return False
@@ -118,13 +123,33 @@ class CacheHistory:
         self._fresh.clear()
         self._open.clear()
 
-    def _watch_link(self, *, has_lost_publishers: bool) -> None:
-        """Ask all caches when the router returns; its live samples may come before the tokens of their publishers."""
-        if has_lost_publishers or self._is_cut_off:
-            has_router = bool(self._session.info.routers_zid())
-            if self._is_cut_off and has_router:
-                self._fresh += self._all
-            self._is_cut_off = self._is_client and not has_router
+    def _take_tokens(self, tokens: Sequence[Any], now: float) -> None:
+        """Note which publishers have appeared, and which have gone while this session may be cut off."""
+        for token in tokens:
+            key = str(token.key_expr)
+            if "/forecast/@adv/" in key:
+                continue
+            if token.kind == zenoh.SampleKind.PUT:
+                self._fresh.append(key)
+                self._gone.discard(key)
+            elif self._is_client:
+                self._gone.add(key)
+                self._doubt_s = now + DOUBT_S
+
+    def _watch_link(self, now: float) -> None:
+        """Wait while the router is away, and afterwards for the publishers that were there before, for `RETURN_S`.
+
+        The first live samples of a publisher that returns with its router may come before its token.
+        """
+        if not self._gone and not self._is_cut_off:
+            return
+        has_router = bool(self._session.info.routers_zid())
+        if self._is_cut_off and has_router:
+            self._fresh += self._all
+            self._doubt_s = now + RETURN_S
+        self._is_cut_off = not has_router
+        if has_router and now > self._doubt_s:
+            self._gone.clear()
 
     def _ask(self) -> None:
         """Ask the publishers that have appeared, all in one query if they are many."""
