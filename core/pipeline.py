@@ -34,7 +34,7 @@ from core.monitoring.shadow import ShadowModels
 from core.settings import Limits, Settings, check_limits, checked
 from core.signals.signals import flag_ambient
 from core.signals.weather import Stations
-from core.snapshot import open_snapshot, seal_snapshot
+from core.snapshot import load_components, open_snapshot, seal_snapshot
 from core.totals.accumulator import Accumulator, Sums, Totals
 from core.totals.clean_rows import CleanRows, PowerOfEffect, sum_rows
 from core.totals.closed_rides import ClosedTotals
@@ -472,13 +472,12 @@ class Pipeline:
         Raises
         ------
         SocastError
-            If the bytes are not a snapshot, or are one of another version or list of effects.
+            If the bytes are not a snapshot, are one of another version or list of effects, or hold a state of another
+            form; the pipeline may then only take another state.
         """
         content = open_snapshot(snapshot, list(self.context.effects))
-        for name, component in self._components().items():
-            if name in content["state"]:
-                component.load(content["state"][name])
-        return content["note"]
+        load_components(self._components(), content)
+        return content.get("note")
 
     def _components(self) -> dict[str, Stateful]:
         """Return every component that has a state, in the order in which they must load."""

@@ -1,14 +1,34 @@
-"""Encode the state of every vehicle as bytes with a checksum, and decode it."""
+"""Encode the state of every vehicle as bytes with a checksum, decode it, and check it.
 
+A checksum shows damage, not intent: anybody can make one. `SCHEMAS` therefore declares the form of each component's
+state, and `load_components` refuses a state of another form before compiled code uses it as an index. Who adds a field
+to a component adds it here; the tests refuse a component without schema.
+"""
+
+from collections.abc import Mapping
 from hashlib import sha256
+from math import inf, pi
 from typing import Any, Final
 
 import msgspec
+import numpy as np
 
+from core.batch import Stateful
+from core.cleaning.fleet_clock import FLEET_CLOCK
 from core.cleaning.kernel import STATE
 from core.cleaning.quality import CAUSES
+from core.columns import SECONDS_PER_DAY, SPEED_BINS
 from core.errors import SocastError
+from core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, TEMPERATURE_CLASSES
+from core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_SAMPLES
+from core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
+from core.forecast.learning.fleet import SHIFT_PATTERN
+from core.forecast.learning.leg_energy import PACES, TEMPERATURES
+from core.forecast.planned_legs import PLAN_PROGRESS
+from core.monitoring.running_error import RIDE_SUMS, VEHICLE_DAY
 from core.totals.accumulator import AMOUNTS, EDGES
+from core.totals.display_yield import LANE_YIELD
+from core.wire.state_schema import Anything, ByName, Fault, Many, Maybe, Named, Number, Packed, Row, Schema, Sizes, Text
 
 SNAPSHOT: Final = 14
 """Version of the format of a snapshot."""
@@ -57,9 +77,198 @@ def open_snapshot(snapshot: bytes, effects: list[str]) -> dict[str, Any]:
     digest, content = snapshot[:_DIGEST], snapshot[_DIGEST:]
     if sha256(content).digest() != digest:
         raise SocastError("not a snapshot of this product, or a damaged one: start without it")
-    state: dict[str, Any] = msgspec.msgpack.decode(content, strict=False)
-    if (state["version"], state["fields"], state["effects"]) != (SNAPSHOT, FIELDS, effects):
+    try:
+        state: dict[str, Any] = msgspec.msgpack.decode(content, type=dict[str, Any])
+    except (msgspec.MsgspecError, RecursionError) as error:
+        raise SocastError(f"a snapshot of another form: {error}; start without it") from error
+    if tuple(map(state.get, ("version", "fields", "effects"))) != (SNAPSHOT, FIELDS, effects):
+        model = str(state.get("model"))[:100]
         raise SocastError(
-            f"snapshot of model {state['model']}: made by another version or with other effects; start without it"
+            f"snapshot of model {model!s}: made by another version or with other effects; start without it"
         )
     return state
+
+
+class OpenTotals:
+    """Require the open totals of each lane, see `core.totals.accumulator`, of as many effects as the pipeline sums."""
+
+    def check(self, value: Any, sizes: Sizes) -> None:
+        """Raise `Fault` if a value is no such bytes."""
+        width = len(AMOUNTS) + int(sizes["effects"]) + SPEED_BINS
+        edges = [f"{name} of {place}" for place in ("ride", "window", "end") for name in EDGES]
+        parts = [("ride", "f8"), ("window", "f8"), ("amounts", "f8", (2 * width,)), *((name, "f8") for name in edges)]
+        limits = {
+            "ride": Number(-2.0, _WHOLE),
+            "window": Number(-2.0, _WHOLE),
+            **dict.fromkeys((name for name in edges if name.startswith("kind of")), Number(0, "kinds", unknown=False)),
+            **dict.fromkeys((name for name in edges if name.startswith("code of")), _CODE),
+        }
+        dtype = np.dtype([*parts, ("quality", "f8", (len(CAUSES),))])
+        Packed(dtype, by_lane="summed", limits=limits, vacant={"ride": Number(-2.0, -1.0)}).check(value, sizes)
+
+
+_ANYTHING, _TEXT, _REAL, _UNIX = Anything(), Text(), Number(), Number(0.0, 4.3e9, unknown=False)
+_WHOLE: Final = 2.0**53
+_COUNT, _LANE = Number(0, _WHOLE, whole=True), Number(0, "lanes", whole=True)
+_LATITUDE, _LONGITUDE = Number(-pi / 2, pi / 2, unknown=False), Number(-pi, pi, unknown=False)
+_COUNTS, _CODE, _INDEX = ByName(_COUNT), Number(-3.0, _WHOLE), Number(0.0, _WHOLE, unknown=False)
+_FACTOR: Final = Row(_REAL, _REAL)
+
+
+def _grid(*shape: int) -> Schema:
+    """Return the schema of an array as nested lists."""
+    return Many(_grid(*shape[1:]) if shape[1:] else _REAL, count=shape[0])
+
+
+_SUMS: Final = Named(
+    **dict.fromkeys(("ride_amounts", "ride_energy", "idle_energy", "standing"), Packed("f8")),
+    **dict.fromkeys(("matrix", "right", "first_edge", "last_edge"), Packed("f8")),
+    rides=_COUNT,
+    idle_periods=_COUNT,
+)
+_BY_PACE, _BY_TEMPERATURE = _grid(len(PACES)), _grid(len(TEMPERATURES))
+_TABLES: Final = Named(
+    leg_energy_per_km=_grid(len(PACES), len(TEMPERATURES)),
+    **dict.fromkeys(("climbed_per_km", "descended_per_km"), _BY_PACE),
+    **dict.fromkeys(("climb_energy", "descent_energy", "start_energy", "mean_pause"), _REAL),
+    **dict.fromkeys(("standing_power", "approach_energy", "ride_factor", "ride_power"), _BY_TEMPERATURE),
+    **dict.fromkeys(("idle_factor", "idle_power", "energy_per_km", "mean_power"), _BY_TEMPERATURE),
+)
+_CLASSES: Final = BASES, len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
+_CONFORMAL: Final = Row(
+    Many(Row(Row(*(Number(0, count - 1, whole=True) for count in _CLASSES)), Many(Packed("f8")))),
+    _grid(*_CLASSES, len(LEVELS)),
+    *(Packed(BOUND_PAIR) for _ in range(3)),
+)
+_STATISTICS: Final = Row(
+    Row(
+        Row(ByName(_SUMS), ByName(_TABLES)),
+        Row(
+            Many(Row(_LANE, _FACTOR)),
+            Many(Row(_COUNT, _FACTOR)),
+            Many(Row(_LANE, Many(Row(_REAL, _REAL)))),
+        ),
+        _CONFORMAL,
+        _grid(3, BASES),
+    ),
+    Many(Row(_LANE, Maybe(_COUNT), _REAL, _REAL, _REAL)),
+    Packed(LOG_FACTOR_PRIOR, by_lane="predicted", limits={"variance": Number(1e-9, 1e9)}),
+    Packed(SHIFT_PATTERN, by_lane="predicted"),
+    Packed("i8", count=3 * BASES, limits={"": _COUNT}),
+)
+_PLANS: Final = Row(
+    Many(Row(_LANE, ByName(_ANYTHING), _COUNT, _REAL, Maybe(Many(Packed("f8"), count=2)))),
+    Many(Row(_LANE, ByName(_ANYTHING))),
+    Packed(PLAN_PROGRESS, by_lane="predicted"),
+    Many(_REAL, by_lane="predicted"),
+    Many(Number(0, 1), by_lane="predicted"),
+)
+_ERRORS: Final = Row(Packed(RIDE_SUMS, count=1), Row(_INDEX, _INDEX, *(_REAL for _ in range(4))))
+SCHEMAS: Final[dict[str, Schema]] = {
+    "lanes": Many(Text(64), unique=True),
+    "cars": Row(Many(ByName(_ANYTHING)), Many(Number(0, "kinds", whole=True)), _COUNTS),
+    "duplicates": Packed("<u8"),
+    "decoder": Row(Row(Many(Row(_CODE, Maybe(_TEXT))), _COUNT), _COUNTS, _COUNTS),
+    "drivers": ByName(_TEXT),
+    "plans": Many(Row(_LANE, _REAL)),
+    "day_rollover": Row(
+        Number(-inf, 4.3e9 + SECONDS_PER_DAY, unknown=False),
+        Number(0, WINDOW_SAMPLES - 1, whole=True),
+        Packed("i8", count=WINDOW_SAMPLES, limits={"": Number(-1, "clocks")}),
+        Packed(CAR_CLOCK, limits={"recent": Number(0, RECENT_SAMPLES), "window": Number(0, WINDOW_SAMPLES)}),
+    ),
+    "cleaner": Row(
+        Packed(
+            STATE,
+            by_lane="heard",
+            limits={
+                **dict.fromkeys(("samples", "rides", "windows", "place"), _INDEX),
+                **dict.fromkeys(("code", "ended"), _CODE),
+            },
+            vacant={"samples": Number(0.0, 0.0)},
+        ),
+        Packed(FLEET_CLOCK, count=1),
+        Row(_TEXT, _COUNT, _COUNTS),
+    ),
+    "stations": Many(Row(_TEXT, Many(_UNIX), Many(Many(_REAL)), _LATITUDE, _LONGITUDE)),
+    "accumulator": OpenTotals(),
+    "displays": Row(
+        Packed(LANE_YIELD, by_lane="heard", limits={"pooled_model": Number(-1, "models")}),
+        Many(_TEXT, unique=True),
+        Many(Row(_REAL, _REAL)),
+        Many(Row(_REAL, _REAL)),
+    ),
+    "counters": Row(Many(_COUNT, count=len(CAUSES)), _COUNT, _COUNTS, _COUNTS),
+    "engine": Row(
+        _STATISTICS,
+        _PLANS,
+        Row(Many(Row(_LANE, _ANYTHING)), Packed("f8"), Packed("f8")),
+        Packed(
+            FILTER_STATE,
+            by_lane="predicted",
+            limits={"": Number(-1e15, 1e15)},
+            vacant={"active": Number(0.0, 0.0), "shift": Number(-_WHOLE, -1.0)},
+        ),
+    ),
+    "deferred": _ANYTHING,
+    "shadows": Row(
+        _TEXT,
+        _REAL,
+        Many(_TEXT),
+        ByName(
+            Row(
+                Many(_ERRORS),
+                Packed(VEHICLE_DAY, limits={"group": Number(-1, "groups")}),
+                Packed("i8", count=3, limits={"": _COUNT}),
+            )
+        ),
+        _COUNTS,
+    ),
+}
+"""Form of the state of each component."""
+
+
+def load_components(components: Mapping[str, Stateful], content: dict[str, Any]) -> None:
+    """Check the state of all components, and then load it.
+
+    Parameters
+    ----------
+    components : mapping of str to Stateful
+        Components by name, in the order in which they must load.
+    content : dict of str to object
+        Result of `open_snapshot`.
+
+    Raises
+    ------
+    SocastError
+        If the state of a component has another form, or if a component is unknown or missing.
+    """
+    name, state = "state", content.get("state")
+    try:
+        if not isinstance(state, dict) or (set(state) ^ set(components)) - {"deferred"}:
+            raise Fault("it has other components than this version")
+        name = "sizes"
+        sizes = _measure_state(state) | {"effects": len(content["effects"])}
+        for name in state:
+            SCHEMAS[name].check(state[name], sizes)
+        for name in filter(state.__contains__, components):
+            components[name].load(state[name])
+    except (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise SocastError(f"snapshot with a wrong part {name!r}: {reason}; start without it") from error
+
+
+def _measure_state(state: dict[str, Any]) -> dict[str, float]:
+    """Return the sizes by which parts of a state are checked."""
+    heard = np.flatnonzero(np.frombuffer(state["cleaner"][0], STATE)["samples"] > 0.0)
+    last = int(heard[-1]) + 1 if len(heard) else 0
+    return {
+        "lanes": len(state["lanes"]),
+        "heard": last,
+        "summed": 0 if "deferred" in state else last,
+        "predicted": last if state["engine"][3] else 0,  # a pipeline may keep no forecasts
+        "kinds": len(state["cars"][0]) + 1,
+        "clocks": len(state["day_rollover"][3]) // CAR_CLOCK.itemsize,
+        "models": len(state["displays"][1]),
+        "groups": len(state["shadows"][2]),
+    }

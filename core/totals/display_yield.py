@@ -80,7 +80,7 @@ FULL: Final = 1.0 - 1e-9
 """A display that shows this charge may be clipped. [1]"""
 
 _LEVELS: Final = len(READING_SDS)
-_LANE: Final = np.dtype(
+LANE_YIELD: Final = np.dtype(
     [
         ("info_kk", "f8", (_LEVELS,)),  # information matrix of (k, b), for each of `READING_SDS` [kWh^2]
         ("info_kb", "f8", (_LEVELS,)),  # [kWh]
@@ -96,9 +96,9 @@ _LANE: Final = np.dtype(
     ]
 )
 """What is learned of the car in a lane."""
-_LEARNED: Final = _LANE.names[:8]  # type: ignore[index]
+_LEARNED: Final = LANE_YIELD.names[:8]  # type: ignore[index]
 """Fields of a lane that are forgotten when its display has changed."""
-_NO_LANES: Final = np.zeros(0, _LANE)
+_NO_LANES: Final = np.zeros(0, LANE_YIELD)
 
 
 class _Posterior(NamedTuple):
@@ -218,7 +218,7 @@ class DisplayYields:
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
         lanes, names, pooled, forgotten = state
-        self._lanes = np.frombuffer(lanes, _LANE).copy()
+        self._lanes = np.frombuffer(lanes, LANE_YIELD).copy()
         self._codes = {name: code for code, name in enumerate(names)}
         self._pooled = np.array(pooled, dtype=np.float64).reshape(-1, 2)
         self._forgotten = np.array(forgotten, dtype=np.float64).reshape(-1, 2)
@@ -229,7 +229,7 @@ class DisplayYields:
         """Make room for lanes, and for the kinds of car that have become known."""
         if len(self._lanes) < lanes:
             added = lanes - len(self._lanes)
-            self._lanes = np.concatenate([self._lanes, np.zeros(added, _LANE)])
+            self._lanes = np.concatenate([self._lanes, np.zeros(added, LANE_YIELD)])
             self._lanes["pooled_model"][-added:] = -1.0
             self._yields = np.concatenate([self._yields, create_unknown_yields(added)])
             self._kind = np.concatenate([self._kind, np.full(added, -1)])
@@ -340,7 +340,7 @@ def _probabilities(likelihood: Floats) -> Floats:
 def _update(
     known: NDArray[Any], energy: Floats, fall: Floats, bend: Floats, noise: Floats, score: Floats, variance: Floats
 ) -> NDArray[Any]:
-    """Return what is known of cars after one more ride of each, (n,) _LANE; the others are (n, 1) or (n, levels)."""
+    """Return what is known of cars after one more ride, (n,) LANE_YIELD; the others are (n, 1) or (n, levels)."""
     new, fade = known.copy(), 1.0 - 1.0 / MEMORY
     weight = np.minimum(1.0, OUTLIER_SDS / np.maximum(score, OUTLIER_SDS)) / noise
     products = energy * energy, -energy * bend, bend * bend, energy * fall, -bend * fall

@@ -131,9 +131,10 @@ def test_pending_statistics_survive_dump_and_load():
 
 def test_known_driver_changes_the_forecast():
     pipeline = trained_pipeline()
+    another = pipeline.lanes.lane("another")
     for _ in range(30):
-        pipeline.engine.statistics.factors.add_shift(90, compute_driver_code("heavy"), 20.0, 26.0, 24.0)
-        pipeline.engine.statistics.factors.add_shift(90, compute_driver_code("other"), 20.0, 20.0, 24.0)
+        pipeline.engine.statistics.factors.add_shift(another, compute_driver_code("heavy"), 20.0, 26.0, 24.0)
+        pipeline.engine.statistics.factors.add_shift(another, compute_driver_code("other"), 20.0, 20.0, 24.0)
     kept = pipeline.snapshot()
     by_driver = {}
     for name in ("heavy", "other", None):
