@@ -28,6 +28,7 @@ from core.forecast.planned_legs import PLAN_PROGRESS
 from core.monitoring.running_error import RIDE_SUMS, VEHICLE_DAY
 from core.totals.accumulator import AMOUNTS, EDGES
 from core.totals.display_yield import LANE_YIELD
+from core.wire.sample_losses import SAMPLE_LOSS
 from core.wire.state_schema import Anything, ByName, Fault, Many, Maybe, Named, Number, Packed, Row, Schema, Sizes, Text
 
 SNAPSHOT: Final = 14
@@ -168,7 +169,16 @@ SCHEMAS: Final[dict[str, Schema]] = {
     "lanes": Many(Text(64), unique=True),
     "cars": Row(Many(ByName(_ANYTHING)), Many(Number(0, "kinds", whole=True)), _COUNTS),
     "duplicates": Packed("<u8"),
-    "decoder": Row(Row(Many(Row(_CODE, Maybe(_TEXT))), _COUNT), _COUNTS, _COUNTS),
+    "decoder": Row(
+        Row(Many(Row(_CODE, Maybe(_TEXT))), _COUNT),
+        _COUNTS,
+        _COUNTS,
+        Packed(
+            SAMPLE_LOSS,
+            count="lanes",
+            limits={**dict.fromkeys(("received", "lost"), _INDEX), "period": Number(0.0, 1e6, unknown=False)},
+        ),
+    ),
     "drivers": ByName(_TEXT),
     "plans": Many(Row(_LANE, _REAL)),
     "day_rollover": Row(
@@ -193,10 +203,10 @@ SCHEMAS: Final[dict[str, Schema]] = {
     "stations": Many(Row(_TEXT, Many(_UNIX), Many(Many(_REAL)), _LATITUDE, _LONGITUDE)),
     "accumulator": OpenTotals(),
     "displays": Row(
-        Packed(LANE_YIELD, by_lane="heard", limits={"pooled_model": Number(-1, "models")}),
+        Packed(LANE_YIELD, by_lane="summed", limits={"pooled_model": Number(-1, "models")}),
         Many(_TEXT, unique=True),
         Many(Row(_REAL, _REAL)),
-        Many(Row(_REAL, _REAL)),
+        Many(Row(_REAL, _REAL), count="pooled"),
     ),
     "counters": Row(Many(_COUNT, count=len(CAUSES)), _COUNT, _COUNTS, _COUNTS),
     "engine": Row(
@@ -209,6 +219,12 @@ SCHEMAS: Final[dict[str, Schema]] = {
             limits={"": Number(-1e15, 1e15)},
             vacant={"active": Number(0.0, 0.0), "shift": Number(-_WHOLE, -1.0)},
         ),
+    ),
+    "silent_cars": Row(
+        Number(-inf, _WHOLE),
+        _COUNT,
+        Packed("f8", by_lane="heard"),
+        Packed("i8", count="noted", limits={"": Number(-_WHOLE, _WHOLE)}),
     ),
     "deferred": _ANYTHING,
     "shadows": Row(
@@ -270,5 +286,7 @@ def _measure_state(state: dict[str, Any]) -> dict[str, float]:
         "kinds": len(state["cars"][0]) + 1,
         "clocks": len(state["day_rollover"][3]) // CAR_CLOCK.itemsize,
         "models": len(state["displays"][1]),
+        "pooled": len(state["displays"][2]),
+        "noted": len(state["silent_cars"][2]) // 8,
         "groups": len(state["shadows"][2]),
     }

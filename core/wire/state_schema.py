@@ -98,13 +98,13 @@ class Named:
 
 @dataclass(frozen=True)
 class Many:
-    """Require a list of equal parts: `count` of them, or a row for each lane.
+    """Require a list of equal parts: `count` of them, which may be the name of a size, or a row for each lane.
 
     `by_lane` names the size that is the least number of rows.
     """
 
     part: Schema
-    count: int | None = None
+    count: int | str | None = None
     by_lane: str = ""
     unique: bool = False
 
@@ -143,7 +143,7 @@ class Packed:
     """
 
     dtype: Any
-    count: int | None = None
+    count: int | str | None = None
     by_lane: str = ""
     limits: Mapping[str, Number] = field(default_factory=dict)
     vacant: Mapping[str, Number] = field(default_factory=dict)
@@ -176,8 +176,9 @@ def _find_extremes(values: Any, *, unknown: bool) -> list[float]:
     return extremes + ([np.nan] if known.size < values.size and not unknown else [])
 
 
-def _check_count(count: int, wanted: int | None, sizes: Sizes, *, by_lane: str) -> None:
+def _check_count(count: int, wanted: int | str | None, sizes: Sizes, *, by_lane: str) -> None:
     """Raise `Fault` if a number of rows is not the one wanted, or does not fit the number of lanes."""
+    wanted = int(sizes[wanted]) if isinstance(wanted, str) else wanted
     if wanted is not None and count != wanted:
         raise Fault(f"{count:,} parts instead of {wanted:,}")
     if by_lane and not sizes[by_lane] <= count <= 2.0 * sizes["lanes"]:
