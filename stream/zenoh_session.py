@@ -67,6 +67,9 @@ class Connection:
         File with Zenoh's JSON5 configuration, for TLS and other settings. The parameters above override the file.
     recovery : bool
         Whether to request missed samples from advanced publishers.
+    lease_s : float, optional
+        Time without a sign of life after which remote ends take this node for lost. [s] The default is that of the
+        file, or Zenoh's, 10 s.
     """
 
     connect: tuple[str, ...] = ()
@@ -75,6 +78,7 @@ class Connection:
     prefix: str = ""
     config: Path | None = None
     recovery: bool = True
+    lease_s: float | None = None
 
 
 class Node:
@@ -226,6 +230,8 @@ def _make_config(connection: Connection) -> zenoh.Config:
     for name, unset, value in _OURS:
         if _read(config, name) == unset:
             _insert(config, name, value)
+    if connection.lease_s is not None:
+        _insert(config, "transport/link/tx/lease", round(connection.lease_s * 1000))
     return config
 
 

@@ -18,11 +18,12 @@ from stream.checkpoints import Checkpoints
 from stream.latest_only_sink import LatestOnlySink
 from stream.loop import PUBLISH_S, REPORT_S, Tally, act_on_hangup, run, stop_on_signals
 from stream.nightly_diagnosis import NightlyDiagnosis
-from stream.query_service import QueryService
+from stream.query_service import QueryService, QuerySource
 from stream.recorder import FILE_BYTES, FILE_S, FLUSH_S, Recorder
 from stream.service_monitor import ServiceMonitor
 from stream.service_snapshot import SnapshotTaker
 from stream.source import Sink
+from stream.standby import LEASE_S, FencedSink, Standby, StandbyQueryable, TakeoverSink
 from stream.state_file import StateFile
 from stream.structured_log import event_fields, log_lines
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
@@ -97,6 +98,10 @@ def live(
     metrics_per_car: Annotated[
         bool, typer.Option("--metrics-per-car", help="Also serve metrics of each vehicle.")
     ] = False,
+    standby: Annotated[
+        bool,
+        typer.Option("--standby", help="Publish only while no other consumer with --standby does; needs --connect."),
+    ] = False,
     settings_file: SettingsFile = None,  # noqa: ARG001 - its values arrive as those of the other options
 ) -> None:
     """Listen to cars over Zenoh, publish a forecast for each, and answer questions about their shifts.
@@ -124,7 +129,8 @@ def live(
     if metrics_per_car and metrics is None:
         raise SettingsError("--metrics-per-car adds to what --metrics serves: give --metrics ADDRESS too")
     models = load_models(options.models)
-    connection = Connection(tuple(connect or ()), tuple(listen or ()), mode, options.prefix, config, recovery)
+    lease_s = _choose_lease(has_router=bool(connect or config), standby=standby)
+    connection = Connection(tuple(connect or ()), tuple(listen or ()), mode, options.prefix, config, recovery, lease_s)
     with ExitStack() as ending:
         monitor = ending.enter_context(ServiceMonitor(metrics))
         monitor.begin("compiling kernels")
@@ -146,13 +152,12 @@ def live(
             _log.warning("the state was made with another elevation map: elevation starts anew, all else continues")
         monitor.begin("connecting to Zenoh")
         node = ending.enter_context(Node(connection))
-        queryable = ending.enter_context(ZenohQueryable(node))
+        queryable, sink, watches = _open_outputs(node, ending, standby=standby)
         service, rides = QueryService(queryable, pipeline), RideLog(pipeline)
         source = ZenohSource(node, stop)
         _log_start(node, pipeline, models, monitor)
-        sink = LatestOnlySink(ZenohSink(node))
         sink.put(first)
-        watches: list[Callable[[Tally], None]] = [service, rides, LimitLog(pipeline)]
+        watches += [service, rides, LimitLog(pipeline)]
         if checkpoints:
             watches.append(checkpoints)
         take = SnapshotTaker(pipeline, source, recorder, checkpoints, service, per_vehicle=metrics_per_car)
@@ -177,6 +182,24 @@ def live(
         rides.end()
         if checkpoints:
             checkpoints.save()
+
+
+def _choose_lease(*, has_router: bool, standby: bool) -> float | None:
+    """Return the lease of a consumer with --standby, which needs a router of its own."""
+    if standby and not has_router:
+        raise SettingsError("--standby needs a router that outlives the consumers: give --connect or --config")
+    return LEASE_S if standby else None
+
+
+def _open_outputs(
+    node: Node, ending: ExitStack, *, standby: bool
+) -> tuple[QuerySource, Sink, list[Callable[[Tally], None]]]:
+    """Return the source of queries, the sink of what is published, and what the loop calls for them."""
+    if not standby:
+        return ending.enter_context(ZenohQueryable(node)), LatestOnlySink(ZenohSink(node)), []
+    role = ending.enter_context(Standby(node))
+    sink = TakeoverSink(LatestOnlySink(FencedSink(ZenohSink(node), role)), role)
+    return ending.enter_context(StandbyQueryable(node, role)), sink, [sink]
 
 
 def _choose_act(recorder: Recorder | None, stop: Event) -> Callable[[], None]:

@@ -1,0 +1,144 @@
+"""Hot standby: one of two consumers publishes, and the other takes over."""
+
+import signal
+
+import pytest
+
+from core.errors import SettingsError
+from core.wire.messages import Message
+from stream.standby import FENCE_S, LEASE_S, SETTLE_S, Election, FencedSink, TakeoverSink
+from tests.support.takeovers import Takeovers
+from tools.commands.live import _choose_lease
+
+
+class Clock:
+    """A clock that a test moves."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Member:
+    """A consumer in an election, with its clock."""
+
+    def __init__(self, name: str) -> None:
+        self.clock, self.declared = Clock(), []
+        self.election = Election(name, self.declared.append, self.clock)
+
+    def look(self, *events: tuple[str, bool], has_router: bool = True, times: int = 1) -> None:
+        for _ in range(times):
+            self.clock.now += SETTLE_S + 0.01
+            self.election.look(events, has_router=has_router)
+            events = ()
+
+
+class Role:
+    """A standby whose state a test sets."""
+
+    def __init__(self, member: Member) -> None:
+        self.election = member.election
+
+    @property
+    def is_active(self) -> bool:
+        return self.election.is_active
+
+
+class Kept(list):
+    """A sink that keeps what it gets."""
+
+    def put(self, messages) -> None:
+        self.extend(messages)
+
+    def close(self) -> None:
+        self.clear()
+
+
+def test_a_consumer_alone_becomes_active_after_it_has_looked_twice():
+    member = Member("a")
+    member.look()
+    assert not member.election.is_active
+    member.look()
+    assert member.election.is_active
+    assert member.declared == ["000000001-a"]
+
+
+def test_a_newcomer_waits_until_the_token_of_the_active_one_is_gone():
+    member = Member("a")
+    member.look(("000000007-b", True), times=5)
+    assert member.declared == ["000000008-a"]
+    assert not member.election.is_active
+    member.look(("000000007-b", False))
+    assert member.election.is_active
+
+
+def test_a_consumer_that_was_stopped_is_passive_before_it_looks_and_queues_behind_the_others():
+    member = Member("a")
+    member.look(times=2)
+    member.look(("000000002-b", True))
+    member.clock.now += FENCE_S
+    assert not member.election.is_active
+    member.look()
+    assert member.election.token == "000000003-a"
+    member.look(times=3)
+    assert not member.election.is_active
+
+
+def test_a_consumer_without_a_router_is_passive_and_queues_behind_the_others():
+    member = Member("a")
+    member.look(times=2)
+    member.look(("000000002-b", True), has_router=False)
+    assert not member.election.is_active
+    assert member.election.token == "000000003-a"
+
+
+def test_the_lower_token_wins_where_two_are_active():
+    member = Member("b")
+    member.look(times=2)
+    member.look(("000000001-a", True))
+    assert not member.election.is_active
+
+
+def test_a_token_that_is_none_is_ignored():
+    member = Member("a")
+    member.look(("x", True), ("-1-b", True), ("000000000-a", True), times=2)
+    assert member.election.is_active
+
+
+def test_the_fence_closes_before_the_router_removes_a_token():
+    assert LEASE_S * 3 / 4 > FENCE_S
+
+
+def test_a_takeover_publishes_the_newest_message_of_each_key_once():
+    member, kept = Member("a"), Kept()
+    role = Role(member)
+    sink = TakeoverSink(FencedSink(kept, role), role)
+    old, new, other = Message("x", b"1", 0), Message("x", b"2", 0), Message("y", b"3", 0)
+    sink.put([old, other])
+    sink.put([new])
+    sink(None)
+    assert not kept
+    member.look(times=2)
+    sink(None)
+    sink(None)
+    assert kept == [new, other]
+
+
+def test_standby_needs_a_router_of_its_own():
+    with pytest.raises(SettingsError, match="--connect"):
+        _choose_lease(has_router=False, standby=True)
+
+
+def test_the_other_consumer_takes_over_and_no_forecast_differs(tmp_path):
+    pair = Takeovers(tmp_path)
+    try:
+        stopped = pair.interrupt(signal.SIGSTOP)
+        killed = pair.interrupt(signal.SIGKILL)
+    finally:
+        pair.close()
+    assert stopped < LEASE_S + 2.0
+    assert killed < 2.0  # a second where the machine has nothing else to do
+    assert len(pair.payloads) > 10
+    assert pair.count_different() == 0
