@@ -143,10 +143,10 @@ class McapSource:
         waiting = WaitingMessages()
         with self.path.open("rb") as file:
             for at, block in enumerate(self._blocks):
-                waiting.add(self._read_messages(file, block))
+                messages = self._read_messages(file, block)
                 self.blocks_read = at + 1
                 following = self._blocks[at + 1].first_ns if at + 1 < len(self._blocks) else inf
-                ready = waiting.release(following)
+                ready = waiting.release(messages, following)
                 delivered += len(ready)
                 self.losses.disordered = waiting.disordered
                 yield ready

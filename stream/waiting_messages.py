@@ -30,26 +30,28 @@ class WaitingMessages:
         self._bytes = 0
         self._newest_ns = 0
 
-    def add(self, messages: list[Message]) -> None:
-        """Add the messages of a block."""
-        self._fresh += messages
-        self._bytes += sum(map(len, map(_payload, messages))) + _MESSAGE_BYTES * len(messages)
-
-    def release(self, following: float) -> list[Message]:
-        """Return the messages up to the time of the next block, in order.
+    def release(self, messages: list[Message], following: float) -> list[Message]:
+        """Add the messages of a block; return those up to the time of the next block, in order.
 
         A few new messages wait until there are more: to sort many waiting messages for each small block would take a
         time that is quadratic in the size of the file.
         """
+        self._fresh += messages
         is_full = self._bytes > MOST_HELD
         if following < inf and not is_full and _SORTED_SHARE * len(self._fresh) < len(self._sorted):
+            self._bytes += _measure(messages)
             return []
         self._sorted += self._fresh
         self._sorted.sort(key=_receipt)
         cut = len(self._sorted) if is_full else bisect_right(self._sorted, following, key=_receipt)
         ready, self._sorted, self._fresh = self._sorted[:cut], self._sorted[cut:], []
+        self._bytes = _measure(self._sorted)
         if ready:
-            self._bytes -= sum(map(len, map(_payload, ready))) + _MESSAGE_BYTES * cut
             self.disordered += bisect_left(ready, self._newest_ns, key=_receipt)
             self._newest_ns = max(self._newest_ns, ready[-1].receipt_ns)
         return ready
+
+
+def _measure(messages: list[Message]) -> int:
+    """Return about how much memory messages take. [B]"""
+    return sum(map(len, map(_payload, messages))) + _MESSAGE_BYTES * len(messages)

@@ -227,9 +227,9 @@ def test_messages_that_wait_are_sorted_in_linear_time(tmp_path, monkeypatch):
     sizes: list[int] = []
 
     class Counted(waiting_messages.WaitingMessages):
-        def release(self, following: float) -> list[Message]:
+        def release(self, messages: list[Message], following: float) -> list[Message]:
             before = len(self._sorted)
-            ready = super().release(following)
+            ready = super().release(messages, following)
             sizes.append(len(self._sorted) if len(self._sorted) != before else 0)
             return ready
 
