@@ -155,7 +155,7 @@ def main() -> None:
         "different": different,
         "different_with_kills": pair.count_different(),
     }
-    print(json.dumps(result | forecasts))
+    print(json.dumps(result | forecasts), flush=True)
 
 
 if __name__ == "__main__":
