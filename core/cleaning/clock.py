@@ -22,7 +22,7 @@ Remaining error, for a period of 3 s and Gaussian errors of the stamps with stan
 - A sample more than 200 periods ahead, with a counter that agrees or without one, is not used until the next stamp
   agrees with it. A single wild sample therefore costs as much as one lost sample, whatever it claims. A gap of that
   length costs its first sample, or two if the first stamp is later than the second. Samples of which each comes more
-  than 200 periods after any other are never used. After a power cycle, which a low counter shows, a gap of up to 30
+  than 200 periods after any other are never used. After a power cycle, which a low counter shows, a gap of up to 400
   days costs no sample. In 400 streams with one sample that claimed a power cycle and was years ahead, or whose counter
   was too low, at most 3 samples had a wrong time.
 - Samples from the past are marked late and have no other effect. If a stream remains in the past, its clock was set
@@ -104,7 +104,7 @@ BELIEVED: Final = 100.0
 """Longest leap of the counter that is accepted without a stamp. [samples]"""
 LEAP: Final = 200.0
 """Longest gap that is accepted without confirmation by a second stamp. [periods]"""
-PAUSE: Final = 30.0 * SECONDS_PER_DAY
+PAUSE: Final = 400.0 * SECONDS_PER_DAY
 """The same for the first sample after a power cycle, whose counter is low. [s]"""
 UNUSED: Final = -1.0
 """The `dt` of a rejected sample."""

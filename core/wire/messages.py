@@ -167,7 +167,9 @@ class QualityCounts(Wire, omit_defaults=False):
 
     repaired_time: Annotated[int, Meta(description="Samples with a repaired time stamp.")]
     rejected_speed: Annotated[int, Meta(description="Samples with a rejected speed.")]
-    duplicate: Annotated[int, Meta(description="Samples that came too late, or with the stamp and content of the last one.")]
+    duplicate: Annotated[
+        int, Meta(description="Samples that came too late, or with the stamp and content of the last one.")
+    ]
     gap: Annotated[int, Meta(description="Gaps between samples.")]
     out_of_range: Annotated[int, Meta(description="Samples with a value outside its valid range.")]
 

@@ -23,12 +23,12 @@ from stream.recorder import FILE_BYTES, FILE_S, FLUSH_S, Recorder
 from stream.service_monitor import ServiceMonitor
 from stream.service_snapshot import SnapshotTaker
 from stream.source import Sink
-from stream.standby import LEASE_S, FencedSink, Standby, StandbyQueryable, TakeoverSink
 from stream.state_file import StateFile
 from stream.structured_log import event_fields, log_lines
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
 from stream.zenoh_queryable import ZenohQueryable
 from stream.zenoh_session import LOOPBACK, Connection, Mode, Node, parse_prefix
+from stream.zenoh_standby import LEASE_S, FencedSink, Standby, StandbyQueryable, TakeoverSink
 from tools.terminal.diagnosis_process import DiagnosisProcess
 from tools.terminal.findings_file import make_finding_fields, read_findings
 from tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline

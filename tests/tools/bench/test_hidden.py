@@ -74,7 +74,13 @@ class TestData:
         simulation = replace(SMALL, hidden=hidden, faults=replace(SMALL.faults, quantised=1.0))
         made = recording.tables(drives.measured(hidden), measurement, [effect for effect, _ in hidden])
         order = ["vehicle_id", "start_s"]
-        for expected, table in zip(run_pipeline(simulation, measurement), made[:2], strict=True):
+        for whole, table in zip(run_pipeline(simulation, measurement), made[:2], strict=True):
+            repeated = [
+                "quality_duplicate",
+                "quality_late",
+                "samples",
+            ]  # the pipeline drops repetitions before it counts
+            expected = whole.drop(columns=repeated, errors="ignore")
             pd.testing.assert_frame_equal(
                 table[expected.columns].sort_values(order, ignore_index=True),
                 expected.sort_values(order, ignore_index=True),

@@ -11,6 +11,7 @@ import pytest
 
 from core import models
 from core.diagnose import diagnosis as diagnosing
+from core.errors import SettingsError
 from tests.support.commands import done, refused
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
 from tests.support.planted_windows import base_model, planted
@@ -340,8 +341,13 @@ def test_commands_of_a_finding_add_its_effect_and_run_it_as_a_shadow(here, capsy
     adding, shadowing = (shlex.split(command)[1:] for command in finding["commands"])
     done(*adding)
     started = []
-    monkeypatch.setattr("tools.commands.live.compile_kernels", lambda *given: started.extend(given))
-    refused(capsys, *shadowing, "--mode", "none")  # ends it once the models are loaded
+
+    def end(*given: object) -> None:
+        started.extend(given)
+        raise SettingsError("the models are loaded")
+
+    monkeypatch.setattr("tools.commands.live.compile_kernels", end)
+    assert "the models are loaded" in refused(capsys, *shadowing)
     assert [len(model.terms) for model in started] == [len(started[0].terms), len(started[0].terms) + 1]
 
 

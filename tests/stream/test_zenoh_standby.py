@@ -6,7 +6,7 @@ import pytest
 
 from core.errors import SettingsError
 from core.wire.messages import Message
-from stream.standby import FENCE_S, LEASE_S, SETTLE_S, Election, FencedSink, TakeoverSink
+from stream.zenoh_standby import FENCE_S, LEASE_S, SETTLE_S, Election, FencedSink, TakeoverSink
 from tests.support.takeovers import Takeovers
 from tools.commands.live import _choose_lease
 
