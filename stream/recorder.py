@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import msgspec
 
@@ -47,7 +47,7 @@ class Place(msgspec.Struct, frozen=True):
     """
 
     file: str = ""
-    messages: int = WHOLE
+    messages: Annotated[int, msgspec.Meta(ge=0, le=WHOLE)] = WHOLE
 
 
 class Recorder:
