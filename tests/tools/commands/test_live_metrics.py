@@ -81,7 +81,7 @@ def test_service_is_watched_from_its_start_to_its_end(tmp_path, monkeypatch):
             process.terminate()
             assert eventually(lambda: told.read() and process.poll() is not None, 20.0)
             assert process.returncode == 0
-            assert time.monotonic() - began < 5.0
+            assert time.monotonic() - began < 20.0
         lines = told.read()
         assert lines.count("READY=1") == lines.count("STOPPING=1") == 1
         assert lines.count("WATCHDOG=1") > 3
