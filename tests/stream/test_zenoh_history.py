@@ -1,0 +1,305 @@
+"""The caches of publishers are asked at the start and when publishers come back; answers take their place in order."""
+
+import json
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import zenoh
+
+from core.wire.messages import Message
+from stream.zenoh_history import ANSWER_S, DOUBT_S, RETURN_S, SETTLE_S, SINGLY, CacheHistory, merge_samples
+from stream.zenoh_pubsub import ZenohSink
+from stream.zenoh_session import Connection, Node
+from tests.support.zenoh_sessions import eventually, router
+
+SPACES = ("weather/**", "fleet/**")
+AFTER = SETTLE_S + 0.01
+EVERYBODY = ["weather/**/@adv/pub/**", "fleet/**/@adv/pub/**"]
+CAR = "fleet/a/telemetry/@adv/pub/1/0/_"
+
+
+class Payload(bytes):
+    """The payload of a sample."""
+
+    def to_bytes(self) -> bytes:
+        return bytes(self)
+
+
+def sample(payload: bytes, *, key="fleet/a/telemetry", session="1", number: int | None = None, ntp: int | None = None):
+    """Return what stands for a Zenoh sample, with a number of its publisher and a time stamp of its session."""
+    source = SimpleNamespace(source_id=session, source_sn=number) if number is not None else None
+    stamp = f"{ntp}/{session}" if ntp is not None else None
+    return SimpleNamespace(key_expr=key, source_info=source, timestamp=stamp, payload=Payload(payload))
+
+
+def texts(samples: list[Any]) -> list[bytes]:
+    return [each.payload.to_bytes() for each in samples]
+
+
+def test_samples_of_one_publisher_are_ordered_by_their_numbers():
+    samples = [sample(b"%d" % n, number=n, ntp=100 - n) for n in (3, 1, 2)]
+    assert texts(merge_samples(samples)) == [b"1", b"2", b"3"]
+
+
+def test_publishers_are_merged_by_the_stamps_of_their_sessions():
+    one = [sample(b"one %d" % n, number=n, ntp=10 * n) for n in range(3)]
+    two = [sample(b"two %d" % n, session="2", number=n, ntp=10 * n + 5) for n in range(3)]
+    assert texts(merge_samples([*two, *one])) == [b"one 0", b"two 0", b"one 1", b"two 1", b"one 2", b"two 2"]
+
+
+def test_publishers_without_stamps_are_merged_by_the_times_in_their_payloads():
+    one = [sample(json.dumps({"time_s": n}).encode(), number=n) for n in (1, 4)]
+    two = [sample(json.dumps([{"time_s": n}]).encode(), key="fleet/b/telemetry", number=n) for n in (2, 3)]
+    merged = [json.loads(text) for text in texts(merge_samples([*one, *two]))]
+    assert [(each[0] if isinstance(each, list) else each)["time_s"] for each in merged] == [1, 2, 3, 4]
+
+
+def test_a_sample_that_came_twice_is_returned_once():
+    samples = [sample(b"live", number=7), sample(b"cached", number=7), sample(b"other session", session="2", number=7)]
+    assert sorted(texts(merge_samples(samples))) == [b"live", b"other session"]
+
+
+def test_samples_without_numbers_keep_the_order_of_their_arrival():
+    samples = [sample(b"%d" % n) for n in (3, 1, 3)]
+    assert merge_samples(samples) == samples
+
+
+def test_a_clock_that_was_set_back_does_not_move_samples_before_those_that_precede_them():
+    one = [sample(b"one %d" % n, number=n, ntp=ntp) for n, ntp in enumerate((50, 10, 60))]
+    two = [sample(b"two", session="2", number=0, ntp=55)]
+    assert texts(merge_samples([*one, *two])) == [b"one 0", b"one 1", b"two", b"one 2"]
+
+
+@pytest.mark.parametrize("payload", [b"", b"\xff", b"[]", b"[" * 100_000, b'{"time_s": "x"}'])
+def test_a_payload_that_tells_no_time_comes_first_and_raises_nothing(payload):
+    merged = merge_samples([sample(b'{"time_s": 1}', number=0), sample(payload, key="fleet/b/telemetry", number=0)])
+    assert texts(merged) == [payload, b'{"time_s": 1}']
+
+
+class Channel(list):
+    """A channel of a fake session, which a test fills."""
+
+    ended = False
+
+    @property
+    def handler(self) -> "Channel":
+        return self
+
+    def try_recv(self) -> Any:
+        if self:
+            return self.pop(0)
+        if self.ended:
+            raise zenoh.ZError("closed")
+        return None
+
+    def undeclare(self) -> None:
+        self.ended = True
+
+
+class FakeNode:
+    """A node whose router, tokens and caches a test controls; `asked` holds the selectors of its open queries."""
+
+    def __init__(self, *, is_client: bool = True) -> None:
+        self.session = self.info = self
+        self.routers, self.tokens, self.asked = ["router"] if is_client else [], Channel(), dict[str, Channel]()
+
+    def routers_zid(self) -> list[str]:
+        return self.routers
+
+    def liveliness(self) -> "FakeNode":
+        return self
+
+    def declare_subscriber(self, keys: str, _: Any, **__: Any) -> Channel:
+        return self.tokens if keys.startswith("fleet") else Channel()
+
+    def get(self, selector: str, _: Any, **__: Any) -> Channel:
+        return self.asked.setdefault(selector, Channel())
+
+    def tell(self, key: str, kind: zenoh.SampleKind) -> None:
+        """Let the token of a publisher come or go."""
+        self.tokens.append(SimpleNamespace(key_expr=key, kind=kind))
+
+    def answer(self, *samples: Any) -> None:
+        """Answer all open queries with samples."""
+        for query in self.asked.values():
+            query += [SimpleNamespace(ok=each) for each in samples]
+            query.ended = True
+            samples = ()
+        self.asked.clear()
+
+
+def start(node: FakeNode) -> CacheHistory:
+    """Return a history whose first queries have been answered, at the time 0."""
+    history = CacheHistory(node, SPACES)
+    history.collect(0.0)
+    node.answer()
+    history.collect(0.0)
+    assert not history.is_waiting(AFTER)
+    return history
+
+
+def test_all_caches_are_asked_at_the_start_while_live_samples_wait():
+    node = FakeNode()
+    history = CacheHistory(node, SPACES)
+    assert history.collect(0.0) == []
+    assert list(node.asked) == EVERYBODY
+    assert history.is_waiting(0.0)
+    node.answer("cached")
+    assert history.collect(1.0) == ["cached"]
+    assert history.is_waiting(1.0 + SETTLE_S / 2), "samples in flight may still come"
+    assert not history.is_waiting(1.0 + AFTER)
+    assert history.asked == 2
+
+
+def test_a_publisher_that_appears_is_asked_alone():
+    node = FakeNode()
+    history = start(node)
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    history.collect(1.0)
+    assert list(node.asked) == [CAR]
+    assert history.is_waiting(1.0)
+
+
+def test_a_token_that_is_told_twice_is_asked_once():
+    node = FakeNode()
+    history = start(node)
+    for _ in range(2):
+        node.tell(CAR, zenoh.SampleKind.PUT)
+    history.collect(1.0)
+    assert history.asked == 2 + 1
+
+
+def test_many_publishers_are_asked_together():
+    node = FakeNode()
+    history = start(node)
+    for number in range(SINGLY + 1):
+        node.tell(CAR.replace("/a/", f"/{number}/"), zenoh.SampleKind.PUT)
+    history.collect(1.0)
+    assert list(node.asked) == EVERYBODY
+
+
+def test_publishers_of_forecasts_are_not_asked():
+    node = FakeNode()
+    history = start(node)
+    node.tell("fleet/a/forecast/@adv/pub/1/0/_", zenoh.SampleKind.PUT)
+    history.collect(1.0)
+    assert not node.asked
+    assert not history.is_waiting(1.0)
+
+
+def test_a_publisher_that_appears_while_others_answer_is_asked_afterwards():
+    node = FakeNode()
+    history = CacheHistory(node, SPACES)
+    history.collect(0.0)
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    history.collect(1.0)
+    assert list(node.asked) == EVERYBODY
+    node.answer()
+    history.collect(2.0)
+    assert list(node.asked) == [CAR]
+
+
+def test_caches_that_do_not_answer_are_not_awaited_forever():
+    node = FakeNode()
+    history = CacheHistory(node, SPACES)
+    history.collect(0.0)
+    late = ANSWER_S + AFTER
+    history.collect(late)
+    assert not history.is_waiting(late)
+
+
+def test_live_samples_wait_while_the_router_is_away_and_until_its_publishers_are_back():
+    node = FakeNode()
+    history = start(node)
+    node.tell(CAR, zenoh.SampleKind.DELETE)
+    node.routers = []
+    history.collect(1.0)
+    assert history.is_waiting(1000.0)
+    node.routers = ["router"]
+    history.collect(2.0)
+    assert list(node.asked) == EVERYBODY
+    node.answer()
+    history.collect(2.0)
+    assert history.is_waiting(2.0 + RETURN_S / 2), "the publisher is not back"
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    history.collect(3.0)
+    node.answer()
+    history.collect(3.0)
+    assert not history.is_waiting(3.0 + AFTER)
+
+
+def test_a_publisher_that_does_not_come_back_with_the_router_is_not_awaited_forever():
+    node = FakeNode()
+    history = start(node)
+    node.tell(CAR, zenoh.SampleKind.DELETE)
+    node.routers = []
+    history.collect(1.0)
+    node.routers = ["router"]
+    history.collect(2.0)
+    node.answer()
+    late = 2.0 + RETURN_S + 0.1
+    history.collect(late)
+    assert not history.is_waiting(late + AFTER)
+
+
+def test_a_publisher_that_goes_alone_is_awaited_only_while_the_router_may_be_lost():
+    node = FakeNode()
+    history = start(node)
+    node.tell(CAR, zenoh.SampleKind.DELETE)
+    history.collect(1.0)
+    assert history.is_waiting(1.0)
+    history.collect(1.0 + 2 * DOUBT_S)
+    assert not history.is_waiting(1.0 + 2 * DOUBT_S)
+
+
+def test_a_router_does_not_wait_for_a_publisher_that_goes():
+    node = FakeNode(is_client=False)
+    history = start(node)
+    node.tell(CAR, zenoh.SampleKind.DELETE)
+    history.collect(1.0)
+    assert not history.is_waiting(1.0)
+
+
+def test_queries_that_fail_are_logged_and_end_the_wait(monkeypatch, caplog):
+    node = FakeNode()
+    history = start(node)
+
+    def fail(*_: Any, **__: Any) -> Channel:
+        raise zenoh.ZError("session closed")
+
+    monkeypatch.setattr(node, "get", fail)
+    node.tell(CAR, zenoh.SampleKind.PUT)
+    history.collect(1.0)
+    assert not history.is_waiting(1.0 + AFTER)
+    assert "caches of publishers not asked: session closed" in caplog.text
+
+
+def test_nothing_is_asked_after_the_close():
+    node = FakeNode()
+    history = start(node)
+    history.close()
+    history.close()
+    assert node.tokens.ended
+    assert history.collect(1.0) == []
+    assert not history.is_waiting(1.0)
+
+
+def test_caches_of_real_publishers_answer_in_full_and_a_newcomer_is_asked():
+    sent = {car: [b'{"n":%d}' % n for n in range(40)] for car in "ab"}
+    got: list[Any] = []
+    with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
+        sink = ZenohSink(client)
+        sink.put([Message("fleet/a/telemetry", payload, 0) for payload in sent["a"]])
+        history = CacheHistory(node, SPACES)
+
+        def has_all(car: str) -> bool:
+            got.extend(history.collect(time.monotonic()))
+            payloads = [each.payload.to_bytes() for each in merge_samples(got) if f"/{car}/" in str(each.key_expr)]
+            return payloads == sent[car]
+
+        assert eventually(lambda: has_all("a"))
+        sink.put([Message("fleet/b/telemetry", payload, 0) for payload in sent["b"]])
+        assert eventually(lambda: has_all("b"))
+        history.close()
