@@ -218,7 +218,7 @@ def test_token_of_a_consumer_is_seen_by_another_consumer_alone(fleet):
         assert eventually(lambda: len(list(two.session.liveliness().get(key, timeout=5.0))) == 1, 20.0)
         assert list(car.session.liveliness().get("montreal/socast/**", timeout=5.0)) == []
         token.undeclare()
-        assert eventually(lambda: seen[-1] is zenoh.SampleKind.DELETE, 20.0)
+        assert eventually(lambda: seen[-1] == zenoh.SampleKind.DELETE, 20.0)
         watch.undeclare()
 
 
