@@ -3,7 +3,9 @@ run.
 
 `python -m tests.support.outages --kills 100 --restarts 20 --routers 5` plays a simulated shift of 200 cars at the rate
 at which its loggers sent it. The publisher, the router and the consumer are separate processes. The result is one JSON
-object.
+object. Caches hold 64 samples of each car, 192 s at this rate, and `--speed 20` shortens them to 10 s:
+`--faults none --cars 20 --hours 1.5 --speed 20 --kills 5 --restarts 2 --routers 3 --up 15 20 --down 5 25`
+has outages beyond them, after which the loss that the consumer tells of each car equals the truth.
 """
 
 import argparse
@@ -22,23 +24,19 @@ from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import msgspec
+
 from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from core.snapshot import open_snapshot
-from core.wire.messages import Message
+from core.wire.messages import Message, Telemetry
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
 from stream.recorder import list_recordings
-from stream.zenoh_session import Connection, Node, find_free_port
 from tests.support.commands import SOCAST
+from tests.support.router_process import RouterProcess
 from tests.support.zenoh_sessions import eventually
 
-ROUTER = """
-import sys, time
-from stream.zenoh_session import Connection, Node
-with Node(Connection(listen=(sys.argv[1],), mode="router")):
-    time.sleep(1e6)
-"""
 PUBLISHER = """
 import sys
 from stream.mcap_reader import McapSource
@@ -57,7 +55,12 @@ with Node(Connection(connect=(sys.argv[1],))) as node:
 
 @dataclass
 class Outcome:
-    """Compare what a consumer kept with what was sent."""
+    """Compare what a consumer kept with what was sent.
+
+    The loss of a car is that of its samples that can be decoded. What was lost before the first sample that the
+    consumer has of a car is counted apart, because no consumer can tell it: a counter may begin anywhere. The told loss
+    is what the state holds, less the gaps that the logger itself left, which an uninterrupted run tells too.
+    """
 
     sent: int = 0
     kills: int = 0
@@ -69,6 +72,8 @@ class Outcome:
     out_of_order: int = 0
     lost_by_car: dict[str, int] = field(default_factory=dict)
     told_lost_by_car: dict[str, int] = field(default_factory=dict)
+    lost_before_first_by_car: dict[str, int] = field(default_factory=dict)
+    cars_told_otherwise: int = 0
     forecasts: int = 0
     other_forecasts: int = 0
     state_differs_in: list[str] = field(default_factory=list)
@@ -88,19 +93,20 @@ class Fleet:
     """
 
     def __init__(self, folder: Path, shift: Path, speed: float) -> None:
-        self.folder, self.endpoint = folder, f"tcp/127.0.0.1:{find_free_port()}"
-        self.starts = 0
-        self.router = self._run(ROUTER, self.endpoint)
-        self.publisher = self._run(PUBLISHER, self.endpoint, shift, speed, stdin=subprocess.PIPE)
+        self.folder, self.router = folder, RouterProcess()
+        self.node, self.starts = self.router.join(), 0
+        command = [sys.executable, "-c", PUBLISHER, self.router.endpoint, str(shift), str(speed)]
+        self.publisher = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.consumer = self.start_consumer()
 
     def start_consumer(self) -> "subprocess.Popen[str]":
         """Start the consumer; return once it listens."""
         self.starts += 1
         log = self.folder / f"{self.starts}.log"
-        options = ("--connect", self.endpoint, "--record", self.folder / "kept", "--state", self.folder / "cars.state")
+        files = "--record", self.folder / "kept", "--state", self.folder / "cars.state"
+        options = "--connect", self.router.endpoint, *files, "--flush", 1, "--json-log"
         with log.open("w") as file:
-            command = [*SOCAST, "live", *map(str, options), "--flush", "1", "--json-log"]
+            command = [*SOCAST, "live", *map(str, options)]
             process = subprocess.Popen(command, stderr=file, stdout=subprocess.DEVNULL, text=True)
         if not eventually(lambda: '"listening"' in log.read_text() or process.poll() is not None, 120.0):
             raise TimeoutError(f"the consumer does not listen: {log.read_text()}")
@@ -108,23 +114,13 @@ class Fleet:
             raise RuntimeError(f"the consumer has ended: {log.read_text()}")
         return process
 
-    def restart_router(self, down_s: float) -> None:
-        """Kill the router, and start it again."""
-        self.router.kill()
-        self.router.wait()
-        time.sleep(down_s)
-        self.router = self._run(ROUTER, self.endpoint)
-
     def close(self) -> None:
         """Kill what runs."""
-        for process in (self.consumer, self.publisher, self.router):
+        for process in (self.consumer, self.publisher):
             process.kill()
             process.wait()
-
-    def _run(self, code: str, *arguments: object, stdin: int | None = None) -> "subprocess.Popen[str]":
-        """Run code in a process of its own."""
-        command = [sys.executable, "-c", code, *map(str, arguments)]
-        return subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, text=True)
+        self.node.close()
+        self.router.kill()
 
 
 def run_outages(
@@ -156,6 +152,7 @@ def run_outages(
     seed : int
         Seed of the times and of the order of events.
     """
+    sent = read_messages([shift])
     random_, fleet = random.Random(seed), Fleet(folder, shift, speed)
     outcome = Outcome(kills=kills, clean_restarts=restarts, router_kills=routers)
     forecasts: set[tuple[str, bytes]] = set()
@@ -165,34 +162,41 @@ def run_outages(
     for _ in range(routers):
         events.insert(random_.randrange(len(events) + 1), "router")
     try:
-        with Node(Connection(connect=(fleet.endpoint,))) as listener:
-            listener.session.declare_subscriber(
-                "fleet/*/forecast", lambda each: forecasts.add((str(each.key_expr), each.payload.to_bytes()))
-            )
-            assert fleet.publisher.stdin
-            assert fleet.publisher.stdout
-            fleet.publisher.stdin.write("go\n")
-            fleet.publisher.stdin.flush()
-            for number, event in enumerate(events):
-                time.sleep(random_.uniform(*up_s))
-                if event == "router":
-                    fleet.restart_router(random_.uniform(*down_s))
-                    continue
-                fleet.consumer.send_signal(signal.SIGKILL if event == "kill" else signal.SIGTERM)
-                if (code := fleet.consumer.wait(30)) not in (0, -signal.SIGKILL):
-                    raise RuntimeError(f"the consumer ended with {code}")
+        fleet.node.session.declare_subscriber(
+            "fleet/*/forecast", lambda each: forecasts.add((str(each.key_expr), each.payload.to_bytes()))
+        )
+        assert fleet.publisher.stdin
+        assert fleet.publisher.stdout
+        fleet.publisher.stdin.write("go\n")
+        fleet.publisher.stdin.flush()
+        for number, event in enumerate(events):
+            time.sleep(random_.uniform(*up_s))
+            if event == "router":
+                fleet.router.kill()
                 time.sleep(random_.uniform(*down_s))
-                fleet.consumer = fleet.start_consumer()
-                print(f"{number + 1} of {len(events)}: {event}", file=sys.stderr)
-            assert fleet.publisher.stdout.readline() == "sent\n"
-            time.sleep(5.0)
-            fleet.consumer.send_signal(signal.SIGTERM)
-            assert fleet.consumer.wait(30) == 0
+                fleet.router.start()
+                continue
+            fleet.consumer.send_signal(signal.SIGKILL if event == "kill" else signal.SIGTERM)
+            if (code := fleet.consumer.wait(30)) not in (0, -signal.SIGKILL):
+                raise RuntimeError(f"the consumer ended with {code}")
+            time.sleep(random_.uniform(*down_s))
+            fleet.consumer = fleet.start_consumer()
+            print(f"{number + 1} of {len(events)}: {event}", file=sys.stderr)
+        assert fleet.publisher.stdout.readline() == "sent\n"
+        wait_for_newest(sent, folder)
+        fleet.consumer.send_signal(signal.SIGTERM)
+        assert fleet.consumer.wait(30) == 0
     finally:
         fleet.close()
     outcome.seconds = round(time.monotonic() - began, 1)
-    compare_outcome(outcome, read_messages([shift]), folder, forecasts)
+    compare_outcome(outcome, sent, folder, forecasts)
     return outcome
+
+
+def wait_for_newest(sent: list[Message], folder: Path) -> None:
+    """Return once the newest message of each key is in the recording of a consumer."""
+    newest = {message.key: message.payload for message in sent}.items()
+    assert eventually(lambda: newest <= set(read_kept(folder)), 120.0), "the newest messages were not recorded"
 
 
 def compare_outcome(outcome: Outcome, sent: list[Message], folder: Path, forecasts: set[tuple[str, bytes]]) -> None:
@@ -210,12 +214,12 @@ def compare_outcome(outcome: Outcome, sent: list[Message], folder: Path, forecas
         Forecasts that the consumer published.
     """
     once = list(dict.fromkeys((message.key, message.payload) for message in sent))
-    kept = [(message.key, message.payload) for message in read_messages(list_recordings(folder / "kept"))]
+    kept = read_kept(folder)
     outcome.sent = len(once)
     times = Counter(kept)
     lost = [each for each in once if each not in times]
     outcome.lost, outcome.counted_twice = len(lost), sum(n - 1 for n in times.values())
-    outcome.lost_by_car = dict(Counter(key.split("/")[1] for key, _ in lost if key.endswith("telemetry")))
+    outcome.lost_by_car, outcome.lost_before_first_by_car = count_lost_samples(once, times)
     place = {each: number for number, each in enumerate(once)}
     numbers = [place[each] for each in kept if each in place]
     outcome.out_of_order = sum(a > b for a, b in pairwise(numbers))
@@ -227,7 +231,45 @@ def compare_outcome(outcome: Outcome, sent: list[Message], folder: Path, forecas
     outcome.state_differs_in = [name for name in expected if repr(content[name]) != repr(expected[name])]
     restored = Pipeline(EXTENDED_PHYSICAL)
     restored.restore((folder / "cars.state").read_bytes())
-    outcome.told_lost_by_car = restored.quality().get("lost_by_car", {})
+    told = Counter(read_losses(restored))
+    told.subtract(read_losses(pipeline))
+    outcome.told_lost_by_car = {car: lost for car, lost in told.items() if lost}
+    truth = Counter(outcome.lost_by_car)
+    outcome.cars_told_otherwise = sum(told[car] != truth[car] for car in told | truth)
+
+
+def count_lost_samples(
+    sent: list[tuple[str, bytes]], kept: Counter[tuple[str, bytes]]
+) -> tuple[dict[str, int], dict[str, int]]:
+    """Return the number of lost samples of each car after its first kept sample, and before it."""
+    after, before = Counter[str](), Counter[str]()
+    heard = set[str]()
+    for key, payload in sent:
+        if is_sample(key, payload):
+            car = key.split("/")[1]
+            if (key, payload) in kept:
+                heard.add(car)
+            else:
+                (after if car in heard else before)[car] += 1
+    return dict(after), dict(before)
+
+
+def is_sample(key: str, payload: bytes) -> bool:
+    """Return whether a message is a sample of telemetry that can be decoded."""
+    try:
+        return key.endswith("/telemetry") and bool(msgspec.json.decode(payload, type=Telemetry))
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return False
+
+
+def read_losses(pipeline: Pipeline) -> dict[str, int]:
+    """Return the number of lost samples of each car, as a pipeline tells it."""
+    return dict(zip(pipeline.lanes.names, pipeline.decoder.losses.lost().tolist(), strict=True))
+
+
+def read_kept(folder: Path) -> list[tuple[str, bytes]]:
+    """Return the keys and payloads that a consumer has recorded."""
+    return [(message.key, message.payload) for message in read_messages(list_recordings(folder / "kept"))]
 
 
 def read_messages(paths: Sequence[Path]) -> list[Message]:
@@ -235,12 +277,12 @@ def read_messages(paths: Sequence[Path]) -> list[Message]:
     return [message for path in paths for messages in McapSource(path) for message in messages]
 
 
-def make_shift(path: Path, cars: int, hours: float, seed: int) -> None:
+def make_shift(path: Path, cars: int, hours: float, seed: int, faults: str = "default") -> None:
     """Write the recording of some hours of a simulated shift, at the time at which most cars are under way."""
     from socast import simulate_fleet  # noqa: PLC0415 - slow to import
 
     whole = path.with_name("whole.mcap")
-    simulate_fleet(whole, vehicles=cars, shift_hours=3.0, seed=seed)
+    simulate_fleet(whole, vehicles=cars, shift_hours=3.0, faults=faults, seed=seed)
     messages = read_messages([whole])
     span = int(hours * 3600e9)
     times = [m.receipt_ns for m in messages]
@@ -259,13 +301,15 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=int, default=default)
     parser.add_argument("--speed", type=float, default=1.0)
     parser.add_argument("--hours", type=float, default=0.33)
-    parser.add_argument("--down", type=float, default=1.0)
+    parser.add_argument("--up", type=float, nargs=2, default=(1.0, 6.0))
+    parser.add_argument("--down", type=float, nargs=2, default=(0.0, 1.0))
+    parser.add_argument("--faults", default="default")
     parser.add_argument("--keep", type=Path)
     options = parser.parse_args()
     with TemporaryDirectory() as made:
         folder = options.keep or Path(made)
         folder.mkdir(exist_ok=True)
-        make_shift(folder / "shift.mcap", options.cars, options.hours, options.seed)
+        make_shift(folder / "shift.mcap", options.cars, options.hours, options.seed, options.faults)
         outcome = run_outages(
             folder / "shift.mcap",
             folder,
@@ -273,10 +317,11 @@ def main() -> None:
             restarts=options.restarts,
             routers=options.routers,
             speed=options.speed,
-            down_s=(0.0, options.down),
+            up_s=options.up,
+            down_s=options.down,
             seed=options.seed,
         )
-    print(json.dumps(asdict(outcome), indent=2))
+    print(json.dumps(asdict(outcome), indent=2), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
-"""Stop the active one of two consumers on standby, again and again, and measure how long no forecast comes.
+"""Stop the active one of two consumers on standby, again and again, measure how long no forecast comes, and compare the
+forecasts with those of an uninterrupted run.
 
 `python -m tests.support.takeovers --rounds 10` prints one JSON object. Router and consumers are separate processes.
+`--rate` gives the samples of each car per second; a consumer that is away for longer than 64 of them loses the others.
 """
 
 import argparse
@@ -9,78 +11,92 @@ import os
 import signal
 import statistics
 import subprocess
-import sys
 import time
-from collections import defaultdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event, Thread
 from typing import Any
 
+from core.models import EXTENDED_PHYSICAL
+from core.pipeline import Pipeline
+from core.wire.messages import Message
 from stream.zenoh_pubsub import ZenohSink
-from stream.zenoh_session import Connection, Node, find_free_port
 from tests.support.live_consumers import consumers, logged
-from tests.support.outages import ROUTER
 from tests.support.recorded_shift import shift
+from tests.support.router_process import RouterProcess
 from tests.support.zenoh_sessions import eventually
+
+RATE = 4.0
+"""Samples of each car per second; 64 of them, which caches hold, are 16 s."""
 
 
 class Takeovers:
-    """Run a router, a publisher and two consumers; a context manager.
+    """Run a router, a publisher of three cars and two consumers.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder for the files of the consumers.
+    rate : float
+        Samples of each car per second. [1/s]
 
     Attributes
     ----------
     received : list of (float, str)
         Monotonic time and Zenoh session of each forecast. [s]
-    payloads : dict
-        Different forecasts for each vehicle and time.
+    forecasts : set of (str, bytes)
+        Key and payload of each forecast.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._endpoint = folder, f"tcp/127.0.0.1:{find_free_port()}"
+    def __init__(self, folder: Path, rate: float = RATE) -> None:
+        self._folder, self._rate, self._router = folder, rate, RouterProcess()
         self.received: list[tuple[float, str]] = []
-        self.payloads: dict[tuple[str, float], set[bytes]] = defaultdict(set)
+        self.forecasts: set[tuple[str, bytes]] = set()
+        self._published = list[Message]()
         self._stop = Event()
-        self._router = subprocess.Popen([sys.executable, "-c", ROUTER, self._endpoint])
         self._consumers = consumers(folder)
         self._start = self._consumers.__enter__()
-        self._node = self._open_node()
+        self._node = self._router.join()
         self._node.session.declare_subscriber("fleet/*/forecast", self._take)
         self.pair = [self.start(0), self.start(1)]
         self._thread = Thread(target=self._publish)
         self._thread.start()
-        assert eventually(lambda: self.received, 20.0)
+        assert eventually(lambda: self.received)
 
-    def start(self, number: int) -> tuple["subprocess.Popen[bytes]", Path]:
+    def start(self, number: int) -> tuple[subprocess.Popen[bytes], Path]:
         """Start a consumer with files of its own."""
         files = "--state", self._folder / f"{number}.state", "--record", self._folder / f"kept-{number}"
-        return self._start("--connect", self._endpoint, "--standby", *files)
+        return self._start("--connect", self._router.endpoint, "--standby", *files)
 
     def find_active(self) -> int:
         """Return the place of the consumer that published last."""
         zid = self.received[-1][1]
         return next(n for n, (_, log) in enumerate(self.pair) if self.tokens(log) and zid in self.tokens(log)[-1])
 
-    def tokens(self, log: Path) -> list[str]:
-        """Return the tokens with which a consumer became active."""
-        return [str(line["token"]) for line in logged(log) if line["event"] == "active"]
+    def tokens(self, log: Path, event: str = "active") -> list[str]:
+        """Return the tokens with which a consumer became active, or passive."""
+        return [str(line["token"]) for line in logged(log) if line["event"] == event]
 
     def interrupt(self, number: signal.Signals) -> float:
-        """Send a signal to the active consumer; return the time until the other publishes. [s]"""
-        active = self.find_active()
-        old = self.received[-1][1]
+        """Send a signal to the active consumer; return the time until the other publishes. [s]
+
+        A consumer that was stopped continues then, and must publish nothing before it has noticed.
+        """
+        active, old, seen = self.find_active(), self.received[-1][1], len(self.received)
+        process, log = self.pair[active]
+        passive = len(self.tokens(log, "passive"))
         began = time.monotonic()
-        self.pair[active][0].send_signal(number)
-        assert eventually(lambda: any(at > began and zid != old for at, zid in self.received[-50:]), 15.0)
-        first = next(at for at, zid in self.received if at > began and zid != old)
+        process.send_signal(number)
+        assert eventually(lambda: any(zid != old for _, zid in self.received[seen:]))
+        first = next(at for at, zid in self.received[seen:] if zid != old)
         if number == signal.SIGSTOP:
-            resumed = time.monotonic()
-            self.pair[active][0].send_signal(signal.SIGCONT)
-            time.sleep(2.0)
+            resumed = len(self.received)
+            process.send_signal(signal.SIGCONT)
+            assert eventually(lambda: len(self.tokens(log, "passive")) > passive)
+            assert eventually(lambda: len(self.received) > resumed + 3)
             assert not [at for at, zid in self.received if at > first and zid == old], "the old one published"
-            assert any(at > resumed + 0.5 for at, _ in self.received), "no forecast after SIGCONT"
         else:
-            self.pair[active][0].wait()
+            process.wait()
         self._last = active
         return first - began
 
@@ -89,44 +105,39 @@ class Takeovers:
         self.pair[self._last] = self.start(self._last)
         time.sleep(1.5)
 
+    def end(self) -> list[int]:
+        """Stop the publisher and then the consumers that run; return the number of samples that each has lost."""
+        self._stop.set()
+        self._thread.join()
+        running = [(process, log) for process, log in self.pair if process.poll() is None]
+        for process, _ in running:
+            process.terminate()
+        assert [process.wait(60) for process, _ in running] == [0] * len(running)
+        return [int(line.get("lost", 0)) for _, log in running for line in logged(log) if line["event"] == "finished"]
+
     def close(self) -> None:
-        """End everything."""
+        """End everything; a second call has no effect."""
         self._stop.set()
         self._thread.join()
         self._consumers.__exit__(None, None, None)
         self._node.close()
         self._router.kill()
-        self._router.wait()
 
     def count_different(self) -> int:
-        """Return the number of vehicles and times with more than one forecast."""
-        return sum(len(payloads) > 1 for payloads in self.payloads.values())
-
-    def _open_node(self) -> Node:
-        """Connect once the router listens."""
-        nodes: list[Node] = []
-
-        def connect() -> bool:
-            try:
-                nodes.append(Node(Connection(connect=(self._endpoint,))))
-            except Exception:  # noqa: BLE001 - not yet
-                time.sleep(0.1)
-            return bool(nodes)
-
-        assert eventually(connect, 20.0)
-        return nodes[0]
+        """Return the number of forecasts that an uninterrupted run does not make."""
+        reference = Pipeline(EXTENDED_PHYSICAL).push(self._published)
+        return len(self.forecasts - {(message.key, message.payload) for message in reference})
 
     def _take(self, sample: Any) -> None:
-        payload = sample.payload.to_bytes()
         self.received.append((time.monotonic(), str(sample.source_info.source_id.zid)))
-        self.payloads[str(sample.key_expr), json.loads(payload)["time_s"]].add(payload)
+        self.forecasts.add((str(sample.key_expr), sample.payload.to_bytes()))
 
     def _publish(self) -> None:
         sink, messages = ZenohSink(self._node), shift(6000)
-        sink.put(messages[:4])
-        for first in range(4, len(messages), 3):
-            sink.put(messages[first : first + 3])
-            if self._stop.wait(0.1):
+        for start, end in [(0, 4), *((first, first + 3) for first in range(4, len(messages), 3))]:
+            sink.put(messages[start:end])
+            self._published += messages[start:end]
+            if self._stop.wait(1.0 / self._rate):
                 return
 
 
@@ -134,28 +145,31 @@ def main() -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.support.takeovers", description=__doc__)
     parser.add_argument("--rounds", type=int, default=10)
-    rounds = parser.parse_args().rounds
+    parser.add_argument("--rate", type=float, default=RATE)
+    options = parser.parse_args()
     with TemporaryDirectory() as made:
-        pair = Takeovers(Path(made))
+        pair = Takeovers(Path(made), options.rate)
         try:
-            stopped = [pair.interrupt(signal.SIGSTOP) for _ in range(rounds)]
+            stopped = [pair.interrupt(signal.SIGSTOP) for _ in range(options.rounds)]
             different = pair.count_different()
             killed = []
-            for _ in range(rounds):
+            for _ in range(options.rounds):
                 killed.append(pair.interrupt(signal.SIGKILL))
                 pair.replace_killed()
+            lost = pair.end()
         finally:
             pair.close()
-    result = {
+    result: dict[str, Any] = {
         name: {"median_s": round(statistics.median(times), 3), "max_s": round(max(times), 3)}
         for name, times in (("stopped", stopped), ("killed", killed))
     }
-    forecasts = {
-        "forecasts": len(pair.payloads),
+    result |= {
+        "forecasts": len(pair.forecasts),
         "different": different,
         "different_with_kills": pair.count_different(),
+        "lost": lost,
     }
-    print(json.dumps(result | forecasts), flush=True)
+    print(json.dumps(result), flush=True)
 
 
 if __name__ == "__main__":
