@@ -9,7 +9,7 @@ import msgspec
 
 from core.errors import SettingsError, SocastError
 from core.wire.messages import Message
-from stream.loop import Forecaster
+from stream.loop import Forecaster, Tally
 from stream.recorder import Place, Recorder
 from stream.state_file import StateFile
 from stream.structured_log import event_fields
@@ -34,7 +34,9 @@ class Checkpoints:
     """Keep the state of a pipeline in a file, as a watch of the loop.
 
     A state on disk names its place in the recording, and every sample that it holds is on disk before it. After a
-    crash, `restore` therefore finds every recorded sample, and none twice.
+    crash, `restore` therefore finds every recorded sample, and none twice. What came from the caches of publishers is
+    synced to disk at once, because these forget it: a consumer that is killed again and again soon after its start
+    would otherwise ask for it until it is gone.
 
     Parameters
     ----------
@@ -66,6 +68,7 @@ class Checkpoints:
         self.caught_up = 0
         self.saved_s = clock()
         self._pipeline, self._file, self._recorder, self._clock = pipeline, file, recorder, clock
+        self._recovered = 0
 
     def restore(self) -> list[Message]:
         """Continue from the last state, then from what was recorded after it, and save the state.
@@ -94,8 +97,11 @@ class Checkpoints:
         self.save()
         return list(forecasts.values())
 
-    def __call__(self, _: object) -> None:
-        """Save the state when it is due; log if it cannot be saved."""
+    def __call__(self, tally: Tally) -> None:
+        """Sync what came from caches, and save the state when it is due; log if it cannot be saved."""
+        if self._recorder is not None and tally.recovered > self._recovered:
+            self._recovered = tally.recovered
+            self._recorder.sync()
         if self._clock() - self.saved_s < SAVE_S:
             return
         try:

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 from core.errors import SettingsError
-from stream.service_status import ServiceStatus
+from stream.service_status import ServiceStatus, describe_role
 
 if TYPE_CHECKING:
     from prometheus_client import CollectorRegistry
@@ -200,7 +200,8 @@ class _Handler(BaseHTTPRequestHandler):
             return HTTPStatus.NOT_FOUND, _PLAIN, b"pages: /metrics /livez /readyz\n"
         if reason := checks[page]():
             return HTTPStatus.SERVICE_UNAVAILABLE, _PLAIN, f"{reason}\n".encode()
-        return HTTPStatus.OK, _PLAIN, b"ok\n"
+        role = describe_role(status.snapshot) if page == "/readyz" and status.snapshot else ""
+        return HTTPStatus.OK, _PLAIN, f"ok{role and f', {role}'}\n".encode()
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - named by the base class
         """Write no line for each request."""

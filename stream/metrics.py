@@ -111,7 +111,9 @@ METRICS: Final = (
         "Vehicles with a sample in the last 5 minutes.",
         lambda s, _: s.active_vehicles,
     ),
-    MetricRow("socast_forecasts", "counter", "Forecasts published by this process.", lambda s, _: s.forecasts),
+    MetricRow(
+        "socast_forecasts", "counter", "Forecasts made by this process, on standby too.", lambda s, _: s.forecasts
+    ),
     MetricRow(
         "socast_forecasts_refused",
         "counter",

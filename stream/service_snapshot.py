@@ -4,7 +4,7 @@ import time
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import msgspec
 import numpy as np
@@ -114,7 +114,7 @@ class ServiceSnapshot:
     saved_s, recorded_s : float, optional
         Time of the last state and of the last sync of the recording. [Unix s]
     publishes : bool, optional
-        Whether this consumer publishes, where several share the work.
+        Whether this consumer publishes, where one of several does.
     of_vehicles : VehicleSnapshot, optional
     """
 
@@ -153,6 +153,14 @@ class ServiceSnapshot:
     recorded_s: float | None = None
     publishes: bool | None = None
     of_vehicles: VehicleSnapshot | None = None
+
+
+class Candidate(Protocol):
+    """Define what a snapshot reads of a consumer on standby, such as `stream.zenoh_standby.Standby`."""
+
+    @property
+    def is_active(self) -> bool:
+        """Return whether the consumer publishes now."""
 
 
 class _Stamped(msgspec.Struct):
@@ -196,6 +204,8 @@ class SnapshotTaker:
     recorder : Recorder, optional
     checkpoints : Checkpoints, optional
     queries : QueryService, optional
+    candidate : Candidate, optional
+        Tells whether this consumer publishes, where one of several does.
     per_vehicle : bool
         Whether to export values of each vehicle.
     now, clock : callable
@@ -209,13 +219,15 @@ class SnapshotTaker:
         recorder: Recorder | None = None,
         checkpoints: Checkpoints | None = None,
         queries: QueryService | None = None,
+        candidate: Candidate | None = None,
         *,
         per_vehicle: bool = False,
         now: Callable[[], float] = time.time,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pipeline, self._source, self._recorder = pipeline, source, recorder
-        self._checkpoints, self._queries, self._per_vehicle = checkpoints, queries, per_vehicle
+        self._checkpoints, self._queries, self._candidate = checkpoints, queries, candidate
+        self._per_vehicle = per_vehicle
         self._now, self._clock = now, clock
 
     def __call__(self, tally: Tally, lag: LagMeter) -> ServiceSnapshot:
@@ -236,6 +248,7 @@ class SnapshotTaker:
             lag=lag.count(),
             answered=queries.answered if queries else 0,
             refused_queries=dict(queries.refused) if queries else {},
+            publishes=self._candidate.is_active if self._candidate else None,
             **_read_quality(self._pipeline.quality()),
             **self._read_vehicles(),
             **self._read_models(),

@@ -140,7 +140,20 @@ def describe_snapshot(snapshot: ServiceSnapshot) -> str:
     >>> describe_snapshot(ServiceSnapshot(messages=12_000, forecasts=340, vehicles=20, active_vehicles=18, rides=7))
     '12,000 messages, 340 forecasts, 18 of 20 vehicles active, 7 rides'
     """
+    role = describe_role(snapshot)
     return (
         f"{snapshot.messages:,} messages, {snapshot.forecasts:,} forecasts, "
         f"{snapshot.active_vehicles:,} of {snapshot.vehicles:,} vehicles active, {snapshot.rides:,} rides"
+        f"{role and f', {role}'}"
     )
+
+
+def describe_role(snapshot: ServiceSnapshot) -> str:
+    """Return whether a service publishes, where one of several does; an empty text where it is alone.
+
+    Examples
+    --------
+    >>> describe_role(ServiceSnapshot(publishes=False)), describe_role(ServiceSnapshot())
+    ('on standby', '')
+    """
+    return {None: "", True: "publishes", False: "on standby"}[snapshot.publishes]

@@ -31,7 +31,7 @@ from stream.structured_log import event_fields
 from stream.zenoh_queryable import ZenohQuery, ZenohQueryable
 from stream.zenoh_session import Node
 
-LEASE_S: Final = 3.0
+LEASE_S: Final = 2.4
 """Time without a sign of life after which the router removes the tokens of a consumer. [s]"""
 FENCE_S: Final = 1.5
 """Age of its last look at the tokens from which a consumer publishes nothing; less than 3/4 of the lease. [s]"""

@@ -1,6 +1,7 @@
 """Checkpoints save the state behind the recording, and continue from both."""
 
 import logging
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ import pytest
 from core.errors import SettingsError, SocastError
 from core.wire.messages import Message
 from stream.checkpoints import SAVE_S, Checkpoints
+from stream.loop import Tally
 from stream.recorder import Recorder
 from stream.state_file import StateFile
 
@@ -122,20 +124,47 @@ def test_recording_is_on_disk_before_the_state_that_holds_it(service):
     assert note["messages"] == len(SENT)
 
 
+def test_copies_of_the_files_of_a_running_consumer_start_another_one(service, tmp_path):
+    consumer = service.start()
+    consumer.pipeline.take(SENT[:5], consumer.recorder.put)
+    consumer.checkpoints.save()
+    shutil.copy(tmp_path / "cars", tmp_path / "copy")
+    consumer.pipeline.take(SENT[5:], consumer.recorder.put)
+    consumer.recorder.sync()
+    shutil.copytree(tmp_path / "kept", tmp_path / "kept-copy")
+    with StateFile(tmp_path / "copy") as file:
+        other, recorder = Taken(), Recorder(tmp_path / "kept-copy")
+        Checkpoints(other, file, recorder).restore()
+        recorder.close()
+    assert other.payloads == payloads(SENT)
+
+
 def test_state_is_saved_at_an_interval_by_the_clock(service):
     consumer = service.start()
     consumer.checkpoints.restore()
     consumer.pipeline.take(SENT)
     consumer.now = SAVE_S - 0.1
-    consumer.checkpoints(None)
+    consumer.checkpoints(Tally())
     kept = Taken()
     consumer.file.load(kept.restore)
     assert kept.payloads == []
     consumer.now = SAVE_S
-    consumer.checkpoints(None)
+    consumer.checkpoints(Tally())
     consumer.file.load(kept.restore)
     assert kept.payloads == payloads(SENT)
     assert consumer.checkpoints.saved_s == SAVE_S
+
+
+def test_what_came_from_caches_is_on_disk_at_once(service, monkeypatch):
+    consumer = service.start()
+    consumer.checkpoints.restore()
+    consumer.pipeline.take(SENT[:5], consumer.recorder.put)
+    consumer.checkpoints(Tally(received=5))
+    assert consumer.recorder.place.file == ""
+    consumer.checkpoints(Tally(received=5, recovered=2))
+    assert consumer.recorder.place.messages == 5
+    monkeypatch.setattr(consumer.recorder, "sync", lambda: pytest.fail("nothing else came from a cache"))
+    consumer.checkpoints(Tally(received=7, recovered=2))
 
 
 def test_state_that_the_disk_refuses_is_logged_and_tried_again_after_the_interval(service, monkeypatch, caplog):
@@ -150,7 +179,7 @@ def test_state_that_the_disk_refuses_is_logged_and_tried_again_after_the_interva
     monkeypatch.setattr(consumer.file, "save", refuse)
     for consumer.now in (SAVE_S, 1.5 * SAVE_S, 2 * SAVE_S):
         with caplog.at_level(logging.ERROR, "socast.state"):
-            consumer.checkpoints(None)
+            consumer.checkpoints(Tally())
     assert len(tries) == 2
     assert [record.getMessage() for record in caplog.records] == ["state not kept: the disk is full"] * 2
 

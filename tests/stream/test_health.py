@@ -43,7 +43,7 @@ def test_service_is_live_while_it_starts_and_ready_after_the_first_turn(server, 
     assert ask_page(server.address, "/livez") == (200, "ok\n")
     assert ask_page(server.address, "/readyz") == (503, "starting\n")
     ServiceWatch(status, lambda *_: FULL, clock=clock)(Tally())
-    assert ask_page(server.address, "/readyz") == (200, "ok\n")
+    assert ask_page(server.address, "/readyz") == (200, "ok, publishes\n")
 
 
 def test_service_is_ready_once_the_caches_of_publishers_were_asked_and_remains_so(server, status, clock):
@@ -55,6 +55,15 @@ def test_service_is_ready_once_the_caches_of_publishers_were_asked_and_remains_s
         clock.now += 1.0
         watch(Tally())
         assert ask_page(server.address, "/readyz")[0] == 200
+
+
+@pytest.mark.parametrize(
+    ("publishes", "answer"), [(None, "ok\n"), (True, "ok, publishes\n"), (False, "ok, on standby\n")]
+)
+def test_a_consumer_of_several_says_whether_it_publishes_and_is_ready_either_way(server, status, publishes, answer):
+    ServiceWatch(status, lambda *_: replace(FULL, publishes=publishes))(Tally())
+    assert ask_page(server.address, "/readyz") == (200, answer)
+    assert ask_page(server.address, "/livez") == (200, "ok\n")
 
 
 def test_hung_loop_is_neither_live_nor_ready(server, status, clock):

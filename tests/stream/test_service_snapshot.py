@@ -1,5 +1,7 @@
 """A snapshot of the service holds what the pipeline, the recorder and the loop count."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
 from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
@@ -34,6 +36,14 @@ def test_counts_of_a_shift_are_those_of_the_pipeline(tmp_path):
     assert 0.0 <= snapshot.newest_sample_s - BEGIN <= 1300.0
     assert (snapshot.vehicles, snapshot.active_vehicles) == (3, 3)
     assert sum(status.snapshot.lag.counts) > 0
+
+
+def test_a_consumer_of_several_tells_whether_it_publishes():
+    pipeline, source = Pipeline(), MemorySource([])
+    for role in (True, False):
+        take = SnapshotTaker(pipeline, source, candidate=SimpleNamespace(is_active=role))
+        assert take(Tally(), LagMeter()).publishes is role
+    assert SnapshotTaker(pipeline, source)(Tally(), LagMeter()).publishes is None
 
 
 def test_sample_far_ahead_of_the_clock_is_not_the_newest():

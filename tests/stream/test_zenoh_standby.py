@@ -8,6 +8,7 @@ from core.errors import SettingsError
 from core.wire.messages import Message
 from stream.zenoh_standby import FENCE_S, LEASE_S, SETTLE_S, Election, FencedSink, TakeoverSink
 from tests.support.takeovers import Takeovers
+from tests.support.zenoh_sessions import eventually
 from tools.commands.live import _choose_lease
 
 
@@ -134,6 +135,7 @@ def test_standby_needs_a_router_of_its_own():
 def test_the_other_consumer_takes_over_and_every_forecast_is_that_of_an_uninterrupted_run(tmp_path):
     pair = Takeovers(tmp_path)
     try:
+        assert eventually(lambda: sorted(pair.ask_roles()) == ["ok, on standby\n", "ok, publishes\n"])
         pair.interrupt(signal.SIGSTOP)
         pair.interrupt(signal.SIGKILL)
         lost = pair.end()

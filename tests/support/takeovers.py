@@ -20,10 +20,13 @@ from typing import Any
 from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from core.wire.messages import Message
+from stream.health import HttpAddress
 from stream.zenoh_pubsub import ZenohSink
+from stream.zenoh_session import find_free_port
 from tests.support.live_consumers import consumers, logged
 from tests.support.recorded_shift import shift
 from tests.support.router_process import RouterProcess
+from tests.support.service import ask_page
 from tests.support.zenoh_sessions import eventually
 
 RATE = 4.0
@@ -58,6 +61,7 @@ class Takeovers:
         self._start = self._consumers.__enter__()
         self._node = self._router.join()
         self._node.session.declare_subscriber("fleet/*/forecast", self._take)
+        self._addresses = [HttpAddress("127.0.0.1", find_free_port()) for _ in range(2)]
         self.pair = [self.start(0), self.start(1)]
         self._thread = Thread(target=self._publish)
         self._thread.start()
@@ -66,7 +70,13 @@ class Takeovers:
     def start(self, number: int) -> tuple[subprocess.Popen[bytes], Path]:
         """Start a consumer with files of its own."""
         files = "--state", self._folder / f"{number}.state", "--record", self._folder / f"kept-{number}"
-        return self._start("--connect", self._router.endpoint, "--standby", *files)
+        return self._start(
+            "--connect", self._router.endpoint, "--standby", "--metrics", self._addresses[number], *files
+        )
+
+    def ask_roles(self) -> list[str]:
+        """Return what each consumer says of itself."""
+        return [ask_page(address, "/readyz")[1] for address in self._addresses]
 
     def find_active(self) -> int:
         """Return the place of the consumer that published last."""

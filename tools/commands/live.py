@@ -152,7 +152,8 @@ def live(
             _log.warning("the state was made with another elevation map: elevation starts anew, all else continues")
         monitor.begin("connecting to Zenoh")
         node = ending.enter_context(Node(connection))
-        queryable, sink, watches = _open_outputs(node, ending, standby=standby)
+        role = ending.enter_context(Standby(node)) if standby else None
+        queryable, sink, watches = _open_outputs(node, ending, role)
         service, rides = QueryService(queryable, pipeline), RideLog(pipeline)
         source = ZenohSource(node, stop)
         _log_start(node, pipeline, models, monitor)
@@ -160,7 +161,7 @@ def live(
         watches += [service, rides, LimitLog(pipeline)]
         if checkpoints:
             watches.append(checkpoints)
-        take = SnapshotTaker(pipeline, source, recorder, checkpoints, service, per_vehicle=metrics_per_car)
+        take = SnapshotTaker(pipeline, source, recorder, checkpoints, service, role, per_vehicle=metrics_per_car)
         watches += monitor.make_watches(take, stop)
         if record and watch:
             nightly = make_nightly_diagnosis(options, pipeline, sink, record, watch)
@@ -192,12 +193,11 @@ def _choose_lease(*, has_router: bool, standby: bool) -> float | None:
 
 
 def _open_outputs(
-    node: Node, ending: ExitStack, *, standby: bool
+    node: Node, ending: ExitStack, role: Standby | None
 ) -> tuple[QuerySource, Sink, list[Callable[[Tally], None]]]:
     """Return the source of queries, the sink of what is published, and what the loop calls for them."""
-    if not standby:
+    if role is None:
         return ending.enter_context(ZenohQueryable(node)), LatestOnlySink(ZenohSink(node)), []
-    role = ending.enter_context(Standby(node))
     sink = TakeoverSink(LatestOnlySink(FencedSink(ZenohSink(node), role)), role)
     return ending.enter_context(StandbyQueryable(node, role)), sink, [sink]
 

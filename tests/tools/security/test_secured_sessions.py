@@ -14,9 +14,11 @@ import zenoh
 
 from core.errors import AskError, SettingsError
 from core.wire.messages import Message, Outlook
+from stream import zenoh_standby
 from stream.zenoh_pubsub import CACHE, ZenohSink, _subscribe
 from stream.zenoh_queryable import query_outlook
 from stream.zenoh_session import Connection, Node
+from stream.zenoh_standby import FencedSink, Standby
 from tests.support.secure_fleets import CARS, EXPIRED, REVOKED, change_tls, join, make_fleet, open_router
 from tests.support.zenoh_sessions import eventually, serving
 from tools.security.folder import SecureFolder
@@ -220,6 +222,34 @@ def test_token_of_a_consumer_is_seen_by_another_consumer_alone(fleet):
         token.undeclare()
         assert eventually(lambda: seen[-1] == zenoh.SampleKind.DELETE, 20.0)
         watch.undeclare()
+
+
+def test_one_of_two_consumers_publishes_and_the_other_takes_over_whatever_a_car_claims(fleet, monkeypatch):
+    monkeypatch.setattr(zenoh_standby, "FENCE_S", 1e6)  # a machine under load makes no consumer passive
+    key, heard = f"montreal/fleet/{OWN}/forecast", list[bytes]()
+    with ExitStack() as ending:
+        ending.enter_context(open_router(fleet))
+        dispatch, car, *nodes = (
+            ending.enter_context(join(fleet, name)) for name in ("dispatch", f"cars/{OWN}", "consumer", "consumer")
+        )
+        false = car.session.liveliness().declare_token("montreal/socast/consumers/000000000-false")
+        car.flush()
+        dispatch.session.declare_subscriber(key, lambda sample: heard.append(sample.payload.to_bytes()))
+        dispatch.flush()
+        roles = [ending.enter_context(Standby(node)) for node in nodes]
+        assert eventually(lambda: [len(role.election._others) for role in roles] == [1, 1])
+        assert eventually(lambda: sum(role.is_active for role in roles) == 1)
+        number = [role.is_active for role in roles].index(True)
+        active, other, old, new = roles[number], roles[1 - number], nodes[number], nodes[1 - number]
+        for role, node in ((other, new), (active, old)):
+            FencedSink(ZenohSink(node), role).put([Message(key, b"active" if role is active else b"other", 0)])
+        assert eventually(lambda: heard)
+        old.close()
+        assert eventually(lambda: other.is_active and not active.is_active)
+        FencedSink(ZenohSink(new), other).put([Message(key, b"other after it", 0)])
+        assert eventually(lambda: len(heard) > 1)
+        assert heard == [b"active", b"other after it"]
+        false.undeclare()
 
 
 @pytest.fixture
