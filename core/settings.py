@@ -65,6 +65,9 @@ class Limits(NamedTuple):
     ----------
     payload_bytes : float
         Largest payload (`too_large`). [bytes]
+    queue_bytes : float
+        Size of the received messages that may wait for the consumer; while more would wait, publishers are blocked.
+        [bytes]
     list_samples : float
         Largest number of samples in a payload that is a list (`too_many_samples`).
     vehicles : float
@@ -82,6 +85,7 @@ class Limits(NamedTuple):
     """
 
     payload_bytes: float = 4_000_000
+    queue_bytes: float = 128_000_000
     list_samples: float = 20_000
     vehicles: float = 100_000
     stations: float = 10_000
@@ -109,6 +113,7 @@ LIMITS = {
 """Closed interval of each setting, in SI units."""
 BOUNDS_OF_LIMITS = {
     "payload_bytes": (1_000, 1_000_000_000),
+    "queue_bytes": (1_000_000, 100_000_000_000),
     "list_samples": (1, 100_000_000),
     "vehicles": (1, 10_000_000),
     "stations": (1, 1_000_000),

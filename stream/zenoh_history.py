@@ -9,9 +9,8 @@ Notes
 The module allows for this observed behaviour of zenoh 1.10:
 
 - The history of an advanced subscriber is incomplete. If a live sample of a publisher overtakes the answer of its
-cache, the
-  subscriber drops the answer, because it is older than the live sample, and does not count a miss. After a restart of
-  the router this lost 388 of 12,000 samples. The caches are therefore asked by separate queries.
+  cache, the subscriber drops the answer, because it is older than the live sample, and does not count a miss. After a
+  restart of the router this lost 388 of 12,000 samples. The caches are therefore asked by separate queries.
 - A token of a publisher comes again before its next sample. If the router itself was away, it may come after it.
 """
 
@@ -37,7 +36,7 @@ RETURN_S: Final = 5.0
 """Longest wait for publishers after the return of the router; they try to connect every few seconds. [s]"""
 SINGLY: Final = 8
 """Number of publishers that are asked one by one; more are asked together."""
-_ANSWERS: Final = 1 << 14
+_ANSWERS: Final = 1 << 8
 _TOKENS: Final = 1 << 16
 _log = logging.getLogger("socast.zenoh")
 

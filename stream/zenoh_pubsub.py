@@ -1,10 +1,10 @@
 """The Zenoh subscriber, which is a source, and the Zenoh publisher, which is a sink.
 
-One advanced subscriber receives the fleet and one the weather. Zenoh fills their channels without Python, and the
-iteration over the source drains them. The subscribers request missed samples from advanced publishers and count those
-that they could not get. At the start, and when publishers appear, the source asks their caches
-(`stream.zenoh_history`) and merges the answers with live samples, in the order of publication. Publishing blocks while
-the network is slow, so the sink drops nothing.
+One advanced subscriber receives the fleet and one the weather. Zenoh fills their channels, a thread moves the samples
+into a queue that is limited by size, and the iteration over the source takes them from there. The subscribers request
+missed samples from advanced publishers and count those that they could not get. At the start, and when publishers
+appear, the source asks their caches (`stream.zenoh_history`) and merges the answers with live samples, in the order of
+publication. Publishing blocks while the network is slow, so the sink drops nothing.
 
 Notes
 -----
@@ -25,33 +25,42 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from threading import Event
+from math import inf
+from threading import Event, Thread
 from typing import Any, Final
 
 import zenoh
 from zenoh import ext, handlers
 
 from core.errors import SettingsError
+from core.settings import Limits
 from core.wire.messages import Message
+from stream.message_queue import MessageQueue
 from stream.receipt_clock import ReceiptClock
 from stream.source import LOOK_UP_S, RecoveredMessage
 from stream.zenoh_history import CacheHistory, merge_samples
 from stream.zenoh_session import Node, format_zenoh_error
 
-QUEUE: Final = 1 << 14
-"""Capacity of a channel, in samples; a full channel blocks publishers. More samples would exceed the CPU's cache."""
+CHANNEL: Final = 1 << 8
+"""Capacity of Zenoh's channels, in samples of any size; a full channel blocks publishers."""
+BLOCK: Final = 256
+"""Largest number of samples that the receiving thread takes at once."""
+BLOCK_BYTES: Final = 1 << 22
+"""Size of samples that the receiving thread takes at once, as far as the last samples predict it. [B]"""
 DRAIN: Final = 4000
-"""Largest number of messages that are yielded at once; the processor's cache can hold them during processing."""
+"""Number of messages from which no more are yielded at once; the processor's cache can hold them."""
 DRAIN_BYTES: Final = 1 << 22
 """Size of messages from which no more are yielded at once. [B]"""
-BLOCK: Final = 128
-"""Number of samples of the fleet after which their size is looked at."""
 HOLD_BYTES: Final = 1 << 26
-"""Size of live samples that may wait for the answers of caches; more end the wait. [B]"""
-STOP_S: Final = 3.0
-"""Time after a stop for which queued messages are still yielded; later they are dropped and counted. [s]"""
+"""Size of live samples and answers that may wait for further answers of caches; more end the wait. [B]"""
+STOP_S: Final = 2.0
+"""Time after a stop for which waiting samples are still moved into the queue; later they are dropped. [s]"""
+YIELD_S: Final = 3.0
+"""Time after a stop for which queued messages are still yielded; later they are dropped. [s]"""
 GATHER_S: Final = 0.01
 """Time for which a short queue waits for more samples; a few large lists cost less than many small ones. [s]"""
+FULL_LOG_S: Final = 60.0
+"""Least time between two warnings of a full queue. [s]"""
 CACHE: Final = 64
 """Number of samples of each key that a publisher can send again."""
 WATCH_S: Final = 1.0
@@ -62,7 +71,7 @@ _SPACES: Final = "weather", "fleet"
 A weather observation then does not come after the samples that it applies to. A node that detects the subscription to
 the fleet can rely on the subscription to the weather.
 """
-_NAP_S: Final = 0.0005, 0.01  # first and longest wait for an empty channel
+_NAP_S: Final = 0.001, 0.01  # first and longest wait for an empty channel
 _log = logging.getLogger("socast.zenoh")
 
 
@@ -81,32 +90,39 @@ class ZenohSource:
     The messages of `{prefix}fleet/**` and those of `{prefix}weather/**` each come in order of arrival. Queued weather
     comes before queued telemetry. A source without a prefix does not receive fleets that have one.
 
+    Zenoh's channels are limited by a number of samples alone. A thread therefore moves the samples into a queue that is
+    limited by size. While the queue is full, the channels fill and publishers are blocked.
+
     Parameters
     ----------
     node : Node
         Session and prefix to subscribe with.
     stop : Event
         Event that ends the subscription. The iteration then yields the queued messages and ends.
+    queue_bytes : float
+        Size of the messages that may be queued. [B]
 
     Attributes
     ----------
     missed : int
         Number of samples that publishers sent but the source could not get, as far as publishers number their samples.
     dropped : Counter of str
-        Number of queued messages that were dropped, by cause.
+        Number of received messages that were dropped, by cause.
     is_catching_up : bool
         Whether live samples wait for the answers of caches.
     has_recovered : bool
         Whether the last list holds messages of the type `RecoveredMessage`, which came from caches.
     """
 
-    def __init__(self, node: Node, stop: Event) -> None:
+    def __init__(self, node: Node, stop: Event, queue_bytes: float = Limits().queue_bytes) -> None:
         self.missed = 0
         self.dropped: Counter[str] = Counter()
-        self._stop_by_s: float | None = None
         self.is_catching_up = node.connection.recovery
         self.has_recovered = False
         self._stop = stop
+        self._stop_by_s = inf
+        self._queue = MessageQueue(queue_bytes)
+        self._warned_full_s = -inf
         self._clock = ReceiptClock()
         self._warned = False
         self._keys = _Keys()
@@ -116,6 +132,7 @@ class ZenohSource:
         self._routers = len(node.session.info.routers_zid())
         self._subscribers = [_subscribe(node, f"{node.prefix}{space}/**") for space in _SPACES]
         self._receivers = [subscriber.handler.try_recv for subscriber in self._subscribers]
+        self._block = BLOCK
         self._misses: list[Any] = []
         self._history: CacheHistory | None = None
         self._held: list[Any] = []
@@ -123,102 +140,153 @@ class ZenohSource:
         self._held_bytes = 0
         if node.connection.recovery:
             self._history = CacheHistory(node, [f"{node.prefix}{space}/**" for space in _SPACES])
-            self._misses = [each.sample_miss_listener(handlers.FifoChannel(QUEUE)) for each in self._subscribers]
+            self._misses = [each.sample_miss_listener(handlers.FifoChannel(CHANNEL)) for each in self._subscribers]
+
+    @property
+    def queue_messages(self) -> int:
+        """Return the number of queued messages."""
+        return self._queue.messages
+
+    @property
+    def queue_bytes(self) -> int:
+        """Return the size of the queued messages. [B]"""
+        return self._queue.size
 
     def __iter__(self) -> Iterator[list[Message]]:
-        """Yield the queued messages, a few thousand at a time, or an empty list every `LOOK_UP_S` of silence."""
+        """Yield the queued messages, a few thousand at a time, or an empty list every `LOOK_UP_S` of silence.
+
+        Raises
+        ------
+        Exception
+            What the receiving thread raised.
+        """
+        errors: list[Exception] = []
+        thread = Thread(target=self._receive_all, args=(errors,), name="zenoh-source", daemon=True)
+        thread.start()
+        try:
+            while self._queue.wait(LOOK_UP_S) or not self._queue.has_ended:
+                if time.monotonic() > self._stop_by_s + YIELD_S - STOP_S:
+                    self.dropped["stop"] += self._queue.messages
+                    break
+                if 0 < self._queue.messages < DRAIN and not self._queue.has_ended:
+                    time.sleep(GATHER_S)
+                messages, self.has_recovered = self._queue.take(DRAIN, DRAIN_BYTES)
+                yield messages
+        finally:
+            self._queue.end()
+            thread.join()
+        if number := self.dropped["stop"]:
+            _log.warning("%d messages dropped: they still waited %g s after the stop", number, YIELD_S)
+        if errors:
+            raise errors[0]
+
+    def _receive_all(self, errors: list[Exception]) -> None:
+        """Move samples from Zenoh's channels into the queue, until nothing is left after a stop."""
+        try:
+            self._fill_queue()
+        except Exception as error:  # noqa: BLE001 -- the loop raises it
+            errors.append(error)
+        finally:
+            self._queue.end()
+
+    def _fill_queue(self) -> None:
+        """Move samples into the queue until the source ends."""
         nap, longest = _NAP_S
-        quiet_s = 0.0
-        while True:
+        while not self._queue.has_ended:
             stopping = self._stop.is_set()
             if stopping and self._subscribers:
                 self._end_subscriptions()
-            if self._has_no_time_left():
-                self._drop_queue()
+            if time.monotonic() > self._stop_by_s:
+                self._drop_rest()
                 return
-            messages = self._gather(stopping=stopping)
-            if messages and len(messages) < DRAIN and not stopping and not self.has_recovered:
-                time.sleep(GATHER_S)
-                messages += self._gather(stopping=stopping)
+            messages, recovered = self._drain(stopping=stopping)
             self._count_misses()
             self._watch_routers()
-            if messages or quiet_s >= LOOK_UP_S:
-                yield messages
-                quiet_s, nap = 0.0, _NAP_S[0]
+            if messages:
+                self._enqueue(messages, recovered=recovered)
+                nap = _NAP_S[0]
             elif stopping:
                 return
-            else:
+            if len(messages) < self._block:
                 time.sleep(nap)
-                quiet_s += nap
                 nap = min(2 * nap, longest)
 
-    def _gather(self, *, stopping: bool) -> list[Message]:
-        """Return queued messages up to a number and a size that the pipeline processes in a fraction of a second."""
-        out: list[Message] = []
-        size = 0
-        while len(out) < DRAIN and size < DRAIN_BYTES:
-            part = self._drain(stopping=stopping)
-            out += part
-            size += sum([len(message[1]) for message in part])
-            if not part or self.has_recovered:
-                break
-        return out
+    def _enqueue(self, messages: list[Message], *, recovered: bool) -> None:
+        """Append messages to the queue; while it is full, wait until it is not, or until the stop has lasted."""
+        size = sum([len(message[1]) for message in messages])
+        if size > DRAIN_BYTES and (half := len(messages) // 2):  # many were held
+            self._enqueue(messages[:half], recovered=recovered)
+            self._enqueue(messages[half:], recovered=recovered)
+            return
+        self._block = max(1, min(BLOCK, BLOCK_BYTES * len(messages) // max(1, size)))
+        while not self._queue.put(messages, size, recovered=recovered, patience_s=LOOK_UP_S):
+            if self._queue.has_ended or time.monotonic() > self._stop_by_s:
+                self.dropped["stop"] += len(messages)
+                return
+            if self._stop.is_set() and self._subscribers:
+                self._end_subscriptions()
+            if (now := time.monotonic()) - self._warned_full_s > FULL_LOG_S:
+                self._warned_full_s = now
+                _log.warning(
+                    "the consumer is behind: %s messages of %s bytes are queued, and publishers must wait; "
+                    "make lists smaller, or give the consumer a faster processor",
+                    f"{self.queue_messages:,}",
+                    f"{self.queue_bytes:,}",
+                )
 
     def _end_subscriptions(self) -> None:
-        """Receive nothing more; what is queued can still be taken for `STOP_S`."""
+        """Receive nothing more; what has arrived can still be taken for `STOP_S`."""
         self._stop_by_s = time.monotonic() + STOP_S
         while self._subscribers:
             self._subscribers.pop().undeclare()
         if self._history is not None:
             self._history.close()
 
-    def _has_no_time_left(self) -> bool:
-        """Return whether a stop was requested so long ago that what is still queued must be dropped."""
-        return self._stop_by_s is not None and time.monotonic() > self._stop_by_s
-
-    def _drop_queue(self) -> None:
-        """Drop and count what is queued."""
-        count = len(self._held)
-        while part := len(self._receive(DRAIN, DRAIN)):
+    def _drop_rest(self) -> None:
+        """Drop and count what was not moved into the queue in time."""
+        count = len(self._held) + len(self._answers)
+        while part := len(self._receive(CHANNEL, CHANNEL)):
             count += part
-        if count:
-            self.dropped["stop"] = count
-            _log.warning("%d messages dropped: they were queued %g s after the stop", count, STOP_S)
+        self.dropped["stop"] += count
 
-    def _drain(self, *, stopping: bool) -> list[Message]:
-        """Return the queued messages; while caches are asked, hold them, and return all together in their order.
+    def _drain(self, *, stopping: bool) -> tuple[list[Message], bool]:
+        """Return received messages, and whether some came from caches.
 
-        A publisher's token comes before its samples, so the tokens are looked at after the samples.
+        While caches are asked, live samples are held, and then all are returned together in their order. A publisher's
+        token comes before its samples, so the tokens are looked at after the samples.
         """
-        samples = self._receive(DRAIN, BLOCK)
-        self.has_recovered = False
+        samples = self._receive(CHANNEL, self._block)
         if self._history is not None and self._must_hold(samples, stopping=stopping):
-            return []
+            return [], False
         if self._answers:
-            return self._merge()
+            return self._merge(), True
         samples, self._held = self._held or samples, []
         if not samples:
-            return []
+            return [], False
         self._warn_of_stamps(samples[-1])
         stamp = self._clock.read_ns()
         new, keys = tuple.__new__, self._keys
-        return [new(Message, (key, each.payload.to_bytes(), stamp)) for each in samples if (key := keys[each.key_expr])]
+        return [
+            new(Message, (key, each.payload.to_bytes(), stamp)) for each in samples if (key := keys[each.key_expr])
+        ], False
 
     def _must_hold(self, samples: list[Any], *, stopping: bool) -> bool:
-        """Return whether the queued samples must wait for the answers of caches.
+        """Return whether the received samples must wait for the answers of caches.
 
-        If they must wait, or if answers have come, the whole queue is held and later merged with the answers. These may
-        be newer than the end of the queue.
+        If they must wait, or if answers have come, all samples that have arrived are held and later merged with the
+        answers. These may be newer than the end of the channel.
         """
         assert self._history is not None
         now = time.monotonic()
-        self._answers += self._history.collect(now)
+        answers = self._history.collect(now)
+        self._answers += answers
+        self._held_bytes += sum([len(answer.payload) for answer in answers])
         self.is_catching_up = self._history.is_waiting(now) and not stopping and self._held_bytes < HOLD_BYTES
         if self.is_catching_up or self._answers or self._held:
             while samples and self._held_bytes < HOLD_BYTES:
                 self._held += samples
-                self._held_bytes += sum(len(sample.payload) for sample in samples)
-                samples = self._receive(DRAIN, DRAIN)
+                self._held_bytes += sum([len(sample.payload) for sample in samples])
+                samples = self._receive(CHANNEL, self._block)
             self._held += samples
         if not self.is_catching_up:
             self._held_bytes = 0
@@ -227,7 +295,6 @@ class ZenohSource:
     def _merge(self) -> list[Message]:
         """Return the live samples that waited and the answers of caches, in the order of publication."""
         live, answers, self._held, self._answers = self._held, self._answers, [], []
-        self.has_recovered = True
         recovered, stamp = {id(answer) for answer in answers}, self._clock.read_ns()
         return [
             (RecoveredMessage if id(each) in recovered else Message)(key, each.payload.to_bytes(), stamp)
@@ -351,7 +418,7 @@ class ZenohSink:
 
 def _subscribe(node: Node, keys: str) -> Any:
     """Return a subscriber with its own channel; an advanced one if missed samples are to be requested."""
-    channel: Any = handlers.FifoChannel(QUEUE)
+    channel: Any = handlers.FifoChannel(CHANNEL)
     if not node.connection.recovery:
         return node.session.declare_subscriber(keys, channel, allowed_origin=zenoh.Locality.REMOTE)
     return ext.declare_advanced_subscriber(

@@ -70,6 +70,8 @@ class Connection:
     lease_s : float, optional
         Time without a sign of life after which remote ends take this node for lost. [s] The default is that of the
         file, or Zenoh's, 10 s.
+    largest_bytes : float, optional
+        Size of a payload above which the session drops it on arrival, uncounted, unless the file limits sizes. [B]
     """
 
     connect: tuple[str, ...] = ()
@@ -79,6 +81,7 @@ class Connection:
     config: Path | None = None
     recovery: bool = True
     lease_s: float | None = None
+    largest_bytes: float | None = None
 
 
 class Node:
@@ -183,6 +186,27 @@ def parse_prefix(text: str) -> str:
     return f"{chunks}/"
 
 
+def limit_sizes(largest_bytes: float) -> dict[str, Any]:
+    """Return the item of Zenoh's setting `low_pass_filter` that drops larger payloads on arrival.
+
+    Parameters
+    ----------
+    largest_bytes : float
+        Size of the largest payload that passes. [B]
+
+    Returns
+    -------
+    dict
+    """
+    return {
+        "id": "largest payload",
+        "flows": ["ingress"],
+        "messages": ["put", "query", "reply"],
+        "key_exprs": ["**"],
+        "size_limit": round(largest_bytes),
+    }
+
+
 def find_free_port() -> int:
     """Return a free TCP port on loopback."""
     with socket.socket() as probe:
@@ -230,9 +254,16 @@ def _make_config(connection: Connection) -> zenoh.Config:
     for name, unset, value in _OURS:
         if _read(config, name) == unset:
             _insert(config, name, value)
+    _insert_limits(config, connection)
+    return config
+
+
+def _insert_limits(config: zenoh.Config, connection: Connection) -> None:
+    """Insert the limits of the connection in time and in size."""
     if connection.lease_s is not None:
         _insert(config, "transport/link/tx/lease", round(connection.lease_s * 1000))
-    return config
+    if connection.largest_bytes is not None and not _read(config, "low_pass_filter"):
+        _insert(config, "low_pass_filter", [limit_sizes(connection.largest_bytes)])
 
 
 def _warn_if_open(config: zenoh.Config) -> None:

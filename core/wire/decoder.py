@@ -152,10 +152,11 @@ class Decoder:
         decode, lane_of, names = self._one.decode, self._lane_of_key.get, self.lanes.names
         most = self._limits.payload_bytes
         for message in block:
-            lane = lane_of(message[0])
-            if lane is not None and len(message[1]) <= most:
+            key, payload, _ = message
+            lane = lane_of(key)
+            if lane is not None and len(payload) <= most:
                 try:
-                    sample = decode(message[1])
+                    sample = decode(payload)
                 except _LOST:
                     sample = None
                 if sample is not None and sample.vehicle_id == names[lane]:

@@ -68,10 +68,11 @@ class DuplicateFilter:
         sequence of Message
             The given sequence itself if all of its messages are new.
         """
-        if min([message[1] for message in messages], default=b"{") < b"{":  # a list begins with [, a sample with {
+        payloads = [message[1] for message in messages]
+        if min(payloads, default=b"{") < b"{":  # a list begins with [, a sample with {
             return self._select_new_samples(messages)
-        seeds = self._seeds
-        new = self._remember([xxh3_64_intdigest(payload, seeds[key]) for key, payload, _ in messages])
+        seeds = map(self._seeds.__getitem__, [message[0] for message in messages])
+        new = self._remember(np.fromiter(map(xxh3_64_intdigest, payloads, seeds), np.uint64, len(payloads)))
         if new.all():
             return messages
         return [message for message, is_new in zip(messages, new.tolist(), strict=True) if is_new]
@@ -80,7 +81,8 @@ class DuplicateFilter:
         """Return the messages that are new, with lists of samples reduced to those that are new."""
         samples = [_split_list(key, payload) for key, payload, _ in messages]
         pairs = zip([self._seeds[message.key] for message in messages], samples, strict=True)
-        new = iter(self._remember([xxh3_64_intdigest(part, seed) for seed, parts in pairs for part in parts]))
+        hashes = [xxh3_64_intdigest(part, seed) for seed, parts in pairs for part in parts]
+        new = iter(self._remember(np.array(hashes, np.uint64)))
         out: list[Message] = []
         for message, parts in zip(messages, samples, strict=True):
             left = [part for part, is_new in zip(parts, new, strict=False) if is_new]
@@ -90,14 +92,14 @@ class DuplicateFilter:
                 out.append(message._replace(payload=b"[" + b",".join(left) + b"]"))
         return out
 
-    def _remember(self, hashes: list[int]) -> NDArray[np.bool_]:
+    def _remember(self, hashes: Hashes) -> NDArray[np.bool_]:
         """Remember hashes; return which of them were not remembered before."""
         if (wanted := self._count + len(hashes)) > len(self._queue):  # it grows only as far as it is used
             most = max(LEAST, PER_VEHICLE * len(self._lanes))
             if most > len(self._queue):
                 self._allot(min(most, 2 * wanted), self._in_order())
         new = np.empty(len(hashes), np.bool_)
-        self._count = _remember(np.array(hashes, np.uint64), self._queue, self._table, self._count, new)
+        self._count = _remember(hashes, self._queue, self._table, self._count, new)
         self.dropped += len(hashes) - int(np.count_nonzero(new))
         return new
 

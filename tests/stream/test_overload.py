@@ -4,11 +4,12 @@ import time
 from threading import Event, Thread
 
 import msgspec
+import pytest
 
 from core.wire.messages import Message
 from stream import zenoh_pubsub
 from stream.zenoh_pubsub import ZenohSink, ZenohSource
-from stream.zenoh_session import Connection, Node
+from stream.zenoh_session import Connection, Node, find_free_port
 from tests.support.zenoh_sessions import eventually, router
 
 SAMPLE = {"vehicle_id": "a", "time_s": 1.7e9, "speed_kmh": 30.0, "note": "x" * 300}
@@ -22,10 +23,11 @@ def make_lists(count: int) -> list[Message]:
 
 def test_lists_are_yielded_up_to_a_size_and_a_stop_is_obeyed_in_time(monkeypatch, caplog):
     monkeypatch.setattr(zenoh_pubsub, "STOP_S", 0.5)
+    monkeypatch.setattr(zenoh_pubsub, "YIELD_S", 1.0)
     sent, stop = make_lists(60), Event()
     assert 0.9e6 < len(sent[0].payload) < 1.2e6
     with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
-        source = ZenohSource(node, stop)
+        source = ZenohSource(node, stop, queue_bytes=20e6)
         sink = ZenohSink(client)
         assert eventually(sink.has_subscriber)
         thread = Thread(target=sink.put, args=(sent,))
@@ -34,13 +36,63 @@ def test_lists_are_yielded_up_to_a_size_and_a_stop_is_obeyed_in_time(monkeypatch
         for messages in source:
             sizes += [sum(len(message.payload) for message in messages)] if messages else []
             taken += len(messages)
+            assert source.queue_bytes < 20e6 + zenoh_pubsub.BLOCK_BYTES + 1.2e6
             time.sleep(0.1)  # a consumer that takes 40 MB/s
             if taken and stopped_s is None and eventually(lambda: not thread.is_alive()):
                 stop.set()
                 stopped_s = time.monotonic()
         took_s = time.monotonic() - stopped_s
         thread.join()
-    assert max(sizes) < zenoh_pubsub.DRAIN_BYTES + zenoh_pubsub.BLOCK * 1.2e6
+    assert max(sizes) < zenoh_pubsub.DRAIN_BYTES + 2 * zenoh_pubsub.BLOCK_BYTES
     assert took_s < 20.0
     assert taken + source.dropped["stop"] == len(sent)
     assert source.dropped["stop"] == 0 or "dropped" in caplog.text
+
+
+def test_full_queue_is_told_and_nothing_is_lost(caplog):
+    sent, stop = make_lists(20), Event()
+    with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
+        source = ZenohSource(node, stop, queue_bytes=2e6)
+        sink = ZenohSink(client)
+        assert eventually(sink.has_subscriber)
+        thread = Thread(target=sink.put, args=(sent,))
+        thread.start()
+        got: list[Message] = []
+        for messages in source:
+            if not got:
+                assert eventually(lambda: "the consumer is behind" in caplog.text)
+            got += messages
+            if len(got) == len(sent):
+                stop.set()
+        thread.join()
+    assert [message.payload for message in got] == [message.payload for message in sent]
+
+
+def test_payload_beyond_the_limit_of_a_session_does_not_arrive():
+    stop = Event()
+    endpoint = f"tcp/127.0.0.1:{find_free_port()}"
+    with (
+        Node(Connection(listen=(endpoint,), mode="router", largest_bytes=1000.0)) as node,
+        Node(Connection(connect=(endpoint,))) as client,
+    ):
+        source, sink = ZenohSource(node, stop), ZenohSink(client)
+        assert eventually(sink.has_subscriber)
+        sizes = (10, 1000, 1001, 100_000, 20)
+        sink.put([Message("fleet/a/telemetry", b"x" * size, 0) for size in sizes])
+        got: list[int] = []
+        for messages in source:
+            got += [len(message.payload) for message in messages]
+            if 20 in got:
+                stop.set()
+    assert got == [10, 1000, 20]
+
+
+def test_error_of_the_receiving_thread_is_raised_by_the_loop(monkeypatch):
+    def fail() -> None:
+        raise RuntimeError("broken")
+
+    with router() as (node, _):
+        source = ZenohSource(node, Event())
+        monkeypatch.setattr(source, "_watch_routers", fail)
+        with pytest.raises(RuntimeError, match="broken"):
+            list(source)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -40,6 +40,8 @@ from tools.terminal.output import check_outputs
 from tools.terminal.ride_log import RideLog
 from tools.terminal.settings_file import SettingsFile
 
+UNCOUNTED: Final = 2.0
+"""Ratio to `--max-payload-bytes` above which Zenoh drops a payload, before the consumer could count it. [1]"""
 _log = logging.getLogger("socast.live")
 
 
@@ -130,7 +132,16 @@ def live(
         raise SettingsError("--metrics-per-car adds to what --metrics serves: give --metrics ADDRESS too")
     models = load_models(options.models)
     lease_s = _choose_lease(has_router=bool(connect or config), standby=standby)
-    connection = Connection(tuple(connect or ()), tuple(listen or ()), mode, options.prefix, config, recovery, lease_s)
+    connection = Connection(
+        tuple(connect or ()),
+        tuple(listen or ()),
+        mode,
+        options.prefix,
+        config,
+        recovery,
+        lease_s,
+        largest_bytes=UNCOUNTED * limits.payload_bytes,
+    )
     with ExitStack() as ending:
         monitor = ending.enter_context(ServiceMonitor(metrics))
         monitor.begin("compiling kernels")
@@ -155,7 +166,7 @@ def live(
         role = ending.enter_context(Standby(node)) if standby else None
         queryable, sink, watches = _open_outputs(node, ending, role)
         service, rides = QueryService(queryable, pipeline), RideLog(pipeline)
-        source = ZenohSource(node, stop)
+        source = ZenohSource(node, stop, limits.queue_bytes)
         _log_start(node, pipeline, models, monitor)
         sink.put(first)
         watches += [service, rides, LimitLog(pipeline)]

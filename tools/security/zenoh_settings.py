@@ -4,12 +4,13 @@ from base64 import b64encode
 from collections.abc import Sequence
 from typing import Any, Final
 
+from stream.zenoh_session import limit_sizes
 from tools.security.certificates import Credential
 
 PORT: Final = 7447
 """Default port of a Zenoh router."""
-LARGEST_MESSAGE: Final = 16 * 2**20
-"""Size above which the router drops a message. [bytes]"""
+LARGEST_BYTES: Final = 8_000_000
+"""Size of a payload above which the router drops it. [B]"""
 
 
 def make_router_settings(
@@ -36,7 +37,7 @@ def make_router_settings(
     settings["listen"] = {"endpoints": [f"tls/0.0.0.0:{port}"]}
     settings["timestamping"] = {"enabled": False}
     settings["adminspace"] = {"enabled": False}
-    settings["transport"]["link"]["rx"] = {"max_message_size": LARGEST_MESSAGE}
+    settings["low_pass_filter"] = [limit_sizes(LARGEST_BYTES)]
     return settings | {"access_control": access_control}
 
 

@@ -33,6 +33,9 @@ def make_limits(
     max_payload_bytes: Annotated[
         int, _option("--max-payload-bytes", "payload_bytes", "N", "Refuse larger payloads.")
     ] = int(_DEFAULTS.payload_bytes),
+    max_queue_bytes: Annotated[
+        int, _option("--max-queue-bytes", "queue_bytes", "N", "Let publishers wait while more is queued.")
+    ] = int(_DEFAULTS.queue_bytes),
     max_list_samples: Annotated[
         int, _option("--max-list-samples", "list_samples", "N", "Refuse lists of more samples.")
     ] = int(_DEFAULTS.list_samples),
@@ -49,6 +52,7 @@ def make_limits(
     """Return the limits that the options define."""
     return Limits(
         max_payload_bytes,
+        max_queue_bytes,
         max_list_samples,
         max_vehicles,
         max_stations,

@@ -1,0 +1,124 @@
+"""A queue of received messages that is limited by number and by size, between a receiving thread and the loop."""
+
+from collections import deque
+from collections.abc import Sequence
+from threading import Condition
+from typing import Final
+
+from core.wire.messages import Message
+
+MOST_MESSAGES: Final = 1 << 14
+"""Largest number of queued messages; more would exceed the CPU's cache."""
+
+
+class MessageQueue:
+    """Hold messages until the loop takes them; one thread puts and one thread takes.
+
+    Parameters
+    ----------
+    most_bytes : float
+        Size of the payloads from which the queue is full. [B]
+    most_messages : int
+        Number of messages from which the queue is full.
+
+    Attributes
+    ----------
+    messages : int
+        Number of queued messages.
+    size : int
+        Size of their payloads. [B]
+    """
+
+    def __init__(self, most_bytes: float, most_messages: int = MOST_MESSAGES) -> None:
+        self.messages = 0
+        self.size = 0
+        self._most_bytes, self._most_messages = most_bytes, most_messages
+        self._lists: deque[tuple[Sequence[Message], int, bool]] = deque()
+        self._changed = Condition()
+        self._has_ended = False
+
+    def put(self, messages: Sequence[Message], size: int, *, recovered: bool = False, patience_s: float) -> bool:
+        """Append messages as soon as the queue is not full.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Messages to append.
+        size : int
+            Size of their payloads. [B]
+        recovered : bool
+            Whether some of the messages came from the caches of publishers.
+        patience_s : float
+            Longest wait. [s]
+
+        Returns
+        -------
+        bool
+            False if the queue stayed full, or has ended; it then does not hold the messages.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._has_ended or not self._is_full(), patience_s)
+            if self._has_ended or self._is_full():
+                return False
+            self._lists.append((messages, size, recovered))
+            self.messages += len(messages)
+            self.size += size
+            self._changed.notify_all()
+        return True
+
+    def wait(self, patience_s: float) -> bool:
+        """Wait until messages are queued or the queue has ended; return whether messages are queued.
+
+        Parameters
+        ----------
+        patience_s : float
+            Longest wait. [s]
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._has_ended or self._lists, patience_s)
+            return bool(self._lists)
+
+    def take(self, most_messages: int, most_bytes: int) -> tuple[list[Message], bool]:
+        """Remove the oldest lists up to a number of messages and a size, but at least one list.
+
+        Parameters
+        ----------
+        most_messages : int
+            Number of messages after which no further list is taken.
+        most_bytes : int
+            Size after which no further list is taken. [B]
+
+        Returns
+        -------
+        messages : list of Message
+            Empty if nothing is queued.
+        recovered : bool
+            Whether some of them came from the caches of publishers.
+        """
+        out: list[Message] = []
+        size, any_recovered = 0, False
+        with self._changed:
+            while self._lists and len(out) < most_messages and size < most_bytes:
+                messages, of_list, recovered = self._lists.popleft()
+                out += messages
+                size += of_list
+                any_recovered |= recovered
+            self.messages -= len(out)
+            self.size -= size
+            self._changed.notify_all()
+        return out, any_recovered
+
+    def end(self) -> None:
+        """Accept no more messages; what is queued can still be taken."""
+        with self._changed:
+            self._has_ended = True
+            self._changed.notify_all()
+
+    @property
+    def has_ended(self) -> bool:
+        """Return whether no more messages will come."""
+        return self._has_ended
+
+    def _is_full(self) -> bool:
+        """Return whether nothing may be appended."""
+        return self.messages >= self._most_messages or self.size >= self._most_bytes
