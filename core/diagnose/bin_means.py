@@ -3,7 +3,7 @@
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from core.batch import Floats, Ints
 
@@ -71,7 +71,7 @@ def average_in_bins(place: Ints, bins: int, values: Floats, weight: Floats, day:
     error = np.sqrt(np.bincount(bin_of_pair, sums**2 / rest, bins)) / total
     freedom = 1.0 / np.bincount(bin_of_pair, share**2, bins) - 1.0
     enough = freedom >= LEAST_FREEDOM
-    half = np.where(enough, stats.t.ppf(0.975, np.maximum(freedom, LEAST_FREEDOM)) * error, np.nan)
+    half = np.where(enough, stdtrit(np.maximum(freedom, LEAST_FREEDOM), 0.975) * error, np.nan)
     return BinMeans(
         mean, half, np.bincount(place, minlength=bins).astype(np.int64), np.bincount(bin_of_pair, minlength=bins)
     )

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtr, stdtrit
 
 from core.batch import Floats, Ints
 
@@ -100,7 +100,7 @@ class Evidence(NamedTuple):
 
     def compute_interval(self, at: int, level: float = 0.95) -> tuple[float, float]:
         """Return the confidence interval of the coefficient of one candidate. [unit of the coefficient]"""
-        half = float(stats.t.ppf(0.5 + level / 2.0, self.freedom[at]) * self.error[at])
+        half = float(stdtrit(self.freedom[at], 0.5 + level / 2.0) * self.error[at])
         return float(self.coefficient[at]) - half, float(self.coefficient[at]) + half
 
 
@@ -123,7 +123,7 @@ def compute_worst_case_evidence(
     """
     results = [compute_evidence(residual, columns, sign, each, least) for each in clusters]
     worst = np.argmax([each.p for each in results], axis=0)
-    widest = np.argmax([each.error * stats.t.ppf(0.975, each.freedom) for each in results], axis=0)
+    widest = np.argmax([each.error * stdtrit(each.freedom, 0.975) for each in results], axis=0)
     error, freedom = (np.choose(widest, [getattr(each, name) for each in results]) for name in ("error", "freedom"))
     z, p = (np.choose(worst, [getattr(each, name) for each in results]) for name in ("z", "p"))
     return Evidence(results[0].coefficient, error, freedom, z, p)
@@ -164,5 +164,5 @@ def compute_evidence(
     z = np.divide(coefficient, error, out=np.zeros(len(size)), where=error > 0.0)
     beyond = np.where(sign == 0, np.abs(coefficient), coefficient * sign) - (0.0 if least is None else least)
     ratio = np.divide(beyond, error, out=np.full(len(size), -np.inf), where=error > 0.0)
-    one_sided = stats.t.sf(ratio, freedom)
+    one_sided = stdtr(freedom, -ratio)
     return Evidence(coefficient, error, freedom, z, np.where(sign == 0, np.minimum(2.0 * one_sided, 1.0), one_sided))

@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from core.batch import Floats
 from core.stats.scores import UNKNOWN, Codes, Estimate
@@ -165,7 +165,7 @@ def compute_clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[s
     if not n or not estimate.freedom > 0.0:
         return {"value": share, "low": nan, "high": nan, "clusters": count}
     if estimate.error > 0.0:
-        stretch = stats.t.ppf(0.975, n - 1.0) / stats.t.ppf(0.975, estimate.freedom)
+        stretch = stdtrit(n - 1.0, 0.975) / stdtrit(estimate.freedom, 0.975)
         independent = share * (1.0 - share) / (n - 1.0)
         n = min(n, n * independent / estimate.error**2 * stretch**2)
     else:
@@ -182,7 +182,7 @@ def compute_wilson_interval(share: float, n: float) -> tuple[float, float]:
     >>> [round(end, 3) for end in compute_wilson_interval(0.0, 10)]
     [0.0, 0.278]
     """
-    z = float(stats.norm.ppf(0.975))
+    z = float(ndtri(0.975))
     middle, half = share + z * z / (2.0 * n), z * sqrt(share * (1.0 - share) / n + z * z / (4.0 * n * n))
     whole = 1.0 + z * z / n
     return (middle - half) / whole if share > 0.0 else 0.0, (middle + half) / whole if share < 1.0 else 1.0

@@ -21,7 +21,6 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from scipy.stats import false_discovery_control
 
 from core.batch import Floats
 from core.stats.scores import Estimate
@@ -59,9 +58,10 @@ def adjust_false_discovery(p: Floats) -> Floats:
     [0.02, nan, 0.04]
     """
     q = np.full(len(p), np.nan)
-    tested = ~np.isnan(p)
-    if tested.any():
-        q[tested] = false_discovery_control(p[tested])
+    tested = np.flatnonzero(~np.isnan(p))
+    order = tested[np.argsort(p[tested])]
+    scaled = p[order] * (len(order) / np.arange(1, len(order) + 1))
+    q[order] = np.minimum(np.minimum.accumulate(scaled[::-1])[::-1], 1.0)
     return q
 
 

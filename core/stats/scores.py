@@ -23,7 +23,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtri, stdtr, stdtrit
 
 from core.batch import Floats
 
@@ -53,14 +53,14 @@ class Estimate(NamedTuple):
     @property
     def ci95(self) -> float:
         """Half width of the 95 % confidence interval."""
-        return float(stats.t.ppf(0.975, self.freedom) * self.error) if self.freedom > 0 else nan
+        return float(stdtrit(self.freedom, 0.975) * self.error) if self.freedom > 0 else nan
 
     @property
     def p(self) -> float:
         """Two-sided probability of a value at least as far from zero where the true value is zero. [1]"""
         if self.error == 0.0:
             return 1.0 if self.value == 0.0 else 0.0
-        return float(2.0 * stats.t.sf(abs(self.value) / self.error, self.freedom)) if self.freedom > 0 else nan
+        return float(2.0 * stdtr(self.freedom, -abs(self.value) / self.error)) if self.freedom > 0 else nan
 
     def figures(self) -> dict[str, float]:
         """Return `value` and `ci95`, named as in the results."""
@@ -118,7 +118,7 @@ def compute_widening(repeats: int, overlap: float) -> float:
     >>> [round(compute_widening(repeats, 0.25), 1) for repeats in (2, 3, 5, 8, 10)]
     [11.2, 3.4, 1.9, 1.5, 1.4]
     """
-    quantiles = stats.t.ppf(0.975, repeats - 1) / stats.norm.ppf(0.975)
+    quantiles = stdtrit(repeats - 1, 0.975) / ndtri(0.975)
     return float(quantiles * sqrt((1.0 / repeats + overlap) / overlap))
 
 

@@ -50,9 +50,14 @@ HEAVY = {"joblib", "mcap", "numba", "pandas", "pint", "plotly", "scipy", "sklear
 
 @pytest.mark.parametrize(
     ("call", "not_imported"),
-    [("--help", {*HEAVY, "numpy", "rich"}), ("--version", {*HEAVY, "numpy", "rich"}), ("effects list", HEAVY)],
+    [
+        ("--help", {*HEAVY, "numpy", "rich"}),
+        ("--version", {*HEAVY, "numpy", "rich"}),
+        ("effects list", HEAVY),
+        ("live --help", {"joblib", "plotly", "scipy.stats", "sklearn"}),
+    ],
 )
-def test_short_commands_import_no_heavy_package(call, not_imported):
+def test_command_imports_no_package_that_it_does_not_need(call, not_imported):
     code = (
         "import sys; from tools.cli import main\n"
         f"try: main({call.split()})\n"

@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy.special import stdtrit
 
 from core.batch import Floats, Ints
 from core.diagnose.free_form import suggestion
@@ -363,7 +363,7 @@ def _gain(search: _Search) -> tuple[float, float]:
     clusters = len(falls)
     gain = float(falls.sum() / squares.sum())
     spread = float(np.sum((falls - gain * squares) ** 2)) * clusters / (clusters - 1)
-    return gain, float(stats.t.ppf(0.975, clusters - 1) * np.sqrt(spread) / squares.sum())
+    return gain, float(stdtrit(clusters - 1, 0.975) * np.sqrt(spread) / squares.sum())
 
 
 def _coefficient(search: _Search, term: FreeTerm) -> tuple[float, float]:
@@ -379,4 +379,4 @@ def _coefficient(search: _Search, term: FreeTerm) -> tuple[float, float]:
     share = np.bincount(code, projected**2) / np.sum(projected**2)
     moved = np.bincount(code, projected * left) / np.sum(projected**2) / np.maximum(1.0 - share, 0.05)
     freedom = max(1.0 / float(np.sum(share**2)) - 1.0, 1.0)
-    return coefficient, float(stats.t.ppf(0.975, freedom) * np.sqrt(np.sum(moved**2)))
+    return coefficient, float(stdtrit(freedom, 0.975) * np.sqrt(np.sum(moved**2)))

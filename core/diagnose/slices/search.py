@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import stdtr
 
 from core.batch import Floats, Ints
 from core.diagnose.slices.contrast import compute_contrast
@@ -317,7 +317,7 @@ def _confirmed(candidates: Sequence[Slice], one: Half, other: Half, level: float
     contrast = compute_contrast(masks, other.error, other.starts)
     enough = (contrast.freedom > 0.0) & (masks.sum(axis=1) >= LEAST_RIDES)
     signed = np.array([each.sign for each in candidates]) * contrast.difference / contrast.error
-    q = adjust_false_discovery(np.where(enough, stats.t.sf(signed, np.maximum(contrast.freedom, 1.0)), 1.0))
+    q = adjust_false_discovery(np.where(enough, stdtr(np.maximum(contrast.freedom, 1.0), -signed), 1.0))
     kept = []
     for i in np.flatnonzero(q <= level).tolist():
         estimate = Estimate(float(contrast.difference[i]), float(contrast.error[i]), float(contrast.freedom[i]))
