@@ -16,13 +16,13 @@ from .errors import ModelError as ModelError
 from .errors import RecordingError as RecordingError
 from .errors import SettingsError as SettingsError
 from .errors import SocastError as SocastError
+from .estimators import RecipeRegressor as RecipeRegressor
 from .evaluation import compare_datasets as compare_datasets
 from .evaluation import compare_models as compare_models
 from .evaluation import evaluate_recipes as evaluate_recipes
 from .evaluation import evaluate_soc_forecasts as evaluate_soc_forecasts
 from .evaluation import trace_ride as trace_ride
 from .models import LinearModel as LinearModel
-from .models import RecipeRegressor as RecipeRegressor
 from .models import fit_model as fit_model
 from .models import list_recipes as list_recipes
 from .models import load_model as load_model

@@ -6,7 +6,6 @@ import pandas as pd
 
 from core.fit.recipes import RECIPES as _RECIPES
 from core.fit.recipes import get_recipe as _get_recipe
-from core.fit.sklearn_estimator import RecipeRegressor
 from core.fit.window_recipe import WindowRecipe as _WindowRecipe
 from core.models import LinearModel
 from core.models import load as _load
@@ -15,7 +14,6 @@ from core.models import stamp as _stamp
 
 __all__ = [
     "LinearModel",
-    "RecipeRegressor",
     "fit_model",
     "list_recipes",
     "load_model",

@@ -18,15 +18,17 @@ Boosting", DOI 10.1016/S0167-9473(01)00065-2. Chen and Guestrin, KDD 2016, eq. (
 
 from collections.abc import Sequence
 from math import ceil
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.tree import DecisionTreeRegressor
 from threadpoolctl import threadpool_limits
 
 from core.batch import Floats
 from core.models.trees import LEAF, Trees
+
+if TYPE_CHECKING:
+    from sklearn.tree import DecisionTreeRegressor
 
 TREES: Final = 40
 LEAVES: Final = 12
@@ -77,7 +79,7 @@ def fit_trees(table: Floats, names: tuple[str, ...], target: Floats, weight: Flo
     return export_trees(grown, edges, tuple(names[i] for i in telling), baseline, per)
 
 
-def boost(bins: NDArray[np.float32], target: Floats, weight: Floats) -> list[tuple[DecisionTreeRegressor, Floats]]:
+def boost(bins: NDArray[np.float32], target: Floats, weight: Floats) -> "list[tuple[DecisionTreeRegressor, Floats]]":
     """Return boosted trees, each with the answer of every node; fewer than `TREES` where nothing is left to split.
 
     Parameters
@@ -94,6 +96,8 @@ def boost(bins: NDArray[np.float32], target: Floats, weight: Floats) -> list[tup
     list of (DecisionTreeRegressor, (nodes,) float)
         Answers are 0 at nodes that are no leaves.
     """
+    from sklearn.tree import DecisionTreeRegressor  # noqa: PLC0415 - takes a second to import; most recipes have no trees
+
     left, grown = target.copy(), []
     for number in range(TREES):
         rides = np.arange(len(left))
@@ -141,7 +145,7 @@ def _tells(column: Floats) -> bool:
 
 
 def export_trees(
-    grown: Sequence[tuple[DecisionTreeRegressor, Floats]],
+    grown: "Sequence[tuple[DecisionTreeRegressor, Floats]]",
     edges: Sequence[Floats],
     features: tuple[str, ...],
     baseline: float,

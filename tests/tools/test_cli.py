@@ -54,7 +54,7 @@ HEAVY = {"joblib", "mcap", "numba", "pandas", "pint", "plotly", "scipy", "sklear
         ("--help", {*HEAVY, "numpy", "rich"}),
         ("--version", {*HEAVY, "numpy", "rich"}),
         ("effects list", HEAVY),
-        ("live --help", {"joblib", "plotly", "scipy.stats", "sklearn"}),
+        *((f"{name} --help", {"joblib", "plotly", "scipy.stats", "sklearn"}) for name in ("live", "tables", "fit")),
     ],
 )
 def test_command_imports_no_package_that_it_does_not_need(call, not_imported):
