@@ -20,8 +20,10 @@ from tests.support.live_consumers import consumers, logged
 from tests.support.paths import ROOT
 from tests.support.recorded_shift import make_two_days
 from tests.support.zenoh_sessions import eventually
+from tools.commands import live
 from tools.commands.fit import inputs
 from tools.commands.live import make_nightly_diagnosis
+from tools.terminal.diagnosis_process import DiagnosisProcess
 from tools.terminal.forecast_options import ForecastOptions
 
 pytestmark = pytest.mark.long
@@ -44,6 +46,22 @@ def test_unknown_model_and_folder_that_does_not_exist_are_refused_before_the_ser
     assert "cannot be written" in refused(capsys, *listen, tmp_path / "nowhere" / "findings.json")
     message = refused(capsys, *listen, tmp_path / "findings.json", "--model", tmp_path / "none.json")
     assert "none.json: cannot read a model" in message
+
+
+class DiagnosisHere:
+    """Stand for a process that diagnoses: the same command, in this process."""
+
+    def __init__(self, arguments: list[str]) -> None:
+        _, self._error, self._code = called("diagnose", *arguments)
+
+    def poll(self) -> int:
+        return self._code
+
+    def get_error(self) -> str:
+        return self._error.splitlines()[-1]
+
+    def end(self) -> None:
+        """Hold nothing."""
 
 
 def leave_all(folder: Path) -> None:
@@ -70,20 +88,29 @@ def spoil_findings(folder: Path) -> None:
     (folder / "found" / "findings.json").write_text("{}")
 
 
+TOO_FEW = "rides with measured energy to diagnose, and it takes 20: give more rides"
+
+
 @pytest.mark.parametrize(
-    ("spoil", "reason"),
+    ("job", "spoil", "reason"),
     [
-        (leave_all, "rides with measured energy to diagnose, and it takes 20: give more rides"),
-        (remove_model, "base.json: cannot read a model: No such file or directory"),
-        (replace_model, "base.json: model file of format 99, and this version reads format"),
-        (remove_recordings, "kept holds no rides.parquet and no recording (*.mcap); name a folder of recordings"),
-        (remove_folder_of_findings, "findings.json cannot be written: No such file or directory"),
-        (spoil_findings, "findings.json is no file of findings"),
+        (DiagnosisProcess, leave_all, TOO_FEW),
+        (DiagnosisHere, leave_all, TOO_FEW),
+        (DiagnosisHere, remove_model, "base.json: cannot read a model: No such file or directory"),
+        (DiagnosisHere, replace_model, "base.json: model file of format 99, and this version reads format"),
+        (
+            DiagnosisHere,
+            remove_recordings,
+            "kept holds no rides.parquet and no recording (*.mcap); name a folder of recordings",
+        ),
+        (DiagnosisHere, remove_folder_of_findings, "findings.json cannot be written: No such file or directory"),
+        (DiagnosisHere, spoil_findings, "findings.json is no file of findings"),
     ],
 )
 def test_night_that_fails_is_one_line_of_the_log_and_the_next_night_tries_again(
-    tmp_path, caplog, monkeypatch, spoil, reason
+    tmp_path, caplog, monkeypatch, job, spoil, reason
 ):
+    monkeypatch.setattr(live, "DiagnosisProcess", job)
     monkeypatch.setattr(logging.getLogger("socast"), "propagate", True)
     caplog.set_level(logging.INFO, "socast")
     (tmp_path / "kept").mkdir()
