@@ -255,12 +255,19 @@ def _with_path(path: Path, message: str) -> str:
 
 def _inspect(name: str) -> None:
     """Run and check a file in the separate process; write an error to stderr as the last line."""
-    path = Path(name)
+    try:
+        _check_here(Path(name))
+    except EffectError as error:
+        sys.exit(f"\n{error}")
+
+
+def _check_here(path: Path) -> None:
+    """Run and check a file in this process."""
     try:
         for effect in _run(path):
             check_effect(effect)
     except EffectError as error:
-        sys.exit(f"\n{_with_path(path, str(error))}")
+        raise EffectError(_with_path(path, str(error))) from error
 
 
 def _run(path: Path) -> list[Effect]:

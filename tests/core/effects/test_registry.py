@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from core.effects import get, get_library, load_file
+from core.effects import get, get_library, load_file, registry
 from core.errors import EffectError
 from tests.support.effect_files import GOOD
 from tests.support.one_row import power
@@ -44,6 +44,7 @@ def test_valid_file_is_loaded_and_its_effects_work(write):
     assert power("door_loss", stopped=1.0, ambient=284.15) == pytest.approx(10.0)
 
 
+@pytest.mark.usefixtures("_checks_here")
 def test_loading_a_file_again_replaces_its_effects(write):
     load_file(write(GOOD))
     (loaded,) = load_file(write(GOOD.replace("door_loss", "gate_loss")))
@@ -51,6 +52,7 @@ def test_loading_a_file_again_replaces_its_effects(write):
     assert "door_loss" not in get_library()
 
 
+@pytest.mark.usefixtures("_checks_here")
 def test_existing_name_is_refused_and_the_library_stays_unchanged(write):
     before = dict(get_library())
     with pytest.raises(EffectError, match="effect 'rolling' is in the library already: give yours another name"):
@@ -117,6 +119,7 @@ def test_existing_name_is_refused_and_the_library_stays_unchanged(write):
         ),
     ],
 )
+@pytest.mark.usefixtures("_checks_here")
 def test_invalid_file_is_refused_in_one_line(write, text, message):
     path = write(text)
     before = dict(get_library())
@@ -129,11 +132,28 @@ def test_invalid_file_is_refused_in_one_line(write, text, message):
 
 
 @pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (GOOD.replace("    return stopped", "    return stopped[:-1]"), ":9: effect door_loss: raises ValueError: "),
+        ("import sys\nprint('talk', file=sys.stderr)\n1 / 0\n", ":3: raises ZeroDivisionError when imported: "),
+        ("import os\nos._exit(7)\n", ": the interpreter stopped with code 7"),
+    ],
+)
+def test_refusal_of_the_separate_process_is_one_line(write, monkeypatch, text, message):
+    monkeypatch.setattr(registry, "ALLOWED_IMPORTS", {*registry.ALLOWED_IMPORTS, "os", "sys"})
+    path = write(text)
+    with pytest.raises(EffectError) as caught:
+        load_file(path)
+    assert str(caught.value).startswith(f"{path}{message}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
     "text", ["while True:\n    pass\n", GOOD.replace("    return", "    while True: pass\n    return")]
 )
 def test_endless_loop_is_stopped(write, text):
-    with pytest.raises(EffectError, match=r"mine\.py: not done after 1 s: look for an endless loop"):
-        load_file(write(text), time_limit=1.0)
+    with pytest.raises(EffectError, match=r"mine\.py: not done after 0.2 s: look for an endless loop"):
+        load_file(write(text), time_limit=0.2)
 
 
 def test_unreadable_file_is_refused(tmp_path):

@@ -95,6 +95,7 @@ BARE = GOOD.replace(f"return {BODY}", "return stopped * (EXPRESSION)").replace("
         ("inside + (5 + 273.15)", "5 + 273.15", "inside + (5 + 273.15)"),
     ],
 )
+@pytest.mark.usefixtures("_checks_here")
 def test_bare_number_next_to_a_quantity_is_refused_with_line_and_remedy(tmp_path, expression, number, part):
     path = tmp_path / "bare.py"
     path.write_text(BARE.replace("EXPRESSION", expression).replace("@effect", "LIMIT = 278.15\n\n@effect"))
@@ -116,6 +117,7 @@ def test_bare_number_next_to_a_quantity_is_refused_with_line_and_remedy(tmp_path
         ("[inside - ambient][1]", "raises IndexError: list index out of range"),
     ],
 )
+@pytest.mark.usefixtures("_checks_here")
 def test_error_of_a_file_names_the_line(tmp_path, expression, message):
     path = tmp_path / "bare.py"
     path.write_text(BARE.replace("EXPRESSION", expression))
@@ -125,6 +127,7 @@ def test_error_of_a_file_names_the_line(tmp_path, expression, message):
     assert str(caught.value).startswith(f"{path}:{line}: effect bare: {message}")
 
 
+@pytest.mark.usefixtures("_checks_here")
 def test_zero_needs_no_unit(tmp_path):
     path = tmp_path / "zero.py"
     path.write_text(
