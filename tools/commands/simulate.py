@@ -1,6 +1,6 @@
 """`socast simulate`: simulate electric taxis in Montreal, and write a recording and its truth."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,10 +9,13 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from core.errors import SettingsError
 from stream.mcap_writer import McapSink
 from tools.simulator.bent_shapes import BENT
+from tools.simulator.conditions import CONDITION_NAMES, parse_conditions
 from tools.simulator.fleet import count_shifts
 from tools.simulator.fleet import simulate as simulate_messages
+from tools.simulator.fleets import FLEETS, get_fleet
 from tools.simulator.hidden import EFFECTS
 from tools.simulator.hidden_shapes import OTHER
 from tools.simulator.preset import PRESETS, load_preset, refuse_unused_settings
@@ -107,6 +110,23 @@ def simulate(
             f"Names: {', '.join(Phenomena._fields)}.",
         ),
     ] = "all",
+    conditions: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help="Conditions to add, such as waits=0.2,spell=30:-15:3 (on day 30, 15 K below anything before, for "
+            "3 days) or display_fault=2:frozen:10:5 (car 2, on day 10, for 5 days). "
+            f"Names: {', '.join(CONDITION_NAMES)}.",
+        ),
+    ] = "",
+    fleet: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Fleet on which forecasts are judged, which sets everything except the seed; conditions are added. "
+            f"Names: {', '.join(FLEETS)}.",
+        ),
+    ] = None,
 ) -> None:
     """Simulate electric taxis; write a recording and its truth, FILE.truth.json.
 
@@ -122,16 +142,23 @@ def simulate(
     }
     size = {name: value for name, value in size.items() if value is not None}
     refuse_unused_settings(preset, list(size))
-    simulation = Simulation(
-        start=parse_start(start),
-        seed=seed,
-        hidden=tuple(parse_hidden(text) for text in hidden or ()),
-        faults=parse_faults(faults, Faults() if preset is None else load_preset(preset).fleet.faults),
-        phenomena=parse_phenomena(phenomena),
-        preset=preset,
-        charging=charging,
-        **size,
-    )
+    if fleet is not None:
+        if preset is not None or size:
+            raise SettingsError(f"fleet {fleet} has its own size; leave out --preset and the options of size")
+        known = get_fleet(fleet, seed)
+        simulation = replace(known, conditions=parse_conditions(conditions, known.conditions))
+    else:
+        simulation = Simulation(
+            start=parse_start(start),
+            seed=seed,
+            hidden=tuple(parse_hidden(text) for text in hidden or ()),
+            faults=parse_faults(faults, Faults() if preset is None else load_preset(preset).fleet.faults),
+            phenomena=parse_phenomena(phenomena),
+            preset=preset,
+            charging=charging,
+            conditions=parse_conditions(conditions),
+            **size,
+        )
     truth = write_simulation(simulation, out)
     total = truth.summary()
     per_km = 1000 * (total["kwh_per_km"] or 0)

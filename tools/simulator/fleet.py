@@ -8,16 +8,19 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from core.batch import Floats
 from core.columns import SECONDS_PER_DAY
-from core.wire.messages import Message, Plan, Ride, Vehicle, Wire, encode
-from tools.simulator import calibration, physics
+from core.wire.messages import Message
+from tools.simulator import calibration, displays, habits, physics
 from tools.simulator import preset as presets
 from tools.simulator.cars import Car, make_car
+from tools.simulator.conditions import NO_CONDITIONS
+from tools.simulator.dispatch import make_dispatch
 from tools.simulator.hidden import EffectInputs
 from tools.simulator.hidden_shapes import get_power
 from tools.simulator.logger import Equipment, log_shift, make_equipment
 from tools.simulator.preset import Fleet, PlannedCar, PlannedShift
-from tools.simulator.settings import NIGHT, STEP, UTC_OFFSET, Simulation
+from tools.simulator.settings import NIGHT, UTC_OFFSET, Simulation
 from tools.simulator.shift import Orders, Shift, draw_orders, make_shift, stop_shift
 from tools.simulator.trace import Trace, make_trace
 from tools.simulator.truth import Truth
@@ -25,8 +28,6 @@ from tools.simulator.weather import Sky, make_observations, make_sky
 
 PILOT: Final = 240
 """Largest number of shifts, evenly spread, that are driven to calibrate hidden effects."""
-RESERVE: Final = 10.0
-"""State of charge that dispatch keeps as a reserve. [%]"""
 
 
 class FleetCar(NamedTuple):
@@ -44,6 +45,10 @@ class FleetCar(NamedTuple):
         What the logger lacks.
     planned_shifts : list of PlannedShift, optional
         Shifts that a preset has planned; None draws them.
+    first : int
+        Number of the days before the first shift.
+    nominal_kwh : float, optional
+        Nominal capacity that the car announces. [kWh]
     """
 
     number: int
@@ -52,10 +57,12 @@ class FleetCar(NamedTuple):
     car: Car
     equipment: Equipment
     planned_shifts: list[PlannedShift] | None = None
+    first: int = 0
+    nominal_kwh: float | None = None
 
     def count_shifts(self, simulation: Simulation) -> int:
         """Return the number of shifts that the car drives."""
-        return simulation.days if self.planned_shifts is None else len(self.planned_shifts)
+        return simulation.days - self.first if self.planned_shifts is None else len(self.planned_shifts)
 
 
 class DrivenShift(NamedTuple):
@@ -163,18 +170,25 @@ def make_members(simulation: Simulation) -> list[FleetCar]:
     list of FleetCar
     """
     if simulation.preset is None:
-        return [_member(simulation, index) for index in range(simulation.vehicles)]
+        health = habits.find_pack_health(simulation.seed, simulation.vehicles, simulation.conditions.aged_packs)
+        return [_member(simulation, index, left) for index, left in enumerate(health)]
     preset = presets.load_preset(simulation.preset)
     places = presets.plan_cars(preset, simulation.rides, simulation.seed)
     return [_placed(simulation, index, place, preset.fleet) for index, place in enumerate(places)]
 
 
-def _member(simulation: Simulation, index: int) -> FleetCar:
-    """Draw a car and its logger."""
+def _member(simulation: Simulation, index: int, health: float) -> FleetCar:
+    """Draw a car, with the capacity that its pack has left, and its logger."""
     rng = np.random.default_rng([simulation.seed, 3, index])
     model = simulation.models[index % len(simulation.models)]
     car = make_car(model, rng)
-    return FleetCar(index, f"taxi-{index + 1:03d}", model, car, make_equipment(simulation.faults, rng))
+    equipment = make_equipment(simulation.faults, rng)
+    car, nominal = habits.resize_pack(car, model, index, simulation.conditions)
+    if health < 1.0:
+        car = car._replace(wear=1.0 - health)
+    cars, day = simulation.conditions.newcomers
+    first = -(-day // simulation.day_step) if index >= simulation.vehicles - cars else 0
+    return FleetCar(index, f"taxi-{index + 1:03d}", model, car, equipment, first=first, nominal_kwh=nominal)
 
 
 def _placed(simulation: Simulation, index: int, place: PlannedCar, fleet: Fleet) -> FleetCar:
@@ -196,9 +210,10 @@ def make_fleet_sky(simulation: Simulation) -> Sky:
     """
     first = simulation.start.timestamp()
     if simulation.preset is None:
-        return make_sky(first, simulation.days * simulation.day_step, simulation.seed)
+        days = simulation.days * simulation.day_step
+        return make_sky(first, days, simulation.seed, spells=simulation.conditions.spells)
     fleet = presets.load_preset(simulation.preset).fleet
-    return make_sky(first, presets.YEAR, simulation.seed, (fleet.coldest, fleet.hottest))
+    return make_sky(first, presets.YEAR, simulation.seed, (fleet.coldest, fleet.hottest), simulation.conditions.spells)
 
 
 def _factors(simulation: Simulation, members: list[FleetCar], sky: Sky) -> list[float]:
@@ -207,7 +222,10 @@ def _factors(simulation: Simulation, members: list[FleetCar], sky: Sky) -> list[
         return []
     most = max(member.count_shifts(simulation) for member in members)
     all_of = [
-        (member, number) for number in range(most) for member in members if number < member.count_shifts(simulation)
+        (member, member.first + number)
+        for number in range(most)
+        for member in members
+        if number < member.count_shifts(simulation)
     ]
     spread = np.unique(np.linspace(0, len(all_of) - 1, min(PILOT, len(all_of))).astype(int))
     pilot = []
@@ -238,6 +256,10 @@ def drive_shift(simulation: Simulation, member: FleetCar, number: int, sky: Sky)
     """
     rng = np.random.default_rng([simulation.seed, 4, member.number, number])
     begin, orders, car = _called(simulation, member, number, rng)
+    wanted = simulation.conditions
+    if wanted.aged_packs:  # of which dispatch knows
+        orders = orders._replace(estimate_factor=orders.estimate_factor / (1.0 - car.wear))
+    orders = orders._replace(waits=wanted.waits, no_shows=wanted.no_shows, plan_spread=wanted.plan_spread)
     ambient = float(np.interp(begin, sky.time, sky.temperature))
     if simulation.charging == NIGHT:
         orders = orders._replace(charge_below=-np.inf)
@@ -246,7 +268,7 @@ def drive_shift(simulation: Simulation, member: FleetCar, number: int, sky: Sky)
     driven = DrivenShift(
         shift, EffectInputs(trace, physics.integrate_states(trace, car, shift.soc, simulation.phenomena), car)
     )
-    return cut_when_empty(driven) if simulation.charging == NIGHT else driven
+    return cut_when_empty(driven) if simulation.charging == NIGHT or wanted != NO_CONDITIONS else driven
 
 
 def cut_when_empty(driven: DrivenShift) -> DrivenShift:
@@ -272,8 +294,19 @@ def _called(
 ) -> tuple[float, Orders, Car]:
     """Return the begin of a shift [s], the orders of dispatch, and the car with its age and tyres at that time."""
     if simulation.preset is None or member.planned_shifts is None:
-        begin = _begin(simulation, number * simulation.day_step, (5.5, 14.0), rng)
-        return begin, draw_orders(simulation.shift_hours, rng), member.car
+        day = number * simulation.day_step
+        begin, orders, car = (
+            _begin(simulation, day, (5.5, 14.0), rng),
+            draw_orders(simulation.shift_hours, rng),
+            member.car,
+        )
+        if simulation.conditions.aged_packs and car.wear >= 1.0 - habits.AGED[1]:
+            car = car._replace(wear=car.wear + habits.FADE * day)
+        if simulation.conditions.heater_habits:
+            own = np.random.default_rng([simulation.seed, 11, member.number, number])
+            driver = habits.choose_driver(member.number, simulation.vehicles, simulation.conditions.newcomers, own)
+            return begin, *habits.apply_habit(orders, car, habits.draw_habit(simulation.seed, driver))
+        return begin, orders, car
     fleet, duty = presets.load_preset(simulation.preset).fleet, member.planned_shifts[number]
     begin = _begin(simulation, duty.day, fleet.begin_h, rng)
     return begin, presets.make_orders(fleet, duty), presets.adapt_car(fleet, member.car, duty, begin)
@@ -296,7 +329,7 @@ def _drive(
 ) -> Iterator[Message]:
     """Yield the messages of one car, shift after shift."""
     odometer = member.car.odometer
-    for number in range(member.count_shifts(simulation)):
+    for number in range(member.first, member.first + member.count_shifts(simulation)):
         messages, odometer = _shift_messages(simulation, member, number, odometer, sky, factors, truth)
         yield from messages
         advance(1)
@@ -321,14 +354,19 @@ def _shift_messages(
         energies = energies._replace(effects=energies.effects * factors)
         state = physics.integrate_states(view.trace, view.car, shift.soc, simulation.phenomena, hidden)
     messages, reading, faults = make_car_messages(
-        simulation, member, number, DrivenShift(shift, view._replace(state=state)), odometer
+        simulation, member, number, DrivenShift(shift, view._replace(state=state)), odometer, truth
     )
     truth.add_shift(member.name, shift, state, energies, faults)
     return messages, reading
 
 
 def make_car_messages(
-    simulation: Simulation, member: FleetCar, number: int, driven: DrivenShift, odometer: float
+    simulation: Simulation,
+    member: FleetCar,
+    number: int,
+    driven: DrivenShift,
+    odometer: float,
+    truth: Truth | None = None,
 ) -> tuple[list[Message], float, Counter[str]]:
     """Return the messages of a car on a shift, its odometer after it, and the faults of its logger.
 
@@ -344,6 +382,8 @@ def make_car_messages(
         The shift.
     odometer : float
         Reading before the shift. [m]
+    truth : Truth, optional
+        Receives the healthy display of a simulation with conditions.
 
     Returns
     -------
@@ -362,33 +402,39 @@ def make_car_messages(
     shift, view = driven
     rng = np.random.default_rng([simulation.seed, 5, member.number, number])
     car = view.car._replace(odometer=max(odometer, view.car.odometer))
+    shown = None
+    if simulation.conditions != NO_CONDITIONS:
+        shown = _show_charge(simulation, member, number, driven, truth)
     logged, faults = log_shift(
-        member.name, shift, view.trace, view.state, car, member.equipment, simulation.faults, rng
+        member.name, shift, view.trace, view.state, car, member.equipment, simulation.faults, rng, shown
+    )
+    sent = make_dispatch(
+        member.name,
+        member.model,
+        member.car,
+        shift,
+        simulation.conditions,
+        np.random.default_rng([simulation.seed, 9, member.number, number]),
+        member.nominal_kwh,
     )
     reading = car.odometer + float(shift.timeline.moved.sum()) * car.speedometer
-    return list(heapq.merge(_dispatch(member, shift), logged, key=attrgetter("receipt_ns"))), reading, faults
+    return list(heapq.merge(sent, logged, key=attrgetter("receipt_ns"))), reading, faults
 
 
-def _dispatch(member: FleetCar, shift: Shift) -> list[Message]:
-    """Return the messages besides telemetry: the car, its rides, and its plan, renewed as each ride ends."""
-    name, end = member.name, shift.time + shift.length
-    serviced = np.datetime64("2018-01-01") - int(member.car.odometer / 1000 / 110)
-    car = Vehicle(vehicle_id=name, time_s=shift.time, model=member.model, in_service_date=str(serviced))
-    messages = [_message("vehicle", car, shift.time)]
-    for done in range(len(shift.trips) + 1):
-        when = shift.time if done == 0 else shift.time + STEP * shift.trips[done - 1].end
-        legs = [*(trip.planned for trip in shift.trips[done:] if trip.planned), *shift.unstarted_legs]
-        plan = Plan(vehicle_id=name, time_s=when, shift_end_s=end, reserve_soc_pct=RESERVE, legs=legs)
-        messages.append(_message("plan", plan, when))
-    for trip in shift.trips:
-        begin, end = shift.time + STEP * trip.begin, shift.time + STEP * trip.end
-        about = {"vehicle_id": name, "ride_id": trip.ride_id, "driver_id": trip.driver_id}
-        messages.append(_message("ride", Ride(time_s=begin, event="start", **about), begin))
-        messages.append(_message("ride", Ride(time_s=end, event="end", **about), end))
-    return sorted(messages, key=attrgetter("receipt_ns"))
-
-
-def _message(kind: str, value: Wire, when: float) -> Message:
-    """Return a message about a car that is received 50 ms after it was sent."""
-    identity = value.vehicle_id  # type: ignore[attr-defined]
-    return Message(f"fleet/{identity}/{kind}", encode(value), int(when * 1e9) + 50_000_000)
+def _show_charge(
+    simulation: Simulation, member: FleetCar, number: int, driven: DrivenShift, truth: Truth | None
+) -> Floats:
+    """Return what the display of a car sends, NaN for nothing, and record what it shows without a fault. [%]"""
+    shift, view = driven
+    display = None
+    if simulation.conditions.coulomb_display:
+        display = displays.make_display(np.random.default_rng([simulation.seed, 12, member.number]))
+    capacity = view.car.capacity * (1.0 - view.car.wear * simulation.phenomena.age)
+    shown = displays.compute_display(view.state, shift.soc, view.car, capacity, display)
+    day = int((shift.time + UTC_OFFSET - simulation.start.timestamp()) // SECONDS_PER_DAY)
+    fault = simulation.conditions.find_display_fault(member.number, day)
+    if truth is not None:
+        truth.add_display(member.name, shift.time, view.state, shown, fault)
+    if fault is None:
+        return shown
+    return displays.spoil_display(shown, fault, np.random.default_rng([simulation.seed, 13, member.number, number]))

@@ -95,6 +95,7 @@ def log_shift(
     equipment: Equipment,
     faults: Faults,
     rng: np.random.Generator,
+    shown: Floats | None = None,
 ) -> tuple[list[Message], Counter[str]]:
     """Return the telemetry of a shift and the number of faults of each kind.
 
@@ -116,6 +117,8 @@ def log_shift(
         Rates of faults.
     rng : Generator
         Random stream of the shift.
+    shown : (n,) float, optional
+        What the display of the state of charge shows, NaN for nothing; None shows the true one. [%]
 
     Returns
     -------
@@ -125,7 +128,7 @@ def log_shift(
         Number of faults of each kind.
     """
     counts: Counter[str] = Counter()
-    columns = _measure(shift, trace, state, car, faults, rng)
+    columns = _measure(shift, trace, state, car, faults, rng, shown)
     _freeze_fixes(columns, trace, equipment, faults, rng, counts)
     kept = _drop(columns, faults, rng, counts)
     columns = {field: column[kept] for field, column in columns.items()}
@@ -137,12 +140,20 @@ def log_shift(
     return _send(f"fleet/{name}/telemetry", payloads, time, faults, rng, counts), counts
 
 
-def _measure(shift: Shift, trace: Trace, state: State, car: Car, faults: Faults, rng: np.random.Generator) -> Columns:
+def _measure(
+    shift: Shift,
+    trace: Trace,
+    state: State,
+    car: Car,
+    faults: Faults,
+    rng: np.random.Generator,
+    shown: Floats | None,
+) -> Columns:
     """Return the samples of a logger without dropouts, with noise and quantisation."""
     at = np.arange(STEPS_PER_SAMPLE - 1, len(trace.time), STEPS_PER_SAMPLE)
     noise = [draw_autoregressive(rng, len(at), keep) for keep in (0.9, 0.9, 0.5)]
     latitude, longitude = to_wgs84(trace.x[at] + faults.gps_noise * noise[0], trace.y[at] + faults.gps_noise * noise[1])
-    speed, soc = shift.timeline.after[at], np.clip(100 * state.soc[at], 0, 100)
+    speed, soc = shift.timeline.after[at], np.clip(100 * state.soc[at], 0, 100) if shown is None else shown[at]
     if faults.quantised > 0:
         soc = np.floor(soc / car.soc_step) * car.soc_step
     driven = car.odometer + np.cumsum(shift.timeline.moved)[at] * car.speedometer

@@ -11,6 +11,17 @@ from numba import njit
 from core.batch import Floats
 from core.columns import GRAVITY
 from tools.simulator.cars import Car
+from tools.simulator.foreign_physics import (
+    AIR_SHARE,
+    CONTACT,
+    compute_cabin_loss,
+    compute_cold_rolling,
+    compute_cold_yield,
+    compute_cooler_cop,
+    compute_demand,
+    compute_heat_pump_cop,
+    compute_resistance_ratio,
+)
 from tools.simulator.settings import STEP, Phenomena
 from tools.simulator.shift import CHARGER
 from tools.simulator.trace import REFERENCE_DENSITY, Trace
@@ -121,14 +132,17 @@ def integrate_states(trace: Trace, car: Car, soc: float, phenomena: Phenomena, h
 def _run(trace: Trace, car: Car, soc: float, on: Phenomena, hidden: Floats, columns: Floats, parts: Floats) -> None:
     """Integrate all states step by step."""
     capacity = car.capacity * (1 - car.wear * on.age)
-    cabin = tyre = trace.ambient[0]
+    cabin = tyre = interior = trace.ambient[0]
     pack = trace.ambient[0] + 4.0
     for i in range(len(trace.time)):
         row = parts[i]
         tyre += STEP * (trace.ambient[i] + 0.75 * trace.speed[i] - tyre) / 1200.0
         wheel = _road_load(trace, car, on, tyre, i, row)
         _powertrain(car, on, wheel, trace.speed[i], soc, pack, row)
-        cabin = _cabin(trace, car, on, cabin, i, row)
+        if on.foreign and on.cabin_warmup:
+            cabin, interior = _two_mass_cabin(trace, car, on, cabin, interior, i, row)
+        else:
+            cabin = _cabin(trace, car, on, cabin, i, row)
         _ancillaries(trace, car, on, pack, i, row)
         row[HIDDEN] = hidden[i]
         if trace.plugged[i] > 0:
@@ -138,13 +152,16 @@ def _run(trace: Trace, car: Car, soc: float, on: Phenomena, hidden: Floats, colu
             power += row[part]
         source = car.voltage * (0.90 + 0.20 * soc)
         resistance = car.resistance * on.battery_resistance * (1 + 2.0 * car.wear * on.age)
-        resistance *= np.exp((25.0 - min(pack, 45.0)) / 38.0)
+        if on.foreign:
+            resistance *= compute_resistance_ratio(pack, soc)
+        else:
+            resistance *= np.exp((25.0 - min(pack, 45.0)) / 38.0)
         current = power / source
         if resistance > 0:
             most = 0.24 * source**2 / resistance
             current = (source - np.sqrt(source**2 - 4 * resistance * min(power, most))) / (2 * resistance)
         heat = resistance * current**2
-        soc -= STEP * current * source / capacity
+        soc -= STEP * current * source / (capacity * (compute_cold_yield(pack) if on.foreign else 1.0))
         pack += (
             STEP * (heat + 0.8 * row[BATTERY_HEATING] - car.pack_loss * (pack - trace.ambient[i])) / car.pack_capacity
         )
@@ -161,7 +178,8 @@ def _road_load(trace: Trace, car: Car, on: Phenomena, tyre: float, i: int, row: 
     rolling = car.mass * GRAVITY * car.rolling_resistance * np.sqrt(1 - grade**2) * speed
     row[ROLLING] = rolling
     row[SPEED_ROLLING] = on.speed_rolling * rolling * 0.35 * (speed / 36.0) ** 2
-    row[COLD_ROLLING] = on.cold_rolling * rolling * 0.0075 * (25.0 - tyre)
+    cold = compute_cold_rolling(tyre) if on.foreign else 0.0075 * (25.0 - tyre)
+    row[COLD_ROLLING] = on.cold_rolling * rolling * cold
     row[WET_ROAD] = on.wet_road * rolling * 0.18 * trace.wetness[i] * min(speed / 14.0, 2.0)
     row[SNOW] = on.snow * rolling * 0.55 * trace.snow[i]
     row[TYRE_PRESSURE] = on.tyre_pressure * rolling * ((1 - car.under_inflation) ** -0.45 - 1)
@@ -229,6 +247,25 @@ def _cabin(trace: Trace, car: Car, on: Phenomena, cabin: float, i: int, row: Flo
     if not on.cabin_warmup:
         return COMFORT[0]
     return float(cabin + STEP * (gain + heating * cop - cooling * car.cooler_cop) / car.cabin_capacity)
+
+
+@njit(cache=True)
+def _two_mass_cabin(
+    trace: Trace, car: Car, on: Phenomena, air: float, interior: float, i: int, row: Floats
+) -> tuple[float, float]:
+    """Fill in heating and cooling, and return the temperatures of air and interior after the step. [°C]"""
+    ambient, ready = trace.ambient[i], trace.on[i] * on.climate
+    heating = ready * compute_demand(car.heater_power, COMFORT[0] + car.warmth - air)
+    cooling = ready * compute_demand(car.cooler_power, air - COMFORT[1] - car.warmth)
+    row[HEATING], row[COOLING] = heating, cooling
+    heat = heating * compute_heat_pump_cop(ambient, car.heater_cop) - cooling * compute_cooler_cop(ambient)
+    door = on.door_heat_loss * trace.door[i]
+    gain = compute_cabin_loss(car.cabin_loss, trace.speed[i], door) * (ambient - air) + 80.0 * trace.occupants[i]
+    contact = CONTACT * (interior - air)
+    air_capacity = AIR_SHARE * car.cabin_capacity
+    sun = on.solar_load * 0.9 * trace.solar[i]
+    warmed = air + STEP * (gain + contact + heat) / air_capacity
+    return float(warmed), float(interior + STEP * (sun - contact) / (car.cabin_capacity - air_capacity))
 
 
 @njit(cache=True)

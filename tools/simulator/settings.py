@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from typing import Final, NamedTuple
 
 from core.errors import SettingsError
+from tools.simulator.conditions import NO_CONDITIONS, Conditions
 
 STEP: Final = 0.5
 """Time step of the physics. [s]"""
@@ -81,6 +82,8 @@ class Phenomena(NamedTuple):
     """Older batteries have less capacity and more resistance."""
     climate: bool = True
     """The cabin is heated and cooled."""
+    foreign: bool = False
+    """Cabin, heater, cold tyres and battery follow the other laws of `foreign_physics`; this needs `cabin_warmup`."""
 
 
 ALL_PHENOMENA: Final = Phenomena()
@@ -210,6 +213,8 @@ class Simulation:
     charging : str
         One of `CHARGING`. With `night` a plan may need more energy than the battery holds. A car with an empty battery
         stops, and its shift ends.
+    conditions : Conditions
+        Weather, habits, displays and plans that go wrong, and cars that join or age.
     """
 
     vehicles: int = 5
@@ -225,6 +230,7 @@ class Simulation:
     preset: str | None = None
     rides: int = DEFAULT_RIDES
     charging: str = LOW
+    conditions: Conditions = NO_CONDITIONS
 
     def __post_init__(self) -> None:
         """Raise an error for a size that cannot be simulated."""
@@ -245,6 +251,7 @@ class Simulation:
         if self.seed < 0:
             raise SettingsError(f"seed is {self.seed}; give 0 or more")
         _check_hidden(self.hidden)
+        _check_conditions(self)
 
 
 def _check_hidden(hidden: tuple[Hidden, ...]) -> None:
@@ -256,6 +263,23 @@ def _check_hidden(hidden: tuple[Hidden, ...]) -> None:
     total = sum(each.size for each in hidden)
     if any(each.size <= 0 for each in hidden) or total > 0.5:
         raise SettingsError(f"hidden effects add up to {total:g} of the energy; give sizes above 0, 0.5 in all")
+
+
+def _check_conditions(simulation: Simulation) -> None:
+    """Raise an error for conditions that the fleet cannot have."""
+    wanted = simulation.conditions
+    own = wanted.heater_habits or wanted.aged_packs or wanted.battery_sizes or wanted.newcomers.cars
+    if simulation.preset is not None and own:
+        raise SettingsError(
+            f"preset {simulation.preset} has its own cars and drivers; leave out heater_habits, aged_packs, "
+            "battery_size and newcomers"
+        )
+    cars, day = wanted.newcomers
+    if simulation.preset is None and not (0 <= cars < simulation.vehicles and 0 <= day < simulation.days):
+        raise SettingsError(
+            f"newcomers {cars}:{day} in a fleet of {simulation.vehicles} cars over {simulation.days} days; leave one "
+            "car and one day"
+        )
 
 
 def parse_start(text: str) -> datetime:
@@ -350,7 +374,7 @@ def parse_phenomena(text: str) -> Phenomena:
     Parameters
     ----------
     text : str
-        `all`, `plain`, or a list such as `plain,headwind` or `all,-snow`.
+        `all` (all that are on by default), `plain`, or a list such as `plain,headwind` or `all,-snow`.
 
     Returns
     -------

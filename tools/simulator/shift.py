@@ -18,6 +18,8 @@ UNPLUGGING: Final = 30.0
 """Time for which a car that stands ready before its first ride still reports that it charges. [s]"""
 NO_RIDE: Final = -1
 """Index of the ride between rides."""
+WAIT: Final = (600.0, 3000.0)
+"""Shortest and longest wait of `Orders.waits`. [s]"""
 CANDIDATES: Final = 30
 """Number of destinations tried for a ride of a given length."""
 CLOSE_ENOUGH: Final = 0.02, 60.0
@@ -49,6 +51,8 @@ class Orders(NamedTuple):
         Mean time between a ride and the drive to the next, in addition to the shortest time of 45 s. [s]
     estimate_factor : float
         Consumption that dispatch estimates, divided by its estimate for a plain car. [1]
+    waits, no_shows, plan_spread : float
+        As in `conditions.Conditions`.
     """
 
     driver_id: str
@@ -62,6 +66,9 @@ class Orders(NamedTuple):
     alighting: tuple[float, float] = (25.0, 90.0)
     idle: float = 330.0
     estimate_factor: float = 1.0
+    waits: float = 0.0
+    no_shows: float = 0.0
+    plan_spread: float = 0.0
 
 
 class Trip(NamedTuple):
@@ -82,6 +89,30 @@ class Trip(NamedTuple):
     begin: int
     end: int
     planned: Leg | None
+
+
+class Interlude(NamedTuple):
+    """Hold what dispatch plans between rides: a charge, or a ride whose passenger does not come.
+
+    Parameters
+    ----------
+    before : int
+        Index of the trip that follows.
+    end : int
+        Step at which it is over, and dispatch knows.
+    duration_s : float
+        Planned duration. [s]
+    distance_km : float or None
+        Planned distance of the ride; None for a charge. [km]
+    charge_to_pct : float or None
+        Planned state of charge; None for a ride. [%]
+    """
+
+    before: int
+    end: int
+    duration_s: float
+    distance_km: float | None = None
+    charge_to_pct: float | None = None
 
 
 class Timeline(NamedTuple):
@@ -138,6 +169,8 @@ class Shift(NamedTuple):
         Planned length. [s]
     unstarted_legs : tuple of Leg
         Planned rides that never began.
+    interludes : tuple of Interlude
+        What is planned between rides.
     """
 
     time: float
@@ -146,6 +179,7 @@ class Shift(NamedTuple):
     trips: list[Trip]
     length: float
     unstarted_legs: tuple[Leg, ...] = ()
+    interludes: tuple[Interlude, ...] = ()
 
 
 class _TimelineBuilder:
@@ -278,6 +312,8 @@ def make_shift(
     per_metre = orders.estimate_factor * 3600 * (0.12 + 0.05 * car.mass / 1600 + 0.002 * cold)
     per_second = orders.estimate_factor * (600 + min(car.heater_power, car.cabin_loss * cold))
     trips: list[Trip] = []
+    interludes: list[Interlude] = []
+    common = 0.5 * float(rng.normal()) if orders.plan_spread > 0.0 else 0.0
     if orders.prepared > 0:
         builder.stand(UNPLUGGING, NO_RIDE, 0, on=0.0, plugged=1.0)
         builder.stand(orders.prepared, NO_RIDE, 1, door=6.0)
@@ -285,6 +321,8 @@ def make_shift(
     for wanted in _wanted(orders, builder):
         traffic = compute_congestion((begin + UTC_OFFSET + builder.steps * STEP) / 3600 % 24)
         since, driven = builder.steps, 0.0
+        if orders.no_shows > 0.0 and rng.uniform() < orders.no_shows:
+            interludes.append(_wait_in_vain(builder, len(trips), car, orders, traffic, rng))
         if rng.uniform() < 0.4:
             driven += _drive_to(builder, float(rng.lognormal(np.log(900.0), 0.5)), NO_RIDE, 1, style, traffic, rng)
         if rng.uniform() < faults.false_start:
@@ -297,12 +335,20 @@ def make_shift(
         if rng.uniform() < faults.errand:
             builder.stand(float(rng.uniform(3300, 5400)), len(trips), 1)
         planned = _plan(builder, first, place, metres, rng)
+        if orders.plan_spread > 0.0:
+            planned = _misjudge(planned, orders.plan_spread, common, rng)
         trips.append(Trip(f"{name}-{len(trips):02d}", driver, first, builder.steps, planned))
         builder.stand(45 + float(rng.exponential(orders.idle)), NO_RIDE, 1, door=float(rng.uniform(0, 8)))
+        if orders.waits > 0.0 and rng.uniform() < orders.waits:
+            builder.stand(float(rng.uniform(*WAIT)), NO_RIDE, 1)
         estimate -= ((driven + metres) * per_metre + (builder.steps - since) * STEP * per_second) / car.capacity
         if estimate < orders.charge_below:
+            plugged = builder.steps
             estimate = _charge(builder, estimate, car, ambient, style, rng)
-    return Shift(begin, soc, builder.timeline(), trips, builder.steps * STEP)
+            spent = round((builder.steps - plugged) * STEP)
+            interludes.append(Interlude(len(trips), builder.steps, spent, charge_to_pct=round(100 * estimate)))
+    timeline, length = builder.timeline(), builder.steps * STEP
+    return Shift(begin, soc, timeline, trips, length, interludes=tuple(interludes))
 
 
 def stop_shift(shift: Shift, steps: int) -> Shift:
@@ -318,7 +364,10 @@ def stop_shift(shift: Shift, steps: int) -> Shift:
     begun = [trip._replace(end=min(trip.end, steps)) for trip in shift.trips if trip.begin < steps]
     unstarted_legs = tuple(trip.planned for trip in shift.trips[len(begun) :] if trip.planned)
     return shift._replace(
-        timeline=Timeline._make(column[:steps] for column in shift.timeline), trips=begun, unstarted_legs=unstarted_legs
+        timeline=Timeline._make(column[:steps] for column in shift.timeline),
+        trips=begun,
+        unstarted_legs=unstarted_legs,
+        interludes=tuple(each for each in shift.interludes if each.end <= steps),
     )
 
 
@@ -397,6 +446,28 @@ def _plan(
         gained_m=round(max(rise, 0.0) + undulation, 0),
         lost_m=round(max(-rise, 0.0) + undulation, 0),
     )
+
+
+def _misjudge(planned: Leg, spread: float, common: float, rng: np.random.Generator) -> Leg:
+    """Return a plan that is wrong by a factor of mean 1, whose logarithm has a part common to the shift."""
+    sd = float(np.sqrt(np.log1p(spread**2)))
+    factor = float(np.exp(sd * (common + np.sqrt(0.75) * rng.normal()) - 0.5 * sd**2))
+    return Leg(
+        distance_km=round(planned.distance_km * factor, 2),
+        duration_s=round(planned.duration_s * factor),
+        gained_m=planned.gained_m,
+        lost_m=planned.lost_m,
+    )
+
+
+def _wait_in_vain(
+    builder: _TimelineBuilder, ride: int, car: Car, orders: Orders, traffic: float, rng: np.random.Generator
+) -> Interlude:
+    """Drive to a passenger who does not come, and return the ride as it was planned."""
+    _drive_to(builder, float(rng.lognormal(np.log(900.0), 0.5)), NO_RIDE, 1, orders.style, traffic, rng)
+    builder.stand(float(rng.uniform(180, 420)), NO_RIDE, 1)
+    km = float(np.clip(rng.lognormal(np.log(car.ride_median), car.ride_spread), 350, 34e3)) / 1000.0
+    return Interlude(ride, builder.steps, round(120.0 + 155.0 * km * float(rng.lognormal(0.0, 0.2))), round(km, 2))
 
 
 def _smooth(values: Floats, width: int) -> Floats:

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from core.batch import Floats
 from core.errors import SettingsError
 from tools.simulator.calibration import EffectEnergies
 from tools.simulator.cars import Car
+from tools.simulator.conditions import NO_CONDITIONS
 from tools.simulator.logger import Equipment
 from tools.simulator.physics import PARTS, State
 from tools.simulator.settings import PRESET_SETTINGS, STEP, Simulation
@@ -18,6 +20,8 @@ from tools.simulator.shift import Shift
 from tools.simulator.world import compute_elevation, to_plane
 
 KWH = 3.6e6
+DISPLAY_STEPS = 120
+"""Steps between two recorded values of a display."""
 
 
 @dataclass
@@ -40,6 +44,10 @@ class Truth:
         Number of faults of the logger of each car, by kind.
     messages : int
         Number of recorded messages.
+    displays : list of dict
+        For each shift of a simulation with conditions: `vehicle_id`; `begin_s` and the time `step_s` between values
+        [s]; `soc_pct`, the true state of charge, and `shown_pct`, what a healthy display shows [%]; and the `fault` of
+        the display, None without one.
     """
 
     settings: dict[str, Any] = field(default_factory=dict)
@@ -48,6 +56,7 @@ class Truth:
     cars: dict[str, dict[str, Any]] = field(default_factory=dict)
     faults: dict[str, Counter[str]] = field(default_factory=dict)
     messages: int = 0
+    displays: list[dict[str, Any]] = field(default_factory=list)
 
     def describe(self, simulation: Simulation, factors: dict[str, float]) -> None:
         """Record the settings of a simulation.
@@ -66,6 +75,8 @@ class Truth:
             "hidden": dict(simulation.hidden),
             "phenomena": [name for name, on in simulation.phenomena._asdict().items() if on],
         }
+        if simulation.conditions == NO_CONDITIONS:
+            del self.settings["conditions"]
         self.factors = factors
 
     def add_car(self, name: str, model: str, car: Car, equipment: Equipment) -> None:
@@ -129,6 +140,34 @@ class Truth:
                 ride["hidden_kwh"] = {effect: round(float(energy), 5) for effect, energy in energies}
             self.rides.append(ride)
 
+    def add_display(self, name: str, begin: float, state: State, shown: Floats, fault: str | None) -> None:
+        """Record the state of charge of a shift, and what its display would show without a fault.
+
+        Parameters
+        ----------
+        name : str
+            Identifier of the car.
+        begin : float
+            Unix time at which the shift begins. [s]
+        state : State
+            State of the car.
+        shown : (n,) float
+            What a healthy display shows at each step. [%]
+        fault : str or None
+            Fault of the display.
+        """
+        at = slice(DISPLAY_STEPS - 1, None, DISPLAY_STEPS)
+        self.displays.append(
+            {
+                "vehicle_id": name,
+                "begin_s": begin,
+                "step_s": DISPLAY_STEPS * STEP,
+                "fault": fault,
+                "soc_pct": np.round(np.clip(100.0 * state.soc[at], 0.0, 100.0), 2).tolist(),
+                "shown_pct": np.round(shown[at], 2).tolist(),
+            }
+        )
+
     def summary(self) -> dict[str, Any]:
         """Return totals over all rides, and the size of each hidden effect."""
         total = sum(ride["energy_kwh"] for ride in self.rides)
@@ -178,6 +217,9 @@ class Truth:
         lines += [_table("cars", self.cars), _table("faults", faults)]
         rides = ",\n  ".join(json.dumps(ride) for ride in self.rides)
         lines.append(f'"rides": [\n  {rides}\n]')
+        if self.displays:
+            displays = ",\n  ".join(json.dumps(display) for display in self.displays)
+            lines.append(f'"displays": [\n  {displays}\n]')
         try:
             path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
         except OSError as error:

@@ -12,12 +12,17 @@ import numpy as np
 from core.batch import Floats
 from core.columns import SECONDS_PER_DAY
 from core.wire.messages import Message, Weather, encode
+from tools.simulator.conditions import Spell
 from tools.simulator.settings import UTC_OFFSET
 from tools.simulator.world import ORIGIN
 
 HOUR: Final = 3600.0
 DAYTIME: Final = (7.0, 19.0)
 """Local hours that count as day for the extreme temperatures of a preset. [h]"""
+ONSET: Final = 6 * HOUR
+"""Time over which a spell begins, before its first day, and ends. [s]"""
+LIMITS: Final = (-42.0, 44.0)
+"""Coldest and warmest temperature of a spell. [°C]"""
 STATIONS: Final = (("mctavish", 45.5047, -73.5790), ("yul", 45.4706, -73.7408), ("yhu", 45.5175, -73.4169))
 """Name, latitude and longitude of each station that publishes observations. [deg]"""
 
@@ -63,7 +68,13 @@ class Sky(NamedTuple):
         return Sky(time, *(np.interp(time, self.time, column) for column in self[1:]))
 
 
-def make_sky(start: float, days: int, seed: int, extremes: tuple[float, float] | None = None) -> Sky:
+def make_sky(
+    start: float,
+    days: int,
+    seed: int,
+    extremes: tuple[float, float] | None = None,
+    spells: tuple[Spell, ...] = (),
+) -> Sky:
     """Return the weather from a day before `start` until two days after the last of `days`.
 
     Parameters
@@ -76,6 +87,8 @@ def make_sky(start: float, days: int, seed: int, extremes: tuple[float, float] |
         Seed of the weather.
     extremes : (float, float), optional
         Coldest and hottest temperature by day; cold snaps and heat waves are scaled to reach them. [°C]
+    spells : tuple of Spell
+        Cold snaps and heat waves beyond what was there before them.
 
     Returns
     -------
@@ -104,6 +117,8 @@ def make_sky(start: float, days: int, seed: int, extremes: tuple[float, float] |
         by_day = (clock >= DAYTIME[0]) & (clock <= DAYTIME[1])
         temperature = _drawn_out(temperature, extremes[1], by_day)
         temperature = -_drawn_out(-temperature, -extremes[0], by_day)
+    for spell in spells:
+        temperature = _set_spell(time, temperature, start, spell)
     precipitation = _precipitation(seed, cloud)
     wetness, snow = _road(temperature, precipitation)
     humidity = np.clip(0.45 + 0.3 * cloud + 0.12 * wandering(0.9) - 0.012 * diurnal, 0.2, 1.0)
@@ -126,6 +141,17 @@ def _drawn_out(temperature: Floats, hottest: float, counts: np.ndarray) -> Float
     usual, most = float(np.quantile(temperature, 0.8)), float(temperature[counts].max())
     share = np.clip((temperature - usual) / max(most - usual, 1e-9), 0.0, 1.0)
     return np.asarray(temperature + (hottest - most) * share**2)
+
+
+def _set_spell(time: Floats, temperature: Floats, start: float, spell: Spell) -> Floats:
+    """Return temperatures whose extreme in a spell is that far beyond all hours before it, blended in. [°C]"""
+    first = start + SECONDS_PER_DAY * spell.day - UTC_OFFSET
+    last = first + SECONDS_PER_DAY * spell.days
+    earlier, inside = temperature[(time >= start) & (time < first)], (time >= first) & (time < last)
+    find_extreme = np.max if spell.kelvin > 0 else np.min
+    shift = float(find_extreme(earlier)) + spell.kelvin - float(find_extreme(temperature[inside]))
+    share = np.clip(np.minimum(time - first, last - time) / ONSET + 1.0, 0.0, 1.0)
+    return np.asarray(np.clip(temperature + shift * share, *LIMITS))
 
 
 def compute_sun_height(time: Floats) -> Floats:

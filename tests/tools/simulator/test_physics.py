@@ -42,7 +42,8 @@ class TestPhysics:
         start = SUMMER if name in {"solar_load", "humidity", "wet_road", "regen_full_battery"} else WINTER
         _, trace, car, _ = drive_one_shift(start, seed=8)
         car = car._replace(winter_rolling=0.15)
-        without = physics.integrate_states(trace, car, 0.97, ALL_PHENOMENA._replace(**{name: False}))
+        other = ALL_PHENOMENA._replace(**{name: not getattr(ALL_PHENOMENA, name)})
+        without = physics.integrate_states(trace, car, 0.97, other)
         both = physics.integrate_states(trace, car, 0.97, ALL_PHENOMENA)
         measured = (
             (both.voltage * both.current + both.loss).sum(),
@@ -52,6 +53,16 @@ class TestPhysics:
             assert both.soc[-1] < without.soc[-1]
         else:
             assert abs(measured[0] / measured[1] - 1) > 1e-5
+
+    def test_foreign_physics_costs_more_in_the_cold_and_stays_in_bounds(self):
+        foreign = ALL_PHENOMENA._replace(foreign=True)
+        _, trace, car, usual = drive_one_shift(WINTER, hours=3.0)
+        other = physics.integrate_states(trace, car, 0.9, foreign)
+        colder = physics.integrate_states(trace._replace(ambient=trace.ambient - 15.0), car, 0.9, foreign)
+        assert 0.5 < (0.9 - other.soc[-1]) / (usual.soc[0] - usual.soc[-1]) < 2.0
+        assert colder.soc[-1] < other.soc[-1] - 0.02
+        half = len(trace.time) // 2
+        assert 12.0 < other.cabin[half:].min() < other.cabin[half:].max() < 28.0
 
     def test_plain_physics_has_only_the_basic_parts_and_climate(self):
         _, _, _, state = drive_one_shift(phenomena=PLAIN_PHENOMENA)
