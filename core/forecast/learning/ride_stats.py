@@ -203,12 +203,12 @@ class RideStatistics:
         self.tables = {name: tables for name, tables in built if tables is not None}
 
     def dump(self) -> Any:
-        """Return the state as plain values."""
+        """Return the state as plain values, ordered by name; the order of appearance depends on the batches."""
         tables = {
             name: {field: np.asarray(value).tolist() for field, value in known._asdict().items()}
-            for name, known in self.tables.items()
+            for name, known in sorted(self.tables.items())
         }
-        return {name: sums.dump() for name, sums in self._sums.items()}, tables
+        return {name: sums.dump() for name, sums in sorted(self._sums.items())}, tables
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""

@@ -149,6 +149,18 @@ def test_loaded_state_gives_the_same_tables():
     assert repr(other.tables) == repr(statistics.rides.tables)
 
 
+def test_state_does_not_depend_on_which_model_was_seen_first():
+    rides, used = driven(tables(), 1, np.random.default_rng(0))
+    dumped = []
+    for models in (["a", "b"], ["b", "a"]):
+        statistics = RideStatistics(len(AMOUNTS))
+        for model in models:
+            statistics.add_rides([model], rides, used, used)
+        statistics.tables = dict.fromkeys(models, tables())
+        dumped.append(repr(statistics.dump()))
+    assert dumped[0] == dumped[1]
+
+
 def driven(known, rides, rng):
     """Return rides as `RideStatistics` takes them, and their energy by `known` tables with a little noise. [kWh]"""
     km, pace = rng.uniform(0.5, 8.0, rides), np.exp(rng.normal(np.log(5.0), 0.5, rides))
