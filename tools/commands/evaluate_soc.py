@@ -1,13 +1,18 @@
 """`socast evaluate-soc`: evaluate forecasts of the state of charge at the shift's end against the outcome."""
 
+import json
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
 import pandas as pd
+import typer
 
 from core import models
+from core.errors import SettingsError
 from core.evaluate.paper.results import to_json_values
 from core.evaluate.soc.legs import RIDE_COLUMNS, LegRecorder, match_legs_to_rides
+from core.evaluate.soc.plans import PlanRecorder
 from core.evaluate.soc.query_times import QueryTimes
 from core.evaluate.soc.report import evaluate_soc
 from core.pipeline import Pipeline
@@ -32,6 +37,15 @@ from tools.terminal.output import (
 from tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
 
 
+class SocTables(NamedTuple):
+    """Hold what `core.evaluate.soc.report.evaluate_soc` evaluates: forecasts, shifts, legs and plans."""
+
+    outlooks: pd.DataFrame
+    shifts: pd.DataFrame
+    legs: pd.DataFrame
+    plans: pd.DataFrame
+
+
 class SocForecasts:
     """Collect the forecasts of a pipeline and their outcomes, while it takes the lists of `cut`.
 
@@ -45,7 +59,7 @@ class SocForecasts:
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline
-        self._times, self._questions = QueryTimes(), LegRecorder(pipeline.ask)
+        self._times, self._questions, self._plans = QueryTimes(), LegRecorder(pipeline.ask), PlanRecorder()
         self._due: str | None = None
         self._outlooks: list[pd.DataFrame] = []
         self._rides: list[pd.DataFrame] = []
@@ -59,6 +73,8 @@ class SocForecasts:
             Messages in the order of their receipt.
         """
         for messages in source:
+            for message in messages:
+                self._plans.record(message)
             for part, due in self._times.cut(messages):
                 self._due = due
                 yield list(part)
@@ -76,12 +92,38 @@ class SocForecasts:
         self._rides.append(self.pipeline.take_rides()[["vehicle_id", "distance_km", *RIDE_COLUMNS]])
         self.pipeline.take_windows()
 
-    def evaluated(self) -> dict[str, Any]:
-        """Return the evaluation of all forecasts, see `core.evaluate.soc.report.evaluate_soc`."""
+    def tables(self) -> SocTables:
+        """Return everything that was recorded; call this once."""
         self._collect()
         shifts = self.pipeline.take_shifts()
         legs = match_legs_to_rides(self._questions.table(), pd.concat(self._rides), shifts)
-        return evaluate_soc(pd.concat(self._outlooks, ignore_index=True), shifts, legs)
+        return SocTables(pd.concat(self._outlooks, ignore_index=True), shifts, legs, self._plans.table())
+
+    def evaluated(self, displays: pd.DataFrame | None = None) -> dict[str, Any]:
+        """Return the evaluation of all forecasts, see `core.evaluate.soc.report.evaluate_soc`."""
+        return evaluate_soc(*self.tables(), displays)
+
+
+def read_displays(path: Path) -> pd.DataFrame:
+    """Return what healthy displays show, from the truth of a simulation with conditions.
+
+    Parameters
+    ----------
+    path : Path
+        A file that `socast simulate` has written beside a recording.
+
+    Raises
+    ------
+    SettingsError
+        If the file holds no displays.
+    """
+    try:
+        displays = json.loads(path.read_text(encoding="utf-8")).get("displays")
+    except (OSError, ValueError, AttributeError) as error:
+        raise SettingsError(f"{path} is not the truth of a simulation; give FILE.truth.json") from error
+    if not displays:
+        raise SettingsError(f"{path} holds no displays; simulate with --fleet or --conditions")
+    return pd.DataFrame(displays)
 
 
 @insert_cleaning_options
@@ -92,6 +134,14 @@ def evaluate_recordings(
     effects_file: EffectFiles = None,
     settings: Settings,
     elevation: ElevationFiles = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Truth of a simulation with conditions: outcomes are then what a healthy display shows, also where "
+            "the display is frozen, absent or jumps.",
+        ),
+    ] = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
@@ -105,13 +155,20 @@ def evaluate_recordings(
     socast evaluate-soc january.mcap february.mcap --html soc.html --json soc.json
     """
     sources = open_recordings(recordings)
-    read = [*recordings, *select_model_files([model]), *(effects_file or ()), *(elevation or ())]
+    displays = None if truth is None else read_displays(truth)
+    read = [
+        *recordings,
+        *([truth] if truth else []),
+        *select_model_files([model]),
+        *(effects_file or ()),
+        *(elevation or ()),
+    ]
     check_outputs(read, json_file, html_file)
     elevation_map = open_elevation(elevation or ())
     forecasts = SocForecasts(Pipeline(models.load(model), settings, keep_outlooks=True, elevation_map=elevation_map))
     run_forecasts(forecasts.pipeline, sources, forecasts.cut(merge_sources(sources)), also=forecasts)
     warn_outside(forecasts.pipeline.quality())
     warn_of_losses(sources)
-    result = to_json_values(forecasts.evaluated())
+    result = to_json_values(forecasts.evaluated(displays))
     write_json(json_file, "evaluate-soc", result)
     show_report("soc.page", result, html_file, json_file)

@@ -1,11 +1,11 @@
 """Compute what a dispatcher would expect at the shift's end without a forecast.
 
-- `linear`: the consumption of the vehicle per hour so far in this shift, continued to the shift's end. It restarts
-after
-  a charge.
+- `linear`: the consumption of the vehicle per hour since it woke up for this shift, continued to the shift's end. It
+  restarts after a charge.
 - `model_mean`: the mean energy of the vehicle model per kilometre of ride, times the kilometres still planned. The mean
   covers shifts that ended before this one began. It includes idling and empty trips, as the outcome does.
 - `rating`: the official rating times the same kilometres. US labels include charging losses.
+- `regression`: see `core.evaluate.soc.regression`. It alone has an interval.
 
 All baselines start from the filtered state of charge, which is more accurate than the display, and are limited to 0 to
 100 %.
@@ -21,14 +21,20 @@ import pandas as pd
 
 from core.batch import Floats
 from core.evaluate.soc.cases import SHIFT_KEY, normalise_keys
+from core.evaluate.soc.regression import compute_regression
 from core.vehicles import load_catalogue
 
-BASELINES: Final[Mapping[str, str]] = MappingProxyType(
+PERSONS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "linear": "the car's own pace, carried on",
         "model_mean": "mean kWh/km of the vehicle model",
         "rating": "official rating, in kWh/km",
     }
+)
+"""Name of each baseline that a person can compute by hand -> its description."""
+REGRESSION: Final = "regression"
+BASELINES: Final[Mapping[str, str]] = MappingProxyType(
+    {**PERSONS, REGRESSION: "kilometres, driving and waiting hours, cold and heat, car and day, fitted to earlier days"}
 )
 """Name of each baseline -> its description."""
 LEAST_PACE_TIME: Final = 900.0
@@ -37,7 +43,9 @@ LEAST_ERRORS: Final = 20
 """Number of earlier errors from which a risk is estimated; the forecast's interval needs as many."""
 
 
-def compute_baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
+def compute_baselines(
+    cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame, plans: pd.DataFrame | None = None
+) -> pd.DataFrame:
     """Return the state of charge that each baseline expects at the shift's end.
 
     Parameters
@@ -46,33 +54,43 @@ def compute_baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.Da
         Forecasts of `core.evaluate.soc.cases.select_cases`.
     outlooks, shifts : DataFrame
         All forecasts and all ended shifts of the pipeline.
+    plans : DataFrame, optional
+        Plans, as `core.evaluate.soc.plans.PlanRecorder.table` returns them.
 
     Returns
     -------
-    (n, baselines) DataFrame
-        A column for each of `BASELINES`; NaN where the baseline gives no value. [%]
+    (n, columns) DataFrame
+        A column for each of `BASELINES`, and `regression_p05` and `regression_p95`; NaN where the baseline gives no
+        value. [%]
     """
     expected = {"linear": _linear(cases, outlooks), **_by_rates(cases, shifts)}
-    return pd.DataFrame({name: np.clip(expected[name], 0.0, 100.0) for name in BASELINES})
+    persons = pd.DataFrame({name: np.clip(expected[name], 0.0, 100.0) for name in PERSONS})
+    return pd.concat([persons, compute_regression(cases, outlooks, shifts, plans)], axis=1)
 
 
-def compute_leg_baselines(cases: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
+def compute_leg_baselines(
+    cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame, plans: pd.DataFrame | None = None
+) -> pd.DataFrame:
     """Return the state of charge that each baseline expects at a leg's end; `linear` does not apply to legs.
 
     Parameters
     ----------
     cases : (n, columns) DataFrame
         Legs of `core.evaluate.soc.legs.match_legs_to_rides`.
-    shifts : DataFrame
-        All ended shifts.
+    outlooks, shifts : DataFrame
+        All forecasts and all ended shifts.
+    plans : DataFrame, optional
+        Plans, as `core.evaluate.soc.plans.PlanRecorder.table` returns them.
 
     Returns
     -------
-    (n, baselines) DataFrame
-        A column for each of `BASELINES`; NaN where the baseline gives no value. [%]
+    (n, columns) DataFrame
+        A column for each of `BASELINES`, and `regression_p05` and `regression_p95`; NaN where the baseline gives no
+        value. [%]
     """
     expected = {"linear": np.full(len(cases), np.nan), **_by_rates(cases, shifts)}
-    return pd.DataFrame({name: np.clip(expected[name], 0.0, 100.0) for name in BASELINES})
+    persons = pd.DataFrame({name: np.clip(expected[name], 0.0, 100.0) for name in PERSONS})
+    return pd.concat([persons, compute_regression(cases, outlooks, shifts, plans)], axis=1)
 
 
 def _by_rates(cases: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Floats]:
@@ -169,10 +187,15 @@ def _linear(cases: pd.DataFrame, outlooks: pd.DataFrame) -> Floats:
 
 
 def _begun(cases: pd.DataFrame, outlooks: pd.DataFrame) -> tuple[Floats, Floats]:
-    """Return when the pace began [s] and the state of charge then [%]: at the shift's start or first after a charge."""
-    begun = cases[["begin_s", "soc_begin_pct"]].to_numpy(np.float64, copy=True)
+    """Return when the pace began [s] and the state of charge then [%]: when the car woke up, or first after a charge.
+
+    The state of charge at the beginning of a shift is that of its departure, so the first forecast gives it instead.
+    """
+    reported = normalise_keys(outlooks)[[*SHIFT_KEY, "time_s", "soc_pct"]].dropna(subset=["soc_pct"])
+    reported = reported.sort_values("time_s", kind="stable")
+    woken = reported.drop_duplicates(SHIFT_KEY)
+    begun = cases[SHIFT_KEY].merge(woken, on=SHIFT_KEY, how="left")[["time_s", "soc_pct"]].to_numpy(np.float64)
     charged = cases[[*SHIFT_KEY, "charged_s"]].assign(place=np.arange(len(cases))).dropna(subset="charged_s")
-    reported = normalise_keys(outlooks)[[*SHIFT_KEY, "time_s", "soc_pct"]].sort_values("time_s", kind="stable")
     charged = charged.sort_values("charged_s", kind="stable")
     matched = pd.merge_asof(
         charged, reported, left_on="charged_s", right_on="time_s", by=SHIFT_KEY, direction="forward"

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from core.batch import Floats
 from core.columns import SECONDS_PER_DAY
 from core.forecast.plan_tracker import CUT_SHORT_MARGIN
 from core.stats.clustered import assign_vehicle_days
@@ -53,8 +54,9 @@ OUTLOOK_COLUMNS: Final = [
     "reserve_risk",
     "ahead_km",
     "soc_begin_pct",
+    "forecast_ambient_c",
 ]
-"""Columns of forecasts that the evaluation needs."""
+"""Columns of forecasts that the evaluation needs, where `forecast_ambient_c` is their `ambient_c`."""
 
 
 @dataclass(frozen=True)
@@ -66,18 +68,24 @@ class ForecastCases:
     cases : (n, columns) DataFrame
         One row per forecast: `SHIFT_COLUMNS` and `ambient_c` of its shift, its own `OUTLOOK_COLUMNS`, `hours` before
         the end, and `cluster`, an int from 0 that the forecasts of one vehicle on one day share.
+        `forecast_ambient_c`: outside temperature at the forecast. [°C] `novelty_k`: how far it is outside those that
+        the fleet met on earlier days. [K] `seen`: number of shifts of the fleet that had ended. `fault`: fault of the
+        display, empty without one.
     left_out : dict of str to int
         Number of forecasts left out, by reason.
     shifts : int
         Number of shifts that ended.
     warm_up : int
         Number of these shifts without an interval at any time ahead, because too little had been learned.
+    unlearned : (m, columns) DataFrame
+        Forecasts that were left out because they had no interval yet.
     """
 
     cases: pd.DataFrame
     left_out: dict[str, int]
     shifts: int
     warm_up: int
+    unlearned: pd.DataFrame
 
 
 def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> ForecastCases:
@@ -94,8 +102,12 @@ def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> ForecastCases:
     -------
     ForecastCases
     """
-    made, ended = normalise_keys(outlooks), normalise_keys(shifts)[[*SHIFT_COLUMNS, "ambient_c"]]
-    made = made[OUTLOOK_COLUMNS].sort_values("time_s", kind="stable")
+    made = normalise_keys(outlooks)
+    ended = normalise_keys(shifts)
+    ended = ended.assign(fault=ended.get("fault", ""))[[*SHIFT_COLUMNS, "ambient_c", "fault"]]
+    made = made.rename(columns={"ambient_c": "forecast_ambient_c"})[OUTLOOK_COLUMNS].sort_values(
+        "time_s", kind="stable"
+    )
     wanted = pd.concat([ended.assign(hours=hours) for hours in HOURS_AHEAD], ignore_index=True)
     wanted["wanted_s"] = wanted["end_s"] - 3600.0 * wanted["hours"]
     wanted = wanted[wanted["wanted_s"] >= wanted["begin_s"]].sort_values("wanted_s", kind="stable")
@@ -103,12 +115,14 @@ def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> ForecastCases:
     cases = cases.sort_values([*SHIFT_KEY, "hours"], ignore_index=True)
     why = _reasons(cases, made)
     day = np.floor(cases["begin_s"] / SECONDS_PER_DAY)
+    cases["novelty_k"] = compute_novelty(cases, made)
+    cases["seen"] = np.searchsorted(np.sort(ended["end_s"].to_numpy(np.float64)), cases["time_s"].to_numpy(np.float64))
     cases["cluster"] = assign_vehicle_days(cases.assign(day=day), day="day")
     kept = cases[why == ""].reset_index(drop=True)
     names = [f"{vehicle} {shift}" for vehicle, shift in zip(cases["vehicle_id"], cases["shift"], strict=True)]
     unlearned = set(np.array(names)[why == WARM_UP]) - set(np.array(names)[why == ""])
     left_out = {reason: int(np.sum(why == reason)) for reason in REASONS if np.any(why == reason)}
-    return ForecastCases(kept, left_out, len(ended), len(unlearned))
+    return ForecastCases(kept, left_out, len(ended), len(unlearned), cases[why == WARM_UP].reset_index(drop=True))
 
 
 def _reasons(cases: pd.DataFrame, made: pd.DataFrame) -> NDArray[np.str_]:
@@ -125,6 +139,32 @@ def _reasons(cases: pd.DataFrame, made: pd.DataFrame) -> NDArray[np.str_]:
         WARM_UP: unknown,
     }
     return np.select([holds[reason].to_numpy(bool) for reason in REASONS], list(REASONS), "")
+
+
+def compute_novelty(cases: pd.DataFrame, outlooks: pd.DataFrame) -> Floats:
+    """Return how far the temperature of each case is outside those that the fleet met before the day of its shift.
+
+    Parameters
+    ----------
+    cases : (n, columns) DataFrame
+        With `begin_s` of the shift and `forecast_ambient_c`.
+    outlooks : DataFrame
+        All forecasts, with `time_s` and `forecast_ambient_c`.
+
+    Returns
+    -------
+    (n,) float
+        0 inside; NaN where nothing was met before. [K]
+    """
+    met = outlooks.dropna(subset=["forecast_ambient_c"])
+    by_day = met.groupby(np.floor(met["time_s"] / SECONDS_PER_DAY))["forecast_ambient_c"].agg(["min", "max"])
+    place = np.searchsorted(by_day.index.to_numpy(np.float64), np.floor(cases["begin_s"] / SECONDS_PER_DAY)) - 1
+    coldest, warmest = (
+        np.concatenate([column.to_numpy(np.float64), [np.nan]])[place]
+        for column in (by_day["min"].cummin(), by_day["max"].cummax())
+    )
+    now = cases["forecast_ambient_c"].to_numpy(np.float64)
+    return np.where(np.isfinite(now), np.maximum(np.maximum(coldest - now, now - warmest), 0.0), np.nan)
 
 
 def normalise_keys(table: pd.DataFrame) -> pd.DataFrame:

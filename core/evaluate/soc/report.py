@@ -13,9 +13,10 @@ import pandas as pd
 from core.batch import Floats
 from core.errors import ModelError
 from core.evaluate.binning import bin_values
-from core.evaluate.soc.baselines import BASELINES, compute_baselines, compute_leg_baselines
+from core.evaluate.soc.baselines import BASELINES, PERSONS, compute_baselines, compute_leg_baselines
 from core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, ForecastCases, normalise_keys, select_cases
 from core.evaluate.soc.legs import MINUTES
+from core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
 from core.evaluate.soc.reserve_risk import evaluate_reserve_risk
 from core.stats.clustered import compute_clustered_mean, compute_clustered_share
 from core.stats.scores import Codes
@@ -24,6 +25,11 @@ NOMINAL: Final = 0.90
 """Nominal share of outcomes inside the interval."""
 TEMPERATURES: Final = (-20, -10, 0, 10, 20, 30)
 """Edges of the bands of a shift's mean outside temperature; the first and the last band are open. [°C]"""
+NOVELTIES: Final = (1, 2, 5, 10)
+"""Edges of the bands of the distance of a temperature from those met on earlier days. [K]"""
+SEEN: Final = (25, 50, 100, 200, 400)
+"""Edges of the bands of the number of shifts of the fleet that had ended."""
+HEALTHY: Final = "healthy"
 MOST_POINTS: Final = 240
 """Maximum number of forecasts in an example."""
 EXAMPLE_HOURS_AHEAD: Final = 2
@@ -32,7 +38,13 @@ EXAMPLE_COLUMNS: Final = ("soc", "soc_mean", "soc_p05", "soc_p95")
 """Columns of forecasts that an example contains, without `_pct`."""
 
 
-def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFrame | None = None) -> dict[str, Any]:
+def evaluate_soc(
+    outlooks: pd.DataFrame,
+    shifts: pd.DataFrame,
+    legs: pd.DataFrame | None = None,
+    plans: pd.DataFrame | None = None,
+    displays: pd.DataFrame | None = None,
+) -> dict[str, Any]:
     """Return the errors and the reliability of the forecasts of a pipeline.
 
     Parameters
@@ -43,19 +55,26 @@ def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFram
         All shifts that have ended, as `Pipeline.take_shifts` returns them.
     legs : DataFrame, optional
         Single legs, as `core.evaluate.soc.legs.match_legs_to_rides` returns them.
+    plans : DataFrame, optional
+        Plans, as `core.evaluate.soc.plans.PlanRecorder.table` returns them.
+    displays : DataFrame, optional
+        What healthy displays show, see `core.evaluate.soc.outcomes.replace_outcomes`; it is the outcome then.
 
     Returns
     -------
     dict
         `about`: counts and dates of the forecasts. `overall`: figures, `pooled` over times ahead and by `hours`. `by`:
-        figures by condition. `reserve`: risk of ending below a reserve. `legs`: figures of single legs. `forecasts`:
-        columns with one entry per case. `examples`: single shifts. `notes`: remarks for the reader.
+        figures by condition. `bounds`: upper bounds that are impossible. `reserve`: risk of ending below a reserve.
+        `legs`: figures of single legs. `forecasts`: columns with one entry per case. `examples`: single shifts.
+        `notes`: remarks for the reader.
 
     Raises
     ------
     ModelError
         No forecast can be evaluated.
     """
+    if displays is not None:
+        shifts = replace_outcomes(shifts, displays)
     selected = select_cases(outlooks, shifts)
     if not len(selected.cases):
         why = ", ".join(f"{count} {reason}" for reason, count in selected.left_out.items()) or "none made"
@@ -63,13 +82,14 @@ def evaluate_soc(outlooks: pd.DataFrame, shifts: pd.DataFrame, legs: pd.DataFram
             f"{selected.shifts} shifts ended and no forecast of theirs can be evaluated ({why}): "
             "give recordings of more days"
         )
-    cases = pd.concat([selected.cases, compute_baselines(selected.cases, outlooks, shifts)], axis=1)
+    cases = pd.concat([selected.cases, compute_baselines(selected.cases, outlooks, shifts, plans)], axis=1)
     return {
         "about": _about(selected),
         "overall": compute_figures_by_time(cases),
         "by": compute_figures_by_condition(cases),
+        "bounds": count_impossible_bounds(outlooks, plans),
         "reserve": evaluate_reserve_risk(cases),
-        "legs": {} if legs is None or not len(legs) else compute_leg_figures(legs, shifts),
+        "legs": {} if legs is None or not len(legs) else compute_leg_figures(legs, outlooks, shifts, plans),
         "forecasts": {
             "vehicle_id": cases["vehicle_id"].tolist(),
             "shift": cases["shift"].tolist(),
@@ -103,25 +123,33 @@ def compute_figures_by_time(cases: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def compute_leg_figures(legs: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
+def compute_leg_figures(
+    legs: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame, plans: pd.DataFrame | None = None
+) -> dict[str, list[dict[str, Any]]]:
     """Return the figures of single legs by the time until their end.
 
     Parameters
     ----------
     legs : DataFrame
         Legs, as `core.evaluate.soc.legs.match_legs_to_rides` returns them.
-    shifts : DataFrame
-        All shifts that have ended.
+    outlooks, shifts : DataFrame
+        All forecasts, and all shifts that have ended.
+    plans : DataFrame, optional
+        Plans.
 
     Returns
     -------
     dict
-        `without a charge` and `charged later`: legs of shifts without and with a charge after the forecast. Each has a
-        list of figures by `bin` of the time until the end; the last bin is `all`.
+        `without a charge` and `charged later`: legs of shifts without and with a charge after the forecast. `to the
+        next charge`: the last of the latter in each query. Each has a list of figures by `bin` of the time until the
+        end; the last bin is `all`.
     """
-    cases = pd.concat([legs, compute_leg_baselines(legs, shifts)], axis=1)
+    cases = pd.concat([legs, compute_leg_baselines(legs, outlooks, shifts, plans)], axis=1)
     figures = {}
-    for name, group in {"without a charge": cases[~cases["charges"]], "charged later": cases[cases["charges"]]}.items():
+    later = cases[cases["charges"]]
+    last = later.sort_values("leg", kind="stable").drop_duplicates(["vehicle_id", "time_s"], keep="last").sort_index()
+    groups = {"without a charge": cases[~cases["charges"]], "charged later": later, "to the next charge": last}
+    for name, group in groups.items():
         band = bin_values(group["minutes"].to_numpy(np.float64), MINUTES)
         bins = [
             {"bin": band.labels[code], **compute_forecast_figures(group[band.codes == code])}
@@ -142,12 +170,20 @@ def compute_figures_by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str
     Returns
     -------
     dict
-        `temperature`, `vehicle model` and `plan`: lists of figures by `bin`, see `compute_figures_by_time`.
+        `temperature`, `new weather` (distance of the temperature from those met on earlier days, in K), `shifts seen`
+        (of the fleet), `display` (its fault), `vehicle model` and `plan`: lists of figures by `bin`, see
+        `compute_figures_by_time`.
     """
+    novelty = bin_values(cases["novelty_k"].to_numpy(np.float64), NOVELTIES)
+    seen = bin_values(cases["seen"].to_numpy(np.float64), SEEN)
+    fault = pd.Categorical(cases["fault"].replace("", HEALTHY))
     band = bin_values(cases["ambient_c"].to_numpy(np.float64), TEMPERATURES)
     model = pd.Categorical(cases["vehicle_model"])
     bins = {
         "temperature": (band.codes, band.labels),
+        "new weather": (novelty.codes, novelty.labels),
+        "shifts seen": (seen.codes, seen.labels),
+        "display": (fault.codes, tuple(map(str, fault.categories))),
         "vehicle model": (model.codes, tuple(map(str, model.categories))),
         "plan": (np.where(cases["planned"].to_numpy(bool), 0, 1), ("planned", "by habit")),
     }
@@ -172,11 +208,13 @@ def compute_forecast_figures(cases: pd.DataFrame) -> dict[str, Any]:
     -------
     dict
         `n` forecasts of `shifts` on `vehicle_days`; `mae_pct`, `bias_pct` (forecast less outcome) and `width_pct` with
-        intervals; `coverage`, and the shares `below` and `above` the interval; `baselines`, see below; `best`, the
-        baseline with the least error on cases that all baselines cover.
+        intervals; `interval_score_pct`, see `compute_interval_score`; `coverage`, and the shares `below` and `above`
+        the interval; `baselines` and `regression`, see below; `best`, the baseline of a person with the least error on
+        cases that all of them cover.
 
         Each baseline has its error, the forecasts' error on the same cases (`forecast_mae_pct`), and `less_pct`, the
-        baseline's error less the forecasts' error.
+        baseline's error less the forecasts' error. `regression` has the figures of the intervals of the regression, and
+        those of the forecasts on the same cases (`forecast_...`).
     """
     became, clusters = _numbers(cases, "soc_end_pct"), cases["cluster"].to_numpy(np.int64)
     mean, low, high = (_numbers(cases, f"soc_{name}_pct") for name in ("mean", "p05", "p95"))
@@ -191,9 +229,54 @@ def compute_forecast_figures(cases: pd.DataFrame) -> dict[str, Any]:
         "below": float(np.mean(became < low)),
         "above": float(np.mean(became > high)),
         "width_pct": compute_clustered_mean(high - low, clusters).figures(),
+        "interval_score_pct": compute_clustered_mean(compute_interval_score(low, high, became), clusters).figures(),
+        "regression": _against_regression(cases),
         "baselines": {name: _against(_numbers(cases, name), became, error, clusters) for name in BASELINES},
         "best": _best(cases, became, error, clusters),
     }
+
+
+def compute_interval_score(low: Floats, high: Floats, became: Floats) -> Floats:
+    """Return the interval score of 90 % intervals: their width, and 20 times what an outcome misses them by.
+
+    Parameters
+    ----------
+    low, high, became : (n,) float
+        Ends of the intervals, and outcomes.
+
+    Returns
+    -------
+    (n,) float
+
+    References
+    ----------
+    Gneiting and Raftery (2007), J. Am. Stat. Assoc. 102:359, eq. 43 (Winkler 1972).
+
+    Examples
+    --------
+    >>> compute_interval_score(np.array([10.0, 10.0]), np.array([20.0, 20.0]), np.array([15.0, 21.0])).round(6).tolist()
+    [10.0, 30.0]
+    """
+    missed = np.maximum(low - became, 0.0) + np.maximum(became - high, 0.0)
+    return np.asarray(high - low + 2.0 / (1.0 - NOMINAL) * missed)
+
+
+def _against_regression(cases: pd.DataFrame) -> dict[str, Any]:
+    """Return the figures of the intervals of the regression and of the forecasts, where both are known."""
+    both = cases[cases["regression_p05"].notna() & cases["soc_p05_pct"].notna()]
+    became, clusters = _numbers(both, "soc_end_pct"), both["cluster"].to_numpy(np.int64)
+    columns = {"": "regression", "forecast_": "soc"}
+    figures: dict[str, Any] = {"n": len(both)}
+    for prefix, name in columns.items():
+        low, high = (_numbers(both, f"{name}_{end}" + ("_pct" if prefix else "")) for end in ("p05", "p95"))
+        figures |= {
+            f"{prefix}coverage": compute_clustered_share((low <= became) & (became <= high), clusters),
+            f"{prefix}width_pct": compute_clustered_mean(high - low, clusters).figures(),
+            f"{prefix}interval_score_pct": compute_clustered_mean(
+                compute_interval_score(low, high, became), clusters
+            ).figures(),
+        }
+    return figures
 
 
 def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any]:
@@ -211,11 +294,11 @@ def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -
 
 
 def _best(cases: pd.DataFrame, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any] | None:
-    """Return the baseline with the least error on cases that all baselines cover, and the forecasts' error there."""
-    known = np.isfinite(cases[list(BASELINES)].to_numpy(np.float64)).all(axis=1)
+    """Return the person's baseline with the least error on cases that all of them cover, and the forecasts' error."""
+    known = np.isfinite(cases[list(PERSONS)].to_numpy(np.float64)).all(axis=1)
     if not known.any():
         return None
-    errors = {name: np.abs(_numbers(cases, name) - became)[known] for name in BASELINES}
+    errors = {name: np.abs(_numbers(cases, name) - became)[known] for name in PERSONS}
     name = min(errors, key=lambda one: float(errors[one].mean()))
     return {
         "name": name,

@@ -9,6 +9,7 @@ Baselines have no risk. Each is given the risk that follows from its earlier err
 (`core.evaluate.soc.baselines.compute_empirical_risk`).
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, Final
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from core.batch import Floats
-from core.evaluate.soc.baselines import BASELINES, compute_empirical_risk
+from core.evaluate.soc.baselines import BASELINES, REGRESSION, compute_empirical_risk
 from core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY
 from core.stats.clustered import compute_clustered_ratio, compute_clustered_share
 from core.stats.scores import Codes
@@ -31,6 +32,8 @@ ALARM: Final = 0.05
 """Risk from which on an alarm is raised."""
 BINS: Final = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99, 1.0)
 """Edges of the classes of risk; a class includes its lower edge."""
+TOLD: Final = (0.0, 0.05, 0.2, 0.5, 0.8, 1.0)
+"""Edges of the coarser classes of risk in which forecasts and regression are compared."""
 BOUND: Final = float(ndtri(0.95))
 """Distance from the mean of a normal distribution to its 95th percentile, in standard deviations."""
 
@@ -47,7 +50,8 @@ def evaluate_reserve_risk(cases: pd.DataFrame) -> dict[str, Any]:
     -------
     dict
         `alarm`: risk from which on an alarm is raised. `reliability`, by class of risk and pooled over times ahead: of
-        the plan's reserve, and of all other `levels`. `levels`: figures of `evaluate_risk` by level and time ahead.
+        the plan's reserve, and of all other `levels`. `told`: reliability in the classes `TOLD` over all other levels,
+        of the forecasts (`risk`) and of the regression. `levels`: figures of `evaluate_risk` by level and time ahead.
         `overall`: the same by time ahead, without the plan's reserve.
 
     Notes
@@ -62,6 +66,7 @@ def evaluate_reserve_risk(cases: pd.DataFrame) -> dict[str, Any]:
     return {
         "alarm": ALARM,
         "reliability": {PLANNED: compute_reliability(each[PLANNED]), "levels": compute_reliability(of_levels)},
+        "told": {name: compute_reliability(of_levels, TOLD, name) for name in ("risk", REGRESSION)},
         "levels": {name: evaluate_by_hours(group, hours) for name, group in each.items() if len(group)},
         "overall": evaluate_by_hours(of_levels, hours),
     }
@@ -205,8 +210,19 @@ def evaluate_alarms(risk: Floats, fell: NDArray[np.bool_], clusters: Codes) -> d
     }
 
 
-def compute_reliability(rows: pd.DataFrame) -> list[dict[str, Any]]:
+def compute_reliability(
+    rows: pd.DataFrame, edges: Sequence[float] = BINS, risk_column: str = "risk"
+) -> list[dict[str, Any]]:
     """Return, for each class of risk that has cases, how often these fell below the level.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Cases of `tabulate_levels`.
+    edges : sequence of float
+        Edges of the classes.
+    risk_column : str
+        `risk` of the forecasts, or the name of a baseline.
 
     Returns
     -------
@@ -214,10 +230,11 @@ def compute_reliability(rows: pd.DataFrame) -> list[dict[str, Any]]:
         Edges `low` and `high`; `n` cases of `shifts`; `told`, the mean risk; and `fell`, the share that fell, with its
         interval.
     """
-    risk, clusters = _numbers(rows, "risk"), rows["cluster"].to_numpy(np.int64)
-    place = np.clip(np.searchsorted(BINS, risk, side="right") - 1, 0, len(BINS) - 2)
+    rows = rows[rows[risk_column].notna()]
+    risk, clusters = _numbers(rows, risk_column), rows["cluster"].to_numpy(np.int64)
+    place = np.clip(np.searchsorted(edges, risk, side="right") - 1, 0, len(edges) - 2)
     classes = []
-    for code, (low, high) in enumerate(pairwise(BINS)):
+    for code, (low, high) in enumerate(pairwise(edges)):
         mine = place == code
         if mine.any():
             fell = compute_clustered_share(rows["fell"].to_numpy(bool)[mine], clusters[mine])

@@ -15,7 +15,7 @@ from tools.report.figure_style import REFERENCE_LINE, Style, draw_curve, escape_
 from tools.report.soc.tables import SHOWN_AT, format_bin
 
 FORECAST: Final = get_style(5)
-LOOKS: Final = {"linear": get_style(4), "model_mean": get_style(2), "rating": get_style(0)}
+LOOKS: Final = {"linear": get_style(4), "model_mean": get_style(2), "rating": get_style(0), "regression": get_style(1)}
 """Styles of the baselines."""
 AIMED: Final = (88.0, 92.0)
 """Between these the coverage should be. [%]"""

@@ -65,7 +65,7 @@ def build_sections(result: Result) -> list[Section]:
             AHEAD,
             "Errors of the forecasts",
             describe_evaluation(get_mapping(result, "about")),
-            [tables.tabulate_by_time(result)],
+            [tables.tabulate_by_time(result), tables.tabulate_intervals(result)],
         ),
         Section("conditions", "Errors by condition", "", tables.tabulate_conditions(result)),
         Section("legs", "Leg by leg, up to the next charge", "", tables.tabulate_legs(result)),

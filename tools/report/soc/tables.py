@@ -11,7 +11,9 @@ from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, f
 from tools.report.comparison.tables import format_difference, format_estimate
 from tools.report.evaluation.result import Result, get_mapping, get_number, get_part, get_vehicle_name
 
-HEADS: Final[Mapping[str, str]] = MappingProxyType({"linear": "pace", "model_mean": "kWh/km", "rating": "rating"})
+HEADS: Final[Mapping[str, str]] = MappingProxyType(
+    {"linear": "pace", "model_mean": "kWh/km", "rating": "rating", "regression": "regression"}
+)
 """Headings of the errors of baselines."""
 FIGURES: Final = ("n", "MAE", "bias", "coverage", "width")
 """Headings of the figures of forecasts."""
@@ -21,13 +23,19 @@ PERCENT_NOTE: Final = (
     "n: number of forecasts. MAE, bias (forecast less outcome) and width are in % of charge. ± is half "
     "of the 95 % interval, clustered by vehicle-day (one car on one day)."
 )
+UNITS: Final[Mapping[str, str]] = MappingProxyType({"temperature": ", °C", "new weather": ", K outside"})
+"""Unit of each condition that has one."""
 TOO_FEW: Final = "too few"
 SHARE_NOTE: Final = (
     f"In parentheses: 95 % interval (Wilson, clustered). Too few: of fewer than {LEAST_CLUSTERS} "
     "vehicle-days, only the interval is shown."
 )
 COVERAGE_NOTE: Final = f"Coverage: share of outcomes inside the 90 % interval. {SHARE_NOTE}"
-LEG_BASELINES: Final = ("model_mean", "rating")
+SCORE_NOTE: Final = (
+    "Interval score: width of the 90 % interval, and 20 times what an outcome misses it by; small is good. The "
+    "regression has an interval once twenty shifts have ended."
+)
+LEG_BASELINES: Final = ("model_mean", "rating", "regression")
 """Baselines that apply to legs."""
 LEG_NOTE: Final = (
     "Each car is queried at most every half hour. Each leg of the answer is compared with the ride that "
@@ -35,7 +43,8 @@ LEG_NOTE: Final = (
     "charger counts as waiting."
 )
 BEST_NOTE: Final = (
-    "To best: error relative to that of the best baseline, on forecasts for which all have a value. A "
+    "To best: error relative to that of the best baseline other than the regression, on forecasts for which these "
+    "have a value. A "
     f"dash: fewer than {LEAST_CLUSTERS} vehicle-days, or 0 h ahead, when every baseline equals the "
     "display."
 )
@@ -54,6 +63,30 @@ def tabulate_by_time(result: Result) -> ReportTable:
     notes = (PERCENT_NOTE, COVERAGE_NOTE, f"Baselines (MAE only): {meanings}.", BEST_NOTE)
     title = "Forecasts of the state of charge at the shift's end"
     return ReportTable(title, "before", heads, tuple(rows), notes)
+
+
+def tabulate_intervals(result: Result) -> ReportTable:
+    """Return the intervals of forecasts and regression side by side, by the time ahead."""
+    by_hours = {**get_mapping(result, "overall", "hours"), "all": get_mapping(result, "overall", "pooled")}
+    rows = tuple(
+        Row(
+            hours if hours == "all" else f"{hours} h",
+            (
+                Cell(format_count(get_number(both["n"]) or 0)),
+                *(Cell(format_share(both[f"{whose}coverage"])) for whose in ("forecast_", "")),
+                *(
+                    Cell(format_estimate(get_number(both[f"{whose}{figure}_pct"]), 1))
+                    for figure in ("width", "interval_score")
+                    for whose in ("forecast_", "")
+                ),
+            ),
+            total=hours == "all",
+        )
+        for hours, group in by_hours.items()
+        if hours != "0" and (both := get_mapping(group, "regression")) and both["n"]
+    )
+    heads = ("n", "coverage", "regression", "width", "regression", "interval score", "regression")
+    return ReportTable("Intervals beside those of the regression", "before", heads, rows, (SCORE_NOTE, SHARE_NOTE))
 
 
 def _cells(group: Mapping[str, Any]) -> tuple[Cell, ...]:
@@ -118,7 +151,7 @@ def tabulate_conditions(result: Result) -> list[ReportTable]:
     tables = []
     for name, bins in get_mapping(result, "by").items():
         rows = tuple(Row(format_bin(name, str(part["bin"])), _of_bin(part)) for part in bins)
-        unit = ", °C" if name == "temperature" else ""
+        unit = UNITS.get(name, "")
         notes = (PERCENT_NOTE, "All columns but the last two pool all times ahead.", COVERAGE_NOTE, BEST_NOTE)
         if len(rows) > 1:
             tables.append(ReportTable(f"By {name}", f"{name}{unit}", heads, rows, notes))
@@ -141,6 +174,7 @@ def tabulate_legs(result: Result) -> list[ReportTable]:
     titles = {
         "without a charge": "State of charge at the end of single legs",
         "charged later": "The same where the car charged later in the shift",
+        "to the next charge": "The last of these legs before the next charge",
     }
     notes = (LEG_NOTE, PERCENT_NOTE, COVERAGE_NOTE)
     legs = get_mapping(result, "legs")

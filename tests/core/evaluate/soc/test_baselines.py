@@ -34,6 +34,16 @@ def test_linear_baseline_is_exact_for_constant_pace():
     assert result["linear"].to_numpy() == pytest.approx(cases["soc_end_pct"].to_numpy())
 
 
+def test_linear_baseline_begins_when_the_car_wakes_up_and_not_at_its_departure():
+    frames = make_frames(cars=1, days=1, warm_up=0)
+    begin, hours = frames.shifts["begin_s"].iloc[0], 7.0
+    soc = 90.0 - 40.0 * (frames.outlooks["time_s"] - begin) / (3600.0 * hours)
+    departed = frames.outlooks.assign(soc_pct=soc, soc_begin_pct=82.0)  # heated for a while before
+    shifts = frames.shifts.assign(soc_begin_pct=82.0, soc_end_pct=50.0)
+    _, result = select_with_baselines(frames._replace(outlooks=departed, shifts=shifts))
+    assert result["linear"].dropna().to_numpy() == pytest.approx(50.0)
+
+
 def test_linear_baseline_restarts_after_charge():
     frames = make_frames(cars=1, days=1, warm_up=0)
     begin = frames.shifts["begin_s"].iloc[0]
@@ -64,7 +74,9 @@ def test_rating_baseline_is_rating_times_planned_distance():
 
 def test_baselines_stay_between_0_and_100_percent():
     frames = make_frames(cars=2, days=5, warm_up=0)
-    outlooks = frames.outlooks.assign(ahead_km=1000.0, soc_begin_pct=10.0)
+    outlooks = frames.outlooks.assign(ahead_km=1000.0)
+    woken = outlooks["time_s"] == outlooks["shift_begin_s"]
+    outlooks["soc_pct"] = np.where(woken, 10.0, outlooks["soc_pct"])
     _, result = select_with_baselines(frames._replace(outlooks=outlooks))
     known = result.to_numpy()[np.isfinite(result.to_numpy())]
     assert known.min() == 0.0

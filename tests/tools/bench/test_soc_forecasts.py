@@ -1,0 +1,93 @@
+"""The harness judges a simulated fleet from its messages and measures each goal."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tools.bench import soc_forecasts, soc_goals
+from tools.bench.soc_forecasts import list_fleets, main
+from tools.bench.soc_goals import Judged
+from tools.simulator.conditions import ABSENT, Conditions, DisplayFault
+from tools.simulator.fleets import get_fleet
+
+
+@pytest.fixture
+def _small(monkeypatch):
+    """Make each fleet one of four cars, eight days and an hour, one of whose displays is absent."""
+
+    def make(_, seed, __):
+        conditions = Conditions(coulomb_display=True, display_faults=(DisplayFault(1, ABSENT, 2, 9),))
+        return replace(get_fleet("small", seed), vehicles=4, days=8, shift_hours=1.1, conditions=conditions)
+
+    monkeypatch.setattr(soc_forecasts, "make_simulation", make)
+
+
+def make_judged(fleet, bias=0.0, width=8.0, n=400, change=0.0):
+    """Return forecasts with a normal error of 2 %, beside a regression with one of 4 %."""
+    rng = np.random.default_rng(1)
+    day, became = np.arange(n) // 8, rng.uniform(20.0, 60.0, n)
+    mean, theirs = became + bias + rng.normal(0.0, 2.0, n), became + rng.normal(0.0, 4.0, n)
+    cases = pd.DataFrame(
+        {
+            "vehicle_id": "taxi-009", "shift": day, "begin_s": 86400.0 * (day + 10.0) + 30000.0, "end_s": 86400.0 * day,
+            "time_s": 86400.0 * day, "hours": 2, "cluster": np.arange(n) // 2, "ambient_c": 5.0, "fault": "",
+            "charged_s": np.nan, "soc_pct": 90.0, "soc_end_pct": became, "soc_lowest_pct": became,
+            "soc_mean_pct": mean, "soc_p05_pct": mean - width / 2, "soc_p95_pct": mean + width / 2,
+            "reserve_soc_pct": 10.0, "reserve_risk": 0.01, "regression": theirs, "regression_p05": theirs - 7.0,
+            "regression_p95": theirs + 7.0, "linear": 0.0, "model_mean": 0.0, "rating": 0.0,
+        }
+    )  # fmt: skip
+    forecasts = cases[["vehicle_id", "time_s", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct"]].drop_duplicates("time_s")
+    forecasts = forecasts.assign(soc_mean_pct=forecasts["soc_mean_pct"] + change)
+    bounds = {"n": 10, "above": 0, "largest": 0.0}
+    return Judged(fleet, 1, 86400.0 * 10, cases, cases[:0], cases[:0], forecasts, bounds, 1.0)
+
+
+def find(lines, text):
+    """Return the first line whose subject begins with a text."""
+    return next(line for line in lines if line.what.startswith(text))
+
+
+def test_good_forecasts_meet_the_goals():
+    lines = soc_goals.check_goals([make_judged("autumn", width=6.7)])
+    assert find(lines, "2 h ahead: MAE against regression").verdict == "met"
+    assert find(lines, "2 h ahead: MAE against best person").verdict == "met"
+    assert find(lines, "2 h ahead: interval score").verdict == "met"
+    assert find(lines, "2 h ahead: median width of").measured == "14.0"
+    assert find(lines, "upper bound").verdict == "met"
+
+
+def test_biased_forecasts_miss_the_cold_snap():
+    lines = soc_goals.check_goals([make_judged("autumn", bias=20.0)])
+    first = f"first day of the cold snap, {soc_goals.AHEAD} h ahead"
+    assert find(lines, f"{first}: bias").verdict == "missed"
+    assert find(lines, "2 h ahead: MAE against regression").verdict == "missed"
+
+
+def test_change_of_healthy_cars_is_found():
+    same = [make_judged("autumn-faults"), make_judged("autumn-short")]
+    assert find(soc_goals.check_goals(same), "healthy cars").verdict == "met"
+    other = [make_judged("autumn-faults", change=0.3), make_judged("autumn-short")]
+    assert find(soc_goals.check_goals(other), "healthy cars").measured.startswith("at most 0.30")
+
+
+def test_parts_name_fleets():
+    assert list_fleets("small,preset") == ["small", "preset"]
+    assert len(list_fleets("all")) == len(set(list_fleets("all"))) == 10
+
+
+@pytest.mark.usefixtures("_small")
+def test_harness_judges_messages_and_keeps_them(tmp_path, capsys):
+    arguments = ["--fleet", "autumn-faults", "--seeds", "3"]
+    main([*arguments, "--keep", str(tmp_path / "kept"), "--json", str(tmp_path / "once.json")])
+    assert "absent SOC: coverage" in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / "kept").iterdir()} == {
+        "autumn-faults-3.mcap",
+        "autumn-faults-3.displays.json",
+    }
+    main([*arguments, "--json", str(tmp_path / "streamed.json")])
+    once, streamed = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("once", "streamed"))
+    assert once == streamed

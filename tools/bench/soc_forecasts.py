@@ -1,0 +1,198 @@
+"""Judge forecasts of the state of charge on simulated fleets in which much goes wrong, against goals.
+
+Each seed gives the fleets of the chosen parts. Their messages pass the loop of live telemetry, so that a forecast rests
+on nothing from its future. Outcomes are what healthy displays show, also where a display is faulty. Shares have
+Wilson's 95 % intervals for as many independent cases as the vehicle-days are worth.
+
+Example: python -m tools.bench.soc_forecasts --fleet autumn --seeds 1-2 --keep build/soc
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+import pandas as pd
+from rich.console import Console
+
+from core import models
+from core.evaluate.soc.baselines import compute_baselines, compute_leg_baselines
+from core.evaluate.soc.cases import select_cases
+from core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
+from core.pipeline import Pipeline
+from core.settings import Settings
+from core.wire.messages import Message
+from stream.loop import run
+from stream.mcap_reader import McapSource
+from stream.mcap_writer import McapSink
+from tools.bench.nothing_hidden import parse_seeds
+from tools.bench.soc_goals import COMPARED, Judged, Line, check_goals
+from tools.commands.evaluate_soc import SocForecasts
+from tools.simulator.fleet import simulate
+from tools.simulator.fleets import get_fleet
+from tools.simulator.preset import load_preset
+from tools.simulator.settings import Simulation
+from tools.simulator.truth import Truth
+from tools.terminal.model_comparison import DEFAULT_MODEL
+
+PARTS: Final = {
+    "autumn": ("autumn", "autumn-heat"),
+    "trouble": (
+        "autumn-short",
+        "autumn-faults",
+        "autumn-no-plan",
+        "autumn-no-shows",
+        "autumn-plans",
+        "autumn-charges",
+    ),
+    "small": ("small",),
+    "preset": ("preset",),
+}
+"""Fleets of each part."""
+BLOCK: Final = 4096
+"""Number of messages that the pipeline receives at a time."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Judge, and print a line for each goal.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Command line, by default that of the process.
+    """
+    parser = argparse.ArgumentParser("soc_forecasts", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--fleet", default="autumn", help=f"parts or fleets, of {', '.join(PARTS)}, all")
+    parser.add_argument("--seeds", default="1", help="seeds, such as 1-3 or 7,9")
+    parser.add_argument("--rides", type=int, default=20_000, help="number of rides of the preset")
+    parser.add_argument("--keep", type=Path, help="folder for simulated recordings; those in it are used again")
+    parser.add_argument("--recording", type=Path, help="recording to judge instead of fleets")
+    parser.add_argument("--json", type=Path, help="file for the lines")
+    options = parser.parse_args(arguments)
+    console = Console()
+    if options.recording is not None:
+        judged = [judge(options.recording.stem, 0, 0.0, read_recording(options.recording), None)]
+    else:
+        judged = []
+        for seed in parse_seeds(options.seeds):
+            for fleet in list_fleets(options.fleet):
+                one = judge_fleet(fleet, seed, options.rides, options.keep)
+                judged.append(one)
+                console.print(f"{fleet}, seed {seed}: {len(one.cases)} forecasts in {one.seconds:.0f} s")
+    lines = check_goals(judged)
+    console.print("\n".join(tabulate(lines)), markup=False, highlight=False, soft_wrap=True)
+    if options.json is not None:
+        options.json.write_text(json.dumps([line._asdict() for line in lines], indent=1) + "\n", encoding="utf-8")
+
+
+def list_fleets(text: str) -> list[str]:
+    """Return the fleets of parts, or fleets by name.
+
+    Examples
+    --------
+    >>> list_fleets("autumn,small")
+    ['autumn', 'autumn-heat', 'small']
+    """
+    names = list(PARTS) if text == "all" else text.split(",")
+    return [fleet for name in names for fleet in PARTS.get(name, (name,))]
+
+
+def judge_fleet(fleet: str, seed: int, rides: int, keep: Path | None) -> Judged:
+    """Simulate a fleet, or read it where it was kept, and judge its forecasts.
+
+    Parameters
+    ----------
+    fleet : str
+        Name of a fleet, or `preset`.
+    seed : int
+        Seed of the simulation.
+    rides : int
+        Number of rides of the preset.
+    keep : Path or None
+        Folder for recordings and truths.
+    """
+    simulation = make_simulation(fleet, seed, rides)
+    truth, first = Truth(), simulation.start.timestamp()
+    if keep is None:
+        messages = simulate(simulation, truth)
+        return judge(fleet, seed, first, make_blocks(messages), truth)
+    keep.mkdir(parents=True, exist_ok=True)
+    name = f"{fleet}-{rides}-{seed}" if fleet == "preset" else f"{fleet}-{seed}"
+    recording, displays = keep / f"{name}.mcap", keep / f"{name}.displays.json"
+    if not displays.exists():
+        with McapSink(recording) as sink:
+            for block in make_blocks(simulate(simulation, truth)):
+                sink.put(block)
+        displays.write_text(json.dumps(truth.displays) + "\n", encoding="utf-8")
+    truth.displays = json.loads(displays.read_text(encoding="utf-8"))
+    return judge(fleet, seed, first, read_recording(recording), truth)
+
+
+def make_simulation(fleet: str, seed: int, rides: int) -> Simulation:
+    """Return the simulation of a named fleet, or of the preset."""
+    if fleet == "preset":
+        return Simulation(preset="teo", rides=rides, seed=seed, faults=load_preset("teo").fleet.faults)
+    return get_fleet(fleet, seed)
+
+
+def make_blocks(messages: Iterator[Message]) -> Iterator[list[Message]]:
+    """Yield messages in lists."""
+    while block := list(islice(messages, BLOCK)):
+        yield block
+
+
+def read_recording(path: Path) -> Iterator[list[Message]]:
+    """Yield the messages of a recording in lists."""
+    yield from McapSource(path)
+
+
+def judge(fleet: str, seed: int, first_day_s: float, source: Iterator[list[Message]], truth: Truth | None) -> Judged:
+    """Pass messages through the loop of live telemetry, and compare its forecasts with outcomes and baselines.
+
+    Parameters
+    ----------
+    fleet : str
+        Name of the fleet.
+    seed : int
+        Seed of the simulation.
+    first_day_s : float
+        Midnight before its first day. [Unix s]
+    source : iterator of list of Message
+        Its messages.
+    truth : Truth or None
+        Truth of the simulation, complete when all messages are taken.
+    """
+    begun = time.perf_counter()
+    forecasts = SocForecasts(Pipeline(models.load(DEFAULT_MODEL), Settings(), keep_outlooks=True))
+    run(forecasts.cut(source), forecasts.pipeline, watch=lambda _: forecasts())
+    outlooks, shifts, legs, plans = forecasts.tables()
+    displays = pd.DataFrame(truth.displays) if truth is not None and truth.displays else None
+    if displays is not None:
+        shifts = replace_outcomes(shifts, displays)
+    selected = select_cases(outlooks, shifts)
+    cases = pd.concat([selected.cases, compute_baselines(selected.cases, outlooks, shifts, plans)], axis=1)
+    legs = pd.concat([legs, compute_leg_baselines(legs, outlooks, shifts, plans)], axis=1)
+    return Judged(
+        fleet,
+        seed,
+        first_day_s,
+        cases,
+        selected.unlearned,
+        legs,
+        outlooks[COMPARED],
+        count_impossible_bounds(outlooks, plans),
+        time.perf_counter() - begun,
+    )
+
+
+def tabulate(lines: list[Line]) -> list[str]:
+    """Return a Markdown table of lines."""
+    rows = [f"| {line.fleet} | {line.what} | {line.goal} | {line.measured} | {line.verdict} |" for line in lines]
+    return ["| fleet | what | goal | measured | |", "|---|---|---|---|---|", *rows]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,327 @@
+"""State the goals of forecasts of the state of charge, and measure them on judged fleets."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from core.batch import Floats
+from core.columns import SECONDS_PER_DAY
+from core.evaluate.binning import bin_values
+from core.evaluate.soc.baselines import PERSONS, REGRESSION
+from core.evaluate.soc.report import TEMPERATURES, compute_interval_score
+from core.evaluate.soc.reserve_risk import PLANNED, tabulate_levels
+from core.stats.clustered import compute_clustered_share
+from tools.simulator.fleets import COLD_SNAP
+
+MAIN: Final = ("autumn", "small", "preset")
+"""Fleets on which settled weather and all days count."""
+AHEAD: Final = 2
+"""Time ahead at which forecasts are compared. [h]"""
+FEWEST: Final = 30
+"""Number of forecasts from which a temperature band counts."""
+FIRST_DAYS: Final = 3
+NEW_CAR_DAYS: Final = 5
+"""Days for which a car that has joined counts as new."""
+FAULTY: Final = {"frozen": "frozen SOC", "absent": "absent SOC", "jumping": "jumping SOC"}
+TROUBLES: Final = {"autumn-no-plan": "no plan", "autumn-no-shows": "no-shows", "autumn-plans": "plans 50 % wrong"}
+MOST_CHANGE: Final = 0.1
+"""Largest change of the forecast of a healthy car through a fault of another. [%]"""
+
+COMPARED: Final = ["vehicle_id", "time_s", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct"]
+"""Columns of the forecasts that are compared between a fleet with and without faults."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Hold what a fleet with one seed gave.
+
+    Parameters
+    ----------
+    fleet : str
+        Name of the fleet.
+    seed : int
+        Seed.
+    first_day_s : float
+        Midnight before its first day. [Unix s]
+    cases, unlearned : DataFrame
+        Forecasts with outcome and baselines, and those without an interval, of `core.evaluate.soc.cases`.
+    legs : DataFrame
+        Legs with outcome and baselines.
+    forecasts : DataFrame
+        `COMPARED` of all forecasts.
+    bounds : dict
+        Of `core.evaluate.soc.outcomes.count_impossible_bounds`.
+    seconds : float
+        Time that simulation and forecasts took. [s]
+    """
+
+    fleet: str
+    seed: int
+    first_day_s: float
+    cases: pd.DataFrame
+    unlearned: pd.DataFrame
+    legs: pd.DataFrame
+    forecasts: pd.DataFrame
+    bounds: dict[str, Any]
+    seconds: float
+
+
+class Line(NamedTuple):
+    """Hold a goal, what was measured, and whether the goal is met (`met`, `missed`, or empty without a goal)."""
+
+    fleet: str
+    what: str
+    goal: str
+    measured: str
+    verdict: str
+
+
+def check_goals(judged: Sequence[Judged]) -> list[Line]:
+    """Return a line for each goal that the judged fleets can measure.
+
+    Parameters
+    ----------
+    judged : sequence of Judged
+        Fleets of one or more seeds; the seeds of a fleet are pooled.
+
+    Returns
+    -------
+    list of Line
+    """
+    lines: list[Line] = []
+    for fleet in dict.fromkeys(one.fleet for one in judged):
+        mine = [one for one in judged if one.fleet == fleet]
+        cases = _pool(mine, "cases")
+        if not len(cases):
+            lines.append(Line(fleet, "forecasts with an interval", "", "none", "missed"))
+            continue
+        if fleet not in (*TROUBLES, "autumn-faults", "autumn-short", "autumn-charges", "autumn-heat"):
+            lines += _check_main(fleet, cases)
+            lines += _check_risk(fleet, cases)
+        lines += _check_days(fleet, mine, cases)
+        lines += _check_trouble(fleet, cases)
+        if fleet == "autumn-charges":
+            lines += _check_charges(fleet, _pool(mine, "legs"))
+        lines.append(_check_bounds(fleet, mine))
+    return lines + _check_healthy(judged)
+
+
+def _pool(judged: Sequence[Judged], name: str) -> pd.DataFrame:
+    """Return a table of several seeds, with clusters and days of their own."""
+    parts, base = [], 0
+    for one in judged:
+        part = getattr(one, name)
+        if not len(part):
+            continue
+        day = np.floor((part["begin_s"] - one.first_day_s) / SECONDS_PER_DAY) if one.first_day_s else np.nan
+        names = part["vehicle_id"].astype(str) + f"/{one.seed}"
+        parts.append(part.assign(day=day, seed=one.seed, vehicle_id=names, cluster=part["cluster"] + base))
+        base += int(part["cluster"].max()) + 1
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+
+
+def _check_main(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
+    """Yield error, score, coverage and width, beside those of the baselines."""
+    for hours in (1, AHEAD, 4):
+        rows, goals = cases[cases["hours"] == hours], hours == AHEAD
+        if not len(rows):
+            continue
+        where = f"{hours} h ahead"
+        ours, theirs = _both(rows, REGRESSION)
+        yield _less(fleet, f"{where}: MAE against regression", 0.20 if goals else None, ours, theirs)
+        known = rows.dropna(subset=list(PERSONS))
+        if len(known):
+            best = min(PERSONS, key=lambda name: float(_error(known, name).mean()))
+            what = f"{where}: MAE against best person ({best})"
+            yield _less(fleet, what, 0.40 if goals else None, _error(known, "soc_mean_pct"), _error(known, best))
+        both = rows[rows["regression_p05"].notna()]
+        if len(both):
+            scores = _score(both, "soc_p05_pct", "soc_p95_pct"), _score(both, "regression_p05", "regression_p95")
+            yield _less(fleet, f"{where}: interval score against regression", 0.25 if goals else None, *scores)
+            yield _share(fleet, f"{where}: coverage of regression", None, _held(both, REGRESSION), both)
+            wide = float((both["regression_p95"] - both["regression_p05"]).median())
+            yield Line(fleet, f"{where}: median width of regression", "", f"{wide:.1f}", "")
+        yield _share(fleet, f"{where}: coverage", (0.88, 0.92) if goals else None, _held(rows), rows)
+        width = float((rows["soc_p95_pct"] - rows["soc_p05_pct"]).median())
+        most = 9.0 if goals and fleet == "autumn" else None
+        verdict = "" if most is None else _verdict(width <= most)
+        yield Line(fleet, f"{where}: median width", "" if most is None else f"<= {most:g}", f"{width:.1f}", verdict)
+        yield from _check_bands(fleet, rows, where, goals)
+
+
+def _check_bands(fleet: str, rows: pd.DataFrame, where: str, goals: bool) -> Iterator[Line]:
+    """Yield the coverage of each band of temperature with enough forecasts."""
+    band = bin_values(rows["ambient_c"].to_numpy(np.float64), TEMPERATURES)
+    for code in np.unique(band.codes[band.codes >= 0]).tolist() if goals else ():
+        mine = rows[band.codes == code]
+        if len(mine) >= FEWEST:
+            what = f"{where}: coverage, {band.labels[code]} °C"
+            yield _share(fleet, what, (0.85, 1.0), _held(mine), mine)
+
+
+def _check_risk(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
+    """Yield how often told risks happened, and the Brier score beside that of the regression."""
+    rows = tabulate_levels(cases)
+    rows = rows[rows["level"] != PLANNED]
+    for (low, high), goal in {(0.05, 0.2): (0.03, 0.25), (0.5, 0.8): (0.45, 0.85)}.items():
+        for column, name in {"risk": "", REGRESSION: " by the regression"}.items():
+            told = rows[(rows[column] >= low) & (rows[column] < high)]
+            if len(told):
+                what = f"risk told {100 * low:.0f} to {100 * high:.0f} %{name}: happened"
+                yield _share(fleet, what, None if name else goal, told["fell"].to_numpy(bool), told)
+    known = rows[rows[REGRESSION].notna()]
+    if len(known):
+        fell = known["fell"].to_numpy(np.float64)
+        squares = ((known["risk"] - fell) ** 2).to_numpy(), ((known[REGRESSION] - fell) ** 2).to_numpy()
+        yield _less(fleet, "Brier score against regression", 0.0, *squares, digits=4)
+
+
+def _check_days(fleet: str, judged: Sequence[Judged], cases: pd.DataFrame) -> Iterator[Line]:
+    """Yield the coverage of the first days of a fleet, of a spell and of a car that has joined."""
+    ahead = cases[cases["hours"] > 0]
+    if fleet in MAIN and ahead["day"].notna().any():
+        unlearned = _pool(judged, "unlearned")
+        none = len(unlearned[(unlearned["hours"] > 0) & (unlearned["day"] < FIRST_DAYS)]) if len(unlearned) else 0
+        early = ahead[ahead["day"] < FIRST_DAYS]
+        what = f"first {FIRST_DAYS} days: coverage ({none} of {none + len(early)} forecasts have no interval)"
+        if none + len(early):
+            line = _share(fleet, what, (0.85, 1.0), _held(early), early)
+            yield line._replace(verdict="missed" if none else line.verdict)
+    if fleet in ("autumn", "autumn-heat"):
+        spell = "cold snap" if fleet == "autumn" else "heat wave"
+        for hours, name in ((AHEAD, f"{AHEAD} h ahead"), (None, "1 to 6 h ahead")):
+            first = ahead[(ahead["day"] == COLD_SNAP.day) & ((ahead["hours"] == hours) | (hours is None))]
+            if len(first):
+                where = f"first day of the {spell}, {name}"
+                yield _share(fleet, f"{where}: coverage", (0.8, 1.0), _held(first), first)
+                bias = float((first["soc_mean_pct"] - first["soc_end_pct"]).mean())
+                yield Line(fleet, f"{where}: bias", "within 5", f"{bias:+.1f}", _verdict(abs(bias) <= 5.0))
+                width = float((first["soc_p95_pct"] - first["soc_p05_pct"]).median())
+                yield Line(fleet, f"{where}: median width", "", f"{width:.1f}", "")
+                if first["regression_p05"].notna().any():
+                    known = first[first["regression_p05"].notna()]
+                    yield _share(fleet, f"{where}: coverage of regression", None, _held(known, REGRESSION), known)
+                    off = float((known[REGRESSION] - known["soc_end_pct"]).mean())
+                    yield Line(fleet, f"{where}: bias of regression", "", f"{off:+.1f}", "")
+                empty = float((first["soc_end_pct"] <= 0.0).mean())
+                yield Line(fleet, f"{where}: share that ended empty", "", f"{100 * empty:.0f} %", "")
+    if fleet == "autumn":
+        joined = ahead.groupby("vehicle_id")["day"].transform("min")
+        new = ahead[(joined > FIRST_DAYS * 3) & (ahead["day"] < joined + NEW_CAR_DAYS)]
+        if len(new):
+            yield _share(fleet, f"new car, first {NEW_CAR_DAYS} days: coverage", (0.85, 1.0), _held(new), new)
+
+
+def _check_trouble(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
+    """Yield the coverage of forecasts where plans or displays go wrong."""
+    ahead = cases[cases["hours"] > 0]
+    if fleet in TROUBLES:
+        yield _share(fleet, f"{TROUBLES[fleet]}: coverage", (0.85, 1.0), _held(ahead), ahead)
+        ours, theirs = _both(ahead, REGRESSION)
+        yield _less(fleet, f"{TROUBLES[fleet]}: MAE against regression", None, ours, theirs)
+    for fault, name in FAULTY.items() if fleet == "autumn-faults" else ():
+        mine = ahead[ahead["fault"] == fault]
+        if len(mine):
+            yield _share(fleet, f"{name}: coverage", (0.85, 1.0), _held(mine), mine)
+            width = float((mine["soc_p95_pct"] - mine["soc_p05_pct"]).median())
+            yield Line(fleet, f"{name}: median width", "", f"{width:.1f}", "")
+        else:
+            yield Line(fleet, f"{name}: coverage", ">= 85 %", "no forecast with an interval", "missed")
+
+
+def _check_charges(fleet: str, legs: pd.DataFrame) -> Iterator[Line]:
+    """Yield coverage and error of the last leg before the next charge."""
+    if not len(legs):
+        return
+    later = legs[legs["charges"]].sort_values("leg", kind="stable")
+    last = later.drop_duplicates(["vehicle_id", "time_s"], keep="last")
+    last = last[last["minutes"] >= 30.0]
+    if len(last):
+        yield _share(fleet, "to the next charge: coverage", (0.88, 0.92), _held(last), last)
+        ours, theirs = _both(last, REGRESSION)
+        yield _less(fleet, "to the next charge: MAE against regression", 0.20, ours, theirs)
+
+
+def _check_bounds(fleet: str, judged: Sequence[Judged]) -> Line:
+    """Return how often an upper bound was above the present charge without a charge ahead."""
+    above, n = (sum(one.bounds[name] for one in judged) for name in ("above", "n"))
+    largest = max(one.bounds["largest"] for one in judged)
+    told = f"{above:,} of {n:,}, at most by {largest:.1f}"
+    return Line(fleet, "upper bound above the present charge", "never", told, _verdict(above == 0))
+
+
+def _check_healthy(judged: Sequence[Judged]) -> list[Line]:
+    """Return how much the faults of other cars changed the forecasts of healthy cars."""
+    pairs = [
+        (faulty, healthy)
+        for faulty in judged
+        for healthy in judged
+        if (faulty.fleet, healthy.fleet) == ("autumn-faults", "autumn-short") and faulty.seed == healthy.seed
+    ]
+    if not pairs:
+        return []
+    changes: list[Floats] = []
+    for faulty, healthy in pairs:
+        ill = set(faulty.cases.loc[faulty.cases["fault"] != "", "vehicle_id"]) | {"taxi-001", "taxi-002", "taxi-003"}
+        both = faulty.forecasts.merge(healthy.forecasts, on=["vehicle_id", "time_s"], suffixes=("", "_healthy"))
+        both = both[~both["vehicle_id"].isin(ill)]
+        names = ("soc_mean_pct", "soc_p05_pct", "soc_p95_pct")
+        changes += [(both[name] - both[f"{name}_healthy"]).abs().to_numpy(np.float64) for name in names]
+    change = np.concatenate(changes)
+    change = change[np.isfinite(change)]
+    largest, share = float(change.max(initial=0.0)), float(np.mean(change > MOST_CHANGE))
+    told = f"at most {largest:.2f}, {100 * share:.1f} % of figures by more than {MOST_CHANGE:g}"
+    what = "healthy cars: change of forecasts through faults of other cars"
+    return [Line("autumn-faults", what, f"<= {MOST_CHANGE:g}", told, _verdict(largest <= MOST_CHANGE))]
+
+
+def _error(rows: pd.DataFrame, name: str) -> Floats:
+    return (rows[name] - rows["soc_end_pct"]).abs().to_numpy(np.float64)
+
+
+def _both(rows: pd.DataFrame, name: str) -> tuple[Floats, Floats]:
+    """Return the errors of forecasts and of a baseline where it has a value."""
+    known = rows[rows[name].notna()]
+    return _error(known, "soc_mean_pct"), _error(known, name)
+
+
+def _score(rows: pd.DataFrame, low: str, high: str) -> Floats:
+    columns: list[Any] = [rows[name].to_numpy(np.float64) for name in (low, high, "soc_end_pct")]
+    return compute_interval_score(*columns)
+
+
+def _held(rows: pd.DataFrame, whose: str = "soc") -> Any:
+    """Return whether the outcome is inside the interval."""
+    unit = "_pct" if whose == "soc" else ""
+    became = rows["soc_end_pct"]
+    return ((rows[f"{whose}_p05{unit}"] <= became) & (became <= rows[f"{whose}_p95{unit}"])).to_numpy(bool)
+
+
+def _share(fleet: str, what: str, goal: tuple[float, float] | None, holds: Any, rows: pd.DataFrame) -> Line:
+    """Return the line of a share with its interval."""
+    words = "" if goal is None else f">= {100 * goal[0]:.0f} %"
+    if goal is not None and goal[1] < 1.0:
+        words = f"{100 * goal[0]:.0f} to {100 * goal[1]:.0f} %"
+    if not len(rows):
+        return Line(fleet, what, words, "none", "missed")
+    share = compute_clustered_share(holds, rows["cluster"].to_numpy(np.int64))
+    told = f"{100 * share['value']:.1f} % ({100 * share['low']:.0f} to {100 * share['high']:.0f}; n {len(rows)})"
+    met = goal is None or goal[0] <= share["value"] <= goal[1]
+    return Line(fleet, what, words, told, "" if goal is None else _verdict(met))
+
+
+def _less(fleet: str, what: str, goal: float | None, ours: Floats, theirs: Floats, digits: int = 2) -> Line:
+    """Return the line of a mean that should be below that of a baseline by a share."""
+    words = "" if goal is None else f"{-100 * goal:.0f} % or less" if goal else "below"
+    if not len(ours):
+        return Line(fleet, what, words, "none", "" if goal is None else "missed")
+    change = float(ours.mean() / theirs.mean()) - 1.0
+    told = f"{100 * change:+.0f} % ({ours.mean():.{digits}f} against {theirs.mean():.{digits}f}; n {len(ours)})"
+    return Line(fleet, what, words, told, "" if goal is None else _verdict(change <= -goal))
+
+
+def _verdict(met: bool) -> str:
+    return "met" if met else "missed"
