@@ -22,7 +22,6 @@ fixes has changed, and a new segment begins. Segments are smoothed apart, and th
 climb. A segment with fewer fixes than contradict it is none, and its fixes are not used.
 """
 
-from functools import cache
 from math import exp, inf, isnan, log, nan
 from typing import Any, Final, NamedTuple
 
@@ -71,6 +70,10 @@ USED: Final = 1
 """What became of the readings of a row."""
 
 
+UNIT_NOISE: Final[Floats] = np.array([[1.0 / 3.0, 1.0 / 2.0], [1.0 / 2.0, 1.0]])
+"""Process noise of height and slope over a step of 1 m, where the slope takes up white noise of unit density."""
+
+
 class RideSteps(NamedTuple):
     """Hold what the filter takes of a ride, n rows.
 
@@ -91,14 +94,6 @@ class RideSteps(NamedTuple):
     ground_variance: Floats
 
 
-@cache
-def design_unit_noise() -> Floats:
-    """Return the process noise of a step of 1 m, by noise of unit density: (2, 2) float."""
-    from filterpy.common import Q_continuous_white_noise  # noqa: PLC0415 - it loads scipy.stats, half a second
-
-    return np.asarray(Q_continuous_white_noise(2, dt=1.0, spectral_density=1.0), np.float64)
-
-
 @njit(cache=False)
 def filter_ride(
     ride: Any, noise: tuple[float, float, float], unit: Any, predicted: Any, updated: Any, begins: Any
@@ -112,7 +107,7 @@ def filter_ride(
     noise : (roughness, sd, correlation_time)
         See `smooth_ride`.
     unit : (2, 2) float
-        See `design_unit_noise`.
+        See `UNIT_NOISE`.
     predicted, updated : (n,) or (0,) of `ESTIMATE`
         Filled with the estimate before and after the fix of each row; where empty, only the likelihood is computed.
     begins : (n,) or (0,) bool

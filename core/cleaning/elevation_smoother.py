@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from core.cleaning import elevation_filter
 from core.cleaning.elevation_filter import (
     ESTIMATE,
+    UNIT_NOISE,
     RideSteps,
     describe_step,
-    design_unit_noise,
     filter_ride,
     smooth_back,
 )
@@ -73,7 +73,7 @@ def smooth_elevation(clean: Clean) -> Clean:
     heights, climbs = elevation[order], climb[order]
     columns = clean.distance, clean.dt, clean.elevation_fix, clean.ground, clean.ground_variance
     steps = np.stack([column[order] for column in columns])
-    smooth_rides(steps, np.append(begins, len(order)), design_unit_noise(), heights, climbs)
+    smooth_rides(steps, np.append(begins, len(order)), UNIT_NOISE, heights, climbs)
     elevation[order], climb[order] = heights, climbs
     return clean._replace(elevation=elevation, climb=climb)
 
@@ -94,7 +94,7 @@ def smooth_ride(steps: RideSteps, noise: tuple[float, float, float]) -> NDArray[
     """
     predicted, updated = np.zeros((2, len(steps.fix)), ESTIMATE)
     begins = np.zeros(len(steps.fix), np.bool_)
-    filter_ride(steps, noise, design_unit_noise(), predicted, updated, begins)
+    filter_ride(steps, noise, UNIT_NOISE, predicted, updated, begins)
     smooth_back(steps.distance, begins, predicted, updated)
     return updated
 
@@ -110,7 +110,7 @@ def smooth_rides(steps: Any, edges: Any, unit: Any, heights: Any, climbs: Any) -
     edges : (rides + 1,) int
         First row of each ride, and the number of rows.
     unit : (2, 2) float
-        Process noise of a step of 1 m, see `design_unit_noise`.
+        Process noise of a step of 1 m, see `UNIT_NOISE`.
     heights, climbs : (n,) float
         Changed in place. [m]
     """

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from filterpy.common import van_loan_discretization
+from filterpy.common import Q_continuous_white_noise, van_loan_discretization
 from filterpy.kalman import KalmanFilter
 
-from core.cleaning.elevation_filter import FAR, LENGTH, STEEP, RideSteps, design_unit_noise
+from core.cleaning.elevation_filter import FAR, LENGTH, STEEP, UNIT_NOISE, RideSteps
 from core.cleaning.elevation_smoother import (
     CORRELATION_TIME,
     ROUGHNESS,
@@ -46,6 +46,10 @@ def compute_rms(values):
 
 
 # Against filterpy
+
+
+def test_unit_noise_is_that_of_filterpy():
+    np.testing.assert_array_equal(UNIT_NOISE, Q_continuous_white_noise(2, dt=1.0, spectral_density=1.0))
 
 
 def run_filterpy(distance, time, fix, noise):
@@ -119,7 +123,7 @@ def map_steps(n=400, coarse=4, ground_sd=3.0, sd=3.0, seed=1):
 def smooth_whole(steps):
     """Return the smoothed climbs of a ride."""
     heights, climbs = np.zeros((2, len(steps.fix)))
-    smooth_rides(np.stack(steps), np.array([0, len(steps.fix)]), design_unit_noise(), heights, climbs)
+    smooth_rides(np.stack(steps), np.array([0, len(steps.fix)]), UNIT_NOISE, heights, climbs)
     return climbs
 
 
@@ -177,7 +181,7 @@ def test_noise_of_the_fixes_is_recovered():
     estimates = []
     for seed in range(8):
         clean = cleaned(ride(600, seed)[0])
-        noise = find_noise(get_steps(clean), design_unit_noise())
+        noise = find_noise(get_steps(clean), UNIT_NOISE)
         estimates.append(noise[1:])
     sd, correlation_time = np.median(estimates, axis=0)
     assert sd == pytest.approx(2.0, rel=0.3)
@@ -187,7 +191,7 @@ def test_noise_of_the_fixes_is_recovered():
 def test_rough_terrain_has_a_larger_roughness_than_level_ground():
     def roughness(columns):
         clean = cleaned(columns)
-        return find_noise(get_steps(clean), design_unit_noise())[0]
+        return find_noise(get_steps(clean), UNIT_NOISE)[0]
 
     hills, truth = ride(600)
     level = hills | {"elevation_m": hills["elevation_m"] - truth + 60.0}
@@ -197,7 +201,7 @@ def test_rough_terrain_has_a_larger_roughness_than_level_ground():
 def test_ride_with_few_fixes_has_the_usual_noise():
     fix = np.full(20, np.nan)
     fix[[3, 15]] = 40.0, 41.0
-    noise = find_noise(make_steps(np.full(20, 30.0), np.full(20, PERIOD), fix), design_unit_noise())
+    noise = find_noise(make_steps(np.full(20, 30.0), np.full(20, PERIOD), fix), UNIT_NOISE)
     assert noise[0] == pytest.approx(ROUGHNESS, rel=10.0)
     assert noise[2] == pytest.approx(CORRELATION_TIME, rel=2.0)
 
@@ -342,7 +346,7 @@ def test_first_climb_follows_a_slope_that_returns_to_level():
     steps[0, 0] = 2.0 * LENGTH  # a bridged tunnel before the first row
     steps[2] = 50.0 + 0.04 * np.cumsum(np.full(60, 30.0))
     heights, climbs = np.zeros((2, 60))
-    smooth_rides(steps, np.array([0, 60]), design_unit_noise(), heights, climbs)
+    smooth_rides(steps, np.array([0, 60]), UNIT_NOISE, heights, climbs)
     slope = (heights[1] - heights[0]) / 30.0
     assert climbs[0] == pytest.approx(slope * LENGTH * (1.0 - np.exp(-2.0)), rel=0.1)
 
