@@ -4,6 +4,8 @@ Each command is a function, or a group of functions, in a file of its own. The f
 is called, because numba, pandas and Zenoh take seconds to import and `socast --help` needs none of them.
 """
 
+import atexit
+import gc
 import inspect
 import os
 import re
@@ -199,6 +201,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     SystemExit
         Always, with the exit code.
     """
+    atexit.register(gc.freeze)  # the interpreter would search what numba and pandas hold for cycles: a quarter second
     given = list(sys.argv[1:] if arguments is None else arguments)
     chosen = next((word for word in _completed(os.environ) or given if not word.startswith("-")), None)
     try:

@@ -68,6 +68,16 @@ def test_command_imports_no_package_that_it_does_not_need(call, not_imported):
     assert ended.stdout.splitlines()[-1] == "[]"
 
 
+def test_process_ends_without_a_search_for_cycles():
+    code = (
+        "import atexit, gc; from tools.cli import main\n"
+        "atexit.register(lambda: print(gc.get_freeze_count() > 0))\n"
+        "main(['--version'])"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert ended.stdout.splitlines()[-1] == "True"
+
+
 @pytest.mark.parametrize("width", [80, 120])
 def test_help_lists_every_command_with_complete_summary(width):
     shown = CliRunner().invoke(application(), ["--help"], env={"COLUMNS": str(width)}).output
