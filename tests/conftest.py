@@ -61,6 +61,14 @@ def _restore_effects() -> Iterator[None]:
 
 
 @pytest.fixture
+def _checks_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check files of effects in this process, which saves that of a process for each; both run the same check."""
+    from core.effects import registry  # noqa: PLC0415 - tests that start processes need no core
+
+    monkeypatch.setattr(registry, "_check_apart", lambda path, _: registry._check_here(path))
+
+
+@pytest.fixture
 def rng() -> np.random.Generator:
     """Return a generator of random numbers that is the same for every test."""
     return np.random.default_rng(7)

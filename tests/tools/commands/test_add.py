@@ -205,6 +205,7 @@ def test_errors_in_inputs_are_one_line(here, capsys):
     ],
 )
 @pytest.mark.parametrize("command", ["diagnose", "add"])
+@pytest.mark.usefixtures("_checks_here")
 def test_errors_in_effect_files_are_one_line(command, text, words, here, capsys):
     file = here / "mine.py"
     file.write_text(text)
