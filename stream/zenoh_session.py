@@ -252,10 +252,17 @@ def _make_config(connection: Connection) -> zenoh.Config:
         ends = {"router": [LOOPBACK], "peer": [_fill_port("tcp/127.0.0.1:0")]}.get(mode, [])
         _insert(config, "listen/endpoints", ends)
     for name, unset, value in _OURS:
-        if _read(config, name) == unset:
-            _insert(config, name, value)
+        _insert_unset(config, name, unset, value)
+    if mode == "router" and not (_read(config, "connect/endpoints") or _read(config, "scouting/multicast/enabled")):
+        _insert_unset(config, "scouting/delay", None, 0)  # else Zenoh waits half a second for nodes that none looks for
     _insert_limits(config, connection)
     return config
+
+
+def _insert_unset(config: zenoh.Config, name: str, unset: Any, value: Any) -> None:
+    """Insert a value unless the file gives another than Zenoh's default, `unset`."""
+    if _read(config, name) == unset:
+        _insert(config, name, value)
 
 
 def _insert_limits(config: zenoh.Config, connection: Connection) -> None:

@@ -36,6 +36,25 @@ def test_node_listens_on_loopback_only_by_default(mode):
     ]
 
 
+@pytest.mark.parametrize(
+    ("options", "content", "delay"),
+    [
+        ({}, "", 0),
+        ({"listen": (LOOPBACK,)}, "", 0),
+        ({"connect": (LOOPBACK,)}, "", None),
+        ({"connect": (LOOPBACK,), "mode": "router"}, "", None),
+        ({"mode": "peer"}, "", None),
+        ({}, "scouting: {delay: 70}", 70),
+        ({}, "scouting: {multicast: {enabled: true}}", None),
+        ({}, f'connect: {{endpoints: ["{LOOPBACK}"]}}', None),
+    ],
+)
+def test_router_that_looks_for_no_other_node_does_not_wait_for_one(options, content, delay, tmp_path):
+    file = tmp_path / "node.json5"
+    file.write_text(f"{{mode: 'router', {content}}}" if not options else "{}")
+    assert _read(_make_config(Connection(config=file, **options)), "scouting/delay") == delay
+
+
 @pytest.mark.parametrize("mode", ["peer", "router"])
 @pytest.mark.parametrize(
     ("content", "endpoints"),
