@@ -14,7 +14,7 @@ from core.evaluate.soc.baselines import PERSONS, REGRESSION
 from core.evaluate.soc.report import TEMPERATURES, compute_interval_score
 from core.evaluate.soc.reserve_risk import PLANNED, tabulate_levels
 from core.stats.clustered import compute_clustered_share
-from tools.simulator.fleets import COLD_SNAP
+from tools.simulator.fleets import COLD_SNAP, FLEETS
 
 MAIN: Final = ("autumn", "small", "preset")
 """Fleets on which settled weather and all days count."""
@@ -98,9 +98,11 @@ def check_goals(judged: Sequence[Judged]) -> list[Line]:
         if not len(cases):
             lines.append(Line(fleet, "forecasts with an interval", "", "none", "missed"))
             continue
-        if fleet not in (*TROUBLES, "autumn-faults", "autumn-short", "autumn-charges", "autumn-heat"):
+        if fleet in MAIN:
             lines += _check_main(fleet, cases)
             lines += _check_risk(fleet, cases)
+        if fleet not in FLEETS and fleet not in MAIN:
+            lines += _check_recording(fleet, cases)
         lines += _check_days(fleet, mine, cases)
         lines += _check_trouble(fleet, cases)
         if fleet == "autumn-charges":
@@ -150,6 +152,20 @@ def _check_main(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
         verdict = "" if most is None else _verdict(width <= most)
         yield Line(fleet, f"{where}: median width", "" if most is None else f"<= {most:g}", f"{width:.1f}", verdict)
         yield from _check_bands(fleet, rows, where, goals)
+
+
+def _check_recording(name: str, cases: pd.DataFrame) -> Iterator[Line]:
+    """Yield error, coverage and width of a recording of real cars."""
+    for hours in (1, AHEAD):
+        rows, where = cases[cases["hours"] == hours], f"{hours} h ahead"
+        for baseline in ("rating", REGRESSION):
+            ours, theirs = _both(rows, baseline)
+            yield _less(name, f"{where}: MAE against {baseline}", 0.0, ours, theirs)
+        yield _share(name, f"{where}: coverage", (0.85, 1.0) if hours == 1 else None, _held(rows), rows)
+        if len(rows):
+            width = float((rows["soc_p95_pct"] - rows["soc_p05_pct"]).median())
+            goal, verdict = ("<= 15", _verdict(width <= 15.0)) if hours == 1 else ("", "")
+            yield Line(name, f"{where}: median width", goal, f"{width:.1f}", verdict)
 
 
 def _check_bands(fleet: str, rows: pd.DataFrame, where: str, goals: bool) -> Iterator[Line]:

@@ -171,8 +171,8 @@ def compute_figures_by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str
     -------
     dict
         `temperature`, `new weather` (distance of the temperature from those met on earlier days, in K), `shifts seen`
-        (of the fleet), `display` (its fault), `vehicle model` and `plan`: lists of figures by `bin`, see
-        `compute_figures_by_time`.
+        (of the fleet), `display` (its fault, if any has one), `vehicle model` and `plan`: lists of figures by `bin`,
+        see `compute_figures_by_time`.
     """
     novelty = bin_values(cases["novelty_k"].to_numpy(np.float64), NOVELTIES)
     seen = bin_values(cases["seen"].to_numpy(np.float64), SEEN)
@@ -193,6 +193,7 @@ def compute_figures_by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str
             for code in np.unique(codes[codes >= 0]).tolist()
         ]
         for name, (codes, labels) in bins.items()
+        if name != "display" or len(labels) > 1
     }
 
 

@@ -60,12 +60,13 @@ def write(result: Any, path: Path) -> None:
 
 def build_sections(result: Result) -> list[Section]:
     """Return the sections of an evaluation that have something to show."""
+    intervals = tables.tabulate_intervals(result)
     sections = [
         Section(
             AHEAD,
             "Errors of the forecasts",
             describe_evaluation(get_mapping(result, "about")),
-            [tables.tabulate_by_time(result), tables.tabulate_intervals(result)],
+            [tables.tabulate_by_time(result), *([intervals] if intervals.rows else [])],
         ),
         Section("conditions", "Errors by condition", "", tables.tabulate_conditions(result)),
         Section("legs", "Leg by leg, up to the next charge", "", tables.tabulate_legs(result)),
