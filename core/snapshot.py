@@ -31,7 +31,7 @@ from core.totals.display_yield import LANE_YIELD
 from core.wire.sample_losses import SAMPLE_LOSS
 from core.wire.state_schema import Anything, ByName, Fault, Many, Maybe, Named, Number, Packed, Row, Schema, Sizes, Text
 
-SNAPSHOT: Final = 14
+SNAPSHOT: Final = 15
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 """Names of the fields in the arrays of a snapshot."""
@@ -132,7 +132,7 @@ _TABLES: Final = Named(
     leg_energy_per_km=_grid(len(PACES), len(TEMPERATURES)),
     **dict.fromkeys(("climbed_per_km", "descended_per_km"), _BY_PACE),
     **dict.fromkeys(("climb_energy", "descent_energy", "start_energy", "mean_pause"), _REAL),
-    **dict.fromkeys(("standing_power", "approach_energy", "ride_factor", "ride_power"), _BY_TEMPERATURE),
+    **dict.fromkeys(("standing_power", "approach_energy", "ride_factor", "ride_power", "relative_sd"), _BY_TEMPERATURE),
     **dict.fromkeys(("idle_factor", "idle_power", "energy_per_km", "mean_power"), _BY_TEMPERATURE),
 )
 _CLASSES: Final = BASES, len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)

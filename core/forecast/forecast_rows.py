@@ -132,7 +132,7 @@ def compute_forecast_rows(
     ambient_c = estimates["ambient"] - ZERO_CELSIUS
     bias_factor = statistics.bias.factor[ahead.basis]
     energy = ahead.energy * bias_factor
-    end = compute_end_soc(estimate, energy, ahead.hours)
+    end = compute_end_soc(estimate, energy, ahead.hours, usual.relative_sd)
     energy_km = energy / usual.energy_per_km
     quantiles, bounds = statistics.conformal.get_quantiles(ahead.basis, energy_km, ambient_c)
     end_soc, end_soc_p05, end_soc_p95 = (np.clip(end.mean + end.sd * bound, 0.0, 1.0) for bound in bounds)

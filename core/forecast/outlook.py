@@ -117,6 +117,8 @@ class UsualConsumption(NamedTuple):
         Energy of rides and idle periods over the kilometres of rides. [kWh/km]
     mean_power : (n,) float
         The same energy over the hours of both. [kW]
+    relative_sd : (n,) float
+        Standard deviation of these energies at the temperature, over the energy. [1]
     """
 
     weights: Floats
@@ -124,6 +126,7 @@ class UsualConsumption(NamedTuple):
     approach_energy: Floats
     energy_per_km: Floats
     mean_power: Floats
+    relative_sd: Floats
 
 
 class MeanAndSd(NamedTuple):
@@ -236,10 +239,11 @@ def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumptio
     km = energy / (factor * usual.energy_per_km)
     of_soc = np.divide(estimate.variance, left**2, out=np.zeros(len(left)), where=left > 0.0)
     noise = np.divide(ENERGY_SD**2, energy, out=np.zeros(len(left)), where=energy > 0.0)
-    return MeanAndSd(km, km * np.sqrt(np.maximum(estimate.log_factor_variance, 0.0) + of_soc + noise))
+    variance = np.maximum(estimate.log_factor_variance, 0.0) + usual.relative_sd**2 + of_soc + noise
+    return MeanAndSd(km, km * np.sqrt(variance))
 
 
-def compute_end_soc(estimate: CarEstimate, energy: Floats, hours: Floats) -> MeanAndSd:
+def compute_end_soc(estimate: CarEstimate, energy: Floats, hours: Floats, relative_sd: Floats) -> MeanAndSd:
     """Return the state of charge after an energy, with its standard deviation before the conformal correction. [1]
 
     Parameters
@@ -249,6 +253,8 @@ def compute_end_soc(estimate: CarEstimate, energy: Floats, hours: Floats) -> Mea
         Predicted energy. [kWh]
     hours : (n,) float
         Time in which it is spent. [h]
+    relative_sd : (n,) float
+        Standard deviation of the energy at the temperature, over the energy. [1]
 
     Returns
     -------
@@ -257,14 +263,15 @@ def compute_end_soc(estimate: CarEstimate, energy: Floats, hours: Floats) -> Mea
     Notes
     -----
     With the predicted fall D = E / C, the mean falls by exp(a - c) D, where a - c decays to the usual. The variance
-    is the sum of that of the charge; D^2 times that of a - c, which keeps wandering; twice their covariance times -D;
-    the noise of the energy itself, proportional to the energy; and that of the quantum of the reported outcome.
+    is the sum of that of the charge; D^2 times that of a - c, which keeps wandering, and that of the consumption at the
+    temperature; twice the covariance of charge and a - c times -D; the noise of the energy itself, proportional to the
+    energy; and that of the quantum of the reported outcome.
     D has no factor exp(a - c), so that a car which stops reporting its charge never gets a narrower interval for it.
     """
     predicted = energy / estimate.capacity
     variance = (
         estimate.variance
-        + predicted**2 * (estimate.log_factor_variance + CONSUMPTION_WANDER**2 * hours)
+        + predicted**2 * (estimate.log_factor_variance + CONSUMPTION_WANDER**2 * hours + relative_sd**2)
         - 2.0 * predicted * estimate.covariance
         + ENERGY_SD**2 * np.maximum(energy, 0.0) / estimate.capacity**2
         + estimate.quantum**2 / 12.0

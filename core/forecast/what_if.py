@@ -109,7 +109,7 @@ class CarOutlook:
             Quantiles of the standardised error. [1]
         """
         quantiles, bounds = self._get_errors(energy, basis)
-        end = compute_end_soc(self.estimate, energy, hours)
+        end = compute_end_soc(self.estimate, energy, hours, self.usual.relative_sd)
         end = end._replace(sd=np.hypot(end.sd, energy_sd / self.estimate.capacity))
         mean, p05, p95 = (100.0 * np.clip(end.mean + end.sd * bound, 0.0, 1.0) for bound in bounds)
         return IntervalColumns(mean, p05, p95), end, quantiles
@@ -133,7 +133,7 @@ class CarOutlook:
         """
         zero = np.zeros(1)
         only_leg = self.estimate._replace(variance=zero, covariance=zero, soc=zero, quantum=zero)
-        end = compute_end_soc(only_leg, energy, legs.seconds / 3600.0)
+        end = compute_end_soc(only_leg, energy, legs.seconds / 3600.0, self.usual.relative_sd)
         _, bounds = self._get_errors(energy, basis)
         least = np.array([-np.inf if leg.lost_m else 0.0 for leg in legs.plan.legs])  # only descents return energy
 

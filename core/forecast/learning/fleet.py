@@ -187,6 +187,7 @@ class FleetStatistics:
             approach_energy=interpolate(self._rows.approach_energy),
             energy_per_km=interpolate(self._rows.energy_per_km),
             mean_power=interpolate(self._rows.mean_power),
+            relative_sd=interpolate(self._rows.relative_sd),
         )
 
     def get_patterns(self, lanes: Ints) -> NDArray[np.void]:
@@ -250,6 +251,7 @@ class _StackedTables(NamedTuple):
     approach_energy: Floats
     energy_per_km: Floats
     mean_power: Floats
+    relative_sd: Floats
 
 
 def _stack_tables(tables: Mapping[str, LegEnergyTables]) -> tuple[_StackedTables, dict[str, int]]:

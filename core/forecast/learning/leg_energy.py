@@ -78,6 +78,8 @@ class LegEnergyTables(NamedTuple):
         Energy of rides and idle periods together, over the kilometres of rides. [kWh/km]
     mean_power : (temperatures,) float
         The same energy over the hours of both. [kW]
+    relative_sd : (temperatures,) float
+        Standard deviation of the energy at a temperature, larger where no rides were, over that energy. [1]
     mean_pause : float
         Mean duration of an idle period. [h]
     """
@@ -96,6 +98,7 @@ class LegEnergyTables(NamedTuple):
     idle_power: Floats
     energy_per_km: Floats
     mean_power: Floats
+    relative_sd: Floats
     mean_pause: float
 
     def is_plausible(self) -> bool:

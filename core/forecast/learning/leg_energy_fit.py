@@ -1,10 +1,11 @@
 """Compute the tables of leg energy from sums over rides and idle periods.
 
-The model predicts a ride of typical length for each pace and temperature, with the mean amounts of the rides there. The
-measured over the predicted energy of rides and idle periods corrects it: first by a factor and a power for each
-temperature, then by a factor for each pace. Averages blur quantities that change fast with pace or temperature, so
-`fit_leg_energy` then fits the rides as sums of their terms. A waiting car takes the mean power of cars that stood; an
-empty way to a ride takes the energy of idle periods beyond that.
+The model predicts a ride of typical length for each pace and temperature, with the mean amounts of the rides there or
+at the nearest temperature (`core.forecast.learning.temperature_transfer`). The measured over the predicted energy of
+rides and idle periods corrects it: first by a factor and a power for each temperature, then by a factor for each pace.
+Averages blur quantities that change fast with pace or temperature, so `fit_leg_energy` then fits the rides as sums of
+their terms. A waiting car takes the mean power of cars that stood, with the corrected model as prior; an empty way to a
+ride takes the energy of idle periods beyond that.
 """
 
 from dataclasses import replace
@@ -16,10 +17,17 @@ from numpy.typing import NDArray
 from core.batch import Floats, Ints, Lanes
 from core.columns import GRAVITY
 from core.forecast.learning.leg_energy import PACES, TEMPERATURES, TYPICAL_KM, LegEnergyTables
+from core.forecast.learning.temperature_transfer import (
+    Corrections,
+    fit_corrections,
+    make_standing_amounts,
+    shift_amounts,
+)
 from core.totals.accumulator import AMOUNTS, EDGES, Totals
 from core.totals.context import RunContext
 from core.totals.display_record import create_unknown_yields
 from core.totals.tables import model_columns
+from core.vehicles.fleet import CarParameters
 
 GRID: Final = len(PACES), len(TEMPERATURES)
 """Shape of a table by pace and temperature."""
@@ -65,10 +73,6 @@ TERMS: Final = CELLS + 3
 
 READING_ENERGY_SD: Final = 0.08
 """Standard deviation of an energy that is read from the charge, about 0.5 % of a small battery. [kWh]"""
-PRIOR_FACTOR_SD: Final = 0.5
-"""Standard deviation of the factor at a temperature about that over all temperatures. [1]"""
-PRIOR_POWER_SD: Final = 0.5
-"""Standard deviation of the power at a temperature about that over all temperatures. [kW]"""
 PRIOR_KWH: Final = 3.0
 """Weight of the value at neighbouring knots where little energy was measured. [kWh]"""
 PRIOR_HOURS: Final = 0.5
@@ -89,10 +93,13 @@ LEAST_ENERGY_PER_KM: Final = 0.01
 """Smallest energy of a level way. [kWh/km]"""
 LEAST_DISTANCE: Final = 100.0
 """Distance from which a cell is known. [m]"""
+LEAST_STANDING_POWER: Final = 0.05
+"""Smallest power of a car that is switched on. [kW]"""
 TEST_CLIMB: Final = 100.0
 """Climb for which the model predicts the energy per metre. [m]"""
 _CLIMB_EFFECTS: Final = {"climbing": (1.0, -1.0), "climbing_up": (1.0, 0.0), "climbing_down": (0.0, -1.0)}
 """Effects of climbing, with the share of m g per metre gained and per metre lost that each of them has."""
+_ONE_HOUR: Final = np.ones(len(TEMPERATURES))
 _DURATION: Final = AMOUNTS.index("duration")
 _DISTANCE: Final = AMOUNTS.index("distance")
 _GAINED: Final = AMOUNTS.index("gained")
@@ -128,8 +135,13 @@ class IdleSums(NamedTuple):
     standing: NDArray[np.void]
     number: float
 
-    def compute_power(self) -> tuple[Floats, Floats]:
+    def compute_power(self, expected: Floats) -> tuple[Floats, Floats]:
         """Return the power of a standing car [kW], and the energy of an idle period beyond that [kWh].
+
+        Parameters
+        ----------
+        expected : (temperatures,) float
+            Power of a standing car by the corrected model. [kW]
 
         Returns
         -------
@@ -137,7 +149,9 @@ class IdleSums(NamedTuple):
         (temperatures,) float
         """
         stood, hours = self.standing["standing_energy"], self.standing["standing_hours"]
-        power = _ratio(stood, hours, PRIOR_HOURS, (stood.sum() + 1.0) / (hours.sum() + 1.0))
+        expected = np.maximum(expected, LEAST_STANDING_POWER)
+        whole = float((stood.sum() + PRIOR_KWH) / (hours @ expected + PRIOR_KWH))
+        power = _ratio(stood, hours, PRIOR_HOURS, whole * expected)
         excess = float((self.standing["energy"] - power * self.standing["hours"]).sum()) / max(self.number, 1.0)
         return power, np.full(len(TEMPERATURES), max(excess, 0.0))
 
@@ -194,24 +208,30 @@ def build_leg_energy_tables(
     LegEnergyTables or None
     """
     grid, amounts = rides.energy.reshape(GRID), rides.amounts
+    car = context.cars.parameters_of(np.array([int(edges.last[EDGES.index("kind")])]))
     of_rides = _sum_energy(grid, 0)
     both = (as_matrix(of_rides) + as_matrix(idle.energy)).view(ENERGY_SUMS)[..., 0]
-    factor, power = _regress_by_temperature(both)
-    known = amounts[:, _DISTANCE] > LEAST_DISTANCE
-    typical = amounts[known] * (1000.0 * TYPICAL_KM / amounts[known, _DISTANCE])[:, np.newaxis]
-    predicted = np.full(CELLS, np.nan)
-    predicted[known] = _predict(typical, edges, context) / TYPICAL_KM
+    standing = make_standing_amounts(amounts.shape[1], TEMPERATURES, context, car)
+    model_power = np.nan_to_num(_predict(standing, edges, context))
+    corrections = fit_corrections(both, model_power, float(car.accessory_scale[0]))
+    typical = _make_typical_rides(amounts, context, car)
+    known = typical[:, _DISTANCE] > 0.0
+    predicted, hours = np.full(CELLS, np.nan), np.full(CELLS, np.nan)
+    predicted[known] = _predict(typical[known], edges, context) / TYPICAL_KM
+    hours[known] = typical[known, _DURATION] / 3600.0 / TYPICAL_KM
     if not np.isfinite(predicted).any():
         return None
     by_pace = amounts.reshape(*GRID, -1).sum(axis=1)
-    standing_power, approach_energy = idle.compute_power()
-    climb_energy, descent_energy = _predict_climb(typical.mean(axis=0), edges, context)
-    of_riding, of_idling = (_compute_level(sums, factor, power) for sums in (of_rides, idle.energy))
+    standing_power, approach_energy = idle.compute_power(corrections.compute_energy(model_power, _ONE_HOUR))
+    climb_energy, descent_energy = _predict_climb(typical[known].mean(axis=0), edges, context)
+    of_riding, of_idling = (_compute_level(sums, corrections) for sums in (of_rides, idle.energy))
     km = np.maximum(amounts[:, _DISTANCE].reshape(GRID).sum(axis=0) / 1000.0, 1e-9)
-    measured, hours = both["measured"], both["hours"]
-    mean_power = measured.sum() / max(hours.sum(), 1e-9)
+    mixed = _predict_mix(amounts.sum(axis=0), idle.energy["hours"].sum() * model_power, edges, context, car)
+    mixed_hours = np.full(len(TEMPERATURES), max(float(both["hours"].sum()), 1e-9))
+    level = corrections.compute_energy(mixed, mixed_hours)
+    level *= float(both["measured"].sum()) / max(float(both["hours"] @ level / mixed_hours[0]), 1e-9)
     return LegEnergyTables(
-        leg_energy_per_km=_correct_by_pace(predicted.reshape(GRID), amounts, grid, factor, power),
+        leg_energy_per_km=_correct_by_pace(predicted.reshape(GRID), hours.reshape(GRID), grid, corrections),
         climbed_per_km=_divide(by_pace[:, _GAINED], by_pace[:, _DISTANCE] / 1000.0),
         descended_per_km=_divide(by_pace[:, _LOST], by_pace[:, _DISTANCE] / 1000.0),
         climb_energy=climb_energy,
@@ -219,12 +239,13 @@ def build_leg_energy_tables(
         start_energy=0.0,
         standing_power=standing_power,
         approach_energy=approach_energy,
-        ride_factor=factor * of_riding,
-        ride_power=power * of_riding,
-        idle_factor=factor * of_idling,
-        idle_power=power * of_idling,
-        energy_per_km=_ratio(measured, km, PRIOR_KM, measured.sum() / km.sum()),
-        mean_power=_ratio(measured, hours, PRIOR_MEAN_POWER_HOURS, mean_power),
+        ride_factor=corrections.factor * of_riding,
+        ride_power=corrections.power * of_riding,
+        idle_factor=corrections.factor * of_idling,
+        idle_power=corrections.power * of_idling,
+        energy_per_km=_ratio(both["measured"], km, PRIOR_KM, level / km.sum()),
+        mean_power=_ratio(both["measured"], both["hours"], PRIOR_MEAN_POWER_HOURS, level / mixed_hours),
+        relative_sd=corrections.compute_relative_sd(mixed, mixed_hours),
         mean_pause=idle.compute_mean_pause(),
     )
 
@@ -267,12 +288,46 @@ def fit_leg_energy(tables: LegEnergyTables, equations: LegEquations) -> LegEnerg
     )
 
 
-def _correct_by_pace(per_km: Floats, amounts: Floats, grid: NDArray[np.void], factor: Floats, power: Floats) -> Floats:
-    """Return the energy per kilometre of each cell, as predicted and corrected by the measured energy. [kWh/km]"""
-    hours = _divide(amounts[:, _DURATION] / 3600.0, amounts[:, _DISTANCE] / 1000.0).reshape(GRID)
+def _make_typical_rides(amounts: Floats, context: RunContext, car: CarParameters) -> Floats:
+    """Return the sums of a ride of typical length at the pace and the temperature of each cell, (CELLS, amounts).
+
+    They are those of the rides in the cell, or at the nearest temperature with rides of that pace, moved to the
+    temperature of the knot. Cells of a pace without rides are zero.
+    """
+    known = (amounts[:, _DISTANCE] > LEAST_DISTANCE).reshape(GRID)
+    source = np.arange(CELLS).reshape(GRID)
+    for pace, there in enumerate(known):
+        if there.any():
+            places = np.flatnonzero(there)
+            nearest = np.abs(TEMPERATURES[:, np.newaxis] - TEMPERATURES[places]).argmin(axis=1)
+            source[pace] = source[pace, places[nearest]]
+    of_cell = amounts[source.ravel()]
+    has_rides = np.repeat(known.any(axis=1), len(TEMPERATURES))
+    km = np.where(has_rides, of_cell[:, _DISTANCE] / 1000.0, np.inf)
+    typical = of_cell * (TYPICAL_KM / km)[:, np.newaxis]
+    return shift_amounts(typical, np.tile(TEMPERATURES, len(PACES)), context, car)
+
+
+def _predict_mix(
+    rides: Floats, idle_energy: Floats, edges: RideEdges, context: RunContext, car: CarParameters
+) -> Floats:
+    """Return the energy of all rides and idle periods as the model predicts it at each knot of temperature. [kWh]"""
+    driven = max(float(rides[_DISTANCE]), LEAST_DISTANCE)
+    typical = np.repeat(rides[np.newaxis] * (1000.0 * TYPICAL_KM / driven), len(TEMPERATURES), axis=0)
+    energy = _predict(shift_amounts(typical, TEMPERATURES, context, car), edges, context)
+    return np.asarray(np.nan_to_num(energy) * (driven / 1000.0 / TYPICAL_KM) + idle_energy)
+
+
+def _correct_by_pace(per_km: Floats, hours: Floats, grid: NDArray[np.void], corrections: Corrections) -> Floats:
+    """Return the energy per kilometre of each cell, as predicted and corrected by the measured energy. [kWh/km]
+
+    `hours` is the time per kilometre in each cell. [h/km]
+    """
+    factor, power = corrections.factor, corrections.power
     expected = np.maximum(grid["predicted"] * factor + grid["hours"] * power, 0.0)
-    ratio = (grid["measured"] + PRIOR_KWH) / (expected + PRIOR_KWH)
-    return _fill_unknown_cells((per_km * factor + hours * power) * ratio)
+    of_pace = (grid["measured"].sum(axis=1) + PRIOR_KWH) / (expected.sum(axis=1) + PRIOR_KWH)
+    ratio = _ratio(grid["measured"], expected, PRIOR_KWH, of_pace[:, np.newaxis])
+    return _fill_unknown_paces((per_km * factor + hours * power) * ratio)
 
 
 def _divide(above: Floats, below: Floats) -> Floats:
@@ -280,33 +335,14 @@ def _divide(above: Floats, below: Floats) -> Floats:
     return np.divide(above, below, out=np.zeros(len(above)), where=below > 0.0)
 
 
-def _regress_by_temperature(sums: NDArray[np.void]) -> tuple[Floats, Floats]:
-    """Return the factor and the power that correct the predicted energy at each temperature.
-
-    Ridge regressions at each temperature with the fit over all temperatures as prior, whose own prior is the model.
-    """
-    factor, power = _regress(_sum_energy(sums, 0), 1.0, 0.0)
-    by_temperature = [_regress(row, factor, power) for row in sums]
-    return np.array([factor for factor, _ in by_temperature]), np.array([power for _, power in by_temperature])
-
-
-def _regress(sums: np.void | NDArray[np.void], factor: float, power: float) -> tuple[float, float]:
-    """Return factor and power by the regression sums of a temperature, with a prior."""
-    prior = np.array([factor, power])
-    precision = np.diag(1.0 / np.array([PRIOR_FACTOR_SD, PRIOR_POWER_SD]) ** 2)
-    matrix = np.array([[sums["pp"], sums["ph"]], [sums["ph"], sums["hh"]]]) + precision
-    factor, power = np.linalg.solve(matrix, np.array([sums["pm"], sums["hm"]]) + precision @ prior).tolist()
-    return factor, power
-
-
-def _compute_level(sums: NDArray[np.void], factor: Floats, power: Floats) -> Floats:
+def _compute_level(sums: NDArray[np.void], corrections: Corrections) -> Floats:
     """Return measured over corrected energy at each temperature, with the ratio over all temperatures as prior."""
-    expected = np.maximum(sums["predicted"] * factor + sums["hours"] * power, 0.0)
+    expected = np.maximum(corrections.compute_energy(sums["predicted"], sums["hours"]), 0.0)
     whole = float((sums["measured"].sum() + PRIOR_KWH) / (expected.sum() + PRIOR_KWH))
     return np.clip(_ratio(sums["measured"], expected, PRIOR_KWH, whole), *CORRECTION_LIMITS)
 
 
-def _ratio(above: Floats, below: Floats, weight: float, prior: float) -> Floats:
+def _ratio(above: Floats, below: Floats, weight: float, prior: float | Floats) -> Floats:
     """Return ratios with a prior of a given weight, in units of the divisor."""
     return np.asarray((above + weight * prior) / (below + weight))
 
@@ -337,14 +373,8 @@ def _predict_climb(typical: Floats, edges: RideEdges, context: RunContext) -> tu
     return float(of_climb - of_level) / TEST_CLIMB, float(of_descent - of_level) / TEST_CLIMB
 
 
-def _fill_unknown_cells(grid: Floats) -> Floats:
-    """Return a grid whose unknown cells have the nearest known value, first along temperature, then along pace."""
-    out = grid.copy()
-    for axis in (0, 1):
-        rows = out if axis == 0 else out.T
-        for row in rows:
-            there = np.flatnonzero(np.isfinite(row))
-            if len(there):
-                places = np.arange(len(row))
-                row[:] = row[there[np.abs(places[:, np.newaxis] - there).argmin(axis=1)]]
-    return out
+def _fill_unknown_paces(grid: Floats) -> Floats:
+    """Return a grid in which paces without rides have the values of the nearest pace."""
+    there = np.flatnonzero(np.isfinite(grid).all(axis=1))
+    nearest = np.abs(np.arange(len(grid))[:, np.newaxis] - there).argmin(axis=1)
+    return grid[there[nearest]]

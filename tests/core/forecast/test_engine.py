@@ -317,7 +317,8 @@ def test_outcomes_of_published_intervals_are_counted_at_the_end_of_the_shift_and
     below, inside, above = (pipeline.engine.statistics.interval_outcomes - before)[0].tolist()
     assert len(known) > below + inside + above > 0
     assert (inside > 0) == any(each.p05 <= end <= each.p95 for each in known)
-    assert (below + above > 0) <= any(not each.p05 <= end <= each.p95 for each in known)
+    near = 0.2  # a recorded forecast may lie between two published ones [%]
+    assert (below + above > 0) <= any(not each.p05 + near <= end <= each.p95 - near for each in known)
     other = Pipeline(settings=SETTINGS)
     other.restore(pipeline.snapshot())
     assert (other.engine.statistics.interval_outcomes == pipeline.engine.statistics.interval_outcomes).all()

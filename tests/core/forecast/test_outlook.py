@@ -197,7 +197,9 @@ def test_history_fills_in_only_without_plan_and_until_the_usual_end():
 
 @given(st.floats(0.0, 15.0), st.floats(0.01, 5.0), st.floats(0.0, 8.0))
 def test_more_energy_ahead_lowers_mean_and_raises_sd(energy, more, hours):
-    first, second = (compute_end_soc(known(), np.array([e]), np.array([hours])) for e in (energy, energy + more))
+    first, second = (
+        compute_end_soc(known(), np.array([e]), np.array([hours]), np.zeros(1)) for e in (energy, energy + more)
+    )
     assert second.mean[0] < first.mean[0]
     assert second.sd[0] > first.sd[0]
     assert first.mean[0] == pytest.approx(
@@ -213,13 +215,13 @@ def test_sd_agrees_with_simulation():
     energy = 8.0 * np.exp(scale) + ENERGY_SD * np.sqrt(8.0) * rng.normal(size=n)
     ends = soc - energy / 24.0 + rng.uniform(-0.005, 0.005, n)
     estimate = known(variance=2e-5, log_factor=0.0, log_factor_variance=0.004, covariance=-1e-4)
-    result = compute_end_soc(estimate, np.array([8.0]), np.array([3.0]))
+    result = compute_end_soc(estimate, np.array([8.0]), np.array([3.0]), np.zeros(1))
     assert result.sd[0] == pytest.approx(ends.std(), rel=0.02)
     assert result.mean[0] == pytest.approx(ends.mean(), abs=0.005)
 
 
 def test_sd_is_never_below_that_of_the_quantum():
-    result = compute_end_soc(known(variance=0.0, log_factor_variance=0.0, covariance=0.0), np.zeros(1), np.zeros(1))
+    result = compute_end_soc(known(variance=0.0, log_factor_variance=0.0, covariance=0.0), *np.zeros((3, 1)))
     assert result.sd[0] == pytest.approx(0.01 / np.sqrt(12.0))
 
 
