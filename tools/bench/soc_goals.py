@@ -26,6 +26,10 @@ FIRST_DAYS: Final = 3
 NEW_CAR_DAYS: Final = 5
 """Days for which a car that has joined counts as new."""
 FAULTY: Final = {"frozen": "frozen SOC", "absent": "absent SOC", "jumping": "jumping SOC"}
+FEWEST_SHOWN: Final = 10
+"""Number of forecasts from which a time ahead is shown."""
+FEWEST_FAULTY: Final = 20
+"""Number of forecasts without which a fault counts as not forecast."""
 TROUBLES: Final = {"autumn-no-plan": "no plan", "autumn-no-shows": "no-shows", "autumn-plans": "plans 50 % wrong"}
 MOST_CHANGE: Final = 0.1
 """Largest change of the forecast of a healthy car through a fault of another. [%]"""
@@ -129,7 +133,7 @@ def _check_main(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
     """Yield error, score, coverage and width, beside those of the baselines."""
     for hours in (1, AHEAD, 4):
         rows, goals = cases[cases["hours"] == hours], hours == AHEAD
-        if not len(rows):
+        if len(rows) < FEWEST_SHOWN:
             continue
         where = f"{hours} h ahead"
         ours, theirs = _both(rows, REGRESSION)
@@ -241,7 +245,8 @@ def _check_trouble(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
     for fault, name in FAULTY.items() if fleet == "autumn-faults" else ():
         mine = ahead[ahead["fault"] == fault]
         if len(mine):
-            yield _share(fleet, f"{name}: coverage", (0.85, 1.0), _held(mine), mine)
+            line = _share(fleet, f"{name}: coverage", (0.85, 1.0), _held(mine), mine)
+            yield line._replace(verdict="missed" if len(mine) < FEWEST_FAULTY else line.verdict)
             width = float((mine["soc_p95_pct"] - mine["soc_p05_pct"]).median())
             yield Line(fleet, f"{name}: median width", "", f"{width:.1f}", "")
         else:
@@ -250,7 +255,8 @@ def _check_trouble(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
 
 def _check_charges(fleet: str, legs: pd.DataFrame) -> Iterator[Line]:
     """Yield coverage and error of the last leg before the next charge."""
-    if not len(legs):
+    if not len(legs) or not legs["charges"].any():
+        yield Line(fleet, "to the next charge: coverage", "88 to 92 %", "no forecast", "missed")
         return
     later = legs[legs["charges"]].sort_values("leg", kind="stable")
     last = later.drop_duplicates(["vehicle_id", "time_s"], keep="last")

@@ -36,6 +36,7 @@ from tools.simulator.settings import (
 )
 from tools.simulator.truth import Truth
 
+FIRST_DAY = "2018-01-15"
 BLOCK = 4096
 """Number of messages written at a time."""
 
@@ -51,7 +52,7 @@ def simulate(
             help="First day, such as 2018-01-15: shifts are spread over the day. "
             "Or a time in UTC, such as 2018-01-15T12:00: every shift begins then.",
         ),
-    ] = "2018-01-15",
+    ] = FIRST_DAY,
     seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same bytes.")] = 0,
     day_step: Annotated[
         int | None, typer.Option(help="Days from one simulated day to the next, to cover seasons. Default: 1.")
@@ -141,13 +142,14 @@ def simulate(
         "rides": rides,
     }
     size = {name: value for name, value in size.items() if value is not None}
-    refuse_unused_settings(preset, list(size))
     if fleet is not None:
-        if preset is not None or size:
-            raise SettingsError(f"fleet {fleet} has its own size; leave out --preset and the options of size")
+        others = (preset, start, charging, hidden or None, faults, phenomena)
+        if size or others != (None, FIRST_DAY, LOW, None, "default", "all"):
+            raise SettingsError(f"fleet {fleet} has its own settings; leave out all others but --seed and --conditions")
         known = get_fleet(fleet, seed)
         simulation = replace(known, conditions=parse_conditions(conditions, known.conditions))
     else:
+        refuse_unused_settings(preset, list(size))
         simulation = Simulation(
             start=parse_start(start),
             seed=seed,

@@ -17,8 +17,8 @@ from tools.simulator.settings import STEP
 
 RELAXATION: Final = 6 * 3600.0
 """Time constant with which the count is corrected by the voltage at rest. [s]"""
-FROZEN_AFTER: Final = (1200.0, 3600.0)
-"""Shortest and longest time after the begin of a shift at which a display freezes. [s]"""
+FAILS_AFTER: Final = (1200.0, 3600.0)
+"""Shortest and longest time after the begin of a shift at which a display freezes or sends nothing more. [s]"""
 JUMPS_PER_HOUR: Final = 3.0
 JUMP: Final = (5.0, 25.0)
 """Smallest and largest jump. [%]"""
@@ -120,11 +120,9 @@ def spoil_display(shown: Floats, kind: str, rng: np.random.Generator) -> Floats:
         NaN where it sends nothing. [%]
     """
     n, out = len(shown), shown.copy()
-    if kind == ABSENT:
-        out[:] = np.nan
-    elif kind == FROZEN:
-        first = min(n - 1, int(rng.uniform(*FROZEN_AFTER) / STEP))
-        out[first:] = out[first]
+    if kind in (ABSENT, FROZEN):
+        first = min(n - 1, int(rng.uniform(*FAILS_AFTER) / STEP))
+        out[first:] = out[first] if kind == FROZEN else np.nan
     elif kind == JUMPING:
         for _ in range(int(rng.poisson(JUMPS_PER_HOUR * n * STEP / 3600.0))):
             begin, length = int(rng.integers(n)), int(rng.exponential(JUMP_TIME) / STEP)

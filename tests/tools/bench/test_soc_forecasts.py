@@ -74,6 +74,16 @@ def test_change_of_healthy_cars_is_found():
     assert find(soc_goals.check_goals(other), "healthy cars").measured.startswith("at most 0.30")
 
 
+def test_last_leg_before_a_charge_is_judged():
+    one = make_judged("autumn-charges")
+    legs = one.cases.assign(leg=0, minutes=45.0, charges=True, vehicle_id=one.cases["cluster"].astype(str))
+    early = legs.assign(leg=-1, soc_end_pct=0.0)  # an earlier leg of the same query, which does not count
+    lines = soc_goals.check_goals([replace(one, legs=pd.concat([early, legs], ignore_index=True))])
+    assert find(lines, "to the next charge: MAE").verdict == "met"
+    none = soc_goals.check_goals([replace(one, legs=legs.assign(charges=False))])
+    assert find(none, "to the next charge: coverage").measured == "no forecast"
+
+
 def test_parts_name_fleets():
     assert list_fleets("small,preset") == ["small", "preset"]
     assert len(list_fleets("all")) == len(set(list_fleets("all"))) == 10

@@ -291,6 +291,9 @@ class TestCommand:
         ("arguments", "expected"),
         [
             (["--preset", "uber"], "no preset is called 'uber'; choose from teo"),
+            (["--fleet", "small", "--days", "3"], "fleet small has its own settings; leave out all others"),
+            (["--fleet", "small", "--phenomena", "plain"], "fleet small has its own settings; leave out all others"),
+            (["--fleet", "uber"], "no fleet is called 'uber'; choose from autumn"),
             (["--rides", "500"], "--rides needs a preset; give one such as --preset teo"),
             (
                 ["--preset", "teo", "--vehicles", "3", "--day-step", "2"],
