@@ -47,6 +47,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.get_closest_marker("long") is None)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _write_to_the_cache_of_the_system() -> Iterator[None]:
+    """Do not wait until files are on the disk: what tests read is in the cache of the operating system."""
+
+    def check(file: Any) -> None:
+        os.fstat(file if isinstance(file, int) else file.fileno())
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("fsync", "fdatasync"):
+            patch.setattr(os, name, check)
+        yield
+
+
 @pytest.fixture(autouse=True)
 def _restore_effects() -> Iterator[None]:
     """Remove the effects that a test has loaded from files, so that no later test depends on the order."""
