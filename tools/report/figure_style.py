@@ -8,9 +8,12 @@ from html import escape
 from typing import Any, Final, NamedTuple
 
 import plotly.graph_objects as go
+import plotly.io
 from plotly.subplots import make_subplots
 
 from tools.report.evaluation.result import WAYS, Result, get_recipes, get_title, list_vehicle_models
+
+plotly.io.templates.default = None  # `LAYOUT` stands for it
 
 COLOURS: Final = (
     "#8a8a8a",
@@ -48,6 +51,17 @@ PATTERNS: Final = ("", "/", "x", ".", "-", "|", "\\", "+")
 DIVERGING: Final = [[0.0, "rgba(11,118,196,0.75)"], [0.5, "rgba(128,128,128,0.06)"], [1.0, "rgba(209,87,31,0.75)"]]
 """Colour scale from better to worse."""
 
+LAYOUT: Final[dict[str, object]] = {
+    "margin": {"l": 60, "r": 15, "t": 30, "b": 60},
+    "paper_bgcolor": "rgba(0,0,0,0)",
+    "plot_bgcolor": "rgba(0,0,0,0)",
+    "legend": {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0, "xref": "container"},
+    "hoverlabel": {"namelength": -1},
+    "barmode": "group",
+}
+"""Layout that all figures have in common, but for the height."""
+AXIS: Final[dict[str, object]] = {"automargin": True, "zeroline": False, "ticks": "outside"}
+"""Properties of every axis."""
 REFERENCE_LINE: Final = {"dash": "dash", "width": 1.5, "color": "#8a8a8a"}
 
 PAPER_NAME: Final = "the paper's (other data)"
@@ -116,19 +130,20 @@ def make_stacked_figure(titles: tuple[str, ...], height: int) -> go.Figure:
 
 
 def apply_layout(made: go.Figure, height: int) -> go.Figure:
-    """Apply the common layout to a figure and return it."""
-    made.update_layout(
-        template=None,
-        height=height,
-        margin={"l": 60, "r": 15, "t": 30, "b": 60},
-        paper_bgcolor="rgba(0,0,0,0)",
-        plot_bgcolor="rgba(0,0,0,0)",
-        legend={"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0, "xref": "container"},
-        hoverlabel={"namelength": -1},
-        barmode="group",
-    )
-    made.update_xaxes(automargin=True, zeroline=False, ticks="outside")
-    made.update_yaxes(automargin=True, zeroline=False, ticks="outside", title_standoff=12)
+    """Apply the common layout to a figure and return it.
+
+    Notes
+    -----
+    Each value is set by itself: `update_layout` and `update_xaxes` of plotly take twice as long for the whole figure.
+    """
+    made.layout.height = height
+    for name, value in LAYOUT.items():
+        made.layout[name] = value
+    for axis in (*made.select_xaxes(), *made.select_yaxes()):
+        for name, value in AXIS.items():
+            axis[name] = value
+    for axis in made.select_yaxes():
+        axis.title.standoff = 12
     return made
 
 
