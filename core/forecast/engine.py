@@ -296,18 +296,18 @@ class ForecastEngine:
             if not of_forecast:
                 self._close_shift(shifts[i], kinds.find(int(shifts[i]["lane"]), place))
             elif self.log.is_due(lane := int(running.lane[i]), time[i], rows.raw_end_soc[i]):
-                now, charged = float(time[i]), float(rows.charged[i])
-                self.statistics.add_errors(self.log.evaluate_until(lane, now, float(rows.reported_soc[i]), charged))
+                now, spoilt = float(time[i]), float(np.fmax(rows.charged[i], rows.faulty[i]))
+                self.statistics.add_errors(self.log.evaluate_until(lane, now, float(rows.reported_soc[i]), spoilt))
                 self.log.record(lane, _create_record(now, rows, i))
 
     def _close_shift(self, shift: NDArray[np.void], kind: int) -> None:
         """Learn from a shift of a car of a kind that has ended."""
-        lane, charged = int(shift["lane"]), float(shift["charged"])
+        lane, spoilt = int(shift["lane"]), float(np.fmax(shift["charged"], shift["faulty"]))
         self.closed.append(shift.copy())
-        self.statistics.add_errors(self.log.evaluate_shift(lane, float(shift["last_soc"]), charged))
+        self.statistics.add_errors(self.log.evaluate_shift(lane, float(shift["last_soc"]), spoilt))
         capacity = float(self._cars.capacity[kind])
         used = (float(shift["begin_soc"]) - float(shift["last_soc"])) * capacity
-        if shift["hours"] >= SHORT_SHIFT and np.isnan(charged) and np.isfinite(used):
+        if shift["hours"] >= SHORT_SHIFT and np.isnan(spoilt) and np.isfinite(used):
             ambient = np.array([float(shift["warmth"] / shift["hours"])])
             usual = self.statistics.compute_usual(np.array([kind]), compute_temperature_weights(ambient))
             hours = (float(shift["end"]) - float(shift["begin"])) / 3600.0

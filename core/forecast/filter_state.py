@@ -59,6 +59,7 @@ FILTER_STATE: Final = np.dtype(
         ("predicted", "f8"),  # energy predicted of the shift [kWh]
         ("warmth", "f8"),  # integral of the outside temperature over `hours` [K h]
         ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
+        ("faulty", "f8"),  # last time in the shift at which the reading was frozen, absent or jumped, NaN for none [s]
         ("begin_log_capacity", "f8"),  # `c` at the beginning of the shift
         ("usual", "f8"),  # expected `a - c` of the shift, before any of its data
         ("usual_variance", "f8"),  # variance of that expectation
@@ -110,6 +111,7 @@ SOC_ESTIMATE: Final = np.dtype(
         ("shift", "f8"),  # ordinal of the shift
         ("quantum", "f8"),  # of the reported state of charge [1]
         ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
+        ("faulty", "f8"),  # last time at which the reading was frozen, absent or jumped, NaN for none [s]
         ("reported", "f8"),  # last accepted reading in the shift [1]
         ("begin", "f8"),  # of the shift [s]
         ("begin_soc", "f8"),  # [1]
@@ -135,6 +137,7 @@ CLOSED_SHIFT: Final = np.dtype(
         ("predicted", "f8"),  # [kWh]
         ("warmth", "f8"),  # [K h]
         ("charged", "f8"),  # time of the last charging, NaN for none [s]
+        ("faulty", "f8"),  # last time at which the reading was frozen, absent or jumped, NaN for none [s]
         ("driver", "f8"),  # code of the only driver, -1 where unknown or more than one
     ]
 )
@@ -144,7 +147,7 @@ LOG_FACTOR_PRIOR: Final = np.dtype([("mean", "f8"), ("variance", "f8")])
 """Normal distribution of `a - c` of a car at the beginning of a shift."""
 
 _INITIALLY_NAN: Final = (
-    *("soc", "p_ss", "reported", "suspect", "charged", "ambient"),
+    *("soc", "p_ss", "reported", "suspect", "charged", "faulty", "ambient"),
     *("begin_soc", "last_soc", "lowest_soc"),
 )
 

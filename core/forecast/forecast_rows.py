@@ -12,6 +12,7 @@ from core.forecast.conformal import BY_HISTORY, BY_PLAN
 from core.forecast.learning.fleet import FleetStatistics
 from core.forecast.outlook import (
     CarEstimate,
+    clip_charge,
     compute_end_soc,
     compute_planned_energy,
     compute_range,
@@ -50,6 +51,7 @@ class ForecastRows(NamedTuple):
     distance : Driven in the shift so far. [m]
     reported_soc : Charge as reported last. [1]
     charged : When the car charged last within the shift. [s]
+    faulty : When the reported charge was faulty last within the shift. [s]
     bias_factor : Factor of the energy ahead from earlier errors. [1]
     """
 
@@ -77,6 +79,7 @@ class ForecastRows(NamedTuple):
     distance: Floats
     reported_soc: Floats
     charged: Floats
+    faulty: Floats
     bias_factor: Floats
 
     def rows(self, which: Ints) -> "ForecastRows":
@@ -135,7 +138,7 @@ def compute_forecast_rows(
     end = compute_end_soc(estimate, energy, ahead.hours, usual.relative_sd)
     energy_km = energy / usual.energy_per_km
     quantiles, bounds = statistics.conformal.get_quantiles(ahead.basis, energy_km, ambient_c)
-    end_soc, end_soc_p05, end_soc_p95 = (np.clip(end.mean + end.sd * bound, 0.0, 1.0) for bound in bounds)
+    end_soc, end_soc_p05, end_soc_p95 = (clip_charge(end.mean + end.sd * bound, estimate) for bound in bounds)
     distance = compute_range(estimate, ahead.reserve, usual)
     by_plan, by_history = (
         statistics.conformal.get_quantiles(np.full_like(ahead.basis, basis), distance.mean, ambient_c)[1]
@@ -170,5 +173,6 @@ def compute_forecast_rows(
         distance=estimates["distance"],
         reported_soc=estimates["reported"],
         charged=estimates["charged"],
+        faulty=estimates["faulty"],
         bias_factor=bias_factor,
     )

@@ -280,6 +280,23 @@ def compute_end_soc(estimate: CarEstimate, energy: Floats, hours: Floats, relati
     return MeanAndSd(mean, np.sqrt(np.maximum(variance, estimate.quantum**2 / 12.0)))
 
 
+def clip_charge(soc: Floats, estimate: CarEstimate) -> Floats:
+    """Return charges ahead of cars, from empty to the present charge: a car that does not charge gains none.
+
+    Parameters
+    ----------
+    soc : (n,) float
+        [1]
+    estimate : CarEstimate
+
+    Returns
+    -------
+    (n,) float
+        [1]
+    """
+    return np.clip(soc, 0.0, estimate.soc)
+
+
 def compute_reserve_risk(end: MeanAndSd, reserve: Floats, quantiles: Floats) -> Floats:
     """Return the probability that the charge ends below the reserve.
 

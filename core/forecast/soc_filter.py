@@ -120,7 +120,7 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     state.shift += 1.0
     state.begin = event.time
     state.distance = state.ride_distance = state.hours = state.predicted = state.warmth = 0.0
-    state.begin_soc = state.last_soc = state.lowest_soc = state.charged = nan
+    state.begin_soc = state.last_soc = state.lowest_soc = state.charged = state.faulty = nan
     state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
     state.p_cc = min(state.p_cc + CAPACITY_AGEING**2, CAPACITY_SD**2)
     state.begin_log_capacity = state.log_capacity
@@ -136,7 +136,7 @@ def close_shift(state: Any, event: int, lane: int, row: Any) -> None:
     row.begin_soc, row.last_soc, row.lowest_soc = state.begin_soc, state.last_soc, state.lowest_soc
     row.ride_distance, row.distance = state.ride_distance, state.distance
     row.hours, row.predicted, row.warmth = state.hours, state.predicted, state.warmth
-    row.charged = state.charged
+    row.charged, row.faulty = state.charged, state.faulty
     row.driver = state.driver if state.drivers == 1.0 else -1.0  # two drivers share the consumption
 
 
@@ -275,7 +275,7 @@ def write_estimate(state: Any, out: Any) -> None:
     out.log_factor_variance = state.p_aa + state.p_cc - 2.0 * state.p_ac
     out.covariance = state.p_sa - state.p_sc
     out.ambient, out.shift, out.quantum = state.ambient, state.shift, state.quantum
-    out.charged, out.reported = state.charged, state.last_soc
+    out.charged, out.faulty, out.reported = state.charged, state.faulty, state.last_soc
     out.begin, out.begin_soc, out.distance, out.usual = state.begin, state.begin_soc, state.distance, state.usual
 
 

@@ -6,7 +6,8 @@ value and reduces no variance.
 
 A reported value may be wrong. A jumped value is accepted after it has stayed for `JUMP_CONFIRMATION`; it then moves
 the charge and increases its variance. A value that stays constant although the charge must have changed is frozen; it
-is accepted at its next step, and that step reduces no variance.
+is accepted at its next step, and that step reduces no variance. The time of the last such fault is kept, because the
+charge that follows is no outcome of a forecast made before it.
 
 References
 ----------
@@ -44,9 +45,11 @@ def update_with_reading(state: Any, event: Any) -> None:
         Changed in place.
     event : FILTER_EVENT
     """
-    if isnan(event.soc):
-        return
     quantum = state.quantum
+    if isnan(event.soc):
+        if abs(state.fall) > quantum:  # the reading would have stepped
+            state.faulty = event.time
+        return
     if isnan(state.soc):
         initialise_soc(state, event.soc, quantum)
         return
@@ -57,6 +60,8 @@ def update_with_reading(state: Any, event: Any) -> None:
         state.fall = 0.0
         if state.frozen == 0.0 and abs(state.soc - event.soc) > limit:
             state.frozen = 1.0
+        if state.frozen == 1.0:
+            state.faulty = event.time
         return
     if abs(event.soc - state.soc) > limit:
         confirm_jump(state, event, limit, quantum)
@@ -87,6 +92,7 @@ def confirm_jump(state: Any, event: Any, limit: float, quantum: float) -> None:
     elif event.time - state.suspect_time >= JUMP_CONFIRMATION:
         state.soc = event.soc
         state.p_ss += quantum * quantum / 12.0 + JUMP_SD**2
+        state.faulty = event.time
         accept_reading(state, event.soc)
 
 

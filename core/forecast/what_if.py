@@ -29,6 +29,7 @@ from core.forecast.outlook import (
     CarEstimate,
     EnergyAhead,
     MeanAndSd,
+    clip_charge,
     compute_end_soc,
     compute_planned_energy,
     compute_reserve_risk,
@@ -111,7 +112,7 @@ class CarOutlook:
         quantiles, bounds = self._get_errors(energy, basis)
         end = compute_end_soc(self.estimate, energy, hours, self.usual.relative_sd)
         end = end._replace(sd=np.hypot(end.sd, energy_sd / self.estimate.capacity))
-        mean, p05, p95 = (100.0 * np.clip(end.mean + end.sd * bound, 0.0, 1.0) for bound in bounds)
+        mean, p05, p95 = (100.0 * clip_charge(end.mean + end.sd * bound, self.estimate) for bound in bounds)
         return IntervalColumns(mean, p05, p95), end, quantiles
 
     def compute_leg_intervals(self, legs: PlannedLegs, energy: Floats, basis: Ints) -> IntervalColumns:

@@ -2,9 +2,10 @@
 
 The log keeps one forecast of each car every ten minutes. When the shift has ended, as planned or in silence, the errors
 over the forecasts' own standard deviations go to `core.forecast.conformal`. A forecast with a charging between it and
-the end is not evaluated, as no plan announces it. Nor is a forecast below an empty battery: the car stops there, and
-the energy that it would have used beyond is unknown. Such a forecast is dropped whatever the outcome, because keeping
-only the wrong ones would keep errors of one sign.
+the end is not evaluated, as no plan announces it. Nor is one with a frozen, absent or jumping reading in between,
+because the reading then is no outcome; nor is a forecast below an empty battery: the car stops there, and the energy
+that it would have used beyond is unknown. Such a forecast is dropped whatever the outcome, because keeping only the
+wrong ones would keep errors of one sign.
 """
 
 from math import nan
@@ -171,7 +172,7 @@ class ForecastLog:
             self._next[lane] = min(following, last) if last > forecast.time else following
             self._ends[lane] = min(self._ends[lane], forecast.end)
 
-    def evaluate_until(self, lane: int, time: float, soc: float, charged: float) -> list[ShiftErrors]:
+    def evaluate_until(self, lane: int, time: float, soc: float, spoilt: float) -> list[ShiftErrors]:
         """Return the errors of a lane's forecasts for ends up to a time, and drop them from the log.
 
         Parameters
@@ -181,8 +182,8 @@ class ForecastLog:
             [s]
         soc : float
             Charge reported then. [1]
-        charged : float
-            When the car charged last, NaN for never. [s]
+        spoilt : float
+            When the car charged last, or its reading was faulty last, NaN for never. [s]
         """
         if not time >= self._ends[lane]:
             return []
@@ -190,14 +191,14 @@ class ForecastLog:
         left = records[records["end"] > time]
         self._records[lane] = bytearray(left.tobytes())
         self._ends[lane] = left["end"].min(initial=np.inf)
-        return compute_shift_errors(records[records["end"] <= time], soc, charged)
+        return compute_shift_errors(records[records["end"] <= time], soc, spoilt)
 
-    def evaluate_shift(self, lane: int, soc: float, charged: float) -> list[ShiftErrors]:
+    def evaluate_shift(self, lane: int, soc: float, spoilt: float) -> list[ShiftErrors]:
         """Return the errors of all forecasts of a shift that is over; the parameters are those of `evaluate_until`."""
         records = self.get_records(lane)
         self._records.pop(lane, None)
         self._next[lane], self._ends[lane] = 0.0, np.inf
-        return compute_shift_errors(records, soc, charged)
+        return compute_shift_errors(records, soc, spoilt)
 
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
@@ -219,16 +220,16 @@ class ForecastLog:
         self._next, self._ends = np.frombuffer(following).copy(), np.frombuffer(ends).copy()
 
 
-def compute_shift_errors(records: NDArray[np.void], soc: float, charged: float) -> list[ShiftErrors]:
-    """Return the errors of forecasts by basis, without those before a charging and those below an empty battery.
+def compute_shift_errors(records: NDArray[np.void], soc: float, spoilt: float) -> list[ShiftErrors]:
+    """Return the errors of forecasts by basis, without those before a charging or a fault, or below an empty battery.
 
     Parameters
     ----------
     records : (n,) FORECAST_RECORDS
     soc : float
         Charge at the end. [1]
-    charged : float
-        When the car charged last, NaN for never. [s]
+    spoilt : float
+        When the car charged last, or its reading was faulty last, NaN for never. [s]
 
     Returns
     -------
@@ -236,7 +237,7 @@ def compute_shift_errors(records: NDArray[np.void], soc: float, charged: float) 
     """
     if not np.isfinite(soc):
         return []
-    usable = records[~(charged >= records["time"]) & (records["mean"] >= 0.0)]
+    usable = records[~(spoilt >= records["time"]) & (records["mean"] >= 0.0)]
     out = []
     for basis in np.unique(usable["basis"]):
         of_basis = usable[usable["basis"] == basis]

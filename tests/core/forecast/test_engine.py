@@ -322,3 +322,39 @@ def test_outcomes_of_published_intervals_are_counted_at_the_end_of_the_shift_and
     other = Pipeline(settings=SETTINGS)
     other.restore(pipeline.snapshot())
     assert (other.engine.statistics.interval_outcomes == pipeline.engine.statistics.interval_outcomes).all()
+
+
+def break_display(sent, fault):
+    """Return the samples of a shift whose reading fails two hours before its end."""
+    soc, late = sent["soc_pct"].copy(), sent["time_s"] > sent["time_s"][-1] - 7200.0
+    soc[late] = {"frozen": soc[late][0], "absent": np.nan, "jumping": soc[late] - 20.0}[fault]
+    return sent | {"soc_pct": soc}
+
+
+def learn(messages):
+    """Return how many shifts the intervals know after messages, and the factor of a car."""
+    pipeline = trained_pipeline()
+    pipeline.push(messages)
+    pipeline.finish()
+    pipeline.engine.apply_daily_update()
+    statistics = pipeline.engine.statistics
+    return sum(map(len, statistics.conformal._scores.values())), statistics.factors.expect(2)
+
+
+@pytest.mark.parametrize("fault", ["frozen", "absent", "jumping"])
+def test_shift_whose_reading_fails_teaches_nothing(fault):
+    sent = columns("c", DAYS)
+    shifts, factor = learn([])
+    more, other = learn([m for _, m in shift("c", DAYS, sent)])
+    assert more > shifts
+    assert other != factor
+    after, same = learn([m for _, m in shift("c", DAYS, break_display(sent, fault))])
+    assert same == factor
+    assert shifts <= after <= more if fault == "jumping" else after == shifts  # after a jump, forecasts count again
+
+
+def test_upper_bound_is_at_most_the_present_charge():
+    published = forecasts(trained_pipeline().push([m for _, m in shift("c", DAYS)]), "c").values()
+    known = [(each.soc_pct, each.soc_end_of_shift_pct) for each in published if each.soc_end_of_shift_pct is not None]
+    assert known
+    assert all(end.p95 <= now + 0.005 for now, end in known)
