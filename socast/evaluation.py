@@ -23,6 +23,7 @@ from core.stats.splits import REPEATS
 from stream.mcap_reader import McapSource
 from stream.source import merge_sources
 from tools.commands.evaluate_soc import SocForecasts as _SocForecasts
+from tools.commands.evaluate_soc import read_displays as _read_displays
 
 __all__ = ["compare_datasets", "compare_models", "evaluate_recipes", "evaluate_soc_forecasts", "trace_ride"]
 
@@ -148,7 +149,9 @@ def trace_ride(
     return result
 
 
-def evaluate_soc_forecasts(*recordings: str | Path, model: LinearModel = EXTENDED_PHYSICAL) -> dict[str, Any]:
+def evaluate_soc_forecasts(
+    *recordings: str | Path, model: LinearModel = EXTENDED_PHYSICAL, truth: str | Path | None = None
+) -> dict[str, Any]:
     """Replay recordings and evaluate the forecasts of the state of charge at each shift's end.
 
     Fleet statistics are learned during the replay, so every forecast rests only on what came before it.
@@ -159,6 +162,8 @@ def evaluate_soc_forecasts(*recordings: str | Path, model: LinearModel = EXTENDE
         MCAP files of several weeks, merged in the order of receipt.
     model : LinearModel
         The model that makes the forecasts.
+    truth : str or Path, optional
+        Truth of a simulation with conditions; outcomes are then what a healthy display shows.
 
     Raises
     ------
@@ -167,11 +172,12 @@ def evaluate_soc_forecasts(*recordings: str | Path, model: LinearModel = EXTENDE
     ModelError
         Where no forecast can be evaluated: give recordings of more days.
     """
+    displays = None if truth is None else _read_displays(Path(truth))
     collector = _SocForecasts(Pipeline(model, keep_outlooks=True))
     for messages in collector.cut(merge_sources([McapSource(path) for path in recordings])):
         collector.pipeline.take(messages)
         collector.pipeline.forecasts()
         collector()
     collector.pipeline.finish()
-    result: dict[str, Any] = _plain(collector.evaluated())
+    result: dict[str, Any] = _plain(collector.evaluated(displays))
     return result

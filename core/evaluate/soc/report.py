@@ -4,6 +4,7 @@ Errors are in percent of charge. Each shift gives one forecast at each time ahea
 all intervals, treat the shifts of a vehicle on one day as one cluster.
 """
 
+from collections.abc import Mapping
 from math import nan
 from typing import Any, Final
 
@@ -83,11 +84,12 @@ def evaluate_soc(
             "give recordings of more days"
         )
     cases = pd.concat([selected.cases, compute_baselines(selected.cases, outlooks, shifts, plans)], axis=1)
+    bounds = count_impossible_bounds(outlooks, plans)
     return {
         "about": _about(selected),
         "overall": compute_figures_by_time(cases),
         "by": compute_figures_by_condition(cases),
-        "bounds": count_impossible_bounds(outlooks, plans),
+        "bounds": bounds,
         "reserve": evaluate_reserve_risk(cases),
         "legs": {} if legs is None or not len(legs) else compute_leg_figures(legs, outlooks, shifts, plans),
         "forecasts": {
@@ -98,7 +100,7 @@ def evaluate_soc(
             **{name: cases[name].tolist() for name in BASELINES},
         },
         "examples": select_examples(cases, outlooks),
-        "notes": _notes(cases),
+        "notes": [*_notes(cases), *_warn_of_bounds(bounds)],
     }
 
 
@@ -343,6 +345,14 @@ def _notes(cases: pd.DataFrame) -> list[str]:
     if unrated:
         notes.append(f"no official rating is known of {', '.join(unrated)}")
     return notes
+
+
+def _warn_of_bounds(bounds: Mapping[str, Any]) -> list[str]:
+    """Return a remark on upper bounds that no outcome can reach."""
+    if not bounds["above"]:
+        return []
+    above, largest = f"{bounds['above']:,} of {bounds['n']:,}", f"{bounds['largest']:.1f} %"
+    return [f"{above} upper bounds without a charge ahead are above the present charge, by up to {largest}"]
 
 
 def _numbers(cases: pd.DataFrame, column: str) -> Floats:

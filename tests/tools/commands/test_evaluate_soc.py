@@ -7,6 +7,7 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
+from core.errors import SettingsError
 from core.evaluate.paper.results import to_json_values
 from core.evaluate.soc.legs import LegRecorder
 from core.evaluate.soc.report import evaluate_soc
@@ -262,6 +263,23 @@ def test_alarms_are_listed_by_level(result):
     of_plan = result["reserve"]["levels"].get("plan", {})
     for hours in {"1", "2"} & of_plan.keys():
         assert missed.get(f"the plan's reserve, {hours} h", 0) == of_plan[hours]["alarms"]["missed"]
+
+
+def test_truth_without_displays_is_refused(tmp_path):
+    path = tmp_path / "x.truth.json"
+    for text, expected in (("{}", "holds no displays; simulate with"), ("[", "is not the truth of a simulation")):
+        path.write_text(text)
+        with pytest.raises(SettingsError, match=expected):
+            command.read_displays(path)
+    path.write_text('{"displays": [{"vehicle_id": "a", "begin_s": 1.0}]}')
+    assert command.read_displays(path)["vehicle_id"].tolist() == ["a"]
+
+
+def test_regression_stands_beside_the_forecasts():
+    out = printed(to_json_values(evaluate_soc(*make_frames(cars=6, days=20))))
+    assert "Intervals beside those of the regression" in out
+    assert "Risk beside that of the regression" in out
+    assert "By shifts seen" in out
 
 
 def test_legs_are_shown_only_if_any_were_queried(result):

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from core.evaluate.soc.baselines import BASELINES, LEAST_ERRORS
+from core.evaluate.soc.baselines import BASELINES, LEAST_ERRORS, REGRESSION
 from core.evaluate.soc.reserve_risk import ALARM, LEVELS, PLANNED
 from core.formatting import format_minus
 from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
@@ -48,7 +48,8 @@ def tabulate_risk(result: Result) -> list[ReportTable]:
     """Return the tables of the section."""
     of_plan = tabulate_reliability(result, PLANNED, "Forecast risk of falling below the plan's reserve", ())
     of_levels = tabulate_reliability(result, "levels", "Risk of falling below other levels", (LEVEL_NOTE,))
-    return [table for table in (of_plan, of_levels, tabulate_alarms(result), tabulate_baselines(result)) if table.rows]
+    tables = (of_plan, of_levels, tabulate_told(result), tabulate_alarms(result), tabulate_baselines(result))
+    return [table for table in tables if table.rows]
 
 
 def tabulate_reliability(result: Result, key: str, title: str, notes: tuple[str, ...]) -> ReportTable:
@@ -67,6 +68,27 @@ def tabulate_reliability(result: Result, key: str, title: str, notes: tuple[str,
     )
     heads = ("cases", "shifts", "mean forecast risk", "fell below")
     return ReportTable(title, "risk", heads, rows, (*notes, SHARE_NOTE))
+
+
+def tabulate_told(result: Result) -> ReportTable:
+    """Return how often shifts fell below levels by coarser classes of risk, beside the risk of the regression."""
+    told = {name: get_part(result, "reserve", "told", name) or () for name in ("risk", REGRESSION)}
+    by_class = {name: {(each["low"], each["high"]): each for each in classes} for name, classes in told.items()}
+    rows = tuple(
+        Row(
+            f"{format_percent(low, 0)} to {format_percent(high, 0)}",
+            tuple(
+                Cell(text)
+                for classes in by_class.values()
+                for each in (classes.get((low, high)),)
+                for text in (format_count(each["n"] if each else 0), format_share(each["fell"]) if each else UNKNOWN)
+            ),
+        )
+        for low, high in by_class["risk"]
+        if by_class[REGRESSION]
+    )
+    heads = ("cases", "fell below", "cases, regression", "fell below, regression")
+    return ReportTable("Risk beside that of the regression", "risk", heads, rows, (LEVEL_NOTE, SHARE_NOTE))
 
 
 def tabulate_alarms(result: Result) -> ReportTable:

@@ -69,6 +69,14 @@ def test_bounds_above_the_present_charge_count_without_a_charge_ahead():
     assert count_impossible_bounds(outlooks, plans) == {"n": 2, "above": 1, "largest": 1.5}
 
 
+def test_impossible_bounds_are_remarked():
+    frames = make_frames(cars=2, days=6)
+    assert any("above the present charge" in note for note in evaluate_soc(*frames)["notes"])
+    within = frames.outlooks.assign(soc_p95_pct=frames.outlooks[["soc_p95_pct", "soc_pct"]].min(axis=1, skipna=False))
+    assert evaluate_soc(within, frames.shifts)["bounds"]["above"] == 0
+    assert not any("above the present charge" in note for note in evaluate_soc(within, frames.shifts)["notes"])
+
+
 def test_plans_that_cannot_be_read_are_left_out():
     recorder = PlanRecorder()
     for key, payload in (("fleet/a/plan", b"{"), ("fleet/a/plan", b'{"time_s": 1}'), ("fleet/a/ride", b"{}")):
