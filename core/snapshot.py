@@ -31,7 +31,7 @@ from core.totals.display_yield import LANE_YIELD
 from core.wire.sample_losses import SAMPLE_LOSS
 from core.wire.state_schema import Anything, ByName, Fault, Many, Maybe, Named, Number, Packed, Row, Schema, Sizes, Text
 
-SNAPSHOT: Final = 15
+SNAPSHOT: Final = 16
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 """Names of the fields in the arrays of a snapshot."""
@@ -168,7 +168,7 @@ _ERRORS: Final = Row(Packed(RIDE_SUMS, count=1), Row(_INDEX, _INDEX, *(_REAL for
 SCHEMAS: Final[dict[str, Schema]] = {
     "lanes": Many(Text(64), unique=True),
     "cars": Row(Many(ByName(_ANYTHING)), Many(Number(0, "kinds", whole=True)), _COUNTS),
-    "duplicates": Packed("<u8"),
+    "duplicates": Row(Packed("<u8"), Packed("<u8")),
     "decoder": Row(
         Row(Many(Row(_CODE, Maybe(_TEXT))), _COUNT),
         _COUNTS,

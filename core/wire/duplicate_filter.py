@@ -22,9 +22,9 @@ from core.batch import Lanes
 from core.wire.messages import LONGEST_KEY, Message
 
 PER_VEHICLE: Final = 1280
-"""Number of messages that are remembered, per vehicle; an hour of samples every 3 s is 1,200."""
+"""Number of messages that are remembered at least, per vehicle; an hour of samples every 3 s is 1,200."""
 LEAST: Final = 1 << 14
-"""Number of messages that are remembered of a small fleet."""
+"""Number of messages that are remembered at least of a small fleet."""
 
 Hashes = NDArray[np.uint64]
 _raw_list = msgspec.json.Decoder(list[msgspec.Raw])
@@ -33,8 +33,9 @@ _raw_list = msgspec.json.Decoder(list[msgspec.Raw])
 class DuplicateFilter:
     """Remember the latest messages of a fleet, and drop those that come again.
 
-    The memory is one queue for the whole fleet. It holds `PER_VEHICLE` messages for each known vehicle, and at least
-    `LEAST`. A message takes 16 to 32 bytes.
+    The memory has two halves for the whole fleet. New messages go to the new half. When it holds `PER_VEHICLE` messages
+    for each known vehicle, and at least `LEAST`, it becomes the old half, and what was the old half is forgotten. The
+    state does therefore not depend on which of two messages came first. A message takes 10 to 20 bytes.
 
     Parameters
     ----------
@@ -52,8 +53,8 @@ class DuplicateFilter:
         self.dropped = 0
         self._lanes = lanes
         self._seeds = _KeySeeds()
+        self._new, self._old = (_make_table(np.empty(0, np.uint64), LEAST) for _ in range(2))
         self._count = 0
-        self._allot(LEAST, np.empty(0, np.uint64))
 
     def select_new(self, messages: Sequence[Message]) -> Sequence[Message]:
         """Return the messages that were not delivered before, and remember them.
@@ -94,34 +95,41 @@ class DuplicateFilter:
 
     def _remember(self, hashes: Hashes) -> NDArray[np.bool_]:
         """Remember hashes; return which of them were not remembered before."""
-        if (wanted := self._count + len(hashes)) > len(self._queue):  # it grows only as far as it is used
-            most = max(LEAST, PER_VEHICLE * len(self._lanes))
-            if most > len(self._queue):
-                self._allot(min(most, 2 * wanted), self._in_order())
-        new = np.empty(len(hashes), np.bool_)
-        self._count = _remember(hashes, self._queue, self._table, self._count, new)
-        self.dropped += len(hashes) - int(np.count_nonzero(new))
-        return new
+        is_new = np.empty(len(hashes), np.bool_)
+        most, done = max(LEAST, PER_VEHICLE * len(self._lanes)), 0
+        while done < len(hashes):
+            if self._count >= most:
+                self._old, self._new = self._new, _make_table(np.empty(0, np.uint64), LEAST)
+                self._count = 0
+            wanted = min(self._count + len(hashes) - done, most)
+            if 5 * wanted > 4 * len(self._new):  # it grows only as far as it is used
+                self._new = _make_table(_list_hashes(self._new), 2 * wanted)
+            taken, self._count = _remember(hashes[done:], self._new, self._old, self._count, most, is_new[done:])
+            done += taken
+        self.dropped += len(hashes) - int(np.count_nonzero(is_new))
+        return is_new
 
     def dump(self) -> Any:
-        """Return the hashes of the remembered messages as bytes, the oldest first."""
-        return self._in_order().astype("<u8").tobytes()
+        """Return the hashes of both halves of the memory as bytes, each in ascending order."""
+        return [_list_hashes(half).astype("<u8").tobytes() for half in (self._new, self._old)]
 
     def load(self, state: Any) -> None:
         """Replace the remembered messages by those that `dump` returned."""
-        hashes = np.frombuffer(state, "<u8").astype(np.uint64)
-        self._allot(max(LEAST, len(hashes)), hashes)
+        new, old = (np.frombuffer(half, "<u8").astype(np.uint64) for half in state)
+        self._new, self._old = _make_table(new, LEAST), _make_table(old, LEAST)
+        self._count = int(np.count_nonzero(self._new))
 
-    def _allot(self, size: int, hashes: Hashes) -> None:
-        """Make room for a number of hashes, and remember those given, the oldest first."""
-        self._queue = np.zeros(size, np.uint64)
-        self._table = np.zeros(1 << (5 * size // 4).bit_length(), np.uint64)
-        self._count = _remember(hashes, self._queue, self._table, 0, np.empty(len(hashes), np.bool_))
 
-    def _in_order(self) -> Hashes:
-        """Return the remembered hashes, the oldest first."""
-        at = self._count % len(self._queue)
-        return self._queue[:at] if self._count < len(self._queue) else np.roll(self._queue, -at)
+def _make_table(hashes: Hashes, room: int) -> Hashes:
+    """Return a table of hashes with room for a number of them; a place that is zero is empty."""
+    table = np.zeros(1 << (5 * max(room, len(hashes)) // 4).bit_length(), np.uint64)
+    _remember(hashes, table, np.zeros(1, np.uint64), 0, len(hashes) + 1, np.empty(len(hashes), np.bool_))
+    return table
+
+
+def _list_hashes(table: Hashes) -> Hashes:
+    """Return the hashes in a table in ascending order."""
+    return np.sort(table[table != 0])
 
 
 def _split_list(key: str, payload: bytes) -> list[Any]:
@@ -147,49 +155,29 @@ class _KeySeeds(dict[str, int]):
 
 
 @njit(cache=True)
-def _remember(hashes: Any, queue: Any, table: Any, count: int, new: Any) -> int:
-    """Remember hashes in a queue and in a table with linear probing; return how many were remembered so far.
+def _remember(hashes: Any, table: Any, other: Any, count: int, most: int, is_new: Any) -> tuple[int, int]:
+    """Remember those hashes in a table with linear probing that neither it nor another table holds.
 
-    An entry of zero is empty. `new` receives which of the hashes were not remembered before. The oldest hash makes
-    room.
+    `is_new` receives which hashes were not remembered before. The function stops when the table holds `most` hashes,
+    and returns how many hashes it took, and how many the table holds.
     """
-    mask = np.uint64(len(table) - 1)
     one, none = np.uint64(1), np.uint64(0)
+    mask, other_mask = np.uint64(len(table) - 1), np.uint64(len(other) - 1)
     for i in range(len(hashes)):
         value = hashes[i] if hashes[i] != none else one
+        at = value & other_mask
+        while other[at] != none and other[at] != value:
+            at = (at + one) & other_mask
+        is_new[i] = other[at] == none
+        if not is_new[i]:
+            continue
         at = value & mask
         while table[at] != none and table[at] != value:
             at = (at + one) & mask
-        new[i] = table[at] == none
-        if not new[i]:
-            continue
-        place = count % len(queue)
-        if queue[place] != none:
-            _forget(queue[place], table, mask)
-            at = value & mask
-            while table[at] != none:
-                at = (at + one) & mask
-        table[at] = queue[place] = value
-        count += 1
-    return count
-
-
-@njit(cache=True)
-def _forget(value: Any, table: Any, mask: Any) -> None:
-    """Remove a value from the table, and move back the values after it that the gap would make unreachable.
-
-    Knuth, The Art of Computer Programming, volume 3, section 6.4, algorithm R.
-    """
-    one, none = np.uint64(1), np.uint64(0)
-    gap = value & mask
-    while table[gap] != value:
-        gap = (gap + one) & mask
-    table[gap] = none
-    at = (gap + one) & mask
-    while table[at] != none:
-        home = table[at] & mask
-        if ((at - home) & mask) >= ((at - gap) & mask):
-            table[gap] = table[at]
-            table[at] = none
-            gap = at
-        at = (at + one) & mask
+        is_new[i] = table[at] == none
+        if is_new[i]:
+            table[at] = value
+            count += 1
+            if count == most:
+                return i + 1, count
+    return len(hashes), count

@@ -1,6 +1,5 @@
 """A message that is delivered again is dropped, whatever came between, and nothing else is."""
 
-from collections import OrderedDict
 from itertools import pairwise
 
 from hypothesis import given
@@ -29,19 +28,28 @@ def test_each_message_passes_once_however_the_input_is_cut(numbers, cuts):
     assert filter_.dropped == len(messages) - len(out)
 
 
-def test_oldest_messages_are_forgotten_first_as_in_a_queue():
-    filter_, model = DuplicateFilter(Lanes()), OrderedDict()
+def test_the_older_half_of_the_memory_is_forgotten_when_the_newer_half_is_full():
+    filter_, new, old = DuplicateFilter(Lanes()), set(), set()
     for turn in range(60):
         batch = [Message(KEY, b"%d" % (n * n * 2654435761 % 40_000), 0) for n in range(turn * 900, turn * 900 + 1000)]
         expected = []
         for message in batch:
-            if message.payload in model:
+            if len(new) == LEAST:
+                old, new = new, set()
+            if message.payload in new or message.payload in old:
                 continue
             expected.append(message)
-            model[message.payload] = None
-            if len(model) > LEAST:
-                model.popitem(last=False)
+            new.add(message.payload)
         assert list(filter_.select_new(batch)) == expected
+
+
+def test_state_does_not_depend_on_the_order_of_neighbours():
+    messages = make_messages(0, 30_000)
+    first, second = DuplicateFilter(Lanes()), DuplicateFilter(Lanes())
+    first.select_new(messages)
+    for at in range(0, len(messages), 4):
+        second.select_new(messages[at : at + 4][::-1])
+    assert first.dump() == second.dump()
 
 
 def test_memory_grows_with_the_fleet():
