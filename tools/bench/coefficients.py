@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from datetime import UTC, datetime
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -93,7 +94,7 @@ def main(arguments: list[str] | None = None) -> int:
     except SocastError as error:
         print(error, file=sys.stderr)
         return 2
-    with ProcessPoolExecutor(options.processes) as pool:
+    with ProcessPoolExecutor(options.processes, get_context("spawn")) as pool:  # a fork would copy locks of threads
         estimates = [estimate for fleet in pool.map(measure_fleet, seeds) for estimate in fleet]
     print_coverage(estimates, Console())
     if options.json:
