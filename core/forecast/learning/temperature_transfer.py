@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 import core.effects
 from core.batch import Floats
 from core.columns import GRAVITY, SIGNALS, STANDARD_AIR_DENSITY, ZERO_CELSIUS
+from core.effects import Effect
 from core.forecast.learning.leg_energy import TEMPERATURES
 from core.totals.accumulator import AMOUNTS
 from core.totals.context import RunContext
@@ -203,8 +204,7 @@ def shift_amounts(amounts: Floats, celsius: Floats, context: RunContext, car: Ca
     speed = np.divide(amounts[:, _DISTANCE], duration, out=np.zeros(len(duration)), where=duration > 0.0)
     out = amounts.copy()
     out[:, _AMBIENT] = (celsius + ZERO_CELSIUS) * duration
-    for place, name in enumerate(context.effects):
-        effect = core.effects.get(name)
+    for place, effect in _list_effects(context):
         if not _OF_AMBIENT.intersection(effect.arguments):
             continue
         with np.errstate(all="ignore"):
@@ -212,11 +212,11 @@ def shift_amounts(amounts: Floats, celsius: Floats, context: RunContext, car: Ca
                 np.broadcast_to(effect.power(_SteadyDrive(kelvin, speed, car)), speed.shape)
                 for kelvin in (there, celsius + ZERO_CELSIUS)
             )
-        energy = amounts[:, len(AMOUNTS) + place]
+        energy = amounts[:, place]
         is_ratio = np.abs(before) > LEAST_SHARE * np.abs(after)
         ratio = np.divide(after, before, out=np.ones(len(before)), where=is_ratio)
         moved = np.where(is_ratio, energy * ratio, energy + (after - before) * duration)
-        out[:, len(AMOUNTS) + place] = np.where(np.isfinite(moved), moved, energy)
+        out[:, place] = np.where(np.isfinite(moved), moved, energy)
     return out
 
 
@@ -242,11 +242,17 @@ def make_standing_amounts(width: int, celsius: Floats, context: RunContext, car:
     out[:, _DURATION] = 3600.0
     out[:, _AMBIENT] = (celsius + ZERO_CELSIUS) * 3600.0
     drive = _SteadyDrive(celsius + ZERO_CELSIUS, np.zeros(len(celsius)), car)
-    for place, name in enumerate(context.effects):
+    for place, effect in _list_effects(context):
         with np.errstate(all="ignore"):
-            power = np.broadcast_to(core.effects.get(name).power(drive), celsius.shape)
-        out[:, len(AMOUNTS) + place] = 3600.0 * np.nan_to_num(power, nan=0.0, posinf=0.0, neginf=0.0)
+            power = np.broadcast_to(effect.power(drive), celsius.shape)
+        out[:, place] = 3600.0 * np.nan_to_num(power, nan=0.0, posinf=0.0, neginf=0.0)
     return out
+
+
+def _list_effects(context: RunContext) -> list[tuple[int, Effect]]:
+    """Return the effects that the model reads, each with its place among the sums; those of other models may fail."""
+    read = set(context.model.effects)
+    return [(len(AMOUNTS) + i, core.effects.get(name)) for i, name in enumerate(context.effects) if name in read]
 
 
 class _SteadyDrive(Mapping[str, Floats]):

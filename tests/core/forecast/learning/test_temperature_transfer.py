@@ -110,3 +110,11 @@ def test_effects_of_temperature_move_and_others_do_not():
     assert [standing[0, place], moved[0, place]] == pytest.approx((3600.0 * watts).tolist())
     same = [len(AMOUNTS) + list(context.effects).index(name) for name in ("rolling", "inertia", "climbing")]
     assert (moved[0, same] == standing[0, same]).all()
+
+
+def test_effects_that_the_model_does_not_read_are_left_alone():
+    pipeline = Pipeline(EXTENDED_PHYSICAL, also=("cabin_heating",))
+    context = pipeline.context
+    standing = make_standing_amounts(len(AMOUNTS) + len(context.effects), np.array([-10.0]), context, CAR)
+    assert standing[0, len(AMOUNTS) + list(context.effects).index("cabin_heating")] == 0.0
+    assert standing[0, len(AMOUNTS) + list(context.effects).index("accessories")] > 0.0
