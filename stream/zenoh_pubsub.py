@@ -71,7 +71,7 @@ _SPACES: Final = "weather", "fleet"
 A weather observation then does not come after the samples that it applies to. A node that detects the subscription to
 the fleet can rely on the subscription to the weather.
 """
-_NAP_S: Final = 0.001, 0.01  # first and longest wait for an empty channel
+_NAP_S: Final = 0.0002, 0.01  # shortest and longest wait for more samples; a busy channel is full after 0.001 s
 _log = logging.getLogger("socast.zenoh")
 
 
@@ -82,6 +82,27 @@ class _Keys(dict[Any, str]):
         text = str(key)
         text = self[key] = "" if text.endswith("/forecast") else text
         return text
+
+
+def adapt_nap(nap_s: float, fullness: float) -> float:
+    """Return how long to wait for more samples, so that few samples cost few looks and many find room in the channel.
+
+    Parameters
+    ----------
+    nap_s : float
+        Wait before the last look. [s]
+    fullness : float
+        Number of samples that the last look found, relative to the most that it takes. [1]
+
+    Examples
+    --------
+    >>> adapt_nap(0.004, 1.0), adapt_nap(0.004, 0.5), adapt_nap(0.004, 0.1)
+    (0.0, 0.002, 0.008)
+    """
+    shortest, longest = _NAP_S
+    if fullness >= 1.0:
+        return 0.0
+    return max(nap_s / 2 if fullness > 0.25 else min(2 * nap_s, longest), shortest)
 
 
 class ZenohSource:
@@ -133,6 +154,7 @@ class ZenohSource:
         self._subscribers = [_subscribe(node, f"{node.prefix}{space}/**") for space in _SPACES]
         self._receivers = [subscriber.handler.try_recv for subscriber in self._subscribers]
         self._block = BLOCK
+        self._nap_s = 0.0
         self._misses: list[Any] = []
         self._history: CacheHistory | None = None
         self._held: list[Any] = []
@@ -191,7 +213,6 @@ class ZenohSource:
 
     def _fill_queue(self) -> None:
         """Move samples into the queue until the source ends."""
-        nap, longest = _NAP_S
         while not self._queue.has_ended:
             stopping = self._stop.is_set()
             if stopping and self._subscribers:
@@ -204,12 +225,10 @@ class ZenohSource:
             self._watch_routers()
             if messages:
                 self._enqueue(messages, recovered=recovered)
-                nap = _NAP_S[0]
             elif stopping:
                 return
-            if len(messages) < self._block:
-                time.sleep(nap)
-                nap = min(2 * nap, longest)
+            if self._nap_s:
+                time.sleep(self._nap_s)
 
     def _enqueue(self, messages: list[Message], *, recovered: bool) -> None:
         """Append messages to the queue; while it is full, wait until it is not, or until the stop has lasted."""
@@ -256,6 +275,7 @@ class ZenohSource:
         token comes before its samples, so the tokens are looked at after the samples.
         """
         samples = self._receive(CHANNEL, self._block)
+        self._nap_s = adapt_nap(self._nap_s, len(samples) / self._block)
         if self._history is not None and self._must_hold(samples, stopping=stopping):
             return [], False
         if self._answers:

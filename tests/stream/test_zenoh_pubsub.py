@@ -14,7 +14,7 @@ import zenoh
 
 from core.errors import SettingsError
 from core.wire.messages import Message
-from stream.zenoh_pubsub import ZenohSink, ZenohSource
+from stream.zenoh_pubsub import CHANNEL, ZenohSink, ZenohSource, adapt_nap
 from stream.zenoh_session import Connection, Node, find_free_port
 from tests.support.zenoh_sessions import eventually, router
 
@@ -75,6 +75,17 @@ def test_messages_published_just_before_close_arrive():
         thread.join()
     assert len(got) == len(sent)
     assert select_space("fleet", got) == select_space("fleet", sent)
+
+
+@pytest.mark.parametrize("rate", [0.0, 300.0, 20_000.0, 100_000.0, 200_000.0])
+def test_naps_are_long_at_low_rates_and_never_fill_the_channel_at_high_rates(rate):
+    nap_s, naps_s = 0.01, []
+    for _ in range(1000):
+        naps_s.append(nap_s)
+        nap_s = adapt_nap(nap_s, min(nap_s * rate, CHANNEL) / CHANNEL)
+    settled_s = naps_s[100:]
+    assert max(settled_s) * rate < CHANNEL
+    assert min(settled_s) * rate > CHANNEL / 8 or min(settled_s) == 0.01
 
 
 def test_stopped_source_yields_queued_messages():
