@@ -32,6 +32,8 @@ FILTER_STATE: Final = np.dtype(
         ("p_aa", "f8"),
         ("p_ac", "f8"),
         ("p_cc", "f8"),
+        ("compared_predicted", "f8"),  # energy predicted since both energies were compared last [kWh]
+        ("compared_used", "f8"),  # energy measured since then [kWh]
         ("fall", "f8"),  # charge used since the last accepted reading [1]
         ("quantum", "f8"),  # of the reported state of charge [1]
         ("reported", "f8"),  # last accepted reading, the reference of the next one [1]

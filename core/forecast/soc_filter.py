@@ -51,6 +51,11 @@ WARM_UP_VARIANCE_FACTOR: Final = 4.0
 """Factor of the variance of the energy during the warm-up. [1]"""
 METER_GAIN_SD: Final = 0.015
 """Standard deviation of the constant gain of a car's meter: 1 % each of voltage and of current. [1]"""
+COMPARED_ENERGY: Final = 0.3
+"""Predicted energy of a stretch from which its measured energy is compared with it. [kWh]
+
+A shorter stretch may have a predicted energy below 0, as while a car brakes. Without such stretches, the others would
+appear to take less than predicted."""
 METER_SAMPLING_SD: Final = 0.05
 """Standard deviation of 1 kWh as measured by samples every few seconds; it grows with the root. [1]"""
 DRIVER_SD: Final = 0.06
@@ -120,6 +125,7 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     state.shift += 1.0
     state.begin = event.time
     state.distance = state.ride_distance = state.hours = state.predicted = state.warmth = 0.0
+    state.compared_predicted = state.compared_used = 0.0
     state.begin_soc = state.last_soc = state.lowest_soc = state.charged = state.faulty = nan
     state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
     state.p_cc = min(state.p_cc + CAPACITY_AGEING**2, CAPACITY_SD**2)
@@ -161,6 +167,7 @@ def update_with_totals(state: Any, event: Any) -> None:
     charging = update_charging(state, event, passed)
     if silent or charging:
         discard_soc(state)
+        state.compared_predicted = state.compared_used = 0.0
     elif not isnan(state.soc):
         used = metered * duration / meter_time if meter_time > 0.5 * duration else nan
         warming = event.time - state.begin < WARM_UP_TIME or event.since_charge < WARM_UP_TIME
@@ -232,8 +239,11 @@ def predict_state(
         slope_c = exp(state.usual) * predicted / capacity
         slope_a, noise = -slope_c, energy_variance * abs(predicted) / capacity**2
     else:
-        if not isnan(predicted) and predicted > 0.0:
-            update_with_meter(state, predicted, used, (energy_variance + METER_SAMPLING_SD**2) * predicted)
+        if not isnan(predicted):
+            state.compared_predicted += predicted
+            state.compared_used += used
+        if state.compared_predicted >= COMPARED_ENERGY:
+            update_with_meter(state, energy_variance + METER_SAMPLING_SD**2)
         state.soc -= used / (capacity * exp(state.log_capacity))
         slope_c = used / (capacity * exp(state.begin_log_capacity))
         slope_a, noise = 0.0, METER_SAMPLING_SD**2 * abs(used) / capacity**2
@@ -249,11 +259,13 @@ def predict_state(
 
 
 @njit(cache=False)
-def update_with_meter(state: Any, predicted: float, used: float, variance: float) -> None:
-    """Update `a` by the measured energy of a stretch [kWh], with the variance of its residual [kWh^2]."""
+def update_with_meter(state: Any, variance: float) -> None:
+    """Update `a` by the measured energy of a stretch, with the variance of its residual over its energy. [kWh]"""
+    predicted = state.compared_predicted
     slope = exp(state.begin_log_capacity + state.usual) * predicted
-    total = slope**2 * state.p_aa + variance
-    residual = used - exp(state.log_consumption) * predicted
+    total = slope**2 * state.p_aa + variance * predicted
+    residual = state.compared_used - exp(state.log_consumption) * predicted
+    state.compared_predicted = state.compared_used = 0.0
     update_state(state, residual, slope * state.p_sa, slope * state.p_aa, slope * state.p_ac, total)
 
 

@@ -41,6 +41,7 @@ class Oracle:
         self.kf.x = np.array([[state["soc"][0]], [state["log_consumption"][0]], [state["log_capacity"][0]]])
         self.kf.P = get_covariance(state)
         self.fall = 0.0
+        self.predicted = self.used = 0.0
 
     def predict(self, predicted, used, noise):
         """Predict the state by the measured energy [kWh], or by the predicted energy where that is NaN."""
@@ -49,9 +50,9 @@ class Oracle:
         fall, by_a, blur = np.exp(a - c) * predicted / CAPACITY, 1.0, noise * predicted / CAPACITY**2
         slope = np.exp(self.scale) * predicted / CAPACITY
         if np.isfinite(used):
-            seen = np.array([[0.0, np.exp(self.size + self.scale) * predicted, 0.0]])
-            blurred = (noise + soc_filter.METER_SAMPLING_SD**2) * predicted
-            kf.update(used - np.exp(a) * predicted + seen @ kf.x, blurred, seen)
+            self.predicted, self.used = self.predicted + predicted, self.used + used
+            if self.predicted >= soc_filter.COMPARED_ENERGY:
+                self.compare(noise + soc_filter.METER_SAMPLING_SD**2)
             fall, by_a = used / (CAPACITY * np.exp(kf.x[2, 0])), 0.0
             slope, blur = (
                 used / (CAPACITY * np.exp(self.size)),
@@ -61,6 +62,13 @@ class Oracle:
         along = np.array([[1.0, -by_a * slope, slope], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
         shift_of = kf.x - [[fall], [0.0], [0.0]] - along @ kf.x
         kf.predict(u=shift_of, B=np.eye(3), F=along, Q=np.diag([blur, 0.0, 0.0]))
+
+    def compare(self, variance):
+        """Update by the measured energy of a stretch, with the variance of its residual over its energy. [kWh]"""
+        kf, predicted, used = self.kf, self.predicted, self.used
+        seen = np.array([[0.0, np.exp(self.size + self.scale) * predicted, 0.0]])
+        kf.update(used - np.exp(kf.x[1, 0]) * predicted + seen @ kf.x, variance * predicted, seen)
+        self.predicted = self.used = 0.0
 
     def update_with_step(self, before, reported, quantum):
         """Update by a step from one reported value to another."""
