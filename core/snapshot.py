@@ -19,10 +19,13 @@ from core.cleaning.kernel import STATE
 from core.cleaning.quality import CAUSES
 from core.columns import SECONDS_PER_DAY, SPEED_BINS
 from core.errors import SocastError
-from core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, TEMPERATURE_CLASSES
+from core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, SCORES, TEMPERATURE_CLASSES
 from core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_SAMPLES
 from core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
+from core.forecast.learning.daily_cycle import HOURS
+from core.forecast.learning.energy_correction import COEFFICIENTS
 from core.forecast.learning.fleet import SHIFT_PATTERN
+from core.forecast.learning.forecast_errors import FORECAST_RECORDS
 from core.forecast.learning.leg_energy import PACES, TEMPERATURES
 from core.forecast.planned_legs import PLAN_PROGRESS
 from core.monitoring.running_error import RIDE_SUMS, VEHICLE_DAY
@@ -31,7 +34,7 @@ from core.totals.display_yield import LANE_YIELD
 from core.wire.sample_losses import SAMPLE_LOSS
 from core.wire.state_schema import Anything, ByName, Fault, Many, Maybe, Named, Number, Packed, Row, Schema, Sizes, Text
 
-SNAPSHOT: Final = 16
+SNAPSHOT: Final = 17
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 """Names of the fields in the arrays of a snapshot."""
@@ -121,6 +124,11 @@ def _grid(*shape: int) -> Schema:
     return Many(_grid(*shape[1:]) if shape[1:] else _REAL, count=shape[0])
 
 
+def _pack(count: int, *, low: float = -inf) -> Schema:
+    """Return the schema of an array as bytes, of known numbers."""
+    return Packed("f8", count=count, limits={"": Number(low, unknown=False)})
+
+
 _SUMS: Final = Named(
     **dict.fromkeys(("ride_amounts", "ride_energy", "idle_energy", "standing"), Packed("f8")),
     **dict.fromkeys(("matrix", "right", "first_edge", "last_edge"), Packed("f8")),
@@ -135,12 +143,18 @@ _TABLES: Final = Named(
     **dict.fromkeys(("standing_power", "approach_energy", "ride_factor", "ride_power", "relative_sd"), _BY_TEMPERATURE),
     **dict.fromkeys(("idle_factor", "idle_power", "energy_per_km", "mean_power"), _BY_TEMPERATURE),
 )
-_CLASSES: Final = BASES, len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
+_SHIFTS: Final = Many(_COUNT, count=BASES)
+_CLASSES: Final = BASES * len(DISTANCE_CLASSES) * len(TEMPERATURE_CLASSES)
 _CONFORMAL: Final = Row(
-    Many(Row(Row(*(Number(0, count - 1, whole=True) for count in _CLASSES)), Many(Packed("f8")))),
-    _grid(*_CLASSES, len(LEVELS)),
-    *(Packed(BOUND_PAIR) for _ in range(3)),
+    _SHIFTS,
+    Packed(BOUND_PAIR, count=_CLASSES, limits={"": Number(unknown=False)}),
+    Row(
+        *(_pack(_CLASSES * len(SCORES), low=0.0) for _ in range(2)),
+        *(_pack(2 * count) for count in (_CLASSES, BASES * len(DISTANCE_CLASSES), BASES * len(TEMPERATURE_CLASSES))),
+        _pack(_CLASSES * len(LEVELS)),
+    ),
 )
+_CORRECTION: Final = Row(_SHIFTS, Row(*(_pack(BASES * count) for count in 2 * (COEFFICIENTS**2, COEFFICIENTS))))
 _STATISTICS: Final = Row(
     Row(
         Row(ByName(_SUMS), ByName(_TABLES)),
@@ -150,7 +164,8 @@ _STATISTICS: Final = Row(
             Many(Row(_LANE, Many(Row(_REAL, _REAL)))),
         ),
         _CONFORMAL,
-        _grid(3, BASES),
+        _CORRECTION,
+        _grid(4, HOURS),
     ),
     Many(Row(_LANE, Maybe(_COUNT), _REAL, _REAL, _REAL)),
     Packed(LOG_FACTOR_PRIOR, by_lane="predicted", limits={"variance": Number(1e-9, 1e9)}),
@@ -212,7 +227,11 @@ SCHEMAS: Final[dict[str, Schema]] = {
     "engine": Row(
         _STATISTICS,
         _PLANS,
-        Row(Many(Row(_LANE, _ANYTHING)), Packed("f8"), Packed("f8")),
+        Row(
+            Many(Row(_LANE, Packed(FORECAST_RECORDS, limits={"basis": Number(0, BASES - 1, unknown=False)}))),
+            Packed("f8"),
+            Packed("f8"),
+        ),
         Packed(
             FILTER_STATE,
             by_lane="predicted",

@@ -2,25 +2,28 @@
 
 A forecast comes with a standard deviation, which says where errors are larger. Their actual size follows from earlier
 forecasts, whatever the distribution: from the quantiles of (outcome - forecast) / standard deviation of forecasts with
-a similar distance ahead and a similar outside temperature. Only forecasts whose outcome is known contribute, so an
-interval is never evaluated on its own data. Where outcomes fall outside of the bounds more or less often than intended,
-for example when the season changes, the bounds move until the rate is right.
+a similar distance ahead and a similar outside temperature. A class of forecasts with few outcomes borrows from the
+classes around it, and all of them from a prior distribution, so that there are intervals from the first day. Only
+forecasts whose outcome is known contribute, so an interval is never evaluated on its own data. Where outcomes fall
+outside of the bounds more or less often than intended, for example when the season changes, the bounds move until the
+rate is right.
 
 References
 ----------
 Vovk, Gammerman, Shafer, Algorithmic Learning in a Random World, Springer 2005, chapter 2. Lei, G'Sell, Rinaldo,
 Tibshirani, Wasserman, Journal of the American Statistical Association 113 (2018) 1094, DOI
 10.1080/01621459.2017.1307116, section 5.2, on locally varying width. Gibbs, Candès, NeurIPS 2021, arXiv:2106.00170, on
-bounds that adapt.
+bounds that adapt. Ferguson, Annals of Statistics 1 (1973) 209, DOI 10.1214/aos/1176342360, on distributions with a
+prior of given weight. Kish, Survey Sampling, Wiley 1965, section 5.4, on the number of independent members of a
+cluster.
 """
 
-from collections import deque
 from collections.abc import Sequence
 from functools import cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.special import stdtr
 
 from core.batch import Floats, Ints
 
@@ -40,19 +43,31 @@ LOWER_LEVEL: Final = 0.05
 """Probability of the lower bound of an interval."""
 UPPER_LEVEL: Final = 0.95
 """Probability of the upper bound of an interval."""
-ADAPTATION_RATE: Final = 0.02
-"""Change of a bound's probability per shift outside of it; 1/19 of that per shift inside."""
-ADAPTATION_LIMITS: Final = -0.045, 0.05
-"""Limits of the change of a bound's probability, for a class of distance and again for one of temperature."""
-LARGEST_BOUND_LEVEL: Final = 0.12
-"""Largest probability of a bound, counted from its own end."""
-SUFFICIENT_SHIFTS: Final = 50
-"""Number of shifts from which a class uses its own data only; with fewer it borrows from neighbouring classes."""
-LEAST_SHIFTS: Final = 20
-"""Number of shifts, of all classes, below which there are no intervals."""
-REMEMBERED_SHIFTS: Final = 400
-"""Number of newest shifts that a class remembers."""
+ADAPTATION_RATE: Final = 0.1
+"""Widening of a bound per shift outside of it; 1/19 of that is taken back per shift inside. [1]"""
+LARGEST_ADAPTATION: Final = 0.5
+"""Largest widening or narrowing of a bound, for a class of distance and again for one of temperature. [1]"""
+SCORES: Final = np.linspace(-8.0, 8.0, 161)
+"""Standardised errors at which the outcomes are counted; a larger one counts as the last. [1]"""
+PRIOR_SCALES: Final = 1.25, 1.75
+"""Scale of the prior distribution of the standardised error of each basis, Student's t. [1]"""
+PRIOR_FREEDOM: Final = 8.0
+"""Its degrees of freedom."""
+PRIOR_SHIFTS: Final = 15.0
+"""Number of shifts whose weight the prior has."""
+BORROWED_SHIFTS: Final = 25.0
+"""Number of shifts whose weight the classes around a class have together, prior included."""
+SHARE_OF_NEXT: Final = 0.5
+"""Weight of a class in what another one borrows, for each class of distance and of temperature between both."""
+DAY_CORRELATION: Final = 0.3
+"""Correlation of the errors of the shifts of a day, which share the weather and the traffic. [1]"""
+DAY_MEMORY: Final = 0.98
+"""Weight of a day's shifts one day later."""
 
+_ARRAYS: Final = (
+    *("_counts", "_today", "_missed_today", "_widening_by_distance", "_widening_by_temperature"),
+    "table",
+)
 BOUND_PAIR: Final = np.dtype([("lower", "f8"), ("upper", "f8")])
 """A value for each of the two bounds of an interval."""
 
@@ -76,21 +91,25 @@ class ConformalIntervals:
     Attributes
     ----------
     table : (bases, distances, temperatures, levels) float
-        Quantiles of the standardised error, NaN where too little is known. [1]
+        Quantiles of the standardised error. [1]
     bounds : (bases, distances, temperatures) BOUND_PAIR
-        Bounds that contain the standardised error with 90 %, NaN where too little is known. [1]
+        Bounds that contain the standardised error with 90 %. [1]
     """
 
-    def __init__(self, bases: int = BASES) -> None:
-        self.shape = bases, len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
-        self._scores: dict[tuple[int, ...], deque[Floats]] = {}
-        self.table = np.full((*self.shape, len(LEVELS)), np.nan)
-        self.bounds = _make_pairs(self.shape, np.nan)
-        self._moved_by_distance = _make_pairs((bases, len(DISTANCE_CLASSES)), 0.0)
-        self._moved_by_temperature = _make_pairs((bases, len(TEMPERATURE_CLASSES)), 0.0)
+    def __init__(self) -> None:
+        self.shape = BASES, len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
+        self._counts = np.zeros((*self.shape, len(SCORES)))
+        self._today = np.zeros((*self.shape, len(SCORES)))
+        self._shifts_today = np.zeros(BASES, np.int64)
+        self._missed_today = np.zeros((*self.shape, 2))  # share of misses beyond the intended, below and above
+        self._widening_by_distance = np.zeros((*self.shape[:2], 2))  # of the lower and of the upper bound
+        self._widening_by_temperature = np.zeros((*self.shape[::2], 2))
+        self.table = np.zeros((*self.shape, len(LEVELS)))
+        self.bounds = np.zeros(self.shape, BOUND_PAIR)
+        self._compute_quantiles()
 
     def add_shift(self, basis: int, ahead_km: Floats, ambient_c: Floats, scores: Floats) -> None:
-        """Remember the standardised errors of one shift's forecasts.
+        """Count the standardised errors of one shift's forecasts, for the next daily update.
 
         Parameters
         ----------
@@ -103,36 +122,39 @@ class ConformalIntervals:
             Standardised errors. [1] Each class that the shift touches counts it as one shift.
         """
         distance, temperature = classify(ahead_km, ambient_c)
+        self._shifts_today[basis] += 1
         for place in sorted(set(zip(distance.tolist(), temperature.tolist(), strict=True))):
             of_class = scores[(distance == place[0]) & (temperature == place[1])]
+            self._today[basis, *place] += count_scores(of_class)
             bounds = self.bounds[basis, *place]
-            if np.isfinite(bounds["lower"]):
-                missed = {"lower": np.mean(of_class < bounds["lower"]), "upper": np.mean(of_class > bounds["upper"])}
-                for side, share in missed.items():
-                    step = ADAPTATION_RATE * (LOWER_LEVEL - share)
-                    for moved, at in zip(
-                        (self._moved_by_distance[side], self._moved_by_temperature[side]), place, strict=True
-                    ):
-                        moved[basis, at] = np.clip(moved[basis, at] + step, *ADAPTATION_LIMITS)
-            self._scores.setdefault((basis, *place), deque(maxlen=REMEMBERED_SHIFTS)).append(of_class)
+            missed = np.array([np.mean(of_class < bounds["lower"]), np.mean(of_class > bounds["upper"])])
+            self._missed_today[basis, *place] += missed - LOWER_LEVEL
 
-    def update_quantiles(self) -> None:
-        """Compute the quantiles and bounds of every class from the remembered shifts."""
+    def apply_daily_update(self) -> None:
+        """Let the shifts since the last daily update take effect."""
+        for basis, shifts in enumerate(self._shifts_today.tolist()):
+            if shifts:
+                weight = weigh_day(shifts)
+                self._counts[basis] = DAY_MEMORY * self._counts[basis] + weight * self._today[basis]
+                for axis, widening in enumerate((self._widening_by_distance, self._widening_by_temperature)):
+                    step = ADAPTATION_RATE * weight * self._missed_today[basis].sum(axis=1 - axis)
+                    widening[basis] = np.clip(widening[basis] + step, -LARGEST_ADAPTATION, LARGEST_ADAPTATION)
+        self._today[:], self._missed_today[:], self._shifts_today[:] = 0.0, 0.0, 0
+        self._compute_quantiles()
+
+    def _compute_quantiles(self) -> None:
+        """Compute the quantiles and bounds of every class from its counts."""
+        by_distance, by_temperature = (_weigh_neighbours(size) for size in self.shape[1:])
+        around = np.einsum("de,tu,beus->bdts", by_distance, by_temperature, self._counts)
+        around += PRIOR_SHIFTS * _make_prior()[:, np.newaxis, np.newaxis]
+        counts = self._counts + BORROWED_SHIFTS * around / around.sum(axis=-1, keepdims=True)
+        widening = self._widening_by_distance[:, :, np.newaxis] + self._widening_by_temperature[:, np.newaxis]
         for place in np.ndindex(self.shape):
-            shifts = self._find_nearest_shifts(place)
-            lower, upper = (self._compute_bound_level(place, side) for side in ("lower", "upper"))
-            quantiles = np.full(len(LEVELS) + 2, np.nan)
-            if len(shifts) >= LEAST_SHIFTS:
-                quantiles = compute_quantiles(shifts, (*LEVELS, lower, 1.0 - upper))
-            *_, low, high = quantiles
-            self.bounds[place] = low, high
-            self.table[place] = clip_to_bounds(quantiles[: len(LEVELS)], low, high)
-
-    def _compute_bound_level(self, place: tuple[int, ...], side: str) -> float:
-        """Return the probability of a bound of a class, counted from its own end."""
-        basis, distance, temperature = place
-        moved = self._moved_by_distance[side][basis, distance] + self._moved_by_temperature[side][basis, temperature]
-        return float(np.clip(LOWER_LEVEL + moved, LEVELS[0], LARGEST_BOUND_LEVEL))
+            quantiles = compute_quantiles(counts[place], LEVELS)
+            low = float(quantiles[LEVELS.index(LOWER_LEVEL)] - widening[place][0])
+            high = float(quantiles[LEVELS.index(UPPER_LEVEL)] + widening[place][1])
+            self.bounds[place] = low, max(low, high)
+            self.table[place] = clip_to_bounds(quantiles, low, max(low, high))
 
     def get_quantiles(self, basis: Ints, ahead_km: Floats, ambient_c: Floats) -> tuple[Floats, ErrorBounds]:
         """Return the distribution of the standardised error of each forecast.
@@ -157,52 +179,62 @@ class ConformalIntervals:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        scores = [(place, [shift.tobytes() for shift in shifts]) for place, shifts in self._scores.items()]
-        moved = self._moved_by_distance.tobytes(), self._moved_by_temperature.tobytes()
-        return scores, self.table.tolist(), self.bounds.tobytes(), *moved
+        arrays = (getattr(self, name) for name in _ARRAYS)
+        return self._shifts_today.tolist(), self.bounds.tobytes(), [array.tobytes() for array in arrays]
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        scores, table, bounds, by_distance, by_temperature = state
-        self._scores = {
-            tuple(place): deque(map(np.frombuffer, shifts), maxlen=REMEMBERED_SHIFTS) for place, shifts in scores
-        }
-        bases, distances, temperatures = self.shape
-        self.table = np.array(table, dtype=np.float64)
+        shifts_today, bounds, arrays = state
+        self._shifts_today = np.array(shifts_today, dtype=np.int64)
         self.bounds = np.frombuffer(bounds, BOUND_PAIR).reshape(self.shape).copy()
-        self._moved_by_distance = np.frombuffer(by_distance, BOUND_PAIR).reshape(bases, distances).copy()
-        self._moved_by_temperature = np.frombuffer(by_temperature, BOUND_PAIR).reshape(bases, temperatures).copy()
-
-    def _find_nearest_shifts(self, place: tuple[int, ...]) -> list[Floats]:
-        """Return the shifts of a class, and of the classes around it, nearest first, until there are enough."""
-        basis, distance, temperature = place
-        shifts: list[Floats] = []
-        for near in list_nearest_classes(distance, temperature):
-            if len(shifts) >= SUFFICIENT_SHIFTS:
-                break
-            shifts += self._scores.get((basis, *near), ())
-        return shifts
-
-
-def _make_pairs(shape: tuple[int, ...], value: float) -> NDArray[np.void]:
-    """Return pairs of bounds that all have one value."""
-    pairs = np.empty(shape, BOUND_PAIR)
-    pairs["lower"] = pairs["upper"] = value
-    return pairs
+        for name, dumped in zip(_ARRAYS, arrays, strict=True):
+            setattr(self, name, np.frombuffer(dumped).reshape(getattr(self, name).shape).copy())
 
 
 @cache
-def list_nearest_classes(distance: int, temperature: int) -> list[tuple[int, int]]:
-    """Return all classes of distance and temperature, sorted by how near they are to one of them.
+def _make_prior() -> Floats:
+    """Return the share of the prior at each of `SCORES`, for each basis, (bases, scores)."""
+    edges = np.concatenate([[-np.inf], (SCORES[1:] + SCORES[:-1]) / 2.0, [np.inf]])
+    return np.array([np.diff(stdtr(PRIOR_FREEDOM, edges / scale)) for scale in PRIOR_SCALES])
+
+
+@cache
+def _weigh_neighbours(size: int) -> Floats:
+    """Return the weight of each of `size` classes for each of them, (size, size)."""
+    place = np.arange(size)
+    return np.asarray(SHARE_OF_NEXT ** np.abs(place - place[:, np.newaxis]), np.float64)
+
+
+def weigh_day(shifts: int) -> float:
+    """Return the weight of each of the shifts of a day, whose errors are correlated.
+
+    Examples
+    --------
+    >>> weigh_day(1), round(200 * weigh_day(200), 1)
+    (1.0, 3.3)
+    """
+    return 1.0 / (1.0 + (shifts - 1) * DAY_CORRELATION)
+
+
+def count_scores(scores: Floats) -> Floats:
+    """Return the share of scores at each of `SCORES`; one between two of them counts for both, by its distance.
 
     Parameters
     ----------
-    distance, temperature : int
-        Index of the class of distance and of temperature.
+    scores : (n,) float
+        At least one. [1]
+
+    Returns
+    -------
+    (scores,) float
+        They add up to 1.
     """
-    every = np.ndindex(len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES))
-    far = sorted((abs(d - distance) * 2 + abs(t - temperature), d, t) for d, t in every)
-    return [(d, t) for _, d, t in far]
+    width = SCORES[1] - SCORES[0]
+    at = (np.clip(scores, SCORES[0], SCORES[-1]) - SCORES[0]) / width
+    low = np.minimum(at.astype(np.int64), len(SCORES) - 2)
+    share = np.minimum(at - low, 1.0)  # the last score may be rounded to beyond its place
+    counts = np.bincount(low, 1.0 - share, len(SCORES)) + np.bincount(low + 1, share, len(SCORES))
+    return np.asarray(counts / len(scores))
 
 
 def classify(ahead_km: Floats, ambient_c: Floats) -> tuple[Ints, Ints]:
@@ -255,15 +287,16 @@ def clip_to_bounds(table: Floats, lower: float, upper: float) -> Floats:
     return np.asarray(out)
 
 
-def compute_quantiles(shifts: Sequence[Sequence[float] | Floats], levels: Sequence[float]) -> Floats:
-    """Return the quantiles of the scores of shifts; each shift has the same weight, whatever its number of scores.
+def compute_quantiles(counts: Floats, levels: Sequence[float]) -> Floats:
+    """Return the quantiles of counted scores.
 
     The outer quantiles are widened for the finite number of shifts, so that the next score lies inside as often as the
     levels say.
 
     Parameters
     ----------
-    shifts : sequence of (scores,) float
+    counts : (scores,) float
+        Number of shifts at each of `SCORES`.
     levels : sequence of float
         Probabilities.
 
@@ -273,13 +306,11 @@ def compute_quantiles(shifts: Sequence[Sequence[float] | Floats], levels: Sequen
 
     Examples
     --------
-    >>> compute_quantiles([(float(i),) for i in range(-50, 51)], (LOWER_LEVEL, UPPER_LEVEL)).round(1).tolist()
-    [-45.9, 45.9]
+    >>> uniform = np.where(np.abs(SCORES) < 5.0, 1.0, 0.0)
+    >>> compute_quantiles(uniform, (LOWER_LEVEL, UPPER_LEVEL)).round(1).tolist()
+    [-4.5, 4.5]
     """
-    scores, sizes = np.concatenate(shifts), np.array([len(shift) for shift in shifts])
-    weight = np.repeat(1.0 / sizes, sizes)
-    order = np.argsort(scores, kind="stable")
-    count = float(len(shifts))
-    at = (np.cumsum(weight[order]) - 0.5 * weight[order]) / count
-    wider = np.clip(0.5 + (np.array(levels) - 0.5) * (1.0 + 1.0 / count), 0.0, 1.0)
-    return np.asarray(np.interp(wider, at, scores[order]))
+    number = float(counts.sum())
+    at = (np.cumsum(counts) - 0.5 * counts) / number
+    wider = np.clip(0.5 + (np.array(levels) - 0.5) * (1.0 + 1.0 / number), 0.0, 1.0)
+    return np.asarray(np.interp(wider, at, SCORES))

@@ -392,10 +392,12 @@ def _create_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
         basis=BY_PLAN if rows.basis[i] == BY_PLAN else BY_HISTORY,
         ahead_km=float(rows.energy_km_ahead[i]),
         ambient_c=float(rows.ambient_c[i]),
+        ahead_c=float(rows.ahead_c[i]),
         mean=float(rows.raw_end_soc[i]),
         sd=float(rows.raw_end_soc_sd[i]),
         soc=float(rows.soc[i]),
-        bias_factor=float(rows.bias_factor[i]),
+        driving=float(rows.driving_fall[i]),
+        waiting=float(rows.waiting_fall[i]),
         lower=float(rows.end_soc_p05[i]),
         upper=float(rows.end_soc_p95[i]),
     )

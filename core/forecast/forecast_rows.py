@@ -12,6 +12,7 @@ from core.forecast.conformal import BY_HISTORY, BY_PLAN
 from core.forecast.learning.fleet import FleetStatistics
 from core.forecast.outlook import (
     CarEstimate,
+    MeanAndSd,
     clip_charge,
     compute_end_soc,
     compute_planned_energy,
@@ -19,6 +20,7 @@ from core.forecast.outlook import (
     compute_reserve_risk,
     compute_temperature_weights,
     fill_from_history,
+    find_expected_end,
 )
 from core.forecast.plan_tracker import get_ride_km
 from core.forecast.soc_reading import READING_SD
@@ -52,7 +54,7 @@ class ForecastRows(NamedTuple):
     reported_soc : Charge as reported last. [1]
     charged : When the car charged last within the shift. [s]
     faulty : When the reported charge was faulty last within the shift. [s]
-    bias_factor : Factor of the energy ahead from earlier errors. [1]
+    driving_fall, waiting_fall : Fall of the charge by driving and by waiting, before their correction. [1]
     """
 
     predicted: Floats
@@ -73,6 +75,7 @@ class ForecastRows(NamedTuple):
     energy_km_ahead: Floats
     reserve: Floats
     ambient_c: Floats
+    ahead_c: Floats
     shift: Floats
     begin: Floats
     begin_soc: Floats
@@ -80,7 +83,8 @@ class ForecastRows(NamedTuple):
     reported_soc: Floats
     charged: Floats
     faulty: Floats
-    bias_factor: Floats
+    driving_fall: Floats
+    waiting_fall: Floats
 
     def rows(self, which: Ints) -> "ForecastRows":
         """Return some of the rows."""
@@ -127,21 +131,22 @@ def compute_forecast_rows(
     ForecastRows
     """
     time, kind = running.at_last("time"), running.at_last("kind").astype(np.int64)
-    usual = statistics.compute_usual(kind, compute_temperature_weights(estimates["ambient"]))
+    patterns = statistics.get_patterns(running.lane)
+    expected_end = find_expected_end(progress, time, estimates["begin"], patterns)
+    ambient = statistics.daily_cycle.expect_ambient(estimates["ambient"], time, expected_end)
+    ahead_c = ambient - ZERO_CELSIUS
+    usual = statistics.compute_usual(kind, compute_temperature_weights(ambient))
     estimate = CarEstimate.from_filter(estimates, cars.capacity[kind])
     ahead = compute_planned_energy(progress, time, get_ride_km(running), running.ride >= 0, usual)
-    patterns = statistics.get_patterns(running.lane)
     ahead = fill_from_history(ahead, usual, time - estimates["begin"], time, patterns)
-    ambient_c = estimates["ambient"] - ZERO_CELSIUS
-    bias_factor = statistics.bias.factor[ahead.basis]
-    energy = ahead.energy * bias_factor
-    end = compute_end_soc(estimate, energy, ahead.hours, usual.relative_sd)
-    energy_km = energy / usual.energy_per_km
-    quantiles, bounds = statistics.conformal.get_quantiles(ahead.basis, energy_km, ambient_c)
+    end = compute_end_soc(estimate, MeanAndSd(ahead.energy, ahead.sd), ahead.hours)
+    falls = ahead.parts * (np.exp(estimate.compute_mean_log_factor(ahead.hours)) / estimate.capacity)[:, np.newaxis]
+    energy_km = ahead.energy / usual.energy_per_km
+    quantiles, bounds = statistics.conformal.get_quantiles(ahead.basis, energy_km, ahead_c)
     end_soc, end_soc_p05, end_soc_p95 = (clip_charge(end.mean + end.sd * bound, estimate) for bound in bounds)
     distance = compute_range(estimate, ahead.reserve, usual)
     by_plan, by_history = (
-        statistics.conformal.get_quantiles(np.full_like(ahead.basis, basis), distance.mean, ambient_c)[1]
+        statistics.conformal.get_quantiles(np.full_like(ahead.basis, basis), distance.mean, ahead_c)[1]
         for basis in (BY_PLAN, BY_HISTORY)
     )
     range_km, range_km_p05, range_km_p95 = (
@@ -166,7 +171,8 @@ def compute_forecast_rows(
         ride_km_ahead=ahead.km,
         energy_km_ahead=energy_km,
         reserve=ahead.reserve,
-        ambient_c=ambient_c,
+        ambient_c=estimates["ambient"] - ZERO_CELSIUS,
+        ahead_c=ahead_c,
         shift=estimates["shift"],
         begin=estimates["begin"],
         begin_soc=estimates["begin_soc"],
@@ -174,5 +180,6 @@ def compute_forecast_rows(
         reported_soc=estimates["reported"],
         charged=estimates["charged"],
         faulty=estimates["faulty"],
-        bias_factor=bias_factor,
+        driving_fall=falls[:, 0],
+        waiting_fall=falls[:, 1],
     )

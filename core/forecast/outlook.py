@@ -39,6 +39,10 @@ class EnergyAhead(NamedTuple):
     ----------
     energy : (n,) float
         As predicted and corrected by earlier errors. [kWh]
+    sd : (n,) float
+        Standard deviation of the energy at the temperature. [kWh]
+    parts : (n, 2) float
+        Energy of driving and of waiting before that correction. [kWh]
     km : (n,) float
         Distance of rides. [km]
     hours : (n,) float
@@ -52,6 +56,8 @@ class EnergyAhead(NamedTuple):
     """
 
     energy: Floats
+    sd: Floats
+    parts: Floats
     km: Floats
     hours: Floats
     end: Floats
@@ -102,6 +108,13 @@ class CarEstimate(NamedTuple):
         return np.asarray(self.usual + (self.log_factor - self.usual) * -np.expm1(-spans) / spans)
 
 
+class MeanAndSd(NamedTuple):
+    """Hold mean and standard deviation of a quantity ahead of n cars, (n,) float each."""
+
+    mean: Floats
+    sd: Floats
+
+
 class UsualConsumption(NamedTuple):
     """Hold the usual consumption of n cars at their outside temperatures.
 
@@ -119,6 +132,10 @@ class UsualConsumption(NamedTuple):
         The same energy over the hours of both. [kW]
     relative_sd : (n,) float
         Standard deviation of these energies at the temperature, over the energy. [1]
+    factor : (n, bases, 2) float
+        Correction of the energy of driving and of waiting from earlier errors. [1]
+    covariance : (n, bases, 2, 2) float
+        Covariance of both.
     """
 
     weights: Floats
@@ -127,13 +144,28 @@ class UsualConsumption(NamedTuple):
     energy_per_km: Floats
     mean_power: Floats
     relative_sd: Floats
+    factor: Floats
+    covariance: Floats
 
+    def correct(self, parts: Floats, basis: int) -> MeanAndSd:
+        """Return the energy of driving and waiting as corrected by earlier errors. [kWh]
 
-class MeanAndSd(NamedTuple):
-    """Hold mean and standard deviation of a quantity ahead of n cars, (n,) float each."""
-
-    mean: Floats
-    sd: Floats
+        Parameters
+        ----------
+        parts : (n, 2) float
+            Energy of driving and of waiting. [kWh]
+        basis : int
+            `BY_PLAN` or `BY_HISTORY`.
+        """
+        driving, waiting = parts.T
+        factor, covariance = self.factor[:, basis], self.covariance[:, basis]
+        energy = factor[:, 0] * driving + factor[:, 1] * waiting
+        variance = (
+            covariance[:, 0, 0] * driving**2
+            + 2.0 * covariance[:, 0, 1] * driving * waiting
+            + covariance[:, 1, 1] * waiting**2
+        )
+        return MeanAndSd(energy, np.sqrt((self.relative_sd * energy) ** 2 + np.maximum(variance, 0.0)))
 
 
 def compute_planned_energy(
@@ -166,10 +198,13 @@ def compute_planned_energy(
     )
     approaches = progress["legs"] - riding * (progress["legs"] > 0.0)
     idling = waiting * usual.standing_power + approaches * usual.approach_energy
-    energy = np.where(riding, left * begun, whole) + later + idling
+    parts = np.column_stack([np.where(riding, left * begun, whole) + later, idling])
+    energy = usual.correct(parts, BY_PLAN)
     known = (progress["planned"] == 1.0) & is_plan_current(progress["came"], progress["end"], time)
     return EnergyAhead(
-        np.where(known, energy, np.nan),
+        np.where(known, energy.mean, np.nan),
+        energy.sd,
+        parts,
         np.where(known, left * progress["leg_km"] + progress["later_km"], np.nan),
         np.where(known, hours, np.nan),
         np.where(known, end, np.nan),
@@ -181,6 +216,25 @@ def compute_planned_energy(
 def is_plan_current(came: Any, end: Any, time: Any) -> Any:
     """Return whether a plan that was sent at `came`, for a shift that ends at `end`, applies to `time`. [s]"""
     return (time >= came - PLAN_LEAD) & (time <= end + OVERTIME)
+
+
+def find_expected_end(progress: NDArray[np.void], time: Floats, begin: Floats, patterns: NDArray[np.void]) -> Floats:
+    """Return when shifts are expected to end, (n,). [s]
+
+    Parameters
+    ----------
+    progress : (n,) PLAN_PROGRESS
+    time, begin : (n,) float
+        Now, and begin of the shift. [s]
+    patterns : (n,) SHIFT_PATTERN
+
+    Returns
+    -------
+    (n,) float
+        By the plan, else by the car's usual shifts; NaN where neither is known.
+    """
+    planned = (progress["planned"] == 1.0) & is_plan_current(progress["came"], progress["end"], time)
+    return np.where(planned, progress["end"], begin + 3600.0 * patterns["hours"])
 
 
 def fill_from_history(
@@ -203,11 +257,15 @@ def fill_from_history(
     EnergyAhead
     """
     left = patterns["hours"] - elapsed / 3600.0
-    energy = np.where(left > 0.0, patterns["relative_power"] * usual.mean_power * left, np.nan)
-    filled = np.isnan(ahead.energy) & np.isfinite(energy)
+    whole = np.where(left > 0.0, patterns["relative_power"] * usual.mean_power * left, np.nan)
+    parts = np.column_stack([whole, np.zeros(len(whole))])
+    energy = usual.correct(parts, BY_HISTORY)
+    filled = np.isnan(ahead.energy) & np.isfinite(whole)
     return EnergyAhead(
-        np.where(filled, energy, ahead.energy),
-        np.where(filled, energy / usual.energy_per_km, ahead.km),
+        np.where(filled, energy.mean, ahead.energy),
+        np.where(filled, energy.sd, ahead.sd),
+        np.where(filled[:, np.newaxis], parts, ahead.parts),
+        np.where(filled, whole / usual.energy_per_km, ahead.km),
         np.where(filled, left, ahead.hours),
         np.where(filled, now + 3600.0 * left, ahead.end),
         np.where(np.isnan(ahead.reserve), DEFAULT_RESERVE, ahead.reserve),
@@ -243,18 +301,16 @@ def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumptio
     return MeanAndSd(km, km * np.sqrt(variance))
 
 
-def compute_end_soc(estimate: CarEstimate, energy: Floats, hours: Floats, relative_sd: Floats) -> MeanAndSd:
+def compute_end_soc(estimate: CarEstimate, energy: MeanAndSd, hours: Floats) -> MeanAndSd:
     """Return the state of charge after an energy, with its standard deviation before the conformal correction. [1]
 
     Parameters
     ----------
     estimate : CarEstimate
-    energy : (n,) float
-        Predicted energy. [kWh]
+    energy : MeanAndSd
+        Predicted energy, with its standard deviation at the temperature. [kWh]
     hours : (n,) float
         Time in which it is spent. [h]
-    relative_sd : (n,) float
-        Standard deviation of the energy at the temperature, over the energy. [1]
 
     Returns
     -------
@@ -268,12 +324,13 @@ def compute_end_soc(estimate: CarEstimate, energy: Floats, hours: Floats, relati
     energy; and that of the quantum of the reported outcome.
     D has no factor exp(a - c), so that a car which stops reporting its charge never gets a narrower interval for it.
     """
-    predicted = energy / estimate.capacity
+    predicted = energy.mean / estimate.capacity
     variance = (
         estimate.variance
-        + predicted**2 * (estimate.log_factor_variance + CONSUMPTION_WANDER**2 * hours + relative_sd**2)
+        + predicted**2 * (estimate.log_factor_variance + CONSUMPTION_WANDER**2 * hours)
+        + (energy.sd / estimate.capacity) ** 2
         - 2.0 * predicted * estimate.covariance
-        + ENERGY_SD**2 * np.maximum(energy, 0.0) / estimate.capacity**2
+        + ENERGY_SD**2 * np.maximum(energy.mean, 0.0) / estimate.capacity**2
         + estimate.quantum**2 / 12.0
     )
     mean = estimate.soc - np.exp(estimate.compute_mean_log_factor(hours)) * predicted

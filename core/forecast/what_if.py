@@ -11,7 +11,7 @@ of the forecast (`core.forecast.outlook`): without a ride the answer equals the 
 forecast that a plan with that ride would produce.
 """
 
-from math import inf
+from math import inf, nan
 from typing import Final, NamedTuple
 
 import msgspec
@@ -66,9 +66,11 @@ class CarOutlook:
     ----------
     engine : ForecastEngine
     lane : int
+    shift_end : float
+        Planned end of the shift, NaN without a plan. [s]
     """
 
-    def __init__(self, engine: ForecastEngine, lane: int) -> None:
+    def __init__(self, engine: ForecastEngine, lane: int, shift_end: float) -> None:
         cars, statistics = engine.context.cars, engine.statistics
         estimate = np.zeros(1, SOC_ESTIMATE)
         self.state = engine.state[lane]
@@ -77,28 +79,30 @@ class CarOutlook:
         self.shift_begin = float(estimate["begin"][0])
         self.estimate = CarEstimate.from_filter(estimate, cars.capacity[kinds])
         self.time = float(self.state["time"])
-        self.usual = statistics.compute_usual(kinds, compute_temperature_weights(estimate["ambient"]))
-        self.celsius = estimate["ambient"] - ZERO_CELSIUS
-        self.tables = statistics.get_tables(lane)
-        self.mean_pause = inf if self.tables is None else self.tables.mean_pause
         self.pattern = statistics.get_patterns(np.array([lane]))
-        self.conformal, self.bias_factor = statistics.conformal, statistics.bias.factor
+        usual_end = self.shift_begin + 3600.0 * self.pattern["hours"]
+        end = np.array([shift_end]) if np.isfinite(shift_end) else usual_end
+        ambient = statistics.daily_cycle.expect_ambient(estimate["ambient"], np.array([self.time]), end)
+        self.usual = statistics.compute_usual(kinds, compute_temperature_weights(ambient))
+        self.ahead_c = ambient - ZERO_CELSIUS
+        self.tables = statistics.get_tables(lane)
+        self.model_name = cars.name(int(kinds[0]))
+        self.mean_pause = inf if self.tables is None else self.tables.mean_pause
+        self.conformal = statistics.conformal
 
     def compute_charge(
-        self, energy: Floats, hours: Floats, basis: Ints, energy_sd: Floats | float = 0.0
+        self, energy: MeanAndSd, hours: Floats, basis: Ints
     ) -> tuple[IntervalColumns, MeanAndSd, Floats]:
         """Return the charge after energies.
 
         Parameters
         ----------
-        energy : (n,) float
-            [kWh]
+        energy : MeanAndSd
+            n energies. [kWh]
         hours : (n,) float
             Time in which each is spent. [h]
         basis : (n,) int
             `BY_PLAN` or `BY_HISTORY`.
-        energy_sd : (n,) float
-            Standard deviation of the energies from the unknown timing. [kWh]
 
         Returns
         -------
@@ -109,21 +113,20 @@ class CarOutlook:
         (n, levels) float
             Quantiles of the standardised error. [1]
         """
-        quantiles, bounds = self._get_errors(energy, basis)
-        end = compute_end_soc(self.estimate, energy, hours, self.usual.relative_sd)
-        end = end._replace(sd=np.hypot(end.sd, energy_sd / self.estimate.capacity))
+        quantiles, bounds = self._get_errors(energy.mean, basis)
+        end = compute_end_soc(self.estimate, energy, hours)
         mean, p05, p95 = (100.0 * clip_charge(end.mean + end.sd * bound, self.estimate) for bound in bounds)
         return IntervalColumns(mean, p05, p95), end, quantiles
 
-    def compute_leg_intervals(self, legs: PlannedLegs, energy: Floats, basis: Ints) -> IntervalColumns:
+    def compute_leg_intervals(self, legs: PlannedLegs, energy: MeanAndSd, basis: Ints) -> IntervalColumns:
         """Return the energy that each leg takes from the battery.
 
         Parameters
         ----------
         legs : PlannedLegs
             Of n legs.
-        energy : (n,) float
-            Predicted energy. [kWh]
+        energy : MeanAndSd
+            Predicted energies. [kWh]
         basis : (n,) int
             `BY_PLAN` or `BY_HISTORY`.
 
@@ -134,8 +137,8 @@ class CarOutlook:
         """
         zero = np.zeros(1)
         only_leg = self.estimate._replace(variance=zero, covariance=zero, soc=zero, quantum=zero)
-        end = compute_end_soc(only_leg, energy, legs.seconds / 3600.0, self.usual.relative_sd)
-        _, bounds = self._get_errors(energy, basis)
+        end = compute_end_soc(only_leg, energy, legs.seconds / 3600.0)
+        _, bounds = self._get_errors(energy.mean, basis)
         least = np.array([-np.inf if leg.lost_m else 0.0 for leg in legs.plan.legs])  # only descents return energy
 
         def compute_energy(bound: Floats) -> Floats:
@@ -147,7 +150,7 @@ class CarOutlook:
 
     def _get_errors(self, energy: Floats, basis: Ints) -> tuple[Floats, ErrorBounds]:
         """Return the distribution of the errors of forecasts of energies."""
-        ambient = np.repeat(self.celsius, len(energy))
+        ambient = np.repeat(self.ahead_c, len(energy))
         return self.conformal.get_quantiles(basis, energy / self.usual.energy_per_km, ambient)
 
 
@@ -179,8 +182,7 @@ class RouteAhead(NamedTuple):
         """Return the energy ahead until the shift ends, as for a forecast."""
         zero, time = np.zeros(1), np.array([now.time])
         progress = self.legs.compute_progress(0, 0.0).reshape(1)
-        ahead = compute_planned_energy(progress, time, zero, np.array([self.in_progress]), now.usual)
-        return ahead._replace(energy=now.bias_factor[BY_PLAN] * ahead.energy)
+        return compute_planned_energy(progress, time, zero, np.array([self.in_progress]), now.usual)
 
     def compute_leg_outlooks(self, now: CarOutlook, ahead: EnergyAhead, end: IntervalColumns) -> list[LegOutlook]:
         """Return the outlook of each leg.
@@ -197,15 +199,16 @@ class RouteAhead(NamedTuple):
         waits = place >= self.in_progress + (self.query_place is not None)
         spare = max(float(ahead.hours[0]) - float(hours.sum()), 0.0)
         pause = waits * min(spare / max(int(waits.sum()), 1), now.mean_pause)
-        factor = now.bias_factor[BY_PLAN]
-        energy = factor * (self.legs.energy @ now.usual.weights[0])
-        idling = factor * (pause * now.usual.standing_power + (place >= self.in_progress) * now.usual.approach_energy)
-        spent = np.cumsum(idling + energy)
+        driving = self.legs.energy @ now.usual.weights[0]
+        idling = pause * now.usual.standing_power + (place >= self.in_progress) * now.usual.approach_energy
+        energy = now.usual.correct(np.column_stack([driving, np.zeros(len(driving))]), BY_PLAN)
+        spent = now.usual.correct(np.cumsum(np.column_stack([driving, idling]), axis=0), BY_PLAN)
+        timing_sd = now.usual.standing_power * np.sqrt(np.cumsum(pause**2))
         has_plan_errors = np.isfinite(now.conformal.bounds["lower"][BY_PLAN]).any()  # not in a fleet without plans
         basis = np.full(len(place), BY_PLAN if has_plan_errors else BY_HISTORY)
-        energy_sd = now.usual.standing_power * np.sqrt(np.cumsum(pause**2))
-        charge, _, _ = now.compute_charge(spent, np.cumsum(pause + hours), basis, energy_sd)
-        until_end = np.append(spent, ahead.energy)
+        until_leg = MeanAndSd(spent.mean, np.hypot(spent.sd, timing_sd))
+        charge, _, _ = now.compute_charge(until_leg, np.cumsum(pause + hours), basis)
+        until_end = np.append(spent.mean, ahead.energy)
         charge = IntervalColumns(
             *(make_consistent(np.append(legs, last), until_end) for legs, last in zip(charge, end, strict=True))
         )
@@ -268,17 +271,18 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
     AskError
         For a plan that cannot be used, or is for a later shift than the one in progress.
     """
-    now, tracker = CarOutlook(engine, lane), engine.plans
-    if plan is not None and (refused := find_refusal(plan, now.time, LONGEST_SHIFT)) is not None:
+    tracker, time = engine.plans, float(engine.state["time"][lane])
+    if plan is not None and (refused := find_refusal(plan, time, LONGEST_SHIFT)) is not None:
         raise AskError(refused.message, refused.cause)
-    left = tracker.get_remaining_legs(lane, now.time, plan, now.tables)
+    left = tracker.get_remaining_legs(lane, time, plan, engine.statistics.get_tables(lane))
+    now = CarOutlook(engine, lane, nan if left is None else left.plan.shift_end_s)
     no_legs = compute_planned_legs(Plan("", now.time, now.time, 100.0 * DEFAULT_RESERVE, []), now.tables)
     in_progress = left is not None and tracker.is_riding(lane) and len(left.km) > 0
     route = RouteAhead.create(left or no_legs, in_progress, leg, now)
     ahead = route.compute_ahead(now)
     if left is None:
         ahead = _add_history(ahead, leg is not None, now)
-    end, raw_end, quantiles = now.compute_charge(ahead.energy, ahead.hours, ahead.basis)
+    end, raw_end, quantiles = now.compute_charge(MeanAndSd(ahead.energy, ahead.sd), ahead.hours, ahead.basis)
     (end_interval,) = end.list_intervals()
     legs = route.compute_leg_outlooks(now, ahead, end)
     capacity = float(now.estimate.capacity[0] * np.exp(now.state["log_capacity"]))
@@ -337,11 +341,16 @@ def _add_history(ride: EnergyAhead, queried: bool, now: CarOutlook) -> EnergyAhe
     In a shift that is longer than usual, the queried ride is all that is ahead.
     """
     unknown = np.array([np.nan])
-    nothing = EnergyAhead(unknown, unknown, unknown, unknown, unknown, np.full(1, BY_PLAN))
+    nothing = ride._replace(energy=unknown, km=unknown, hours=unknown, end=unknown, reserve=unknown)
     usual = fill_from_history(nothing, now.usual, ride.end - now.shift_begin, ride.end, now.pattern)
     if np.isfinite(usual.energy[0]):
-        energy = ride.energy + now.bias_factor[BY_HISTORY] * usual.energy
-        return usual._replace(energy=energy, km=ride.km + usual.km, hours=ride.hours + usual.hours)
+        return usual._replace(
+            energy=ride.energy + usual.energy,
+            sd=ride.sd + usual.sd,  # both depend on the same temperature
+            parts=ride.parts + usual.parts,
+            km=ride.km + usual.km,
+            hours=ride.hours + usual.hours,
+        )
     if queried and np.isfinite(now.pattern["hours"][0]):
         return ride._replace(basis=np.full(1, BY_HISTORY))
     return usual
@@ -364,8 +373,10 @@ def _explain_unknown_end(now: CarOutlook, end: Interval | None, no_energy: str |
     if not np.isfinite(now.estimate.soc[0]):
         return "the car reports no state of charge"
     if now.tables is None:
-        return "no day with rides of this vehicle model has ended yet"
-    return no_energy or "too few shifts have ended to estimate the errors of forecasts"
+        if now.model_name is None:
+            return "no vehicle message has told which model this car is"
+        return f"the vehicle model {now.model_name!r} is not in the catalogue"
+    return no_energy or "the temperature or the energy ahead is unknown"
 
 
 def _none_if_unknown(value: float) -> float | None:

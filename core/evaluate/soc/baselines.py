@@ -40,7 +40,7 @@ BASELINES: Final[Mapping[str, str]] = MappingProxyType(
 LEAST_PACE_TIME: Final = 900.0
 """Time over which a pace must have been observed to be continued. [s]"""
 LEAST_ERRORS: Final = 20
-"""Number of earlier errors from which a risk is estimated; the forecast's interval needs as many."""
+"""Number of earlier errors from which a risk is estimated."""
 
 
 def compute_baselines(

@@ -6,7 +6,7 @@ usual pattern of each car's shifts (`car_driver`), and the errors of forecasts (
 other cars sent samples a moment earlier.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -16,7 +16,10 @@ from core.batch import Floats, Ints, grown, take_lanes
 from core.forecast.conformal import BASES, ConformalIntervals
 from core.forecast.filter_state import LOG_FACTOR_PRIOR
 from core.forecast.learning.car_driver import ConsumptionFactors, ShiftPattern
-from core.forecast.learning.forecast_errors import BiasCorrection, ShiftErrors
+from core.forecast.learning.daily_cycle import DailyCycle
+from core.forecast.learning.energy_correction import EnergyCorrection
+from core.forecast.learning.first_tables import make_first_tables
+from core.forecast.learning.forecast_errors import ShiftErrors
 from core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
 from core.forecast.learning.ride_stats import RideStatistics
 from core.forecast.outlook import UsualConsumption
@@ -82,13 +85,14 @@ class FleetStatistics:
     def __init__(self, context: RunContext, width: int) -> None:
         self._context, self._cars = context, context.cars
         self.rides, self.factors = RideStatistics(width), ConsumptionFactors()
-        self.conformal, self.bias = ConformalIntervals(), BiasCorrection()
+        self.conformal, self.correction = ConformalIntervals(), EnergyCorrection(BASES)
+        self.daily_cycle = DailyCycle()
         self.interval_outcomes: Ints = np.zeros((BASES, 3), np.int64)
         self.prior = np.zeros(0, LOG_FACTOR_PRIOR)
         self._patterns = np.zeros(0, SHIFT_PATTERN)
         self._waiting: list[ShiftEnergy] = []  # until the daily update
-        self._rows, self._row_of_model = _stack_tables({})
-        self._row_of_kind: Ints = np.zeros(0, np.int64)
+        self._tables: list[LegEnergyTables | None] = []  # of each kind of car, None for unknown vehicle models
+        self._rows = _stack_tables(self._tables)
 
     def grow(self, lanes: int) -> None:
         """Make room for a number of lanes."""
@@ -118,8 +122,9 @@ class FleetStatistics:
     def add_errors(self, errors: Sequence[ShiftErrors]) -> None:
         """Add the errors of evaluated forecasts."""
         for each in errors:
-            self.conformal.add_shift(each.basis, each.ahead_km, each.ambient_c, each.scores)
-            self.bias.add_shift(each)
+            self.conformal.add_shift(each.basis, each.ahead_km, each.ahead_c, each.scores)
+            self.correction.add_shift(each.basis, each.parts)
+            self.daily_cycle.add_shift(each.time, each.ambient_c)
             self.interval_outcomes[each.basis] += each.outcomes
 
     def add_shift(self, energy: ShiftEnergy, pattern: ShiftPattern | None) -> None:
@@ -137,18 +142,20 @@ class FleetStatistics:
             self.factors.add_shift(*energy)
         self._waiting = []
         self.rides.update_tables(self._context)
-        self.conformal.update_quantiles()
-        self.bias.update_factor()
+        self.conformal.apply_daily_update()
+        self.correction.apply_daily_update()
+        self.daily_cycle.apply_daily_update()
         for lane in range(len(self.prior)):
             self.prior[lane] = self.factors.expect(lane)
             self._patterns[lane] = self.factors.get_usual_pattern(lane)
-        self._stack_rows()
+        self._tables = []
 
     def get_tables(self, lane: int, kind: int | None = None) -> LegEnergyTables | None:
         """Return the tables of the vehicle model of a kind of car, by default that of a lane; None without tables."""
         if kind is None:
             kind = int(self._cars.of_lane[lane]) if lane < len(self._cars.of_lane) else UNKNOWN
-        return self.rides.tables.get(self._cars.name(kind) or "")
+        self._update_kinds()
+        return self._tables[kind]
 
     def compute_corrections(self, kinds: Ints, riding: NDArray[np.bool_], weights: Floats) -> tuple[Floats, Floats]:
         """Return the corrections of the predicted energy at each row.
@@ -169,17 +176,18 @@ class FleetStatistics:
         (n,) float
             Power to add. [kW]
         """
-        row, ride = self._find_rows(kinds), riding[:, np.newaxis]
-        factor = np.where(ride, self._rows.ride_factor[row], self._rows.idle_factor[row])
-        power = np.where(ride, self._rows.ride_power[row], self._rows.idle_power[row])
+        self._update_kinds()
+        ride = riding[:, np.newaxis]
+        factor = np.where(ride, self._rows.ride_factor[kinds], self._rows.idle_factor[kinds])
+        power = np.where(ride, self._rows.ride_power[kinds], self._rows.idle_power[kinds])
         return np.einsum("ij,ij->i", factor, weights), np.einsum("ij,ij->i", power, weights)
 
     def compute_usual(self, kinds: Ints, weights: Floats) -> UsualConsumption:
         """Return the usual consumption of cars at the temperature of each row; the parameters are as above."""
-        row = self._find_rows(kinds)
+        self._update_kinds()
 
         def interpolate(table: Floats) -> Floats:
-            return np.asarray(np.einsum("ij,ij->i", table[row], weights))
+            return np.asarray(np.einsum("ij,ij->i", table[kinds], weights))
 
         return UsualConsumption(
             weights=weights,
@@ -188,18 +196,27 @@ class FleetStatistics:
             energy_per_km=interpolate(self._rows.energy_per_km),
             mean_power=interpolate(self._rows.mean_power),
             relative_sd=interpolate(self._rows.relative_sd),
+            factor=np.einsum("nk,bpk->nbp", weights, self.correction.factor),
+            covariance=np.einsum("nk,bkpq->nbpq", weights, self.correction.covariance),
         )
 
     def get_patterns(self, lanes: Ints) -> NDArray[np.void]:
         """Return the usual duration and intensity of the shifts of cars, (n,) SHIFT_PATTERN."""
         return self._patterns[lanes]
 
-    def _find_rows(self, kinds: Ints) -> Ints:
-        """Return the row of `_rows` of each kind of car."""
-        if len(self._row_of_kind) < len(self._cars.models):
-            names = [self._cars.name(kind) for kind in range(len(self._cars.models))]
-            self._row_of_kind = np.array([self._row_of_model.get(name or "", 0) for name in names])
-        return self._row_of_kind[kinds]
+    def _update_kinds(self) -> None:
+        """Let every kind of car have tables, also those that appeared since the last daily update."""
+        first = len(self._tables)
+        if first < len(self._cars.models):
+            self._tables += [self._make_tables(kind) for kind in range(first, len(self._cars.models))]
+            self._rows = _stack_tables(self._tables)
+
+    def _make_tables(self, kind: int) -> LegEnergyTables | None:
+        """Return the learned tables of a kind of car, or those before its first rides; None for unknown models."""
+        model, learned = self._cars.models[kind], self.rides.tables.get(self._cars.name(kind) or "")
+        if learned is not None or model is None:
+            return learned
+        return make_first_tables(model, float(self._cars.parameters_of(np.array([kind])).accessory_scale[0]))
 
     def _add(self, add: AddTotals, totals: Totals, predicted: Floats, measured: Floats, fit: NDArray[np.bool_]) -> None:
         """Add those rows that are fit, of cars whose model is known, with energies that their batteries can hold."""
@@ -210,11 +227,6 @@ class FleetStatistics:
         which = np.flatnonzero(fit & known & (totals.amount("duration") > 0.0))
         add([names[i] for i in which.tolist()], totals.rows(which), predicted[which], measured[which])
 
-    def _stack_rows(self) -> None:
-        """Stack the tables of all vehicle models, for rows of cars of different models."""
-        self._rows, self._row_of_model = _stack_tables(self.rides.tables)
-        self._row_of_kind = np.zeros(0, np.int64)
-
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order; call it after the daily update."""
         self.factors.keep(lanes)
@@ -222,18 +234,20 @@ class FleetStatistics:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        parts = self.rides.dump(), self.factors.dump(), self.conformal.dump(), self.bias.dump()
+        learned = self.rides, self.factors, self.conformal, self.correction, self.daily_cycle
+        parts = [part.dump() for part in learned]
         arrays = self.prior.tobytes(), self._patterns.tobytes(), self.interval_outcomes.tobytes()
         return parts, self._waiting, *arrays
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, once the cars are known."""
-        (rides, factors, conformal, bias), waiting, prior, patterns, outcomes = state
+        (rides, factors, conformal, correction, daily_cycle), waiting, prior, patterns, outcomes = state
         self.rides.load(rides)
         self.factors.load(factors)
         self.conformal.load(conformal)
-        self.bias.load(bias)
-        self._stack_rows()
+        self.correction.load(correction)
+        self.daily_cycle.load(daily_cycle)
+        self._tables = []
         self._waiting = [ShiftEnergy(*each) for each in waiting]
         self.prior = np.frombuffer(prior, LOG_FACTOR_PRIOR).copy()
         self._patterns = np.frombuffer(patterns, SHIFT_PATTERN).copy()
@@ -241,7 +255,7 @@ class FleetStatistics:
 
 
 class _StackedTables(NamedTuple):
-    """Hold tables by vehicle model and temperature, (1 + models, temperatures); first row: unknown models."""
+    """Hold tables by kind of car and temperature, (kinds, temperatures)."""
 
     ride_factor: Floats
     ride_power: Floats
@@ -254,12 +268,14 @@ class _StackedTables(NamedTuple):
     relative_sd: Floats
 
 
-def _stack_tables(tables: Mapping[str, LegEnergyTables]) -> tuple[_StackedTables, dict[str, int]]:
-    """Return the stacked tables of all vehicle models, and the row of each model."""
+def _stack_tables(tables: Sequence[LegEnergyTables | None]) -> _StackedTables:
+    """Return the stacked tables of all kinds of car."""
     unknown = {"ride_factor": 1.0, "ride_power": 0.0, "idle_factor": 1.0, "idle_power": 0.0}
     columns = {
-        name: [np.full(_KNOTS, unknown.get(name, np.nan)), *(getattr(known, name) for known in tables.values())]
+        name: [
+            np.full(_KNOTS, unknown.get(name, np.nan)) if of_kind is None else getattr(of_kind, name)
+            for of_kind in tables
+        ]
         for name in _StackedTables._fields
     }
-    rows = {name: 1 + i for i, name in enumerate(tables)}
-    return _StackedTables(**{name: np.array(values) for name, values in columns.items()}), rows
+    return _StackedTables(**{name: np.array(values).reshape(-1, _KNOTS) for name, values in columns.items()})

@@ -16,18 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown, take_keys, take_lanes
-from core.forecast.conformal import BASES
+from core.forecast.learning.energy_correction import PartForecasts
 
 RECORD_PERIOD: Final = 600.0
 """Time between two recorded forecasts of a car. [s]"""
 LAST_RECORD: Final = 30.0
 """Time before the shift's end at which the last forecast is recorded. [s]"""
-BIAS_PRIOR: Final = 1.0
-"""Forecast fall of the charge that the prior factor of 1 weighs, that of some eight shifts. [1]"""
-BIAS_MEMORY: Final = 0.998
-"""Weight of a shift one shift later."""
-BIAS_LIMITS: Final = 0.7, 1.4
-"""Limits of the factor. [1]"""
 
 
 class ForecastRecord(NamedTuple):
@@ -43,14 +37,14 @@ class ForecastRecord(NamedTuple):
         `BY_PLAN` or `BY_HISTORY`.
     ahead_km : float
         Distance that the energy ahead would usually drive. [km]
-    ambient_c : float
-        Outside temperature. [°C]
+    ambient_c, ahead_c : float
+        Outside temperature, and its mean expected until the end. [°C]
     mean, sd : float
         Forecast charge and its standard deviation. [1]
     soc : float
         Charge when it was made. [1]
-    bias_factor : float
-        Factor of the energy ahead from earlier errors, see `BiasCorrection`. [1]
+    driving, waiting : float
+        Fall of the charge by driving and by waiting, before the correction of `EnergyCorrection`. [1]
     lower, upper : float
         Bounds of the published charge, NaN without an interval. [1]
     """
@@ -60,10 +54,12 @@ class ForecastRecord(NamedTuple):
     basis: int
     ahead_km: float
     ambient_c: float
+    ahead_c: float
     mean: float
     sd: float
     soc: float = nan
-    bias_factor: float = 1.0
+    driving: float = nan
+    waiting: float = nan
     lower: float = nan
     upper: float = nan
 
@@ -79,59 +75,25 @@ class ShiftErrors(NamedTuple):
     Parameters
     ----------
     basis : int
-    ahead_km, ambient_c : (n,) float
+    time : (n,) float
+        When the forecasts were made. [s]
+    ahead_km, ambient_c, ahead_c : (n,) float
     scores : (n,) float
         Standardised errors. [1]
-    fall, forecast_fall : (n,) float
-        Fall of the charge, and its forecast before the bias correction. [1]
+    parts : PartForecasts
+        Forecasts of driving and waiting, and their outcome.
     outcomes : (3,) int
         Numbers of forecasts with the outcome below, inside and above the published interval.
     """
 
     basis: int
+    time: Floats
     ahead_km: Floats
     ambient_c: Floats
+    ahead_c: Floats
     scores: Floats
-    fall: Floats
-    forecast_fall: Floats
+    parts: PartForecasts
     outcomes: Ints
-
-
-class BiasCorrection:
-    """Learn the mean ratio between the energy that is left of shifts and its forecast.
-
-    The consumption factors make a shift as a whole agree with its prediction. Within a shift the consumption may still
-    come early or late, for example while cars warm up. This factor corrects the forecasts of the remainder.
-
-    Attributes
-    ----------
-    factor : (bases,) float
-        Factor of the energy ahead. [1]
-    """
-
-    def __init__(self) -> None:
-        self._fall = np.full(BASES, BIAS_PRIOR)
-        self._forecast_fall = np.full(BASES, BIAS_PRIOR)
-        self.factor = np.ones(BASES)
-
-    def add_shift(self, errors: ShiftErrors) -> None:
-        """Add the forecasts of a shift, all together with the weight of one."""
-        fall, forecast = errors.fall.mean(), errors.forecast_fall.mean()
-        if np.isfinite(fall) and np.isfinite(forecast) and forecast > 0.0:
-            for sums, value in ((self._fall, fall), (self._forecast_fall, forecast)):
-                sums[errors.basis] = BIAS_PRIOR + BIAS_MEMORY * (sums[errors.basis] - BIAS_PRIOR) + value
-
-    def update_factor(self) -> None:
-        """Compute the factors from the sums."""
-        self.factor = np.clip(self._fall / self._forecast_fall, *BIAS_LIMITS)
-
-    def dump(self) -> Any:
-        """Return the state as plain lists."""
-        return self._fall.tolist(), self._forecast_fall.tolist(), self.factor.tolist()
-
-    def load(self, state: Any) -> None:
-        """Replace the state by one that `dump` returned."""
-        self._fall, self._forecast_fall, self.factor = (np.array(part, dtype=np.float64) for part in state)
 
 
 class ForecastLog:
@@ -243,15 +205,17 @@ def compute_shift_errors(records: NDArray[np.void], soc: float, spoilt: float) -
         of_basis = usable[usable["basis"] == basis]
         mean, began = of_basis["mean"], of_basis["soc"]
         scores = (soc - mean) / of_basis["sd"]
-        forecast_fall = (began - mean) / of_basis["bias_factor"]
         out.append(
             ShiftErrors(
                 int(basis),
+                of_basis["time"],
                 of_basis["ahead_km"],
                 of_basis["ambient_c"],
+                of_basis["ahead_c"],
                 scores,
-                began - soc,
-                forecast_fall,
+                PartForecasts(
+                    of_basis["driving"], of_basis["waiting"], of_basis["ahead_c"], began - soc, of_basis["sd"]
+                ),
                 count_outcomes(of_basis["lower"], of_basis["upper"], soc),
             )
         )

@@ -60,7 +60,7 @@ def test_end_of_shift_is_forecast_and_its_interval_shrinks(car):
     for each in known:
         assert each.soc_end_of_shift_pct.p05 <= each.soc_end_of_shift_pct.mean <= each.soc_end_of_shift_pct.p95
         assert each.range_km.p05 <= each.range_km.mean <= each.range_km.p95
-        assert each.reserve_risk == pytest.approx(0.0, abs=0.02)
+        assert each.reserve_risk == pytest.approx(0.0, abs=0.03)
     quarters = [[width(each) for each in part] for part in (known[:30], known[-60:-30], known[-25:])]
     assert np.mean(quarters[0]) > 1.3 * np.mean(quarters[1]) > 1.3**2 * np.mean(quarters[2])
     assert known[0].soc_end_of_shift_pct.mean == pytest.approx(end, abs=7.0)
@@ -190,19 +190,18 @@ def test_capacity_is_learned_from_voltage_and_current():
     assert outlook.usable_capacity_sd_kwh > soc_filter.METER_GAIN_SD * outlook.usable_capacity_kwh
 
 
-def test_no_end_of_shift_forecast_before_enough_shifts():
-    pipeline = trained_pipeline(2)
-    published = forecasts(pipeline.push([m for _, m in shift("c", 2)]), "c")
-    assert all(each.soc_end_of_shift_pct is None for each in published.values())
-    assert all(each.soc_pct is not None for each in published.values())
+@pytest.mark.parametrize("days_before", [0, 1, 2])
+def test_first_days_have_forecasts_with_wide_intervals(days_before):
+    pipeline = trained_pipeline(days_before)
+    published = forecasts(pipeline.push([m for _, m in shift("c", days_before)]), "c")
+    known = [each for each in published.values() if each.soc_end_of_shift_pct is not None]
+    assert len(known) > 0.95 * len(published)
+    assert width(known[0]) > 1.3 * width(list(driven("c")[1].values())[2])
+    end = columns("c", days_before)["soc_pct"][-1]
+    assert known[-1].soc_end_of_shift_pct.mean == pytest.approx(end, abs=1.0)
 
 
 def test_without_plan_forecast_uses_earlier_shifts():
-    messages = [m for _, m in shift("c", DAYS, planned=False)]
-    _, published = driven("c", messages=messages)
-    assert all(
-        each.soc_end_of_shift_pct is None for each in published.values()
-    )  # no forecast by history has been evaluated yet
     pipeline = trained_pipeline(7, planned=False)
     published = forecasts(pipeline.push([m for _, m in shift("c", 7, planned=False)]), "c")
     early = [each for time, each in published.items() if 600.0 < time - START - 7.0 * DAY < 0.5 * SHIFT]
@@ -234,7 +233,8 @@ def test_plan_is_ignored_before_its_lead_and_after_its_overtime(ahead):
     end = came + (SHIFT if ahead <= 0.0 else 0.0)
     late = make_message("plan", "c", came, shift_end_s=end, reserve_soc_pct=RESERVE, legs=[])
     published = forecasts(trained_pipeline().push([*sent[:102], late, *sent[102:]]), "c")
-    known = {time for time, each in published.items() if each.soc_end_of_shift_pct is not None}
+    plain = forecasts(trained_pipeline().push(sent), "c")
+    known = {time for time, each in published.items() if each != plain[time]}
     first = float(columns("c", DAYS)["time_s"][100])
     assert known == {t for t in published if t > first and came - PLAN_LEAD <= t <= end + OVERTIME}
     assert known
@@ -302,8 +302,8 @@ def test_shifts_are_evaluated_as_they_end_and_bounds_move_at_daily_update():
 
 
 def count_evaluated_shifts(pipeline):
-    """Return the number of shifts over all classes of errors."""
-    return sum(len(shifts) for shifts in pipeline.engine.statistics.conformal._scores.values())
+    """Return the number of shifts of this day whose forecasts were evaluated."""
+    return int(pipeline.engine.statistics.conformal._shifts_today.sum())
 
 
 def test_outcomes_of_published_intervals_are_counted_at_the_end_of_the_shift_and_kept():
@@ -336,9 +336,9 @@ def learn(messages):
     pipeline = trained_pipeline()
     pipeline.push(messages)
     pipeline.finish()
+    shifts = count_evaluated_shifts(pipeline)
     pipeline.engine.apply_daily_update()
-    statistics = pipeline.engine.statistics
-    return sum(map(len, statistics.conformal._scores.values())), statistics.factors.expect(2)
+    return shifts, pipeline.engine.statistics.factors.expect(2)
 
 
 @pytest.mark.parametrize("fault", ["frozen", "absent", "jumping"])

@@ -16,6 +16,7 @@ from core.forecast.outlook import (
     PLAN_LEAD,
     CarEstimate,
     EnergyAhead,
+    MeanAndSd,
     compute_end_soc,
     compute_planned_energy,
     compute_range,
@@ -36,7 +37,13 @@ CELSIUS = 8.0
 
 def usual(n=1, celsius=CELSIUS):
     weights = compute_temperature_weights(np.full(n, celsius + ZERO_CELSIUS))
-    return STATISTICS.compute_usual(np.ones(n, np.int64), weights)
+    learned = STATISTICS.compute_usual(np.ones(n, np.int64), weights)
+    return learned._replace(factor=np.ones_like(learned.factor), covariance=np.zeros_like(learned.covariance))
+
+
+def certain(energy):
+    """Return energies without a standard deviation."""
+    return MeanAndSd(np.array([energy]), np.zeros(1))
 
 
 def ahead(done=0, time=BEGIN, ride_km=0.0, driven_km=0.0, riding=False):
@@ -181,9 +188,9 @@ def test_without_plan_the_energy_ahead_is_nan():
 def test_history_fills_in_only_without_plan_and_until_the_usual_end():
     n = 4
     unknown = np.array([np.nan, np.nan, np.nan, 3.0])
-    plain = EnergyAhead(
-        unknown, unknown, unknown, unknown, np.array([np.nan, np.nan, np.nan, 0.3]), np.zeros(n, np.int64)
-    )
+    parts = np.column_stack([unknown, np.zeros(n)])
+    reserve = np.array([np.nan, np.nan, np.nan, 0.3])
+    plain = EnergyAhead(unknown, unknown, parts, unknown, unknown, unknown, reserve, np.zeros(n, np.int64))
     elapsed, now = np.array([3600.0, 3600.0 * 7.0, 3600.0, 3600.0]), np.full(n, BEGIN)
     patterns = np.array([(hours, 1.2) for hours in (6.0, 6.0, np.nan, 6.0)], SHIFT_PATTERN)
     result = fill_from_history(plain, usual(n), elapsed, now, patterns)
@@ -197,9 +204,7 @@ def test_history_fills_in_only_without_plan_and_until_the_usual_end():
 
 @given(st.floats(0.0, 15.0), st.floats(0.01, 5.0), st.floats(0.0, 8.0))
 def test_more_energy_ahead_lowers_mean_and_raises_sd(energy, more, hours):
-    first, second = (
-        compute_end_soc(known(), np.array([e]), np.array([hours]), np.zeros(1)) for e in (energy, energy + more)
-    )
+    first, second = (compute_end_soc(known(), certain(e), np.array([hours])) for e in (energy, energy + more))
     assert second.mean[0] < first.mean[0]
     assert second.sd[0] > first.sd[0]
     assert first.mean[0] == pytest.approx(
@@ -215,13 +220,13 @@ def test_sd_agrees_with_simulation():
     energy = 8.0 * np.exp(scale) + ENERGY_SD * np.sqrt(8.0) * rng.normal(size=n)
     ends = soc - energy / 24.0 + rng.uniform(-0.005, 0.005, n)
     estimate = known(variance=2e-5, log_factor=0.0, log_factor_variance=0.004, covariance=-1e-4)
-    result = compute_end_soc(estimate, np.array([8.0]), np.array([3.0]), np.zeros(1))
+    result = compute_end_soc(estimate, certain(8.0), np.array([3.0]))
     assert result.sd[0] == pytest.approx(ends.std(), rel=0.02)
     assert result.mean[0] == pytest.approx(ends.mean(), abs=0.005)
 
 
 def test_sd_is_never_below_that_of_the_quantum():
-    result = compute_end_soc(known(variance=0.0, log_factor_variance=0.0, covariance=0.0), *np.zeros((3, 1)))
+    result = compute_end_soc(known(variance=0.0, log_factor_variance=0.0, covariance=0.0), certain(0.0), np.zeros(1))
     assert result.sd[0] == pytest.approx(0.01 / np.sqrt(12.0))
 
 

@@ -111,7 +111,7 @@ def widths(result, events):
     left = events["predicted"][:, -1:] - events["predicted"]
     hours = np.broadcast_to(STEP / 3600.0 * (n - 1 - np.arange(n)), left.shape)
     known = outlook.CarEstimate.from_filter(result.estimates, np.full(left.size, CAPACITY))
-    end = outlook.compute_end_soc(known, left.ravel(), hours.ravel(), np.zeros(left.size))
+    end = outlook.compute_end_soc(known, outlook.MeanAndSd(left.ravel(), np.zeros(left.size)), hours.ravel())
     return end.sd.reshape(cars, n), np.sqrt(result.at("variance", cars))
 
 

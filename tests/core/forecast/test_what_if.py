@@ -282,10 +282,11 @@ def silent():
     return pipeline
 
 
-def unlearned():
+def of_model(model):
+    """Return a pipeline to which a car of a vehicle model sent part of its shift."""
     pipeline = trained_pipeline()
     sent = [m for _, m in shift(CAR, DAYS)][:50]
-    pipeline.push([make_message("vehicle", CAR, BEGIN, model="kia-soul-ev-2015"), *sent])
+    pipeline.push([make_message("vehicle", CAR, BEGIN, model=model), *sent])
     return pipeline
 
 
@@ -293,11 +294,10 @@ def unlearned():
     ("pipeline", "why"),
     [
         (silent, "reports no state of charge"),
-        (unlearned, "no day with rides of this vehicle model"),
+        (lambda: of_model("unheard-of"), "the vehicle model 'unheard-of' is not in the catalogue"),
         (lambda: at(900.0, 2, planned=False)[0], "no plan is known, and this car has ended too few shifts"),
-        (lambda: at(900.0, 2)[0], "too few shifts have ended"),
     ],
-    ids=["no charge", "no rides", "no plan", "no errors"],
+    ids=["no charge", "no model", "no plan"],
 )
 def test_answer_states_why_a_figure_is_unknown(pipeline, why):
     answer = pipeline().ask(CAR, QUERIED_RIDE)
@@ -306,6 +306,13 @@ def test_answer_states_why_a_figure_is_unknown(pipeline, why):
     assert answer.asked.soc_pct is None
     assert why in answer.why_not
     assert "\n" not in answer.why_not
+
+
+def test_model_without_rides_has_a_forecast_with_a_wide_interval():
+    first, learned = of_model("kia-soul-ev-2015").ask(CAR), of_model("nissan-leaf-2013").ask(CAR)
+    assert first.why_not is None
+    one, other = first.soc_end_of_shift_pct, learned.soc_end_of_shift_pct
+    assert one.p95 - one.p05 > other.p95 - other.p05
 
 
 def test_without_plan_the_shift_continues_as_usual_after_the_ride():

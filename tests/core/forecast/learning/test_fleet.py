@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from core.forecast.conformal import LEAST_SHIFTS
 from core.forecast.learning.car_driver import compute_driver_code
 from core.forecast.learning.fleet import FleetStatistics
 from core.forecast.learning.ride_stats import LEAST_RIDES
@@ -34,8 +33,9 @@ def count_learned(statistics):
 def effective(statistics):
     """Return everything that forecasts read."""
     conformal = statistics.conformal.table.tolist(), statistics.conformal.bounds.tolist()
-    read = statistics.prior.tolist(), statistics._patterns.tolist(), statistics.bias.factor.tolist()
-    return repr((statistics.rides.tables, conformal, read))
+    read = statistics.prior.tolist(), statistics._patterns.tolist(), statistics.correction.factor.tolist()
+    cycle = statistics.daily_cycle._since_midnight.tolist()
+    return repr((statistics.rides.tables, conformal, read, cycle))
 
 
 def test_statistics_take_effect_at_daily_update_and_only_once():
@@ -63,13 +63,12 @@ def test_other_cars_of_the_same_day_change_no_forecast():
 
 
 @pytest.mark.parametrize("number", [0, 1, 2, 5])
-def test_tables_need_enough_rides_and_intervals_need_enough_shifts(number):
+def test_tables_are_learned_from_enough_rides_and_forecasts_need_none(number):
     pipeline = trained_pipeline(number)
     made = forecasts(pipeline.push([m for _, m in shift("c", number)]), "c")
     enough = number * len(CARS) * (LEGS - 1) >= LEAST_RIDES
-    assert (pipeline.engine.statistics.get_tables(2) is not None) == enough
-    is_forecast = {each.soc_end_of_shift_pct is not None for each in list(made.values())[2:]}
-    assert is_forecast == {number * len(CARS) - len(CARS) >= LEAST_SHIFTS}
+    assert (pipeline.engine.statistics.rides.tables != {}) == enough
+    assert {each.soc_end_of_shift_pct is not None for each in list(made.values())[2:]} == {True}
 
 
 def test_charging_and_silent_idle_periods_do_not_count():

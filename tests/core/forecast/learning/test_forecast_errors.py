@@ -6,21 +6,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.forecast.conformal import ConformalIntervals
+from core.forecast.learning.energy_correction import EnergyCorrection
 from core.forecast.learning.forecast_errors import (
     FORECAST_RECORDS,
     LAST_RECORD,
     RECORD_PERIOD,
-    BiasCorrection,
     ForecastLog,
     ForecastRecord,
     compute_shift_errors,
 )
+from core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
 
 END = 7200.0
 
 
 def note(time, end=END, basis=0, mean=0.5, sd=0.02):
-    return ForecastRecord(time, end, basis, 10.0, 15.0, mean, sd)
+    return ForecastRecord(time, end, basis, 10.0, 15.0, 16.0, mean, sd)
 
 
 def evaluated(forecasts, soc, charged):
@@ -79,7 +80,7 @@ def shifts_to_empty(rng, lean, began, predicted, taken, n=300):
     for energy, error in zip(rng.uniform(*predicted, n), rng.normal(size=n), strict=True):
         mean, sd = began - lean * energy, 0.1 * energy
         left = max(began - taken * energy - sd * error, 0.0)
-        yield ForecastRecord(0.0, END, 0, 10.0, 15.0, mean, sd, began, lean), left
+        yield ForecastRecord(0.0, END, 0, 10.0, 15.0, 16.0, mean, sd, began, energy, 0.0), left
 
 
 @pytest.mark.parametrize("predicted", [(0.2, 1.0), (0.5, 2.0)], ids=["some empty", "most empty"])
@@ -88,8 +89,8 @@ def test_errors_of_cars_that_run_empty_are_learned_without_bias(predicted):
     rng, conformal = np.random.default_rng(5), ConformalIntervals()
     for forecast, left in shifts_to_empty(rng, 1.0, 0.7, predicted, 1.0, 1000):
         for errors in evaluated([forecast], left, np.nan):
-            conformal.add_shift(errors.basis, errors.ahead_km, errors.ambient_c, errors.scores)
-    conformal.update_quantiles()
+            conformal.add_shift(errors.basis, errors.ahead_km, errors.ahead_c, errors.scores)
+            conformal.apply_daily_update()
     _, (low,), (high,) = conformal.get_quantiles(np.array([0]), np.array([10.0]), np.array([15.0]))[1]
     assert -1.645 - 0.35 < low < -1.0  # errors below are cut off where the battery is empty
     assert high == pytest.approx(1.645, abs=0.35)
@@ -103,13 +104,15 @@ def test_errors_of_cars_that_run_empty_are_learned_without_bias(predicted):
 
 @pytest.mark.parametrize("taken", [0.85, 1.0, 1.2])
 def test_bias_is_recovered_where_cars_run_empty(taken):
-    rng, bias = np.random.default_rng(6), BiasCorrection()
-    for _ in range(20):
-        for forecast, left in shifts_to_empty(rng, float(bias.factor[0]), 0.7, (0.3, 1.5), taken):
+    rng, correction = np.random.default_rng(6), EnergyCorrection(1)
+    at_16 = compute_knot_weights(np.array([16.0]), TEMPERATURES)[0]
+    for _ in range(300):
+        lean = float(correction.factor[0, 0] @ at_16)
+        for forecast, left in shifts_to_empty(rng, lean, 0.7, (0.3, 1.5), taken, 5):
             for errors in evaluated([forecast], left, np.nan):
-                bias.add_shift(errors)
-        bias.update_factor()
-    assert bias.factor[0] == pytest.approx(taken, abs=0.025)
+                correction.add_shift(0, errors.parts)
+        correction.apply_daily_update()
+    assert correction.factor[0, 0] @ at_16 == pytest.approx(taken, abs=0.04)
 
 
 def test_forecasts_by_plan_and_by_history_are_evaluated_separately():

@@ -1,0 +1,69 @@
+"""Tables of leg energy of a vehicle model before its first rides: the official consumption and the climate by physics.
+
+A plan of the first day must have a forecast too. Driving takes the official consumption without charging losses.
+Heating, air conditioning and standby take the power of the reference car, as in `core.vehicles`. The tables say how
+uncertain that is: official cycles differ from city traffic, and cars of one model from each other.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from core.columns import ZERO_CELSIUS
+from core.forecast.learning.leg_energy import PACES, TEMPERATURES, LegEnergyTables
+from core.vehicles import ACCESSORIES, VehicleModel
+
+DRIVING_SHARE: Final = 0.75
+"""Share of the official consumption that driving takes: less charging losses and the accessories of the cycle. [1]"""
+CONSUMPTION_PER_MASS: Final = 1.2e-4
+"""Official consumption over kerb mass of the cars in the catalogue, for cars without a rating. [kWh/(km kg)]"""
+RELATIVE_SD: Final = 0.3
+"""Standard deviation of the energy over that energy. [1]"""
+USUAL_SPEED: Final = 10.0
+"""Kilometres of rides in an hour of a shift, idle periods included. [km/h]"""
+USUAL_PAUSE: Final = 0.25
+"""Duration of an idle period. [h]"""
+CLIMB_ENERGY_PER_MASS: Final = 3.2e-6
+"""Energy of a metre gained over mass: g over the efficiency of the drive of 0.85. [kWh/(m kg)]"""
+RECOVERED_CLIMB: Final = 0.6
+"""Share of it that returns on the way down. [1]"""
+
+
+def make_first_tables(model: VehicleModel, accessory_scale: float) -> LegEnergyTables:
+    """Return the tables of a vehicle model before its first rides.
+
+    Parameters
+    ----------
+    model : VehicleModel
+    accessory_scale : float
+        Accessory power relative to that of the reference curve. [1]
+
+    Returns
+    -------
+    LegEnergyTables
+        Its corrections of the predicted energy are 1 and 0.
+    """
+    rated = CONSUMPTION_PER_MASS * model.mass_kg if model.rated_kwh_per_km is None else model.rated_kwh_per_km
+    standing = accessory_scale * ACCESSORIES.power(TEMPERATURES + ZERO_CELSIUS) / 1000.0
+    hours_per_km = PACES[:, np.newaxis] / 60.0
+    usual = DRIVING_SHARE * rated + standing / USUAL_SPEED
+    climb = CLIMB_ENERGY_PER_MASS * model.mass_kg
+    ones, zeros = np.ones(len(TEMPERATURES)), np.zeros(len(TEMPERATURES))
+    return LegEnergyTables(
+        leg_energy_per_km=DRIVING_SHARE * rated + hours_per_km * standing,
+        climbed_per_km=np.zeros(len(PACES)),
+        descended_per_km=np.zeros(len(PACES)),
+        climb_energy=climb,
+        descent_energy=-RECOVERED_CLIMB * climb,
+        start_energy=0.0,
+        standing_power=standing,
+        approach_energy=zeros,
+        ride_factor=ones,
+        ride_power=zeros,
+        idle_factor=ones,
+        idle_power=zeros,
+        energy_per_km=usual,
+        mean_power=USUAL_SPEED * usual,
+        relative_sd=RELATIVE_SD * ones,
+        mean_pause=USUAL_PAUSE,
+    )
