@@ -4,6 +4,7 @@ No other module converts units of input. Inside core, all quantities have SI uni
 fractions of one.
 """
 
+import struct
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
@@ -47,11 +48,13 @@ _LOST = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 def _prepare_column(values: tuple[Any, ...]) -> Any:
-    """Return values in the form that numpy converts to floats fastest, with NaN for None."""
-    missing = values.count(None)
-    if missing == 0:
-        return np.fromiter(values, np.float64, len(values))
-    return np.nan if missing == len(values) else np.array(values, np.float64)
+    """Return values in the form that numpy takes over fastest, with NaN for None."""
+    if values[0] is None and values.count(None) == len(values):
+        return np.nan
+    try:
+        return np.frombuffer(struct.pack(f"{len(values)}d", *values))
+    except struct.error:  # some are None
+        return np.array(values, np.float64)
 
 
 class Decoder:
