@@ -103,7 +103,7 @@ class DuplicateFilter:
                 self._count = 0
             wanted = min(self._count + len(hashes) - done, most)
             if 5 * wanted > 4 * len(self._new):  # it grows only as far as it is used
-                self._new = _make_table(_list_hashes(self._new), 2 * wanted)
+                self._new = _make_table(self._new[self._new != 0], 2 * wanted)
             taken, self._count = _remember(hashes[done:], self._new, self._old, self._count, most, is_new[done:])
             done += taken
         self.dropped += len(hashes) - int(np.count_nonzero(is_new))
