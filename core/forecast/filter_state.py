@@ -38,8 +38,9 @@ FILTER_STATE: Final = np.dtype(
         ("quantum", "f8"),  # of the reported state of charge [1]
         ("reported", "f8"),  # last accepted reading, the reference of the next one [1]
         ("frozen", "f8"),  # 1 while the reading stays constant although the charge must have changed
-        ("suspect", "f8"),  # reading that jumped and is not accepted yet, NaN for none [1]
+        ("suspect", "f8"),  # reading that jumped and is not accepted yet, less the estimate, NaN for none [1]
         ("suspect_time", "f8"),  # when it was first reported [s]
+        ("jump", "f8"),  # jumps of the reading that were accepted in the shift, less those that were taken back [1]
         ("charging", "f8"),  # 1 while plugged in
         ("plugged", "f8"),  # since when [s]
         # totals of the ride or idle period in progress at the previous event

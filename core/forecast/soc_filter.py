@@ -31,7 +31,7 @@ from core.compiled_cache import watch_sources
 from core.forecast import filter_state, kalman_update, soc_reading
 from core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANTUM, DRIVER_NAMED, RUNNING
 from core.forecast.kalman_update import apply_named_driver, update_state
-from core.forecast.soc_reading import compute_published_soc, discard_soc, update_with_reading
+from core.forecast.soc_reading import compute_jump_variance, compute_published_soc, discard_soc, update_with_reading
 
 FILTER_RESET_SILENCE: Final = 600.0
 """Silence after which the filter discards the charge and starts at the next reading. [s]
@@ -125,7 +125,7 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     state.shift += 1.0
     state.begin = event.time
     state.distance = state.ride_distance = state.hours = state.predicted = state.warmth = 0.0
-    state.compared_predicted = state.compared_used = 0.0
+    state.compared_predicted = state.compared_used = state.jump = 0.0
     state.begin_soc = state.last_soc = state.lowest_soc = state.charged = state.faulty = nan
     state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
     state.p_cc = min(state.p_cc + CAPACITY_AGEING**2, CAPACITY_SD**2)
@@ -282,7 +282,8 @@ def record_shift_soc(state: Any) -> None:
 def write_estimate(state: Any, out: Any) -> None:
     """Write the estimate of a car, with a charge from empty to full; `out` is a SOC_ESTIMATE."""
     soc = compute_published_soc(state, state.quantum)
-    out.soc, out.variance = soc if isnan(soc) else min(max(soc, 0.0), 1.0), state.p_ss
+    out.soc = soc if isnan(soc) else min(max(soc, 0.0), 1.0)
+    out.variance = state.p_ss + compute_jump_variance(state)
     out.log_factor = state.log_consumption - state.log_capacity
     out.log_factor_variance = state.p_aa + state.p_cc - 2.0 * state.p_ac
     out.covariance = state.p_sa - state.p_sc

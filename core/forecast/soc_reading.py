@@ -4,8 +4,9 @@ A reported state of charge is an interval, not a value with noise. It is a measu
 has just crossed the boundary between two reported values. Between steps, the absence of a step moves the published
 value and reduces no variance.
 
-A reported value may be wrong. A jumped value is accepted after it has stayed for `JUMP_CONFIRMATION`; it then moves
-the charge and increases its variance. A value that stays constant although the charge must have changed is frozen; it
+A reported value may be wrong. A jumped value is accepted after it has stayed for `JUMP_CONFIRMATION`. Until then the
+prediction continues, and for the rest of the shift the charge has the variance of a choice between both values. If the
+reading jumps back, the charge does at once. Without a reading the prediction continues alone. A value that stays constant although the charge must have changed is frozen; it
 is accepted at its next step, and that step reduces no variance. The time of the last such fault is kept, because the
 charge that follows is no outcome of a forecast made before it.
 
@@ -29,10 +30,10 @@ REJECTION_SDS: Final = 4.0
 """A reading farther from the estimate than this is not accepted at once. [standard deviations]"""
 REJECTION_MARGIN: Final = 0.01
 """A reading is never rejected within one quantum and this margin of the estimate. [1]"""
-JUMP_CONFIRMATION: Final = 180.0
+JUMP_CONFIRMATION: Final = 1800.0
 """Time for which a reading that jumped must stay before it is accepted. [s]"""
-JUMP_SD: Final = 0.01
-"""Standard deviation that an accepted jump adds to the charge. [1]"""
+JUMP_SD: Final = 0.5
+"""Standard deviation that a jump of the reading gives to the charge, over the jump. [1]"""
 
 
 @njit(cache=False)
@@ -63,7 +64,9 @@ def update_with_reading(state: Any, event: Any) -> None:
         if state.frozen == 1.0:
             state.faulty = event.time
         return
-    if abs(event.soc - state.soc) > limit:
+    off = event.soc - state.soc
+    stays = abs(off - state.suspect) <= quantum + REJECTION_MARGIN  # false without a suspect
+    if abs(off) > limit or stays:
         confirm_jump(state, event, limit, quantum)
         return
     update_with_step(state, event.soc, quantum)
@@ -73,7 +76,7 @@ def update_with_reading(state: Any, event: Any) -> None:
 def discard_soc(state: Any) -> None:
     """Discard the estimate of the charge, so that the next reading initialises it."""
     state.soc = state.reported = state.suspect = nan
-    state.frozen = 0.0
+    state.frozen = state.jump = 0.0
 
 
 @njit(cache=False)
@@ -86,12 +89,15 @@ def initialise_soc(state: Any, reported: float, quantum: float) -> None:
 
 @njit(cache=False)
 def confirm_jump(state: Any, event: Any, limit: float, quantum: float) -> None:
-    """Remember a reading that jumped, or accept it once it has stayed; it updates neither `a` nor `c`."""
-    if isnan(state.suspect) or abs(event.soc - state.suspect) > limit:
-        state.suspect, state.suspect_time = event.soc, event.time
-    elif event.time - state.suspect_time >= JUMP_CONFIRMATION:
+    """Remember a reading that jumped, or accept it once it has stayed or is back; it updates neither `a` nor `c`."""
+    off = event.soc - state.soc
+    if isnan(state.suspect) or abs(off - state.suspect) > limit:
+        state.suspect, state.suspect_time = off, event.time
+    returned = state.jump != 0.0 and abs(off + state.jump) <= limit
+    if returned or event.time - state.suspect_time >= JUMP_CONFIRMATION:
+        state.jump = 0.0 if returned else state.jump + off
         state.soc = event.soc
-        state.p_ss += quantum * quantum / 12.0 + JUMP_SD**2
+        state.p_ss += quantum * quantum / 12.0
         state.faulty = event.time
         accept_reading(state, event.soc)
 
@@ -128,21 +134,28 @@ def accept_reading(state: Any, reported: float) -> None:
 
 
 @njit(cache=False)
+def compute_jump_variance(state: Any) -> float:
+    """Return the variance of the charge by jumps of the reading, accepted or not."""
+    unaccepted = 0.0 if isnan(state.suspect) else state.suspect
+    return float(JUMP_SD**2 * (state.jump**2 + unaccepted**2))
+
+
+@njit(cache=False)
 def compute_published_soc(state: Any, quantum: float) -> float:
     """Return the mean of the charge, given that the car's own estimate lies in the reported interval. [1]
 
     Notes
     -----
-    The mean of a normal truncated to `reported` plus or minus half a quantum. Without a trusted reading it is the mean
-    of the state.
+    The mean of a normal truncated to `reported` plus or minus half a quantum, less what was used since that reading.
+    Without a trusted reading, or if the next one should have come, it is the mean of the state.
     """
-    untrusted = state.frozen == 1.0 or not isnan(state.suspect) or isnan(state.reported)
+    untrusted = state.frozen == 1.0 or not isnan(state.suspect) or isnan(state.reported) or abs(state.fall) > quantum
     if isnan(state.soc) or untrusted or state.p_ss <= 0.0:
         return state.soc
     sd = sqrt(state.p_ss + READING_SD**2)
     gain = state.p_ss / sd**2
-    low = (state.reported - 0.5 * quantum - state.soc) / sd
-    high = (state.reported + 0.5 * quantum - state.soc) / sd
+    middle = state.reported - state.fall - state.soc
+    low, high = (middle - 0.5 * quantum) / sd, (middle + 0.5 * quantum) / sd
     inside = 0.5 * (erfc(low / sqrt(2.0)) - erfc(high / sqrt(2.0)))
     if inside < 1e-6:
         return state.soc + gain * sd * (high if high < 0.0 else low)

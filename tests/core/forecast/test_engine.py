@@ -114,7 +114,7 @@ def test_faulty_soc_never_narrows_interval(car, fault, begin, lasting, by):
     for time in [t for t in good if sent["time_s"][begin] <= t < last]:
         assert published[time].soc_sd_pct >= LEAST * good[time].soc_sd_pct
         if good[time].soc_end_of_shift_pct is not None:
-            assert width(published[time]) >= width(good[time]) - 0.01  # [%]; the present charge limits the upper bound
+            assert width(published[time]) >= width(good[time]) - 0.05  # [%]; the present charge limits the upper bound
 
 
 @pytest.mark.parametrize("fault", ["frozen", "absent", "spike", "jump"])
