@@ -6,9 +6,10 @@ value and reduces no variance.
 
 A reported value may be wrong. A jumped value is accepted after it has stayed for `JUMP_CONFIRMATION`. Until then the
 prediction continues, and for the rest of the shift the charge has the variance of a choice between both values. If the
-reading jumps back, the charge does at once. Without a reading the prediction continues alone. A value that stays constant although the charge must have changed is frozen; it
-is accepted at its next step, and that step reduces no variance. The time of the last such fault is kept, because the
-charge that follows is no outcome of a forecast made before it.
+reading jumps back, the charge does at once. Without a reading the prediction continues alone. A value that stays
+constant although the charge must have changed is frozen; it is accepted at its next step, and that step reduces no
+variance. The time of the last such fault is kept, because the charge that follows is no outcome of a forecast made
+before it.
 
 References
 ----------
