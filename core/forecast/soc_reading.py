@@ -4,12 +4,12 @@ A reported state of charge is an interval, not a value with noise. It is a measu
 has just crossed the boundary between two reported values. Between steps, the absence of a step moves the published
 value and reduces no variance.
 
-A reported value may be wrong. A jumped value is accepted after it has stayed for `JUMP_CONFIRMATION`. Until then the
-prediction continues, and for the rest of the shift the charge has the variance of a choice between both values. If the
-reading jumps back, the charge does at once. Without a reading the prediction continues alone. A value that stays
-constant although the charge must have changed is frozen; it is accepted at its next step, and that step reduces no
-variance. The time of the last such fault is kept, because the charge that follows is no outcome of a forecast made
-before it.
+A reported value may be wrong. A value a little off is accepted after it has stayed. A jumped value is accepted after it
+has stayed for `JUMP_CONFIRMATION`. Until then the prediction continues, and for the rest of the shift the charge has
+the variance of a choice between both values. If the reading jumps back, the charge does at once. Without a reading the
+prediction continues alone. A value that stays constant although the charge must have changed is frozen; it is accepted
+at its next step, and that step reduces no variance. The time of the last such fault is kept, because the charge that
+follows is no outcome of a forecast made before it.
 
 References
 ----------
@@ -31,7 +31,13 @@ REJECTION_SDS: Final = 4.0
 """A reading farther from the estimate than this is not accepted at once. [standard deviations]"""
 REJECTION_MARGIN: Final = 0.01
 """A reading is never rejected within one quantum and this margin of the estimate. [1]"""
-JUMP_CONFIRMATION: Final = 1800.0
+STEP_CONFIRMATION: Final = 180.0
+"""Time for which a reading that is off by less than `LEAST_JUMP` must stay off before it is accepted. [s]"""
+STEP_SD: Final = 0.01
+"""Standard deviation that such a step adds to the charge. [1]"""
+LEAST_JUMP: Final = 0.05
+"""Smallest change that is a jump: displays of old batteries fall by steps of up to 3 %, one after the other. [1]"""
+JUMP_CONFIRMATION: Final = 900.0
 """Time for which a reading that jumped must stay before it is accepted. [s]"""
 JUMP_SD: Final = 0.5
 """Standard deviation that a jump of the reading gives to the charge, over the jump. [1]"""
@@ -92,13 +98,17 @@ def initialise_soc(state: Any, reported: float, quantum: float) -> None:
 def confirm_jump(state: Any, event: Any, limit: float, quantum: float) -> None:
     """Remember a reading that jumped, or accept it once it has stayed or is back; it updates neither `a` nor `c`."""
     off = event.soc - state.soc
-    if isnan(state.suspect) or abs(off - state.suspect) > limit:
-        state.suspect, state.suspect_time = off, event.time
-    returned = state.jump != 0.0 and abs(off + state.jump) <= limit
-    if returned or event.time - state.suspect_time >= JUMP_CONFIRMATION:
-        state.jump = 0.0 if returned else state.jump + off
+    if isnan(state.suspect) or abs(off - state.suspect) > LEAST_JUMP:
+        state.suspect_time = event.time
+    elif event.time - state.suspect_time >= STEP_CONFIRMATION:
+        state.faulty = event.time
+    state.suspect = off
+    returned, is_step = state.jump != 0.0 and abs(off + state.jump) <= limit, abs(off) < LEAST_JUMP
+    if returned or event.time - state.suspect_time >= (STEP_CONFIRMATION if is_step else JUMP_CONFIRMATION):
+        if not is_step:
+            state.jump = 0.0 if returned else state.jump + off
         state.soc = event.soc
-        state.p_ss += quantum * quantum / 12.0
+        state.p_ss += quantum * quantum / 12.0 + (STEP_SD**2 if is_step else 0.0)
         state.faulty = event.time
         accept_reading(state, event.soc)
 

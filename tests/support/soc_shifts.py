@@ -135,7 +135,7 @@ def count_faults(events):
     jumps, freezes = np.zeros(len(events), int), np.zeros(len(events), int)
     for step in events.T:
         before, state = state, run_filter(step, state).state
-        is_new = (state["suspect"] != before["suspect"]) | (state["suspect_time"] != before["suspect_time"])
+        is_new = state["suspect_time"] != before["suspect_time"]
         jumps += ~np.isnan(state["suspect"]) & is_new
         freezes += (state["frozen"] == 1.0) & (before["frozen"] == 0.0)
     return Faults(jumps, freezes)

@@ -22,8 +22,8 @@ MOST_SHIFTS: Final = 60
 MOST_ROWS: Final = 200_000
 """Number of stored forecasts above which those no longer needed are deleted."""
 NO_INTERVALS: Final = (
-    "forecasts of the shift's end have no intervals, because too few shifts have ended: give recordings "
-    "of earlier days with --warm-up REC"
+    "the charge at the shift's end has no forecast, because there is no plan and too few shifts have ended: give "
+    "recordings of earlier days with --warm-up REC"
 )
 _FIGURES: Final = {"mean": "soc_mean_pct", "p05": "soc_p05_pct", "p95": "soc_p95_pct"}
 

