@@ -25,6 +25,8 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from itertools import compress, islice, repeat
 from math import inf
 from threading import Event, Thread
 from typing import Any, Final
@@ -85,7 +87,9 @@ class _Keys(dict[Any, str]):
 
 
 def adapt_nap(nap_s: float, fullness: float) -> float:
-    """Return how long to wait for more samples, so that few samples cost few looks and many find room in the channel.
+    """Return how long to wait for more samples, so that a look finds about half as many as it takes at most.
+
+    A look that finds few samples costs as much as one that finds many, and a full channel blocks publishers.
 
     Parameters
     ----------
@@ -97,12 +101,13 @@ def adapt_nap(nap_s: float, fullness: float) -> float:
     Examples
     --------
     >>> adapt_nap(0.004, 1.0), adapt_nap(0.004, 0.5), adapt_nap(0.004, 0.1)
-    (0.0, 0.002, 0.008)
+    (0.0, 0.004, 0.008)
     """
     shortest, longest = _NAP_S
     if fullness >= 1.0:
         return 0.0
-    return max(nap_s / 2 if fullness > 0.25 else min(2 * nap_s, longest), shortest)
+    factor = 2.0 if fullness < 0.4 else 0.5 if fullness > 0.8 else 1.0
+    return min(max(factor * nap_s, shortest), longest)
 
 
 class ZenohSource:
@@ -284,11 +289,10 @@ class ZenohSource:
         if not samples:
             return [], False
         self._warn_of_stamps(samples[-1])
-        stamp = self._clock.read_ns()
-        new, keys = tuple.__new__, self._keys
-        return [
-            new(Message, (key, each.payload.to_bytes(), stamp)) for each in samples if (key := keys[each.key_expr])
-        ], False
+        keys = [self._keys[each.key_expr] for each in samples]
+        payloads = [each.payload.to_bytes() for each in samples]
+        fields = zip(keys, payloads, repeat(self._clock.read_ns()))
+        return list(compress(map(tuple.__new__, repeat(Message), fields), keys)), False
 
     def _must_hold(self, samples: list[Any], *, stopping: bool) -> bool:
         """Return whether the received samples must wait for the answers of caches.
@@ -325,15 +329,9 @@ class ZenohSource:
     def _receive(self, *limits: int) -> list[Any]:
         """Return queued samples, at most a number of each space."""
         out: list[Any] = []
-        append = out.append
         for receive, most in zip(self._receivers, limits, strict=True):
-            try:
-                for _ in range(most):
-                    if (sample := receive()) is None:
-                        break
-                    append(sample)
-            except zenoh.ZError:
-                continue  # the subscription has ended and the channel is empty
+            with suppress(zenoh.ZError):  # the subscription has ended; what came before stays in the list
+                out.extend(islice(iter(receive, None), most))
         return out
 
     def _watch_routers(self) -> None:

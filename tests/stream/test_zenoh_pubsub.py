@@ -84,8 +84,8 @@ def test_naps_are_long_at_low_rates_and_never_fill_the_channel_at_high_rates(rat
         naps_s.append(nap_s)
         nap_s = adapt_nap(nap_s, min(nap_s * rate, CHANNEL) / CHANNEL)
     settled_s = naps_s[100:]
-    assert max(settled_s) * rate < CHANNEL
-    assert min(settled_s) * rate > CHANNEL / 8 or min(settled_s) == 0.01
+    assert max(settled_s) * rate < 0.9 * CHANNEL
+    assert min(settled_s) * rate > 0.3 * CHANNEL or min(settled_s) == 0.01
 
 
 def test_stopped_source_yields_queued_messages():
