@@ -113,6 +113,7 @@ class OpenTotals:
 
 _ANYTHING, _TEXT, _REAL, _UNIX = Anything(), Text(), Number(), Number(0.0, 4.3e9, unknown=False)
 _WHOLE: Final = 2.0**53
+_AMOUNT: Final = Number(0.0, 1e15, unknown=False)
 _COUNT, _LANE = Number(0, _WHOLE, whole=True), Number(0, "lanes", whole=True)
 _LATITUDE, _LONGITUDE = Number(-pi / 2, pi / 2, unknown=False), Number(-pi, pi, unknown=False)
 _COUNTS, _CODE, _INDEX = ByName(_COUNT), Number(-3.0, _WHOLE), Number(0.0, _WHOLE, unknown=False)
@@ -166,6 +167,7 @@ _STATISTICS: Final = Row(
         _CONFORMAL,
         _CORRECTION,
         _grid(4, HOURS),
+        Many(Row(_AMOUNT, _REAL, _AMOUNT, _REAL, _REAL, _AMOUNT), count=2),
     ),
     Many(Row(_LANE, Maybe(_COUNT), _REAL, _REAL, _REAL)),
     Packed(LOG_FACTOR_PRIOR, by_lane="predicted", limits={"variance": Number(1e-9, 1e9)}),
@@ -173,11 +175,12 @@ _STATISTICS: Final = Row(
     Packed("i8", count=3 * BASES, limits={"": _COUNT}),
 )
 _PLANS: Final = Row(
-    Many(Row(_LANE, ByName(_ANYTHING), _COUNT, _REAL, Maybe(Many(Packed("f8"), count=2)))),
+    Many(Row(_LANE, ByName(_ANYTHING), _COUNT, _REAL, Maybe(Many(Packed("f8"), count=2)), _COUNT)),
     Many(Row(_LANE, ByName(_ANYTHING))),
     Packed(PLAN_PROGRESS, by_lane="predicted"),
     Many(_REAL, by_lane="predicted"),
     Many(Number(0, 1), by_lane="predicted"),
+    Many(Many(_REAL, by_lane="predicted"), count=3),
 )
 _ERRORS: Final = Row(Packed(RIDE_SUMS, count=1), Row(_INDEX, _INDEX, *(_REAL for _ in range(4))))
 SCHEMAS: Final[dict[str, Schema]] = {
@@ -229,6 +232,7 @@ SCHEMAS: Final[dict[str, Schema]] = {
         _PLANS,
         Row(
             Many(Row(_LANE, Packed(FORECAST_RECORDS, limits={"basis": Number(0, BASES - 1, unknown=False)}))),
+            Packed("f8"),
             Packed("f8"),
             Packed("f8"),
         ),

@@ -139,7 +139,8 @@ METRICS: Final = (
     MetricRow(
         "socast_interval_outcomes",
         "counter",
-        "Outcomes of forecasts of the charge at the shift's end: below, inside or above the 90 % interval.",
+        "Outcomes of forecasts of the charge at the shift's end and at the next planned charge: below, inside or above "
+        "the 90 % interval.",
         lambda s, _: s.interval_outcomes,
         ("basis", "place"),
     ),

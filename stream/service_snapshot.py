@@ -9,7 +9,7 @@ from typing import Any, Final, Protocol
 import msgspec
 import numpy as np
 
-from core.forecast.conformal import BY_HISTORY, BY_PLAN
+from core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
 from core.pipeline import Pipeline
 from core.wire.messages import Message
 from stream.checkpoints import Checkpoints
@@ -303,7 +303,8 @@ class SnapshotTaker:
     def _list_outcomes(self) -> Iterator[tuple[tuple[str, str], int]]:
         """Yield the outcomes of intervals by basis and place."""
         outcomes = self._pipeline.engine.statistics.interval_outcomes
-        for basis, name in ((BY_PLAN, "plan"), (BY_HISTORY, "history")):
+        names = {BY_PLAN: "plan", BY_HISTORY: "history", TO_CHARGE: "next_charge", OVER_CHARGE: "plan_with_charge"}
+        for basis, name in names.items():
             for place, count in zip(PLACES, outcomes[basis].tolist(), strict=True):
                 yield (name, place), count
 

@@ -31,7 +31,11 @@ BY_PLAN: Final = 0
 """Basis of a forecast: the plan."""
 BY_HISTORY: Final = 1
 """Basis of a forecast: the earlier shifts of the car."""
-BASES: Final = 2
+TO_CHARGE: Final = 2
+"""Basis of a forecast of the charge at the beginning of the next planned charge: the plan."""
+OVER_CHARGE: Final = 3
+"""Basis of a forecast for the end of the shift with planned charges before it: the plan."""
+BASES: Final = 4
 """Number of bases of a forecast."""
 DISTANCE_CLASSES: Final = (0.0, 0.3, 1.5, 6.0, 15.0, 30.0, 60.0)
 """Lower limit of each class of the distance that the energy ahead, idle periods included, would usually drive. [km]"""
@@ -49,7 +53,7 @@ LARGEST_ADAPTATION: Final = 0.5
 """Largest widening or narrowing of a bound, for a class of distance and again for one of temperature. [1]"""
 SCORES: Final = np.linspace(-8.0, 8.0, 161)
 """Standardised errors at which the outcomes are counted; a larger one counts as the last. [1]"""
-PRIOR_SCALES: Final = 1.25, 1.75
+PRIOR_SCALES: Final = 1.25, 1.75, 1.25, 1.25
 """Scale of the prior distribution of the standardised error of each basis, Student's t. [1]"""
 PRIOR_FREEDOM: Final = 8.0
 """Its degrees of freedom."""
@@ -86,7 +90,7 @@ class ErrorBounds(NamedTuple):
 class ConformalIntervals:
     """Learn standardised errors by class, and provide their quantiles.
 
-    A class is (basis, distance, temperature), where the basis is `BY_PLAN` or `BY_HISTORY`.
+    A class is (basis, distance, temperature), where the basis is `BY_PLAN`, `BY_HISTORY`, `TO_CHARGE` or `OVER_CHARGE`.
 
     Attributes
     ----------

@@ -7,6 +7,7 @@ cut into batches, nor on which other cars sent samples a moment earlier.
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from math import inf, nan
 from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown, take_lanes
 from core.columns import JOULES_PER_KWH
-from core.forecast.conformal import BY_HISTORY, BY_PLAN
+from core.forecast.conformal import OVER_CHARGE, TO_CHARGE
 from core.forecast.filter_state import (
     CLOSED,
     CLOSED_SHIFT,
@@ -207,7 +208,8 @@ class ForecastEngine:
         def get_tables(lane: int, at: int) -> LegEnergyTables | None:
             return self.statistics.get_tables(lane, kinds.find(lane, at))
 
-        progress = self.plans.process(sums.running, sums.rides, due.arrivals, get_tables, lanes)
+        progress = self.plans.process(sums.running, sums.rides, due.arrivals, estimates, get_tables, lanes)
+        self.statistics.charged_soc.add_charges(self.plans.take_outcomes())
         rows = compute_forecast_rows(sums.running, of_running, estimates, progress, self.statistics, self._cars)
         self.ends[sums.running.lane] = rows.get_end_of_shift()
         self._evaluate(sums.running, rows, shifts, at, kinds)
@@ -288,23 +290,28 @@ class ForecastEngine:
         """
         steps = [_Evaluation(int(at[shift["event"]]), False, i) for i, shift in enumerate(shifts)]
         time = running.at_last("time")
-        lanes = np.unique(running.lane[self.log.is_due(running.lane, time, rows.raw_end_soc)])
+        lanes = np.unique(running.lane[self.log.is_due(running.lane, time, rows.raw_end_soc, rows.arrived)])
         lanes = np.union1d(lanes, shifts["lane"])
         due = np.flatnonzero(np.isin(running.lane, lanes)) if len(lanes) else lanes
         steps += [_Evaluation(place, True, i) for place, i in zip(running.at[due].tolist(), due.tolist(), strict=True)]
         for place, of_forecast, i in sorted(steps):
             if not of_forecast:
                 self._close_shift(shifts[i], kinds.find(int(shifts[i]["lane"]), place))
-            elif self.log.is_due(lane := int(running.lane[i]), time[i], rows.raw_end_soc[i]):
-                now, spoilt = float(time[i]), float(np.fmax(rows.charged[i], rows.faulty[i]))
-                self.statistics.add_errors(self.log.evaluate_until(lane, now, float(rows.reported_soc[i]), spoilt))
-                self.log.record(lane, _create_record(now, rows, i))
+            elif self.log.is_due(lane := int(running.lane[i]), time[i], rows.raw_end_soc[i], rows.arrived[i]):
+                now, faulty, soc = float(time[i]), float(rows.faulty[i]), float(rows.reported_soc[i])
+                spoilt, arrived = float(np.fmax(rows.charged[i], faulty)), float(rows.arrived[i])
+                self.statistics.add_errors(self.log.evaluate_arrival(lane, arrived, float(rows.arrival_soc[i]), faulty))
+                self.statistics.add_errors(self.log.evaluate_until(lane, now, soc, spoilt, faulty))
+                has_charge = bool(np.isfinite(rows.raw_charge_soc[i]))
+                to_charge = _create_charge_record(now, rows, i) if has_charge else None
+                self.log.record(lane, _create_record(now, rows, i), to_charge)
 
     def _close_shift(self, shift: NDArray[np.void], kind: int) -> None:
         """Learn from a shift of a car of a kind that has ended."""
         lane, spoilt = int(shift["lane"]), float(np.fmax(shift["charged"], shift["faulty"]))
         self.closed.append(shift.copy())
-        self.statistics.add_errors(self.log.evaluate_shift(lane, float(shift["last_soc"]), spoilt))
+        faulty = float(shift["faulty"])
+        self.statistics.add_errors(self.log.evaluate_shift(lane, float(shift["last_soc"]), spoilt, faulty))
         capacity = float(self._cars.capacity[kind])
         used = (float(shift["begin_soc"]) - float(shift["last_soc"])) * capacity
         if shift["hours"] >= SHORT_SHIFT and np.isnan(spoilt) and np.isfinite(used):
@@ -385,19 +392,35 @@ class ForecastEngine:
 
 
 def _create_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
-    """Return the record of the forecast at a row."""
+    """Return the record of the forecast for the end of the shift at a row."""
+    over_charge = rows.basis[i] == OVER_CHARGE
     return ForecastRecord(
         time=time,
         end=float(rows.end[i]),
-        basis=BY_PLAN if rows.basis[i] == BY_PLAN else BY_HISTORY,
+        basis=int(rows.basis[i]),
         ahead_km=float(rows.energy_km_ahead[i]),
         ambient_c=float(rows.ambient_c[i]),
         ahead_c=float(rows.ahead_c[i]),
         mean=float(rows.raw_end_soc[i]),
         sd=float(rows.raw_end_soc_sd[i]),
         soc=float(rows.soc[i]),
-        driving=float(rows.driving_fall[i]),
-        waiting=float(rows.waiting_fall[i]),
+        driving=nan if over_charge else float(rows.driving_fall[i]),
+        waiting=nan if over_charge else float(rows.waiting_fall[i]),
         lower=float(rows.end_soc_p05[i]),
         upper=float(rows.end_soc_p95[i]),
+    )
+
+
+def _create_charge_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
+    """Return the record of the forecast for the next planned charge at a row."""
+    return _create_record(time, rows, i)._replace(
+        end=inf,
+        basis=TO_CHARGE,
+        ahead_km=float(rows.charge_energy_km[i]),
+        mean=float(rows.raw_charge_soc[i]),
+        sd=float(rows.raw_charge_soc_sd[i]),
+        driving=float(rows.driving_fall[i]),
+        waiting=float(rows.waiting_fall[i]),
+        lower=float(rows.charge_soc_p05[i]),
+        upper=float(rows.charge_soc_p95[i]),
     )

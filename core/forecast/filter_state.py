@@ -63,6 +63,12 @@ FILTER_STATE: Final = np.dtype(
         ("warmth", "f8"),  # integral of the outside temperature over `hours` [K h]
         ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
         ("faulty", "f8"),  # last time in the shift at which the reading was frozen, absent or jumped, NaN for none [s]
+        ("connected", "f8"),  # when the present or last charging began, or the silence in which it did [s]
+        ("arrived", "f8"),  # the same of the last charge within the shift that lasted, NaN for none [s]
+        ("arrival_soc", "f8"),  # last reading before that charge [1]
+        ("unplugged", "f8"),  # when it ended, NaN while it lasts [s]
+        ("unplugged_distance", "f8"),  # driven in the shift by then [m]
+        ("charged_soc", "f8"),  # last reading before the car departed after it [1]
         ("begin_log_capacity", "f8"),  # `c` at the beginning of the shift
         ("usual", "f8"),  # expected `a - c` of the shift, before any of its data
         ("usual_variance", "f8"),  # variance of that expectation
@@ -120,6 +126,11 @@ SOC_ESTIMATE: Final = np.dtype(
         ("begin_soc", "f8"),  # [1]
         ("distance", "f8"),  # driven in the shift [m]
         ("usual", "f8"),  # expected `log_factor` of the shift, before any of its data
+        ("arrived", "f8"),  # when the last charge within the shift began, NaN for none [s]
+        ("arrival_soc", "f8"),  # last reading before that charge [1]
+        ("unplugged", "f8"),  # when it ended, NaN while it lasts [s]
+        ("departed", "f8"),  # 1 once the car has driven on after it
+        ("charged_soc", "f8"),  # last reading before it departed [1]
     ]
 )
 """Output of the filter after each event."""
@@ -152,6 +163,7 @@ LOG_FACTOR_PRIOR: Final = np.dtype([("mean", "f8"), ("variance", "f8")])
 _INITIALLY_NAN: Final = (
     *("soc", "p_ss", "reported", "suspect", "charged", "faulty", "ambient"),
     *("begin_soc", "last_soc", "lowest_soc"),
+    *("connected", "arrived", "arrival_soc", "unplugged", "unplugged_distance", "charged_soc"),
 )
 
 

@@ -8,21 +8,19 @@ from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
-from core.forecast.conformal import BY_HISTORY, BY_PLAN
+from core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE
 from core.forecast.learning.fleet import FleetStatistics
 from core.forecast.outlook import (
     CarEstimate,
-    MeanAndSd,
-    clip_charge,
-    compute_end_soc,
     compute_planned_energy,
     compute_range,
-    compute_reserve_risk,
     compute_temperature_weights,
     fill_from_history,
     find_expected_end,
+    schedule_plan,
 )
 from core.forecast.plan_tracker import get_ride_km
+from core.forecast.soc_ahead import LearnedErrors, find_charging_since, forecast_soc_ahead
 from core.forecast.soc_reading import READING_SD
 from core.totals.accumulator import Totals
 from core.vehicles.fleet import Cars
@@ -43,9 +41,9 @@ class ForecastRows(NamedTuple):
     range_km, range_km_p05, range_km_p95 : Range down to the reserve: mean, 5th and 95th percentile. [km]
     raw_end_soc, raw_end_soc_sd : Charge at the end and its standard deviation, before the conformal correction. [1]
     end : End of the shift. [s]
-    basis : `BY_PLAN` or `BY_HISTORY`, (n,) int.
+    basis : `BY_PLAN`, `BY_HISTORY` or `OVER_CHARGE`, (n,) int.
     ride_km_ahead : Distance of rides ahead. [km]
-    energy_km_ahead : Distance that all the energy ahead would usually drive. [km]
+    energy_km_ahead : Distance that the energy ahead, after planned charges, would usually drive. [km]
     reserve : [1]
     ambient_c : Outside temperature. [°C]
     shift : Ordinal of the shift.
@@ -54,7 +52,16 @@ class ForecastRows(NamedTuple):
     reported_soc : Charge as reported last. [1]
     charged : When the car charged last within the shift. [s]
     faulty : When the reported charge was faulty last within the shift. [s]
-    driving_fall, waiting_fall : Fall of the charge by driving and by waiting, before their correction. [1]
+    driving_fall, waiting_fall : Fall of the charge by driving and by waiting until the next planned charge, or else the
+        end of the shift, before their correction. [1]
+    charge_time : When the next planned charge begins. [s]
+    charge_km : Distance of rides until then. [km]
+    charge_soc, charge_soc_p05, charge_soc_p95 : Charge then. [1]
+    charge_risk : Probability that it is below the reserve. [1]
+    raw_charge_soc, raw_charge_soc_sd : The same as `raw_end_soc`. [1]
+    charge_energy_km : Distance that the energy until then would usually drive. [km]
+    arrived : When the last charge within the shift began. [s]
+    arrival_soc : Charge as reported before it. [1]
     """
 
     predicted: Floats
@@ -85,6 +92,17 @@ class ForecastRows(NamedTuple):
     faulty: Floats
     driving_fall: Floats
     waiting_fall: Floats
+    charge_time: Floats
+    charge_km: Floats
+    charge_soc: Floats
+    charge_soc_p05: Floats
+    charge_soc_p95: Floats
+    charge_risk: Floats
+    raw_charge_soc: Floats
+    raw_charge_soc_sd: Floats
+    charge_energy_km: Floats
+    arrived: Floats
+    arrival_soc: Floats
 
     def rows(self, which: Ints) -> "ForecastRows":
         """Return some of the rows."""
@@ -137,13 +155,13 @@ def compute_forecast_rows(
     ahead_c = ambient - ZERO_CELSIUS
     usual = statistics.compute_usual(kind, compute_temperature_weights(ambient))
     estimate = CarEstimate.from_filter(estimates, cars.capacity[kind])
-    ahead = compute_planned_energy(progress, time, get_ride_km(running), running.ride >= 0, usual)
+    riding, charging_since = running.ride >= 0, find_charging_since(estimates, progress["came"])
+    times = schedule_plan(progress, time, get_ride_km(running), riding, charging_since, usual)
+    ahead = compute_planned_energy(progress, times, time, riding, usual)
     ahead = fill_from_history(ahead, usual, time - estimates["begin"], time, patterns)
-    end = compute_end_soc(estimate, MeanAndSd(ahead.energy, ahead.sd), ahead.hours)
+    errors = LearnedErrors(statistics.conformal, statistics.charged_soc, ahead_c)
+    soc = forecast_soc_ahead(estimate, ahead, progress, times, time, charging_since, usual, errors)
     falls = ahead.parts * (np.exp(estimate.compute_mean_log_factor(ahead.hours)) / estimate.capacity)[:, np.newaxis]
-    energy_km = ahead.energy / usual.energy_per_km
-    quantiles, bounds = statistics.conformal.get_quantiles(ahead.basis, energy_km, ahead_c)
-    end_soc, end_soc_p05, end_soc_p95 = (clip_charge(end.mean + end.sd * bound, estimate) for bound in bounds)
     distance = compute_range(estimate, ahead.reserve, usual)
     by_plan, by_history = (
         statistics.conformal.get_quantiles(np.full_like(ahead.basis, basis), distance.mean, ahead_c)[1]
@@ -157,19 +175,19 @@ def compute_forecast_rows(
         predicted=predicted,
         soc=estimate.soc,
         soc_sd=np.sqrt(np.maximum(estimate.variance, READING_SD**2)),
-        end_soc=end_soc,
-        end_soc_p05=end_soc_p05,
-        end_soc_p95=end_soc_p95,
-        risk=compute_reserve_risk(end, ahead.reserve, quantiles),
+        end_soc=soc.end.mean,
+        end_soc_p05=soc.end.p05,
+        end_soc_p95=soc.end.p95,
+        risk=soc.end.risk,
         range_km=range_km,
         range_km_p05=range_km_p05,
         range_km_p95=range_km_p95,
-        raw_end_soc=end.mean,
-        raw_end_soc_sd=end.sd,
+        raw_end_soc=soc.end.raw_mean,
+        raw_end_soc_sd=soc.end.raw_sd,
         end=ahead.end,
-        basis=ahead.basis,
-        ride_km_ahead=ahead.km,
-        energy_km_ahead=energy_km,
+        basis=soc.basis,
+        ride_km_ahead=np.where(soc.basis == OVER_CHARGE, ahead.km + progress["after_km"], ahead.km),
+        energy_km_ahead=soc.end.energy_km,
         reserve=ahead.reserve,
         ambient_c=estimates["ambient"] - ZERO_CELSIUS,
         ahead_c=ahead_c,
@@ -182,4 +200,15 @@ def compute_forecast_rows(
         faulty=estimates["faulty"],
         driving_fall=falls[:, 0],
         waiting_fall=falls[:, 1],
+        charge_time=soc.charge_time,
+        charge_km=np.where(np.isfinite(soc.charge_time), ahead.km, np.nan),
+        charge_soc=soc.charge.mean,
+        charge_soc_p05=soc.charge.p05,
+        charge_soc_p95=soc.charge.p95,
+        charge_risk=soc.charge.risk,
+        raw_charge_soc=soc.charge.raw_mean,
+        raw_charge_soc_sd=soc.charge.raw_sd,
+        charge_energy_km=soc.charge.energy_km,
+        arrived=estimates["arrived"],
+        arrival_soc=estimates["arrival_soc"],
     )

@@ -6,6 +6,7 @@ from math import isnan
 from typing import Final
 
 import numpy as np
+from msgspec import UNSET, UnsetType
 
 from core.batch import Floats
 from core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
@@ -14,7 +15,7 @@ from core.forecast.plausibility import find_implausible
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
 from core.totals.measured_energy import measure_energy
-from core.wire.messages import Forecast, Interval, Message, QualityCounts, encode
+from core.wire.messages import Forecast, Interval, Message, NextCharge, QualityCounts, encode
 
 _COUNTED: Final = {
     name: [CAUSES.index(flag.name.lower()) for flag in Quality if flag in bits and flag.name]
@@ -75,6 +76,7 @@ def build_forecasts(
     soc, soc_sd, risk = (100.0 * rows.soc).tolist(), (100.0 * rows.soc_sd).tolist(), rows.risk.tolist()
     range_km = _list_intervals(rows.range_km, rows.range_km_p05, rows.range_km_p95)
     end = _list_intervals(100.0 * rows.end_soc, 100.0 * rows.end_soc_p05, 100.0 * rows.end_soc_p95)
+    charges = _list_charges(rows)
     time = running.at_last("time").tolist()
     distance = np.where(riding, running.amount("distance") * 1e-3, 0.0).tolist()
     duration = np.where(riding, running.amount("duration"), 0.0).tolist()
@@ -97,9 +99,17 @@ def build_forecasts(
             soc_end_of_shift_pct=end[i],
             reserve_risk=none_if_nan(risk[i]),
             quality=counts[i],
+            next_charge=charges[i],
         )
         out.append(Message(f"{prefix}fleet/{names[lane]}/forecast", encode(forecast), int(time[i] * 1e9)))
     return out
+
+
+def _list_charges(rows: ForecastRows) -> list[NextCharge | UnsetType]:
+    """Return the forecasts of the next planned charges, UNSET where none is ahead."""
+    intervals = _list_intervals(100.0 * rows.charge_soc, 100.0 * rows.charge_soc_p05, 100.0 * rows.charge_soc_p95)
+    parts = zip(rows.charge_time.tolist(), intervals, rows.charge_risk.tolist(), strict=True)
+    return [UNSET if soc is None else NextCharge(when, soc, none_if_nan(risk)) for when, soc, risk in parts]
 
 
 def _list_intervals(mean: Floats, low: Floats, high: Floats) -> list[Interval | None]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
-from core.forecast.conformal import BY_HISTORY, BY_PLAN, LEVELS
+from core.forecast.conformal import BY_HISTORY, BY_PLAN, LEVELS, TO_CHARGE
 from core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
 from core.forecast.planned_legs import compute_share_left
 from core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
@@ -33,7 +33,9 @@ DEFAULT_RESERVE: Final = 0.1
 
 
 class EnergyAhead(NamedTuple):
-    """Hold energy and time until the end of the shifts of n cars, (n,) each; NaN where unknown.
+    """Hold energy and time until the next planned charge of n cars, or else the end of their shifts, (n,) each.
+
+    What is unknown is NaN.
 
     Parameters
     ----------
@@ -46,13 +48,13 @@ class EnergyAhead(NamedTuple):
     km : (n,) float
         Distance of rides. [km]
     hours : (n,) float
-        Time until the shift ends. [h]
+        Time until then. [h]
     end : (n,) float
-        When it ends, not before now nor before the planned legs can be driven. [s]
+        When the shift ends, not before now nor before the planned legs can be driven. [s]
     reserve : (n,) float
         State of charge to keep. [1]
     basis : (n,) int
-        `BY_PLAN` or `BY_HISTORY`.
+        `BY_PLAN`, `TO_CHARGE` or `BY_HISTORY`.
     """
 
     energy: Floats
@@ -130,6 +132,8 @@ class UsualConsumption(NamedTuple):
         Energy of rides and idle periods over the kilometres of rides. [kWh/km]
     mean_power : (n,) float
         The same energy over the hours of both. [kW]
+    mean_pause : (n,) float
+        Mean duration of an idle period. [h]
     relative_sd : (n,) float
         Standard deviation of these energies at the temperature, over the energy. [1]
     factor : (n, bases, 2) float
@@ -143,22 +147,24 @@ class UsualConsumption(NamedTuple):
     approach_energy: Floats
     energy_per_km: Floats
     mean_power: Floats
+    mean_pause: Floats
     relative_sd: Floats
     factor: Floats
     covariance: Floats
 
-    def correct(self, parts: Floats, basis: int) -> MeanAndSd:
+    def correct(self, parts: Floats, basis: int | Ints) -> MeanAndSd:
         """Return the energy of driving and waiting as corrected by earlier errors. [kWh]
 
         Parameters
         ----------
         parts : (n, 2) float
             Energy of driving and of waiting. [kWh]
-        basis : int
-            `BY_PLAN` or `BY_HISTORY`.
+        basis : int or (n,) int
+            `BY_PLAN`, `BY_HISTORY` or `TO_CHARGE`.
         """
         driving, waiting = parts.T
-        factor, covariance = self.factor[:, basis], self.covariance[:, basis]
+        rows = np.arange(len(self.factor)) if np.ndim(basis) else slice(None)
+        factor, covariance = self.factor[rows, basis], self.covariance[rows, basis]
         energy = factor[:, 0] * driving + factor[:, 1] * waiting
         variance = (
             covariance[:, 0, 0] * driving**2
@@ -168,10 +174,42 @@ class UsualConsumption(NamedTuple):
         return MeanAndSd(energy, np.sqrt((self.relative_sd * energy) ** 2 + np.maximum(variance, 0.0)))
 
 
-def compute_planned_energy(
-    progress: NDArray[np.void], time: Floats, ride_km: Floats, riding: NDArray[np.bool_], usual: UsualConsumption
-) -> EnergyAhead:
-    """Return the energy ahead by plan.
+class PlanTimes(NamedTuple):
+    """Hold how the rest of the shifts of n cars is spent by plan, (n,) each.
+
+    Parameters
+    ----------
+    end : When the shift ends. [s]
+    left : Share of the next leg that is left. [1]
+    pause : Mean wait before a ride, in plans with charges. [h]
+    waiting : Waits until the next planned charge, or else the end of the shift. [h]
+    until : Time until then. [h]
+    after : Time from the last planned charge to the end of the shift, negative or 0 without one. [h]
+    waiting_after : Waits in that time. [h]
+    """
+
+    end: Floats
+    left: Floats
+    pause: Floats
+    waiting: Floats
+    until: Floats
+    after: Floats
+    waiting_after: Floats
+
+
+def schedule_plan(
+    progress: NDArray[np.void],
+    time: Floats,
+    ride_km: Floats,
+    riding: NDArray[np.bool_],
+    charging_since: Floats,
+    usual: UsualConsumption,
+) -> PlanTimes:
+    """Return how the rest of a shift is spent by plan.
+
+    A plan does not state when a leg begins. Without charges, what matters is the time that remains for waiting. With
+    charges it is spread evenly before the rides, but a wait is at most as long as usual, and the remaining time comes
+    after the last leg.
 
     Parameters
     ----------
@@ -181,35 +219,71 @@ def compute_planned_energy(
     ride_km : (n,) float
         Distance driven on the ride in progress, 0 between rides. [km]
     riding : (n,) bool
+    charging_since : (n,) float
+        When a car that stands at a charger came there, NaN for others. [s]
+    usual : UsualConsumption
+
+    Returns
+    -------
+    PlanTimes
+    """
+    left = np.where(riding, compute_share_left(progress["leg_km"], ride_km - progress["driven_km"]), 1.0)
+    driving = left * progress["leg_s"] + progress["later_s"]
+    charging = np.maximum(progress["charge_s"] - np.nan_to_num(time - charging_since, nan=0.0), 0.0)
+    middle = charging + progress["between_s"]  # 0 without charges, like all that follows a charge
+    end = np.maximum(progress["end"], time + (driving + (middle + progress["after_s"])))
+    hours = (end - time) / 3600.0
+    spare = np.maximum(hours - (driving + (middle + progress["after_s"])) / 3600.0, 0.0)
+    approaches = progress["legs"] - riding * (progress["legs"] > 0.0)
+    rides = approaches + progress["between_legs"] + progress["after_legs"]
+    pause = np.minimum(spare / np.maximum(rides, 1.0), usual.mean_pause)
+    has_charge = progress["charges"] > 0.0
+    waiting = np.where(has_charge, approaches * pause, spare)
+    until = np.where(has_charge, driving / 3600.0 + waiting, hours)
+    waiting_after = spare - (approaches + progress["between_legs"]) * pause
+    return PlanTimes(end, left, pause, waiting, until, progress["after_s"] / 3600.0 + waiting_after, waiting_after)
+
+
+def compute_planned_energy(
+    progress: NDArray[np.void], times: PlanTimes, time: Floats, riding: NDArray[np.bool_], usual: UsualConsumption
+) -> EnergyAhead:
+    """Return the energy ahead by plan, until the next planned charge, or else the end of the shift.
+
+    Parameters
+    ----------
+    progress : (n,) PLAN_PROGRESS
+    times : PlanTimes
+    time : (n,) float
+        Now. [s]
+    riding : (n,) bool
     usual : UsualConsumption
 
     Returns
     -------
     EnergyAhead
     """
-    left = np.where(riding, compute_share_left(progress["leg_km"], ride_km - progress["driven_km"]), 1.0)
-    driving = left * progress["leg_s"] + progress["later_s"]
-    end = np.maximum(progress["end"], time + driving)
-    hours = (end - time) / 3600.0
-    waiting = np.maximum(hours - driving / 3600.0, 0.0)
+    left, has_charge = times.left, progress["charges"] > 0.0
     whole, begun, later = (
         np.asarray(np.einsum("ij,ij->i", progress[name], usual.weights))
         for name in ("leg_kwh", "begun_kwh", "later_kwh")
     )
-    approaches = progress["legs"] - riding * (progress["legs"] > 0.0)
-    idling = waiting * usual.standing_power + approaches * usual.approach_energy
+    rides = progress["legs"] - riding * (progress["legs"] > 0.0)
+    approaches = rides + has_charge  # the way to a charger is empty, too
+    idling = times.waiting * usual.standing_power + approaches * usual.approach_energy
     parts = np.column_stack([np.where(riding, left * begun, whole) + later, idling])
-    energy = usual.correct(parts, BY_PLAN)
+    basis = np.where(has_charge, TO_CHARGE, BY_PLAN)
+    energy = usual.correct(parts, basis)
+    timing_sd = usual.standing_power * np.sqrt(rides) * times.pause  # a wait has an sd equal to its mean
     known = (progress["planned"] == 1.0) & is_plan_current(progress["came"], progress["end"], time)
     return EnergyAhead(
         np.where(known, energy.mean, np.nan),
-        energy.sd,
+        np.where(has_charge, np.hypot(energy.sd, timing_sd), energy.sd),
         parts,
         np.where(known, left * progress["leg_km"] + progress["later_km"], np.nan),
-        np.where(known, hours, np.nan),
-        np.where(known, end, np.nan),
+        np.where(known, times.until, np.nan),
+        np.where(known, times.end, np.nan),
         np.where(known, progress["reserve"], np.nan),
-        np.full(len(time), BY_PLAN, np.int64),
+        np.where(known, basis, BY_PLAN),
     )
 
 
@@ -335,23 +409,6 @@ def compute_end_soc(estimate: CarEstimate, energy: MeanAndSd, hours: Floats) -> 
     )
     mean = estimate.soc - np.exp(estimate.compute_mean_log_factor(hours)) * predicted
     return MeanAndSd(mean, np.sqrt(np.maximum(variance, estimate.quantum**2 / 12.0)))
-
-
-def clip_charge(soc: Floats, estimate: CarEstimate) -> Floats:
-    """Return charges ahead of cars, from empty to the present charge: a car that does not charge gains none.
-
-    Parameters
-    ----------
-    soc : (n,) float
-        [1]
-    estimate : CarEstimate
-
-    Returns
-    -------
-    (n,) float
-        [1]
-    """
-    return np.clip(soc, 0.0, estimate.soc)
 
 
 def compute_reserve_risk(end: MeanAndSd, reserve: Floats, quantiles: Floats) -> Floats:

@@ -6,7 +6,7 @@ of the published one. A plan or ride that cannot be used gets a message with the
 
 import re
 from collections.abc import Mapping
-from math import inf, isfinite, nan
+from math import inf, isfinite, isnan, nan
 from typing import Final, NamedTuple
 
 import msgspec
@@ -56,7 +56,12 @@ LEG_LIMITS: Final = {
     "gained_m": LegLimit(5000.0, "metres"),
     "lost_m": LegLimit(5000.0, "metres"),
 }
-"""Limit of each field of a leg."""
+"""Limit of each field of a ride."""
+CHARGE_LIMITS: Final = {
+    "duration_s": LegLimit(24 * 3600.0, "seconds"),
+    "charge_to_soc_pct": LegLimit(100.0, "percent of the battery"),
+}
+"""Limit of each field of a charge."""
 
 
 class _QueryPlan(Wire):
@@ -138,23 +143,42 @@ def find_refusal(plan: Plan, now_s: float, ahead_s: float = AHEAD_S) -> Refusal 
 
 
 def find_leg_fault(leg: Leg) -> str | None:
-    """Return a message about a leg that cannot be driven; None for one that can.
+    """Return a message about a ride that cannot be driven, or a charge that cannot be; None for one that can.
 
     Examples
     --------
     >>> find_leg_fault(Leg(18.0, 1500.0))
     >>> find_leg_fault(Leg(-3.0, 1500.0))
     'distance_km is -3, must be 0 to 1000; give kilometres'
+    >>> find_leg_fault(Leg(duration_s=1800.0, charge_to_soc_pct=180.0))
+    'charge_to_soc_pct is 180, must be 0 to 100; give percent of the battery'
     """
-    for name, (most, unit) in LEG_LIMITS.items():
+    if fault := _find_kind_fault(leg):
+        return fault
+    for name, (most, unit) in (CHARGE_LIMITS if leg.distance_km is None else LEG_LIMITS).items():
         value = getattr(leg, name)
         if value is not None and not 0.0 <= value <= most:
             return f"{name} is {value:g}, must be 0 to {most:g}; give {unit}"
+    if leg.distance_km is None:
+        return None
     if leg.distance_km * 3600.0 > FASTEST_KMH * leg.duration_s:
         return (
             f"{leg.distance_km:g} km in {leg.duration_s:g} s are more than {FASTEST_KMH:g} km/h; "
             "give kilometres as distance_km and seconds as duration_s"
         )
+    return None
+
+
+def _find_kind_fault(leg: Leg) -> str | None:
+    """Return a message about a leg that is neither a ride nor a charge, or both; None for one of them."""
+    if isnan(leg.duration_s):
+        return f"duration_s is not given, must be 0 to {LEG_LIMITS['duration_s'].most:g}; give seconds"
+    if leg.charge_to_soc_pct is None:
+        missing = "distance_km is not given; a ride needs distance_km, a charge charge_to_soc_pct"
+        return missing if leg.distance_km is None else None
+    for name in ("distance_km", "gained_m", "lost_m"):
+        if (value := getattr(leg, name)) is not None:
+            return f"{name} is {value:g} and charge_to_soc_pct {leg.charge_to_soc_pct:g}; give a ride or a charge"
     return None
 
 
@@ -244,7 +268,7 @@ def parse_leg(given: Mapping[str, str]) -> Leg | None:
     Examples
     --------
     >>> parse_leg({"distance_km": "18", "duration_s": "1500"})
-    Leg(distance_km=18.0, duration_s=1500.0, gained_m=None, lost_m=None)
+    Leg(distance_km=18.0, duration_s=1500.0, gained_m=None, lost_m=None, charge_to_soc_pct=None)
     """
     for name in given:
         if name not in LEG_LIMITS:

@@ -3,6 +3,9 @@
 The newest plan replaces the one before, unless it is for a later shift: dispatch may plan tomorrow while today's shift
 is in progress. A plan states when its shift ends, not when it begins, so the end decides its shift. The plan
 of a later shift waits until that shift.
+
+A ride that has ended uses up the next planned ride, and a car that departs after charging uses up the next planned
+charge, in whatever order the plan has them.
 """
 
 from collections.abc import Callable, Sequence
@@ -59,21 +62,30 @@ class ActivePlan(NamedTuple):
     ----------
     plan : Plan
     done : int
-        Number of legs done.
+        Number of rides done.
     driven_km : float
         Distance that the ride in progress had driven when the plan arrived. [km]
     legs : PlannedLegs, optional
         With their energies, once these are known.
+    charged : int
+        Number of charges done.
     """
 
     plan: Plan
     done: int = 0
     driven_km: float = 0.0
     legs: PlannedLegs | None = None
+    charged: int = 0
+
+    def list_charges(self) -> list[float]:
+        """Return the charge after each planned charge that is left. [1]"""
+        planned = [leg.charge_to_soc_pct / 100.0 for leg in self.plan.legs if leg.charge_to_soc_pct is not None]
+        return planned[self.charged :]
 
     def is_over(self, time: float) -> bool:
         """Return whether its shift is over at a time, with overtime while legs are left. [s]"""
-        done = self.done >= len(self.plan.legs)
+        rides = sum(leg.charge_to_soc_pct is None for leg in self.plan.legs)
+        done = self.done >= rides and not self.list_charges()
         return time > self.plan.shift_end_s + (0.0 if done else OVERTIME)
 
 
@@ -86,6 +98,13 @@ class _Step(NamedTuple):
     lane: int
 
 
+class ChargeOutcome(NamedTuple):
+    """Hold the charge that a planned charging was to lead to, and the one with which the car departed. [1]"""
+
+    planned: float
+    reached: float
+
+
 class PlanTracker:
     """Track the plan of each lane, and what it says about the rest of the shift.
 
@@ -96,20 +115,32 @@ class PlanTracker:
         Plans in force, by lane.
     later : dict of int to Plan
         Plans of later shifts, by lane.
+    outcomes : list of ChargeOutcome
+        Of planned charges since they were taken, in order.
     """
 
     def __init__(self) -> None:
         self.progress = np.zeros(0, PLAN_PROGRESS)
         self.plans: dict[int, ActivePlan] = {}
         self.later: dict[int, Plan] = {}
+        self.outcomes: list[ChargeOutcome] = []
         self._ride_km = np.zeros(0)
+        self._arrived = np.zeros(0)  # when each car came to charge last [s]
+        self._departed = np.zeros(0)  # when the last charge ended after which it departed [s]
+        self._planned = np.zeros(0)  # charge that was planned as it came, NaN without a planned charge [1]
         self._riding = np.zeros(0, np.bool_)
         self._waiting = np.zeros(0, np.bool_)  # lanes of `later`
 
     def process(
-        self, running: Totals, rides: Totals, arrivals: Sequence[PlanArrival], get_tables: GetTables, lanes: int
+        self,
+        running: Totals,
+        rides: Totals,
+        arrivals: Sequence[PlanArrival],
+        estimates: NDArray[np.void],
+        get_tables: GetTables,
+        lanes: int,
     ) -> NDArray[np.void]:
-        """Process arrived plans and ended rides; return the progress that applies at each row of running totals.
+        """Process arrived plans, and ended rides and charges; return the progress at each row of running totals.
 
         Parameters
         ----------
@@ -118,6 +149,8 @@ class PlanTracker:
         rides : Totals
             Rides that ended.
         arrivals : sequence of PlanArrival
+        estimates : (n,) SOC_ESTIMATE
+            They state when cars departed after charging.
         get_tables : callable
             Returns the tables of the vehicle model that the car of a lane had at a place in the batch.
         lanes : int
@@ -129,19 +162,22 @@ class PlanTracker:
         """
         self.progress, self._ride_km = grown(self.progress, lanes), grown(self._ride_km, lanes)
         self._riding, self._waiting = grown(self._riding, lanes), grown(self._waiting, lanes)
+        self._arrived, self._departed = grown(self._arrived, lanes), grown(self._departed, lanes)
+        self._planned = grown(self._planned, lanes)
         out = self.progress[running.lane]
         km, time = get_ride_km(running), running.at_last("time")
         ended_km, ended_time = rides.amount("distance") * 1e-3, rides.at_last("time")
         over = np.zeros(len(km), np.bool_)  # rows of rides that have ended since
-        for at, kind, i, lane in self._list_steps(running, rides, arrivals):
-            if kind == _ROW and not self._begins_later_shift(lane, float(time[i])):
+        for at, kind, i, lane in self._list_steps(running, rides, arrivals, estimates):
+            begins = kind == _ROW and self._begins_later_shift(lane, float(time[i]))
+            if kind == _ROW and not (self._follow_charge(lane, estimates[i]) or begins):
                 continue
             of_lane = running.lane == lane
             before = of_lane & (running.at < at)
             if kind == _RIDE_ENDED:
                 over |= before
                 self._end_ride(lane, float(ended_km[i]), float(ended_time[i]))
-            else:
+            elif kind == _PLAN_CAME or begins:
                 rows = np.flatnonzero(before & ~over)
                 driven = float(km[rows[-1]] if len(rows) else self._ride_km[lane])
                 plan = self.later[lane] if kind == _ROW else arrivals[i].plan
@@ -176,22 +212,26 @@ class PlanTracker:
                 return None
             active = kept
         driven = float(self._ride_km[lane]) - active.driven_km
-        whole = active.legs or compute_planned_legs(active.plan, None)
-        return whole.get_remaining(active.done, driven if self._riding[lane] else None)
+        left = (active.legs or compute_planned_legs(active.plan, None)).drop_done(active.done, active.charged)
+        return left.shorten(driven) if self._riding[lane] else left
 
     def is_riding(self, lane: int) -> bool:
         """Return whether a lane's car is on a ride."""
         return bool(self._riding[lane])
 
-    def _list_steps(self, running: Totals, rides: Totals, arrivals: Sequence[PlanArrival]) -> list[_Step]:
-        """Return in order what may change plans; rows only of lanes whose plan may wait."""
+    def _list_steps(
+        self, running: Totals, rides: Totals, arrivals: Sequence[PlanArrival], estimates: NDArray[np.void]
+    ) -> list[_Step]:
+        """Return in order what may change plans; rows only of lanes whose plan may wait, or that have charged."""
         steps = [_Step(arrival.at, _PLAN_CAME, i, arrival.lane) for i, arrival in enumerate(arrivals)]
         ends = zip(rides.at.tolist(), rides.lane.tolist(), strict=True)
         steps += [_Step(at, _RIDE_ENDED, i, lane) for i, (at, lane) in enumerate(ends)]
         may_wait = self._waiting[running.lane]
         if arrivals:
             may_wait |= np.isin(running.lane, [arrival.lane for arrival in arrivals])
-        rows = np.flatnonzero(may_wait)
+        has_arrived = estimates["arrived"] > self._arrived[running.lane]
+        has_charged = (estimates["departed"] == 1.0) & (estimates["unplugged"] > self._departed[running.lane])
+        rows = np.flatnonzero(may_wait | has_arrived | has_charged)
         waiting = zip(running.at[rows].tolist(), rows.tolist(), running.lane[rows].tolist(), strict=True)
         return sorted([*steps, *(_Step(at, _ROW, i, lane) for at, i, lane in waiting)])
 
@@ -226,6 +266,30 @@ class PlanTracker:
             done = km >= SHORTEST_RIDE and time - active.plan.time_s >= PLAN_LAG
             self.plans[lane] = active._replace(done=active.done + done, driven_km=0.0)
 
+    def _follow_charge(self, lane: int, estimate: NDArray[np.void]) -> bool:
+        """Note what is planned as a car comes to charge, and what it reached as it departs, which ends the leg.
+
+        Return whether a leg has ended. A plan that was sent as the charge ended, or later, is about what follows.
+        """
+        active, arrived, unplugged = self.plans.get(lane), float(estimate["arrived"]), float(estimate["unplugged"])
+        left = [] if active is None else active.list_charges()
+        if arrived > self._arrived[lane]:
+            self._arrived[lane], self._planned[lane] = arrived, left[0] if left else np.nan
+        if not (unplugged > self._departed[lane] and estimate["departed"] == 1.0):
+            return False
+        self._departed[lane] = unplugged
+        if np.isfinite(self._planned[lane]):
+            self.outcomes.append(ChargeOutcome(float(self._planned[lane]), float(estimate["charged_soc"])))
+        if active is None or not left or unplugged - active.plan.time_s < PLAN_LAG:
+            return False
+        self.plans[lane] = active._replace(charged=active.charged + 1)
+        return True
+
+    def take_outcomes(self) -> list[ChargeOutcome]:
+        """Return and drop the outcomes of planned charges, in order."""
+        taken, self.outcomes = self.outcomes, []
+        return taken
+
     def _compute_progress(self, lane: int, tables: LegEnergyTables | None) -> NDArray[np.void]:
         """Return the progress of a lane's plan; an empty one without a plan or without tables of the car."""
         active = self.plans.get(lane)
@@ -233,35 +297,39 @@ class PlanTracker:
             return np.zeros((), PLAN_PROGRESS)
         legs = active.legs or compute_planned_legs(active.plan, tables)
         self.plans[lane] = active._replace(legs=legs)
-        return legs.compute_progress(active.done, active.driven_km)
+        return legs.drop_done(active.done, active.charged).compute_progress(active.driven_km)
 
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
         self.plans, self.later = take_keys(self.plans, lanes), take_keys(self.later, lanes)
         self.progress, self._ride_km = take_lanes(self.progress, lanes), take_lanes(self._ride_km, lanes)
         self._riding, self._waiting = take_lanes(self._riding, lanes), take_lanes(self._waiting, lanes)
+        self._arrived, self._departed = take_lanes(self._arrived, lanes), take_lanes(self._departed, lanes)
+        self._planned = take_lanes(self._planned, lanes)
 
     def dump(self) -> Any:
         """Return the state as plain values."""
         plans = [
-            (lane, plan, done, driven_km, legs and (legs.energy.tobytes(), legs.begun_energy.tobytes()))
-            for lane, (plan, done, driven_km, legs) in self.plans.items()
+            (lane, plan, done, driven_km, legs and (legs.energy.tobytes(), legs.begun_energy.tobytes()), charged)
+            for lane, (plan, done, driven_km, legs, charged) in self.plans.items()
         ]
         progress, riding = self.progress.tobytes(), self._riding.tolist()
-        return plans, list(self.later.items()), progress, self._ride_km.tolist(), riding
+        charges = [each.tolist() for each in (self._arrived, self._departed, self._planned)]
+        return plans, list(self.later.items()), progress, self._ride_km.tolist(), riding, charges
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        plans, later, progress, driven, riding = state
+        plans, later, progress, driven, riding, charges = state
         self.progress = np.frombuffer(progress, PLAN_PROGRESS).copy()
         self._ride_km = np.array(driven, dtype=np.float64)
         self._riding = np.array(riding, dtype=np.bool_)
+        self._arrived, self._departed, self._planned = (np.array(each, dtype=np.float64) for each in charges)
         self.plans = {}
-        for lane, raw, done, driven_km, energies in plans:
+        for lane, raw, done, driven_km, energies, charged in plans:
             plan = msgspec.convert(raw, Plan)
             arrays = (np.frombuffer(each).reshape(-1, len(TEMPERATURES)) for each in energies or ())
             legs = energies and PlannedLegs.create(plan, *arrays)
-            self.plans[int(lane)] = ActivePlan(plan, done, driven_km, legs)
+            self.plans[int(lane)] = ActivePlan(plan, done, driven_km, legs, charged)
         self.later = {int(lane): msgspec.convert(raw, Plan) for lane, raw in later}
         self._waiting = np.isin(np.arange(len(self._riding)), list(self.later))
 

@@ -1,5 +1,6 @@
 """Legs of a plan with their energies, and what is left of them while a car drives."""
 
+from math import nan
 from typing import Final, NamedTuple
 
 import msgspec
@@ -27,9 +28,19 @@ PLAN_PROGRESS: Final = np.dtype(
         ("later_kwh", "f8", (_KNOTS,)),  # energy of all legs after the next [kWh]
         ("later_km", "f8"),  # [km]
         ("later_s", "f8"),  # [s]
+        # of plans with charges; the fields above are those of the rides until the next charge
+        ("charges", "f8"),  # number of charges left
+        ("charge_to", "f8"),  # charge after the last of them [1]
+        ("charge_s", "f8"),  # duration of the next one [s]
+        ("between_legs", "f8"),  # number of rides between the next charge and the last one
+        ("between_s", "f8"),  # duration of these rides and of the charges after the next [s]
+        ("after_legs", "f8"),  # number of rides after the last charge
+        ("after_kwh", "f8", (_KNOTS,)),  # their energy [kWh]
+        ("after_km", "f8"),  # distance of all rides after the next charge [km]
+        ("after_s", "f8"),  # duration of the rides after the last charge [s]
     ]
 )
-"""What a plan says about the rest of a shift."""
+"""What a plan says about the rest of a shift, by stretches: until the next charge, and after the last one."""
 
 
 class PlannedLegs(NamedTuple):
@@ -43,7 +54,9 @@ class PlannedLegs(NamedTuple):
     begun_energy : (legs, temperatures) float
         Energy of each leg once it has begun. [kWh]
     km, seconds : (legs,) float
-        Distance [km] and duration [s].
+        Distance [km] and duration [s]. A charge has no distance and takes no energy.
+    charge_to : (legs,) float
+        Charge after a charge, NaN of rides. [1]
     """
 
     plan: Plan
@@ -51,26 +64,31 @@ class PlannedLegs(NamedTuple):
     begun_energy: Floats
     km: Floats
     seconds: Floats
+    charge_to: Floats
 
     @classmethod
     def create(cls, plan: Plan, energy: Floats, begun_energy: Floats) -> "PlannedLegs":
         """Return the legs of a plan that take these energies."""
-        km = np.array([leg.distance_km for leg in plan.legs], dtype=np.float64)
+        km = np.array([leg.distance_km or 0.0 for leg in plan.legs], dtype=np.float64)
         seconds = np.array([leg.duration_s for leg in plan.legs], dtype=np.float64)
-        return cls(plan, energy.reshape(-1, _KNOTS), begun_energy.reshape(-1, _KNOTS), km, seconds)
+        charges = [nan if leg.charge_to_soc_pct is None else leg.charge_to_soc_pct / 100.0 for leg in plan.legs]
+        charge_to = np.array(charges, dtype=np.float64)
+        return cls(plan, energy.reshape(-1, _KNOTS), begun_energy.reshape(-1, _KNOTS), km, seconds, charge_to)
 
-    def get_remaining(self, done: int, driven_km: float | None = None) -> "PlannedLegs":
-        """Return the legs that are left.
+    def drop_done(self, rides: int, charges: int) -> "PlannedLegs":
+        """Return the legs that are left after a number of rides and of charges, in whatever order the car did them."""
+        is_charge = np.isfinite(self.charge_to)
+        left = np.where(is_charge, np.cumsum(is_charge) > charges, np.cumsum(~is_charge) > rides)
+        if left.all():
+            return self
+        legs = [leg for leg, is_left in zip(self.plan.legs, left.tolist(), strict=True) if is_left]
+        plan = msgspec.structs.replace(self.plan, legs=legs)
+        return PlannedLegs.create(plan, self.energy[left], self.begun_energy[left])
 
-        Parameters
-        ----------
-        done : int
-            Number of legs done.
-        driven_km : float, optional
-            Distance driven of the next leg; None where it has not begun. [km]
-        """
-        legs, energy, begun = self.plan.legs[done:], self.energy[done:].copy(), self.begun_energy[done:].copy()
-        if legs and driven_km is not None:
+    def shorten(self, driven_km: float) -> "PlannedLegs":
+        """Return the same legs where the first one is a ride of which a distance has been driven. [km]"""
+        legs, energy, begun = self.plan.legs, self.energy.copy(), self.begun_energy.copy()
+        if legs and legs[0].distance_km is not None:
             share = float(compute_share_left(np.array([legs[0].distance_km]), np.array([driven_km]))[0])
             parts = {name: value and share * value for name, value in msgspec.structs.asdict(legs[0]).items()}
             legs = [Leg(**parts), *legs[1:]]
@@ -84,25 +102,32 @@ class PlannedLegs(NamedTuple):
         energy, begun = (np.concatenate([present[:place], more, present[place:]]) for present, more in parts)
         return PlannedLegs.create(msgspec.structs.replace(self.plan, legs=legs), energy, begun)
 
-    def compute_progress(self, done: int, driven_km: float) -> NDArray[np.void]:
-        """Return what is left, as one PLAN_PROGRESS.
+    def compute_progress(self, driven_km: float) -> NDArray[np.void]:
+        """Return what these legs need, as one PLAN_PROGRESS.
 
         Parameters
         ----------
-        done : int
-            Number of legs done.
         driven_km : float
             Distance that the ride in progress had driven when the plan came. [km]
         """
         out = np.zeros(1, PLAN_PROGRESS)[0]
         out["planned"], out["end"], out["reserve"] = 1.0, self.plan.shift_end_s, self.plan.reserve_soc_pct / 100.0
         out["came"], out["driven_km"] = self.plan.time_s, driven_km
-        out["legs"] = max(len(self.km) - done, 0)
-        if done < len(self.km):
-            out["leg_kwh"], out["begun_kwh"] = self.energy[done], self.begun_energy[done]
-            out["leg_km"], out["leg_s"] = self.km[done], self.seconds[done]
-            out["later_kwh"] = self.energy[done + 1 :].sum(axis=0)
-            out["later_km"], out["later_s"] = self.km[done + 1 :].sum(), self.seconds[done + 1 :].sum()
+        charges = np.flatnonzero(np.isfinite(self.charge_to))
+        until = int(charges[0]) if len(charges) else len(self.km)
+        out["legs"] = until
+        if until:
+            out["leg_kwh"], out["begun_kwh"] = self.energy[0], self.begun_energy[0]
+            out["leg_km"], out["leg_s"] = self.km[0], self.seconds[0]
+            out["later_kwh"] = self.energy[1:until].sum(axis=0)
+            out["later_km"], out["later_s"] = self.km[1:until].sum(), self.seconds[1:until].sum()
+        if len(charges):
+            after = int(charges[-1]) + 1
+            out["charges"], out["charge_to"] = len(charges), self.charge_to[charges[-1]]
+            out["charge_s"], out["between_s"] = self.seconds[until], self.seconds[until + 1 : after].sum()
+            out["between_legs"], out["after_legs"] = after - until - len(charges), len(self.km) - after
+            out["after_kwh"], out["after_s"] = self.energy[after:].sum(axis=0), self.seconds[after:].sum()
+            out["after_km"] = self.km[until:].sum()
         return out
 
 
@@ -128,6 +153,8 @@ def compute_planned_legs(plan: Plan, tables: LegEnergyTables | None) -> PlannedL
     energy, begun_energy = (
         tables.compute_leg_energy(legs.km, legs.seconds, gained, lost, begun=begun) for begun in (False, True)
     )
+    is_charge = np.isfinite(legs.charge_to)
+    energy[is_charge] = begun_energy[is_charge] = 0.0
     return legs._replace(energy=energy, begun_energy=begun_energy)
 
 

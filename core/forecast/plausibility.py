@@ -15,10 +15,11 @@ impossible: 1,500 V and 2,000 A for half an hour are 1.5 MWh. A forecast that is
 
 from collections import Counter
 from math import isfinite
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
+from msgspec import UNSET
 
 from core.batch import Floats
 from core.columns import KMH
@@ -66,6 +67,7 @@ def find_implausible(
     intervals = (
         (rows.range_km_p05, rows.range_km, rows.range_km_p95),
         (rows.end_soc_p05, rows.end_soc, rows.end_soc_p95),
+        (rows.charge_soc_p05, rows.charge_soc, rows.charge_soc_p95),
     )
     faults = {
         "not_finite": np.isinf(rows.soc + rows.soc_sd + rows.risk + predicted + measured + sum(intervals[0])),
@@ -73,7 +75,9 @@ def find_implausible(
         "soc": (rows.soc < 0.0) | (rows.soc > 1.0) | (rows.soc_sd > 1.0),
         "ride_energy": (np.abs(predicted) > most_kwh) | (np.abs(measured) > most_kwh),
         "range": (rows.range_km_p05 < 0.0) | (rows.range_km_p95 > most_km),
-        "end_of_shift": (rows.end_soc_p05 < 0.0) | (rows.end_soc_p95 > 1.0),
+        "end_of_shift": (rows.end_soc_p05 < 0.0)
+        | (rows.end_soc_p95 > 1.0)
+        | ((rows.charge_soc_p05 < 0.0) | (rows.charge_soc_p95 > 1.0)),
         "interval_order": np.any([(low > mean) | (mean > high) for low, mean, high in intervals], axis=0),
         "reserve_risk": (rows.risk < 0.0) | (rows.risk > 1.0),
     }
@@ -100,6 +104,8 @@ def withhold_implausible(outlook: Outlook, implausible: Counter[str]) -> Outlook
     """
     legs = [*outlook.legs, *([outlook.asked] if outlook.asked else [])]
     charges = [outlook.soc_end_of_shift_pct, *(leg.soc_pct for leg in legs)]
+    if outlook.next_charge:
+        charges.append(outlook.next_charge.soc_pct)
     risk = outlook.reserve_risk
     faults = {
         "leg_energy": not all(map(_is_energy_plausible, legs)),
@@ -114,7 +120,7 @@ def withhold_implausible(outlook: Outlook, implausible: Counter[str]) -> Outlook
     asked, *rest = (
         leg and msgspec.structs.replace(leg, energy_kwh=None, soc_pct=None) for leg in (outlook.asked, *outlook.legs)
     )
-    unknown = {"soc_end_of_shift_pct": None, "reserve_risk": None}
+    unknown: dict[str, Any] = {"soc_end_of_shift_pct": None, "reserve_risk": None, "next_charge": UNSET}
     why = f"what this car and its vehicle model have sent leads to a forecast that is not plausible ({cause})"
     return msgspec.structs.replace(outlook, asked=asked, legs=rest, why_not=why, **unknown)
 

@@ -28,7 +28,8 @@ from typing import Any, Final
 from numba import njit
 
 from core.compiled_cache import watch_sources
-from core.forecast import filter_state, kalman_update, soc_reading
+from core.forecast import charge_stops, filter_state, kalman_update, soc_reading
+from core.forecast.charge_stops import DEPARTURE_DISTANCE, SHORTEST_CHARGE, forget_charges, update_charge_stop
 from core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANTUM, DRIVER_NAMED, RUNNING
 from core.forecast.kalman_update import apply_named_driver, update_state
 from core.forecast.soc_reading import compute_jump_variance, compute_published_soc, discard_soc, update_with_reading
@@ -39,10 +40,6 @@ FILTER_RESET_SILENCE: Final = 600.0
 It is a property of the filter, and independent of the operator's setting `gap_time`, at which rides are cut."""
 SHIFT_GAP: Final = 7200.0
 """A longer silence ends a shift. [s]"""
-SHORTEST_CHARGE: Final = 60.0
-"""A shorter charging is ignored. [s]"""
-DEPARTURE_DISTANCE: Final = 300.0
-"""Distance from which the consumption of a shift counts. [m]"""
 ENERGY_SD: Final = 0.15
 """Standard deviation of the energy of a stretch that takes 1 kWh, over the predicted; it grows with the root. [1]"""
 WARM_UP_TIME: Final = 1200.0
@@ -127,6 +124,7 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     state.distance = state.ride_distance = state.hours = state.predicted = state.warmth = 0.0
     state.compared_predicted = state.compared_used = state.jump = 0.0
     state.begin_soc = state.last_soc = state.lowest_soc = state.charged = state.faulty = nan
+    forget_charges(state)
     state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
     state.p_cc = min(state.p_cc + CAPACITY_AGEING**2, CAPACITY_SD**2)
     state.begin_log_capacity = state.log_capacity
@@ -164,7 +162,9 @@ def update_with_totals(state: Any, event: Any) -> None:
         state.distance += distance
         state.ride_distance += event.riding * distance
     silent = passed - max(duration, 0.0) > FILTER_RESET_SILENCE
+    was_charging = state.charging
     charging = update_charging(state, event, passed)
+    update_charge_stop(state, event, was_charging, silent, passed)
     if silent or charging:
         discard_soc(state)
         state.compared_predicted = state.compared_used = 0.0
@@ -290,7 +290,10 @@ def write_estimate(state: Any, out: Any) -> None:
     out.ambient, out.shift, out.quantum = state.ambient, state.shift, state.quantum
     out.charged, out.faulty, out.reported = state.charged, state.faulty, state.last_soc
     out.begin, out.begin_soc, out.distance, out.usual = state.begin, state.begin_soc, state.distance, state.usual
+    out.arrived, out.arrival_soc, out.charged_soc = state.arrived, state.arrival_soc, state.charged_soc
+    out.unplugged = state.unplugged
+    out.departed = 1.0 if state.distance - state.unplugged_distance > DEPARTURE_DISTANCE else 0.0
 
 
-watch_sources(filter_events, filter_state, kalman_update, soc_reading)
-watch_sources(close_shift, filter_state, kalman_update, soc_reading)
+watch_sources(filter_events, charge_stops, filter_state, kalman_update, soc_reading)
+watch_sources(close_shift, charge_stops, filter_state, kalman_update, soc_reading)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
-from core.forecast.conformal import BY_PLAN
+from core.forecast.conformal import BY_HISTORY
 from core.forecast.forecast_rows import ForecastRows
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
@@ -44,7 +44,8 @@ def tabulate_outlooks(parts: Sequence[PublishedForecasts], context: RunContext) 
         Columns: `vehicle_id`, `vehicle_model`, `time_s`, `shift` (its ordinal), `shift_begin_s`, `shift_end_s` (as
         planned, or by the car's usual shifts), `planned`, `soc_pct` (filtered), `soc_mean_pct`, `soc_p05_pct`,
         `soc_p95_pct` (at the end; NaN where unknown), `reserve_soc_pct`, `reserve_risk`, `ahead_km`, `ambient_c`,
-        `soc_begin_pct`, `shift_km`.
+        `soc_begin_pct`, `shift_km`; `charge_s`, `charge_soc_mean_pct`, `charge_soc_p05_pct`, `charge_soc_p95_pct`,
+        `charge_risk` and `charge_km` of the next planned charge, NaN without one.
     """
     names, cars = context.vehicle_ids, context.cars
     lane = np.concatenate([part.lane for part in parts]) if parts else np.zeros(0, np.int64)
@@ -59,7 +60,7 @@ def tabulate_outlooks(parts: Sequence[PublishedForecasts], context: RunContext) 
             "shift": rows.shift.astype(np.int64),
             "shift_begin_s": rows.begin,
             "shift_end_s": rows.end,
-            "planned": rows.basis == BY_PLAN,
+            "planned": rows.basis != BY_HISTORY,
             "soc_pct": 100.0 * rows.soc,
             "soc_mean_pct": 100.0 * rows.end_soc,
             "soc_p05_pct": 100.0 * rows.end_soc_p05,
@@ -70,6 +71,12 @@ def tabulate_outlooks(parts: Sequence[PublishedForecasts], context: RunContext) 
             "ambient_c": rows.ambient_c,
             "soc_begin_pct": 100.0 * rows.begin_soc,
             "shift_km": rows.distance / 1000.0,
+            "charge_s": rows.charge_time,
+            "charge_soc_mean_pct": 100.0 * rows.charge_soc,
+            "charge_soc_p05_pct": 100.0 * rows.charge_soc_p05,
+            "charge_soc_p95_pct": 100.0 * rows.charge_soc_p95,
+            "charge_risk": rows.charge_risk,
+            "charge_km": rows.charge_km,
         }
     )
 

@@ -16,12 +16,13 @@ from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec import UNSET
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
 from core.errors import AskError
-from core.forecast.conformal import BY_HISTORY, BY_PLAN, ErrorBounds
+from core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
 from core.forecast.engine import ForecastEngine
 from core.forecast.filter_state import SOC_ESTIMATE
 from core.forecast.outlook import (
@@ -29,19 +30,28 @@ from core.forecast.outlook import (
     CarEstimate,
     EnergyAhead,
     MeanAndSd,
-    clip_charge,
+    PlanTimes,
     compute_end_soc,
     compute_planned_energy,
-    compute_reserve_risk,
     compute_temperature_weights,
     fill_from_history,
+    schedule_plan,
 )
 from core.forecast.plan_checks import find_refusal
 from core.forecast.plan_tracker import LONGEST_SHIFT
 from core.forecast.planned_legs import PlannedLegs, compute_planned_legs
+from core.forecast.soc_ahead import (
+    LearnedErrors,
+    SocAhead,
+    SocForecast,
+    estimate_after_charge,
+    find_charging_since,
+    forecast_soc,
+    forecast_soc_ahead,
+)
 from core.forecast.soc_filter import METER_GAIN_SD, write_estimate
 from core.forecast.soc_reading import READING_SD
-from core.wire.messages import Interval, Leg, LegOutlook, Outlook, Plan
+from core.wire.messages import Interval, Leg, LegOutlook, NextCharge, Outlook, Plan
 
 _ROUNDING_KWH: Final = 1e-9
 
@@ -52,6 +62,11 @@ class IntervalColumns(NamedTuple):
     mean: Floats
     p05: Floats
     p95: Floats
+
+    @classmethod
+    def of_soc(cls, soc: SocForecast) -> "IntervalColumns":
+        """Return the intervals of charges. [%]"""
+        return cls(100.0 * soc.mean, 100.0 * soc.p05, 100.0 * soc.p95)
 
     def list_intervals(self) -> list[Interval | None]:
         """Return the intervals, None where one is unknown."""
@@ -75,6 +90,7 @@ class CarOutlook:
         estimate = np.zeros(1, SOC_ESTIMATE)
         self.state = engine.state[lane]
         write_estimate(self.state, estimate[0])
+        self.filtered = estimate
         kinds = cars.of_lane[[lane]]
         self.shift_begin = float(estimate["begin"][0])
         self.estimate = CarEstimate.from_filter(estimate, cars.capacity[kinds])
@@ -84,41 +100,37 @@ class CarOutlook:
         end = np.array([shift_end]) if np.isfinite(shift_end) else usual_end
         ambient = statistics.daily_cycle.expect_ambient(estimate["ambient"], np.array([self.time]), end)
         self.usual = statistics.compute_usual(kinds, compute_temperature_weights(ambient))
-        self.ahead_c = ambient - ZERO_CELSIUS
         self.tables = statistics.get_tables(lane)
         self.model_name = cars.name(int(kinds[0]))
         self.mean_pause = inf if self.tables is None else self.tables.mean_pause
-        self.conformal = statistics.conformal
+        self.errors = LearnedErrors(statistics.conformal, statistics.charged_soc, ambient - ZERO_CELSIUS)
 
-    def compute_charge(
-        self, energy: MeanAndSd, hours: Floats, basis: Ints
-    ) -> tuple[IntervalColumns, MeanAndSd, Floats]:
+    def forecast(self, begin: CarEstimate, energy: MeanAndSd, hours: Floats, basis: int, most: float) -> SocForecast:
         """Return the charge after energies.
 
         Parameters
         ----------
+        begin : CarEstimate
+            Where they begin.
         energy : MeanAndSd
             n energies. [kWh]
         hours : (n,) float
             Time in which each is spent. [h]
-        basis : (n,) int
-            `BY_PLAN` or `BY_HISTORY`.
+        basis : int
+            Basis of the forecasts.
+        most : float
+            Largest charge that is possible. [1]
 
         Returns
         -------
-        IntervalColumns
-            [%]
-        MeanAndSd
-            The same before the conformal correction. [1]
-        (n, levels) float
-            Quantiles of the standardised error. [1]
+        SocForecast
         """
-        quantiles, bounds = self._get_errors(energy.mean, basis)
-        end = compute_end_soc(self.estimate, energy, hours)
-        mean, p05, p95 = (100.0 * clip_charge(end.mean + end.sd * bound, self.estimate) for bound in bounds)
-        return IntervalColumns(mean, p05, p95), end, quantiles
+        n = len(hours)
+        errors = self.errors._replace(ahead_c=np.repeat(self.errors.ahead_c, n))
+        reserve = np.full(n, nan)
+        return forecast_soc(begin, energy, hours, np.full(n, basis), self.usual, errors, reserve, np.full(n, most))
 
-    def compute_leg_intervals(self, legs: PlannedLegs, energy: MeanAndSd, basis: Ints) -> IntervalColumns:
+    def compute_leg_intervals(self, legs: PlannedLegs, energy: MeanAndSd, basis: int) -> IntervalColumns:
         """Return the energy that each leg takes from the battery.
 
         Parameters
@@ -127,8 +139,8 @@ class CarOutlook:
             Of n legs.
         energy : MeanAndSd
             Predicted energies. [kWh]
-        basis : (n,) int
-            `BY_PLAN` or `BY_HISTORY`.
+        basis : int
+            Basis of the forecasts.
 
         Returns
         -------
@@ -138,7 +150,8 @@ class CarOutlook:
         zero = np.zeros(1)
         only_leg = self.estimate._replace(variance=zero, covariance=zero, soc=zero, quantum=zero)
         end = compute_end_soc(only_leg, energy, legs.seconds / 3600.0)
-        _, bounds = self._get_errors(energy.mean, basis)
+        n, energy_km = len(energy.mean), energy.mean / self.usual.energy_per_km
+        _, bounds = self.errors.conformal.get_quantiles(np.full(n, basis), energy_km, np.repeat(self.errors.ahead_c, n))
         least = np.array([-np.inf if leg.lost_m else 0.0 for leg in legs.plan.legs])  # only descents return energy
 
         def compute_energy(bound: Floats) -> Floats:
@@ -147,11 +160,6 @@ class CarOutlook:
         return IntervalColumns(
             mean=compute_energy(bounds.middle), p05=compute_energy(bounds.upper), p95=compute_energy(bounds.lower)
         )
-
-    def _get_errors(self, energy: Floats, basis: Ints) -> tuple[Floats, ErrorBounds]:
-        """Return the distribution of the errors of forecasts of energies."""
-        ambient = np.repeat(self.ahead_c, len(energy))
-        return self.conformal.get_quantiles(basis, energy / self.usual.energy_per_km, ambient)
 
 
 class RouteAhead(NamedTuple):
@@ -178,47 +186,122 @@ class RouteAhead(NamedTuple):
         queried = compute_planned_legs(Plan("", now.time, now.time, 0.0, [leg]), now.tables)
         return cls(left.insert(int(in_progress), queried), in_progress, int(in_progress))
 
-    def compute_ahead(self, now: CarOutlook) -> EnergyAhead:
-        """Return the energy ahead until the shift ends, as for a forecast."""
-        zero, time = np.zeros(1), np.array([now.time])
-        progress = self.legs.compute_progress(0, 0.0).reshape(1)
-        return compute_planned_energy(progress, time, zero, np.array([self.in_progress]), now.usual)
+    def compute_ahead(self, now: CarOutlook) -> "WayAhead":
+        """Return the energy ahead by plan, as for a forecast."""
+        time, riding = np.array([now.time]), np.array([self.in_progress])
+        progress = self.legs.compute_progress(0.0).reshape(1)
+        charging_since = find_charging_since(now.filtered, progress["came"])
+        times = schedule_plan(progress, time, np.zeros(1), riding, charging_since, now.usual)
+        energy = compute_planned_energy(progress, times, time, riding, now.usual)
+        return WayAhead(progress, times, charging_since, energy)
 
-    def compute_leg_outlooks(self, now: CarOutlook, ahead: EnergyAhead, end: IntervalColumns) -> list[LegOutlook]:
+    def compute_leg_outlooks(self, now: CarOutlook, way: "WayAhead", soc: SocAhead) -> list[LegOutlook]:
         """Return the outlook of each leg.
 
         Parameters
         ----------
         now : CarOutlook
-        ahead : EnergyAhead
+        way : WayAhead
             Until the end of the shift.
-        end : IntervalColumns
-            Charge at the end of the shift, of one row. [%]
+        soc : SocAhead
+            Forecasts for its end and for the next planned charge.
         """
-        place, hours = np.arange(len(self.legs.km)), self.legs.seconds / 3600.0
-        waits = place >= self.in_progress + (self.query_place is not None)
-        spare = max(float(ahead.hours[0]) - float(hours.sum()), 0.0)
-        pause = waits * min(spare / max(int(waits.sum()), 1), now.mean_pause)
+        is_charge = np.isfinite(self.legs.charge_to)
+        legs = self._spread_time(now, way)
+        only = now.usual.correct(np.column_stack([legs.driving, np.zeros(len(is_charge))]), legs.correct_by)
+        energy = now.compute_leg_intervals(self.legs, only, legs.basis).list_intervals()
+        stretch, out = np.cumsum(is_charge), []
+        for number in range(int(is_charge.sum()) + 1):
+            rows = np.flatnonzero(stretch == number)
+            levels = self._compute_stretch(now, way, soc, legs, rows, number).list_intervals()
+            out += [
+                self._describe_leg(place, energy[place], level)
+                for place, level in zip(rows.tolist(), levels, strict=False)  # the charge may have one more row
+            ]
+        return out
+
+    def _spread_time(self, now: CarOutlook, way: "WayAhead") -> "LegTimes":
+        """Return the time and the energy of each leg and of the wait before it."""
+        is_charge = np.isfinite(self.legs.charge_to)
+        place, hours = np.arange(len(is_charge)), self.legs.seconds / 3600.0
+        waits = (place >= self.in_progress + (self.query_place is not None)) & ~is_charge
+        until_end = (float(way.energy.end[0]) - now.time) / 3600.0
+        ahead = until_end if is_charge.any() else float(way.energy.hours[0])
+        spare = max(ahead - float(hours.sum()), 0.0)
+        pause = np.asarray(waits * min(spare / max(int(waits.sum()), 1), now.mean_pause), np.float64)
+        approaches = (place >= self.in_progress) & ~is_charge
+        idling = pause * now.usual.standing_power + approaches * now.usual.approach_energy
         driving = self.legs.energy @ now.usual.weights[0]
-        idling = pause * now.usual.standing_power + (place >= self.in_progress) * now.usual.approach_energy
-        energy = now.usual.correct(np.column_stack([driving, np.zeros(len(driving))]), BY_PLAN)
-        spent = now.usual.correct(np.cumsum(np.column_stack([driving, idling]), axis=0), BY_PLAN)
-        timing_sd = now.usual.standing_power * np.sqrt(np.cumsum(pause**2))
-        has_plan_errors = np.isfinite(now.conformal.bounds["lower"][BY_PLAN]).any()  # not in a fleet without plans
-        basis = np.full(len(place), BY_PLAN if has_plan_errors else BY_HISTORY)
+        if is_charge.any():
+            return LegTimes(hours, pause, driving, idling, TO_CHARGE, TO_CHARGE)
+        has_plan_errors = np.isfinite(now.errors.conformal.bounds["lower"][BY_PLAN]).any()  # not without plans
+        return LegTimes(hours, pause, driving, idling, BY_PLAN if has_plan_errors else BY_HISTORY, BY_PLAN)
+
+    def _compute_stretch(
+        self, now: CarOutlook, way: "WayAhead", soc: SocAhead, legs: "LegTimes", rows: Ints, number: int
+    ) -> IntervalColumns:
+        """Return the charge after each leg of a stretch between charges; a row for its end follows where known."""
+        charges = np.flatnonzero(np.isfinite(self.legs.charge_to))
+        begin, basis, most = now.estimate, legs.basis, float(now.estimate.soc[0])
+        hours = legs.hours[rows]
+        if number:
+            place, basis, most = charges[number - 1], OVER_CHARGE, 1.0
+            hours = np.append(0.0, hours[1:])  # the charge itself is over where the stretch begins
+            passed = np.array([float((legs.hours + legs.pause)[: place + 1].sum())])
+            begin = estimate_after_charge(now.estimate, self.legs.charge_to[[place]], passed, now.errors.charged_soc)
+        if number == len(charges) and soc.charged is not None:
+            begin = soc.charged
+        parts = np.cumsum(np.column_stack([legs.driving, legs.idling])[rows], axis=0)
+        spent = now.usual.correct(parts, legs.correct_by)
+        timing_sd = now.usual.standing_power * np.sqrt(np.cumsum(legs.pause[rows] ** 2))
         until_leg = MeanAndSd(spent.mean, np.hypot(spent.sd, timing_sd))
-        charge, _, _ = now.compute_charge(until_leg, np.cumsum(pause + hours), basis)
-        until_end = np.append(spent.mean, ahead.energy)
-        charge = IntervalColumns(
-            *(make_consistent(np.append(legs, last), until_end) for legs, last in zip(charge, end, strict=True))
+        levels = IntervalColumns.of_soc(
+            now.forecast(begin, until_leg, np.cumsum(legs.pause[rows] + hours), basis, most)
         )
-        rows = zip(
-            self.legs.plan.legs,
-            now.compute_leg_intervals(self.legs, energy, basis).list_intervals(),
-            charge.list_intervals(),
-            strict=False,  # the charge has one more row, the end of the shift
+        if 0 < number < len(charges):
+            return levels
+        end = IntervalColumns.of_soc(soc.end if number == len(charges) else soc.charge)
+        until_end = np.append(spent.mean, inf if number else way.energy.energy)
+        return IntervalColumns(
+            *(make_consistent(np.append(of_legs, last), until_end) for of_legs, last in zip(levels, end, strict=True))
         )
-        return [LegOutlook(leg.distance_km, leg.duration_s, kwh, soc) for leg, kwh, soc in rows]
+
+    def _describe_leg(self, place: int, energy: Interval | None, soc: Interval | None) -> LegOutlook:
+        """Return the outlook of the leg at an index."""
+        leg = self.legs.plan.legs[place]
+        if leg.charge_to_soc_pct is not None:
+            return LegOutlook(0.0, leg.duration_s, None, soc, leg.charge_to_soc_pct)
+        return LegOutlook(leg.distance_km or 0.0, leg.duration_s, energy, soc)
+
+
+class LegTimes(NamedTuple):
+    """Hold how the time and the energy ahead are spread over n legs.
+
+    Parameters
+    ----------
+    hours, pause : (n,) float
+        Time of each leg and of the wait before it. [h]
+    driving, idling : (n,) float
+        Energy of both. [kWh]
+    basis, correct_by : int
+        Bases of the forecasts, and of the correction of the energies.
+    """
+
+    hours: Floats
+    pause: Floats
+    driving: Floats
+    idling: Floats
+    basis: int
+    correct_by: int
+
+
+class WayAhead(NamedTuple):
+    """Hold the plan of one car, with its times and its energy until the next planned charge or the end of the shift."""
+
+    progress: NDArray[np.void]
+    times: PlanTimes
+    charging_since: Floats
+    energy: EnergyAhead
 
 
 def make_consistent(charge: Floats, spent: Floats) -> Floats:
@@ -277,14 +360,18 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
     left = tracker.get_remaining_legs(lane, time, plan, engine.statistics.get_tables(lane))
     now = CarOutlook(engine, lane, nan if left is None else left.plan.shift_end_s)
     no_legs = compute_planned_legs(Plan("", now.time, now.time, 100.0 * DEFAULT_RESERVE, []), now.tables)
-    in_progress = left is not None and tracker.is_riding(lane) and len(left.km) > 0
+    in_progress = tracker.is_riding(lane) and left is not None and len(left.km) > 0 and np.isnan(left.charge_to[0])
     route = RouteAhead.create(left or no_legs, in_progress, leg, now)
-    ahead = route.compute_ahead(now)
+    way = route.compute_ahead(now)
     if left is None:
-        ahead = _add_history(ahead, leg is not None, now)
-    end, raw_end, quantiles = now.compute_charge(MeanAndSd(ahead.energy, ahead.sd), ahead.hours, ahead.basis)
-    (end_interval,) = end.list_intervals()
-    legs = route.compute_leg_outlooks(now, ahead, end)
+        way = way._replace(energy=_add_history(way.energy, leg is not None, now))
+    ahead = way.energy
+    soc = forecast_soc_ahead(
+        now.estimate, ahead, way.progress, way.times, np.array([now.time]), way.charging_since, now.usual, now.errors
+    )
+    (end_interval,) = IntervalColumns.of_soc(soc.end).list_intervals()
+    (charge,) = IntervalColumns.of_soc(soc.charge).list_intervals()
+    legs = route.compute_leg_outlooks(now, way, soc)
     capacity = float(now.estimate.capacity[0] * np.exp(now.state["log_capacity"]))
     capacity_sd = capacity * float(np.hypot(np.sqrt(now.state["p_cc"]), METER_GAIN_SD))
     no_energy = _explain_unknown_energy(left is not None, ahead, lane in tracker.later, now.pattern)
@@ -302,8 +389,11 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
         shift_end_s=_none_if_unknown(float(ahead.end[0])),
         soc_end_of_shift_pct=end_interval,
         reserve_soc_pct=100.0 * float(ahead.reserve[0]),
-        reserve_risk=_none_if_unknown(float(compute_reserve_risk(raw_end, ahead.reserve, quantiles)[0])),
+        reserve_risk=_none_if_unknown(float(soc.end.risk[0])),
         why_not=_explain_unknown_end(now, end_interval, no_energy),
+        next_charge=UNSET
+        if charge is None
+        else NextCharge(float(soc.charge_time[0]), charge, _none_if_unknown(float(soc.charge.risk[0]))),
     )
 
 
@@ -330,6 +420,7 @@ def withhold_charge(outlook: Outlook, silent_s: float) -> Outlook:
         shift_end_s=None,
         soc_end_of_shift_pct=None,
         reserve_risk=None,
+        next_charge=UNSET,
         why_not=f"the car has been silent for {silent_s / 3600.0:.1f} h while other cars sent data, so its shift "
         "is over",
     )

@@ -6,11 +6,12 @@ Names of fields carry their units. `core.wire.decoder` turns payloads into colum
 import re
 from collections.abc import Callable
 from functools import lru_cache
+from math import nan
 from operator import attrgetter
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import msgspec
-from msgspec import Meta
+from msgspec import UNSET, Meta, UnsetType
 
 IDENTITY: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 """Valid identity of a vehicle or a station."""
@@ -112,14 +113,20 @@ class Ride(Wire):
 
 
 class Leg(Wire):
-    """Leg of a plan."""
+    """Leg of a plan: a ride, or a charge with `charge_to_soc_pct` in place of the distance.
 
-    distance_km: Annotated[float, Meta(description="Distance of the leg. [km]")]
-    duration_s: Annotated[float, Meta(description="Duration of the leg. [s]")]
+    `core.forecast.plan_checks` refuses a leg without a duration, and one that is neither a ride nor a charge.
+    """
+
+    distance_km: Annotated[float | None, Meta(description="Distance of a ride. [km]")] = None
+    duration_s: Annotated[float, Meta(description="Duration of the leg. [s]")] = nan
     gained_m: Annotated[float | None, Meta(description="Sum of climbs; as usual of the fleet where unknown. [m]")] = (
         None
     )
     lost_m: Annotated[float | None, Meta(description="Sum of descents; as usual of the fleet where unknown. [m]")] = (
+        None
+    )
+    charge_to_soc_pct: Annotated[float | None, Meta(description="State of charge up to which the car charges. [%]")] = (
         None
     )
 
@@ -162,6 +169,16 @@ class Interval(Wire, omit_defaults=False):
     p95: Annotated[float, Meta(description="95th percentile.")]
 
 
+class NextCharge(Wire, omit_defaults=False):
+    """Forecast for the beginning of the next planned charge."""
+
+    time_s: Annotated[float, Meta(description="Time at which the car is expected to charge. [Unix s]")]
+    soc_pct: Annotated[Interval, Meta(description="State of charge then. [%]")]
+    reserve_risk: Annotated[
+        float | None, Meta(description="Probability that the state of charge falls below the reserve before. [1]")
+    ]
+
+
 class QualityCounts(Wire, omit_defaults=False):
     """Samples repaired or rejected since the ride began, by cause."""
 
@@ -196,15 +213,26 @@ class Forecast(Wire, omit_defaults=False):
         Meta(description="Probability that the state of charge falls below the reserve before the shift ends. [1]"),
     ]
     quality: Annotated[QualityCounts, Meta(description="Samples repaired or rejected since the ride began, by cause.")]
+    next_charge: Annotated[
+        NextCharge | UnsetType | None, Meta(description="The next planned charge; absent where none is ahead.")
+    ] = UNSET
 
 
 class LegOutlook(Wire, omit_defaults=False):
     """Forecast for a leg of a plan."""
 
-    distance_km: Annotated[float, Meta(description="Distance of the leg, as planned. [km]")]
+    distance_km: Annotated[float, Meta(description="Distance of the leg, as planned; 0 of a charge. [km]")]
     duration_s: Annotated[float, Meta(description="Duration of the leg, as planned. [s]")]
     energy_kwh: Annotated[Interval | None, Meta(description="Energy that the leg draws from the battery. [kWh]")]
     soc_pct: Annotated[Interval | None, Meta(description="State of charge at the end of the leg. [%]")]
+    charge_to_soc_pct: Annotated[
+        float | UnsetType | None,
+        Meta(description="State of charge up to which the car charges; absent for a ride. [%]"),
+    ] = UNSET
+
+    def is_charge(self) -> bool:
+        """Return whether the leg is a charge, and no ride."""
+        return self.charge_to_soc_pct is not UNSET and self.charge_to_soc_pct is not None
 
 
 class Outlook(Wire, omit_defaults=False):
@@ -240,6 +268,9 @@ class Outlook(Wire, omit_defaults=False):
         ),
     ]
     why_not: Annotated[str | None, Meta(description="Reason for which any of these is null, in words.")]
+    next_charge: Annotated[
+        NextCharge | UnsetType | None, Meta(description="The next planned charge; absent where none is ahead.")
+    ] = UNSET
 
 
 class Gain(Wire, omit_defaults=False):

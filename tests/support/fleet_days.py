@@ -21,6 +21,8 @@ PERIOD = 15.0
 LEGS, LEG, RIDE = 8, 900.0, 600.0
 """Number of legs of a shift, and the duration of each with and without its pause. [s]"""
 SHIFT = LEGS * LEG
+CHARGED_LEG = 4
+"""Leg that `columns_with_charge` replaces by a charge."""
 CAPACITY = 21.6
 """Approximate usable capacity. [kWh]"""
 SETTINGS = Settings(period=PERIOD, forecast_time=60.0)
@@ -63,6 +65,43 @@ def columns(car: str, day: int, quantum: float = 0.5, hours: float = SHIFT / 360
         power = 1000.0 * np.diff(used, prepend=0.0) * 3600.0 / PERIOD
         made |= {"battery_voltage_v": np.full(len(passed), 360.0), "battery_current_a": power / 360.0}
     return made
+
+
+def columns_with_charge(car: str, day: int, to_pct: float = 90.0, sends: bool = True) -> Columns:
+    """Return the samples of a shift in which the car charges instead of driving the leg `CHARGED_LEG`.
+
+    Parameters
+    ----------
+    car : str
+    day : int
+    to_pct : float
+        Charge when it departs. [%]
+    sends : bool
+        Whether it sends samples while it charges.
+    """
+    sent = columns(car, day)
+    passed = sent["time_s"] - sent["time_s"][0]
+    stands = (passed >= LEG * CHARGED_LEG - 1.0) & (passed < LEG * (CHARGED_LEG + 1) - 1.0)
+    plugged = stands & (passed >= LEG * CHARGED_LEG + 60.0) & (passed < LEG * CHARGED_LEG + 840.0)
+    sent["speed_kmh"][stands], sent["ride_id"][stands] = 0.0, None
+    before, after = np.flatnonzero(plugged)[0] - 1, np.flatnonzero(plugged)[-1] + 1
+    soc = sent["soc_pct"]
+    soc[stands] = soc[before]
+    soc[plugged] = np.round(2.0 * np.linspace(soc[before], to_pct, int(plugged.sum()))) / 2.0
+    begins = np.flatnonzero(stands)[-1] + 1
+    soc[begins:] += to_pct - soc[begins]
+    soc[after:begins] = to_pct
+    made = sent | {"charging": plugged}
+    return made if sends else {name: values[~plugged] for name, values in made.items()}
+
+
+def plan_with_charge(car: str, day: int, time: float, to_pct: float = 90.0) -> Message:
+    """Return the plan of a shift with a charge instead of the leg `CHARGED_LEG`."""
+    legs: list[dict[str, float]] = [
+        {"distance_km": RIDE * v / 1000.0, "duration_s": RIDE} for v in speeds(car, day).tolist()
+    ]
+    legs[CHARGED_LEG] = {"duration_s": 780.0, "charge_to_soc_pct": to_pct}
+    return plan(car, day, time, legs=legs)
 
 
 def plan(car: str, day: int, time: float, last: int = LEGS, **changed) -> Message:

@@ -147,6 +147,9 @@ def figures(outlook: Outlook) -> Iterator[tuple[str, str]]:
     ride, end = outlook.asked, outlook.soc_end_of_shift_pct
     if ride and ride.soc_pct:
         yield "at arrival", f"{_format_interval(ride.soc_pct, '%')}, {_apart(ride.soc_pct.mean, reserve)}"
+    if charge := outlook.next_charge:
+        level = f"{_format_interval(charge.soc_pct, '%')} at {_clock(charge.time_s)}"
+        yield "next charge", f"{level}, {_apart(charge.soc_pct.mean, reserve)}"
     if end:
         when = f" at {_clock(outlook.shift_end_s)}" if outlook.shift_end_s is not None else ""
         yield "end of shift", f"{_format_interval(end, '%')}{when}, {_apart(end.mean, reserve)}"
@@ -207,10 +210,13 @@ def _clock(time_s: float) -> str:
 
 
 def _planned(legs: Sequence[LegOutlook]) -> str:
-    """Return the text of the remaining legs of a plan: number, distance and energy."""
-    known = [leg.energy_kwh.mean for leg in legs if leg.energy_kwh]
-    takes = f", {sum(known):.1f} kWh" if len(known) == len(legs) else ""
-    return f"{len(legs)} leg{'s' * (len(legs) != 1)}, {sum(leg.distance_km for leg in legs):.0f} km{takes}"
+    """Return the text of the remaining legs of a plan: number, distance and energy of rides, and charges."""
+    rides = [leg for leg in legs if not leg.is_charge()]
+    known = [leg.energy_kwh.mean for leg in rides if leg.energy_kwh]
+    takes = f", {sum(known):.1f} kWh" if len(known) == len(rides) else ""
+    text = f"{len(rides)} leg{'s' * (len(rides) != 1)}, {sum(leg.distance_km for leg in rides):.0f} km{takes}"
+    charges = [f"{leg.charge_to_soc_pct:g} %" for leg in legs if leg.is_charge()]
+    return f"{text}, charges to {' and '.join(charges)}" if charges else text
 
 
 def _now(outlook: Outlook) -> str:

@@ -1,9 +1,8 @@
 """Write the messages of dispatch for a shift: the car, its rides, and its plans."""
 
 from operator import attrgetter
-from typing import Any, Final
+from typing import Final
 
-import msgspec
 import numpy as np
 
 from core.wire.messages import Leg, Message, Plan, Ride, Vehicle, Wire, encode
@@ -83,9 +82,9 @@ def _make_plans(name: str, car: Car, shift: Shift, conditions: Conditions, rng: 
     return messages
 
 
-def _list_legs(shift: Shift, planned: list[Interlude], step: int, done: int, known: int) -> list[Any]:
+def _list_legs(shift: Shift, planned: list[Interlude], step: int, done: int, known: int) -> list[Leg]:
     """Return the legs after a step, from trip `done` up to the trip `known`, from which others are planned."""
-    legs: list[Any] = []
+    legs: list[Leg] = []
     for place in range(done, min(known, len(shift.trips) + 1)):
         legs += [_leg(each) for each in planned if each.before == place and each.end > step]
         if place < len(shift.trips) and (leg := shift.trips[place].planned):
@@ -93,11 +92,11 @@ def _list_legs(shift: Shift, planned: list[Interlude], step: int, done: int, kno
     return legs
 
 
-def _leg(interlude: Interlude) -> Any:
+def _leg(interlude: Interlude) -> Leg:
     """Return the leg of an interlude."""
     if interlude.distance_km is not None:
         return Leg(distance_km=interlude.distance_km, duration_s=interlude.duration_s)
-    return {"duration_s": interlude.duration_s, "charge_to_soc_pct": interlude.charge_to_pct}
+    return Leg(duration_s=interlude.duration_s, charge_to_soc_pct=interlude.charge_to_pct)
 
 
 def _dream(car: Car, rides: int, rng: np.random.Generator) -> list[Leg]:
@@ -107,15 +106,11 @@ def _dream(car: Car, rides: int, rng: np.random.Generator) -> list[Leg]:
     return [Leg(distance_km=round(each, 2), duration_s=round(120.0 + 155.0 * each)) for each in km.tolist()]
 
 
-def _plan_message(name: str, shift: Shift, when: float, legs: list[Any]) -> Message:
-    """Return a plan; legs that charge are not yet part of `core.wire.messages.Leg`."""
+def _plan_message(name: str, shift: Shift, when: float, legs: list[Leg]) -> Message:
+    """Return a plan."""
     end = shift.time + shift.length
-    if all(isinstance(leg, Leg) for leg in legs):
-        return _message(
-            "plan", Plan(vehicle_id=name, time_s=when, shift_end_s=end, reserve_soc_pct=RESERVE, legs=legs), when
-        )
-    content = {"vehicle_id": name, "time_s": when, "shift_end_s": end, "reserve_soc_pct": RESERVE, "legs": legs}
-    return Message(f"fleet/{name}/plan", msgspec.json.encode(content), _receipt(when))
+    plan = Plan(vehicle_id=name, time_s=when, shift_end_s=end, reserve_soc_pct=RESERVE, legs=legs)
+    return _message("plan", plan, when)
 
 
 def _message(kind: str, value: Wire, when: float) -> Message:

@@ -453,7 +453,7 @@ def _misjudge(planned: Leg, spread: float, common: float, rng: np.random.Generat
     sd = float(np.sqrt(np.log1p(spread**2)))
     factor = float(np.exp(sd * (common + np.sqrt(0.75) * rng.normal()) - 0.5 * sd**2))
     return Leg(
-        distance_km=round(planned.distance_km * factor, 2),
+        distance_km=round((planned.distance_km or 0.0) * factor, 2),
         duration_s=round(planned.duration_s * factor),
         gained_m=planned.gained_m,
         lost_m=planned.lost_m,

@@ -7,6 +7,7 @@ legs that end before the charge can be evaluated. Queries are therefore made thr
 """
 
 from collections.abc import Callable, Iterator
+from itertools import takewhile
 from math import inf
 from typing import Any, Final
 
@@ -80,9 +81,9 @@ class LegRecorder:
 
 
 def _rows(vehicle: str, answer: Outlook) -> Iterator[tuple[Any, ...]]:
-    """Return the forecast of each leg."""
+    """Return the forecast of each leg before the next planned charge."""
     km = 0.0
-    for place, leg in enumerate(answer.legs):
+    for place, leg in enumerate(takewhile(lambda each: not each.is_charge(), answer.legs)):
         km += leg.distance_km
         if leg.soc_pct is not None:
             forecast = leg.soc_pct.mean, leg.soc_pct.p05, leg.soc_pct.p95

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown, take_lanes
-from core.forecast.conformal import BASES, ConformalIntervals
+from core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals
 from core.forecast.filter_state import LOG_FACTOR_PRIOR
 from core.forecast.learning.car_driver import ConsumptionFactors, ShiftPattern
+from core.forecast.learning.charged_soc import ChargedSoc
 from core.forecast.learning.daily_cycle import DailyCycle
 from core.forecast.learning.energy_correction import EnergyCorrection
 from core.forecast.learning.first_tables import make_first_tables
@@ -86,7 +87,7 @@ class FleetStatistics:
         self._context, self._cars = context, context.cars
         self.rides, self.factors = RideStatistics(width), ConsumptionFactors()
         self.conformal, self.correction = ConformalIntervals(), EnergyCorrection(BASES)
-        self.daily_cycle = DailyCycle()
+        self.daily_cycle, self.charged_soc = DailyCycle(), ChargedSoc()
         self.interval_outcomes: Ints = np.zeros((BASES, 3), np.int64)
         self.prior = np.zeros(0, LOG_FACTOR_PRIOR)
         self._patterns = np.zeros(0, SHIFT_PATTERN)
@@ -124,7 +125,8 @@ class FleetStatistics:
         for each in errors:
             self.conformal.add_shift(each.basis, each.ahead_km, each.ahead_c, each.scores)
             self.correction.add_shift(each.basis, each.parts)
-            self.daily_cycle.add_shift(each.time, each.ambient_c)
+            if each.basis != TO_CHARGE:  # recorded with a forecast for the end of the shift
+                self.daily_cycle.add_shift(each.time, each.ambient_c)
             self.interval_outcomes[each.basis] += each.outcomes
 
     def add_shift(self, energy: ShiftEnergy, pattern: ShiftPattern | None) -> None:
@@ -145,6 +147,7 @@ class FleetStatistics:
         self.conformal.apply_daily_update()
         self.correction.apply_daily_update()
         self.daily_cycle.apply_daily_update()
+        self.charged_soc.apply_daily_update()
         for lane in range(len(self.prior)):
             self.prior[lane] = self.factors.expect(lane)
             self._patterns[lane] = self.factors.get_usual_pattern(lane)
@@ -195,6 +198,7 @@ class FleetStatistics:
             approach_energy=interpolate(self._rows.approach_energy),
             energy_per_km=interpolate(self._rows.energy_per_km),
             mean_power=interpolate(self._rows.mean_power),
+            mean_pause=self._rows.mean_pause[kinds, 0],
             relative_sd=interpolate(self._rows.relative_sd),
             factor=np.einsum("nk,bpk->nbp", weights, self.correction.factor),
             covariance=np.einsum("nk,bkpq->nbpq", weights, self.correction.covariance),
@@ -234,19 +238,23 @@ class FleetStatistics:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        learned = self.rides, self.factors, self.conformal, self.correction, self.daily_cycle
+        learned = (
+            *(self.rides, self.factors, self.conformal, self.correction),
+            *(self.daily_cycle, self.charged_soc),
+        )
         parts = [part.dump() for part in learned]
         arrays = self.prior.tobytes(), self._patterns.tobytes(), self.interval_outcomes.tobytes()
         return parts, self._waiting, *arrays
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, once the cars are known."""
-        (rides, factors, conformal, correction, daily_cycle), waiting, prior, patterns, outcomes = state
+        (rides, factors, conformal, correction, daily_cycle, charged), waiting, prior, patterns, outcomes = state
         self.rides.load(rides)
         self.factors.load(factors)
         self.conformal.load(conformal)
         self.correction.load(correction)
         self.daily_cycle.load(daily_cycle)
+        self.charged_soc.load(charged)
         self._tables = []
         self._waiting = [ShiftEnergy(*each) for each in waiting]
         self.prior = np.frombuffer(prior, LOG_FACTOR_PRIOR).copy()
@@ -265,6 +273,7 @@ class _StackedTables(NamedTuple):
     approach_energy: Floats
     energy_per_km: Floats
     mean_power: Floats
+    mean_pause: Floats
     relative_sd: Floats
 
 
@@ -273,7 +282,7 @@ def _stack_tables(tables: Sequence[LegEnergyTables | None]) -> _StackedTables:
     unknown = {"ride_factor": 1.0, "ride_power": 0.0, "idle_factor": 1.0, "idle_power": 0.0}
     columns = {
         name: [
-            np.full(_KNOTS, unknown.get(name, np.nan)) if of_kind is None else getattr(of_kind, name)
+            np.broadcast_to(unknown.get(name, np.nan) if of_kind is None else getattr(of_kind, name), _KNOTS)
             for of_kind in tables
         ]
         for name in _StackedTables._fields

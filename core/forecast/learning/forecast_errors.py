@@ -1,11 +1,12 @@
 """Evaluate forecasts against the charge at the end of their shift, and learn from the errors.
 
 The log keeps one forecast of each car every ten minutes. When the shift has ended, as planned or in silence, the errors
-over the forecasts' own standard deviations go to `core.forecast.conformal`. A forecast with a charging between it and
-the end is not evaluated, as no plan announces it. Nor is one with a frozen, absent or jumping reading in between,
-because the reading then is no outcome; nor is a forecast below an empty battery: the car stops there, and the energy
-that it would have used beyond is unknown. Such a forecast is dropped whatever the outcome, because keeping only the
-wrong ones would keep errors of one sign.
+over the forecasts' own standard deviations go to `core.forecast.conformal`. A forecast of the charge at the next
+planned charge is evaluated when the car comes to charge. A forecast without a planned charge is not evaluated if the
+car charged between it and the end, as no plan announced it. Nor is one with a frozen, absent or jumping reading in
+between, because the reading then is no outcome; nor is a forecast below an empty battery: the car stops there, and the
+energy that it would have used beyond is unknown. Such a forecast is dropped whatever the outcome, because keeping only
+the wrong ones would keep errors of one sign.
 """
 
 from math import nan
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown, take_keys, take_lanes
+from core.forecast.conformal import OVER_CHARGE, TO_CHARGE
 from core.forecast.learning.energy_correction import PartForecasts
 
 RECORD_PERIOD: Final = 600.0
@@ -25,16 +27,16 @@ LAST_RECORD: Final = 30.0
 
 
 class ForecastRecord(NamedTuple):
-    """Hold a forecast of the charge at the end of a shift.
+    """Hold a forecast of the charge at the end of a shift, or at the next planned charge.
 
     Parameters
     ----------
     time : float
         When it was made. [s]
     end : float
-        The end of the shift that it is for. [s]
+        The end of the shift that it is for; infinite with `TO_CHARGE`. [s]
     basis : int
-        `BY_PLAN` or `BY_HISTORY`.
+        See `core.forecast.conformal`.
     ahead_km : float
         Distance that the energy ahead would usually drive. [km]
     ambient_c, ahead_c : float
@@ -44,7 +46,8 @@ class ForecastRecord(NamedTuple):
     soc : float
         Charge when it was made. [1]
     driving, waiting : float
-        Fall of the charge by driving and by waiting, before the correction of `EnergyCorrection`. [1]
+        Fall of the charge by driving and by waiting, before the correction of `EnergyCorrection`; NaN with
+        `OVER_CHARGE`, where the charge also rises. [1]
     lower, upper : float
         Bounds of the published charge, NaN without an interval. [1]
     """
@@ -103,13 +106,15 @@ class ForecastLog:
         self._records: dict[int, bytearray] = {}  # packed `ForecastRecord`s of each lane
         self._next = np.zeros(0)  # time of the next record of each lane [s]
         self._ends = np.zeros(0)  # first end of a recorded forecast of each lane [s]
+        self._before_charge = np.zeros(0)  # time of its first record with `TO_CHARGE` [s]
 
     def grow(self, lanes: int) -> None:
         """Make room for a number of lanes."""
         self._next = grown(self._next, lanes)
         self._ends = grown(self._ends, lanes, np.inf)
+        self._before_charge = grown(self._before_charge, lanes, np.inf)
 
-    def is_due(self, lane: Any, time: Any, mean: Any = 0.0) -> Any:
+    def is_due(self, lane: Any, time: Any, mean: Any = 0.0, arrived: Any = nan) -> Any:
         """Return where a forecast is to be recorded, or a recorded one has come to its end.
 
         Parameters
@@ -119,22 +124,62 @@ class ForecastLog:
             [s]
         mean : float or (n,) float
             Forecast charge, NaN where there is none. [1]
+        arrived : float or (n,) float
+            When the car came to charge last, NaN for never. [s]
 
         Returns
         -------
         bool or (n,) bool
         """
-        return ((time >= self._next[lane]) & np.isfinite(mean)) | (time >= self._ends[lane])
+        ended = (time >= self._ends[lane]) | (arrived >= self._before_charge[lane])
+        return ((time >= self._next[lane]) & np.isfinite(mean)) | ended
 
-    def record(self, lane: int, forecast: ForecastRecord) -> None:
-        """Record a forecast, unless the last record is more recent than `RECORD_PERIOD`."""
+    def record(self, lane: int, forecast: ForecastRecord, to_charge: ForecastRecord | None = None) -> None:
+        """Record a forecast, unless the last record is more recent than `RECORD_PERIOD`.
+
+        Parameters
+        ----------
+        lane : int
+        forecast : ForecastRecord
+            For the end of the shift.
+        to_charge : ForecastRecord, optional
+            For the next planned charge, made at the same time.
+        """
         if forecast.time >= self._next[lane] and np.isfinite(forecast.mean):
-            self._records.setdefault(lane, bytearray()).extend(_PACKED.pack(*forecast))
+            records = self._records.setdefault(lane, bytearray())
+            records.extend(_PACKED.pack(*forecast))
+            if to_charge is not None:
+                records.extend(_PACKED.pack(*to_charge))
+                self._before_charge[lane] = min(self._before_charge[lane], to_charge.time)
             last, following = forecast.end - LAST_RECORD, forecast.time + RECORD_PERIOD
             self._next[lane] = min(following, last) if last > forecast.time else following
             self._ends[lane] = min(self._ends[lane], forecast.end)
 
-    def evaluate_until(self, lane: int, time: float, soc: float, spoilt: float) -> list[ShiftErrors]:
+    def evaluate_arrival(self, lane: int, arrived: float, soc: float, faulty: float) -> list[ShiftErrors]:
+        """Return the errors of a lane's forecasts for the charge that a car came to, and drop them from the log.
+
+        Parameters
+        ----------
+        lane : int
+        arrived : float
+            When it came there, NaN for never. [s]
+        soc : float
+            Charge reported then. [1]
+        faulty : float
+            When its reading was faulty last, NaN for never. [s]
+        """
+        if not arrived >= self._before_charge[lane]:
+            return []
+        records = self.get_records(lane)
+        of_charge = (records["basis"] == TO_CHARGE) & (records["time"] <= arrived)
+        self._records[lane] = bytearray(records[~of_charge].tobytes())
+        later = records[~of_charge & (records["basis"] == TO_CHARGE)]
+        self._before_charge[lane] = later["time"].min(initial=np.inf)
+        return compute_shift_errors(records[of_charge], soc, faulty)
+
+    def evaluate_until(
+        self, lane: int, time: float, soc: float, spoilt: float, faulty: float = nan
+    ) -> list[ShiftErrors]:
         """Return the errors of a lane's forecasts for ends up to a time, and drop them from the log.
 
         Parameters
@@ -146,6 +191,8 @@ class ForecastLog:
             Charge reported then. [1]
         spoilt : float
             When the car charged last, or its reading was faulty last, NaN for never. [s]
+        faulty : float
+            When its reading was faulty last: a planned charge spoils no forecast. [s]
         """
         if not time >= self._ends[lane]:
             return []
@@ -153,19 +200,20 @@ class ForecastLog:
         left = records[records["end"] > time]
         self._records[lane] = bytearray(left.tobytes())
         self._ends[lane] = left["end"].min(initial=np.inf)
-        return compute_shift_errors(records[records["end"] <= time], soc, spoilt)
+        return compute_shift_errors(records[records["end"] <= time], soc, spoilt, faulty)
 
-    def evaluate_shift(self, lane: int, soc: float, spoilt: float) -> list[ShiftErrors]:
+    def evaluate_shift(self, lane: int, soc: float, spoilt: float, faulty: float = nan) -> list[ShiftErrors]:
         """Return the errors of all forecasts of a shift that is over; the parameters are those of `evaluate_until`."""
         records = self.get_records(lane)
         self._records.pop(lane, None)
-        self._next[lane], self._ends[lane] = 0.0, np.inf
-        return compute_shift_errors(records, soc, spoilt)
+        self._next[lane], self._ends[lane], self._before_charge[lane] = 0.0, np.inf, np.inf
+        return compute_shift_errors(records[records["basis"] != TO_CHARGE], soc, spoilt, faulty)
 
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
         self._records = take_keys(self._records, lanes)
         self._next, self._ends = take_lanes(self._next, lanes), take_lanes(self._ends, lanes)
+        self._before_charge = take_lanes(self._before_charge, lanes)
 
     def get_records(self, lane: int) -> NDArray[np.void]:
         """Return the recorded forecasts of a lane, (n,) FORECAST_RECORDS."""
@@ -173,16 +221,19 @@ class ForecastLog:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return list(self._records.items()), self._next.tobytes(), self._ends.tobytes()
+        times = self._next, self._ends, self._before_charge
+        return list(self._records.items()), *(each.tobytes() for each in times)
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        records, following, ends = state
+        records, *times = state
         self._records = {int(lane): bytearray(packed) for lane, packed in records}
-        self._next, self._ends = np.frombuffer(following).copy(), np.frombuffer(ends).copy()
+        self._next, self._ends, self._before_charge = (np.frombuffer(each).copy() for each in times)
 
 
-def compute_shift_errors(records: NDArray[np.void], soc: float, spoilt: float) -> list[ShiftErrors]:
+def compute_shift_errors(
+    records: NDArray[np.void], soc: float, spoilt: float, faulty: float = nan
+) -> list[ShiftErrors]:
     """Return the errors of forecasts by basis, without those before a charging or a fault, or below an empty battery.
 
     Parameters
@@ -192,6 +243,8 @@ def compute_shift_errors(records: NDArray[np.void], soc: float, spoilt: float) -
         Charge at the end. [1]
     spoilt : float
         When the car charged last, or its reading was faulty last, NaN for never. [s]
+    faulty : float
+        When its reading was faulty last, which alone counts with `OVER_CHARGE`. [s]
 
     Returns
     -------
@@ -199,7 +252,8 @@ def compute_shift_errors(records: NDArray[np.void], soc: float, spoilt: float) -
     """
     if not np.isfinite(soc):
         return []
-    usable = records[~(spoilt >= records["time"]) & (records["mean"] >= 0.0)]
+    last = np.where(records["basis"] == OVER_CHARGE, faulty, spoilt)
+    usable = records[~(last >= records["time"]) & (records["mean"] >= 0.0)]
     out = []
     for basis in np.unique(usable["basis"]):
         of_basis = usable[usable["basis"] == basis]

@@ -22,6 +22,7 @@ from core.forecast.outlook import (
     compute_range,
     compute_temperature_weights,
     fill_from_history,
+    schedule_plan,
 )
 from core.forecast.planned_legs import PLAN_PROGRESS, compute_planned_legs
 from core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
@@ -46,11 +47,22 @@ def certain(energy):
     return MeanAndSd(np.array([energy]), np.zeros(1))
 
 
+def planned_energy(progress, time, ride_km=0.0, riding=False):
+    """Return the energy ahead of one car by the progress of its plan."""
+    progress, time, riding = progress.reshape(1), np.array([time]), np.array([riding])
+    times = schedule_plan(progress, time, np.array([ride_km]), riding, np.array([np.nan]), usual())
+    return compute_planned_energy(progress, times, time, riding, usual())
+
+
 def ahead(done=0, time=BEGIN, ride_km=0.0, driven_km=0.0, riding=False):
     """Return the energy ahead of one car by plan."""
-    course = PLANNED.compute_progress(done, driven_km).reshape(1)
-    one = np.array([time]), np.array([ride_km]), np.array([riding])
-    return compute_planned_energy(course, *one, usual())
+    return planned_energy(PLANNED.drop_done(done, 0).compute_progress(driven_km), time, ride_km, riding)
+
+
+def remaining(done, driven):
+    """Return the legs that are left, the first shortened by a distance [km]; None where it has not begun."""
+    left = PLANNED.drop_done(done, 0)
+    return left if driven is None else left.shorten(driven)
 
 
 def known(soc=0.6, variance=1e-5, log_factor=0.1, log_factor_variance=0.01, covariance=-1e-5, usual=0.0, capacity=24.0):
@@ -104,11 +116,10 @@ def test_leg_progress_counts_from_the_arrival_of_the_plan(done, before, since):
 def test_remaining_legs_as_a_plan_have_the_same_energy_ahead(done, before, since, riding):
     """Shortened legs, used as a plan, give the energy ahead of the original plan."""
     driven = since if riding else None
-    rest = PLANNED.get_remaining(done, driven).compute_progress(0, 0.0).reshape(1)
-    one = np.array([BEGIN + LEG * done]), np.zeros(1), np.array([riding])
+    rest = planned_energy(remaining(done, driven).compute_progress(0.0), BEGIN + LEG * done, 0.0, riding)
     ride_km, driven_km = (before + since, before) if riding else (0.0, 0.0)
     whole = ahead(done, BEGIN + LEG * done, ride_km, driven_km, riding)
-    for name, value, other in zip(whole._fields, compute_planned_energy(rest, *one, usual()), whole, strict=True):
+    for name, value, other in zip(whole._fields, rest, whole, strict=True):
         assert value == pytest.approx(other), name
 
 
@@ -146,7 +157,7 @@ def test_part_of_the_surplus_of_a_descent_returns():
 def test_end_is_never_before_now_nor_before_planned_legs_can_be_driven(done, passed, driven, riding):
     now = BEGIN + passed
     result = ahead(done, now, driven if riding else 0.0, riding=riding)
-    rest = PLANNED.get_remaining(done, driven if riding else None)
+    rest = remaining(done, driven if riding else None)
     assert result.end[0] >= max(now, BEGIN + SHIFT)
     assert result.end[0] >= now + rest.seconds.sum() - 1e-6
     assert result.hours[0] == pytest.approx((result.end[0] - now) / 3600.0)
@@ -178,9 +189,7 @@ def test_plan_applies_from_its_lead_to_its_overtime(passed, applies):
 
 
 def test_without_plan_the_energy_ahead_is_nan():
-    none = compute_planned_energy(
-        np.zeros(1, PLAN_PROGRESS), np.array([BEGIN]), np.zeros(1), np.zeros(1, np.bool_), usual()
-    )
+    none = planned_energy(np.zeros(1, PLAN_PROGRESS), BEGIN)
     assert np.isnan(none.energy).all()
     assert np.isnan(none.reserve).all()
 

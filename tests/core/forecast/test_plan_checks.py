@@ -57,8 +57,13 @@ def test_leg_beyond_a_limit_refuses_the_plan_and_is_named(before, leg, name, dat
     bad = Leg(**{field: getattr(leg, field) for field in Leg.__struct_fields__} | {name: wrong})
     refused = find_refusal(plan(legs=[*before, bad]), NOW)
     assert refused.cause == "out_of_range"
-    assert refused.message.startswith(f"leg {len(before) + 1} of the plan: {name} is {wrong:g}, must be 0 to {most:g};")
+    value = "not given" if name == "duration_s" and isnan(wrong) else f"{wrong:g}"
+    assert refused.message.startswith(f"leg {len(before) + 1} of the plan: {name} is {value}, must be 0 to {most:g};")
     assert "\n" not in refused.message
+
+
+def test_plan_with_a_charge_is_accepted():
+    assert find_refusal(plan(legs=[Leg(3.0, 600.0), Leg(duration_s=1800.0, charge_to_soc_pct=80.0)]), NOW) is None
 
 
 @pytest.mark.parametrize(
@@ -68,6 +73,25 @@ def test_leg_beyond_a_limit_refuses_the_plan_and_is_named(before, leg, name, dat
         ({"legs": [Leg(1.0, 60.0)] * 10_000}, "too_many_legs", "10000 legs"),
         ({"legs": [Leg(18.0, 60.0)]}, "out_of_range", "more than 200 km/h"),
         ({"legs": [Leg(1.0, 0.0)]}, "out_of_range", "more than 200 km/h"),
+        (
+            {"legs": [Leg(duration_s=60.0)]},
+            "out_of_range",
+            "distance_km is not given; a ride needs distance_km, a charge",
+        ),
+        ({"legs": [Leg(3.0)]}, "out_of_range", "duration_s is not given, must be 0 to 86400; give seconds"),
+        ({"legs": [Leg(charge_to_soc_pct=80.0)]}, "out_of_range", "duration_s is not given"),
+        (
+            {"legs": [Leg(3.0, 600.0, charge_to_soc_pct=80.0)]},
+            "out_of_range",
+            "distance_km is 3 and charge_to_soc_pct 80;",
+        ),
+        ({"legs": [Leg(None, 600.0, 5.0, charge_to_soc_pct=80.0)]}, "out_of_range", "gained_m is 5 and charge_to"),
+        (
+            {"legs": [Leg(None, 600.0, charge_to_soc_pct=101.0)]},
+            "out_of_range",
+            "charge_to_soc_pct is 101, must be 0 to",
+        ),
+        ({"legs": [Leg(None, -1.0, charge_to_soc_pct=80.0)]}, "out_of_range", "duration_s is -1, must be 0 to 86400;"),
         ({"reserve_soc_pct": -1.0}, "out_of_range", "reserve_soc_pct is -1"),
         ({"reserve_soc_pct": 100.5}, "out_of_range", "reserve_soc_pct is 100.5"),
         ({"reserve_soc_pct": nan}, "out_of_range", "reserve_soc_pct is nan"),

@@ -18,6 +18,7 @@ from core.wire.messages import (
     Leg,
     LegOutlook,
     ModelErrors,
+    NextCharge,
     Outlook,
     Plan,
     QualityCounts,
@@ -56,7 +57,8 @@ TELEMETRY = struct(
 INTERVAL = st.none() | st.builds(Interval, number, number, number)
 GAIN = struct(Gain, rides=count, vehicle_days=count, verdict=st.sampled_from(["better", "worse", "undecided"]))
 ERRORS = struct(RideErrors, vehicle_model=st.none() | name, rides=count, unpredicted_rides=count, gain=st.none() | GAIN)
-LEG = struct(Leg, distance_km=number, duration_s=number)
+CHARGE = st.none() | st.just(msgspec.UNSET) | st.builds(NextCharge, number, st.builds(Interval, *[number] * 3), maybe)
+LEG = struct(Leg, duration_s=number)
 LEG_OUTLOOK = struct(LegOutlook, distance_km=number, duration_s=number, energy_kwh=INTERVAL, soc_pct=INTERVAL)
 OUTLOOK = struct(
     Outlook,
@@ -68,6 +70,7 @@ OUTLOOK = struct(
     soc_end_of_shift_pct=INTERVAL,
     reserve_soc_pct=number,
     why_not=st.none() | st.text(max_size=20),
+    next_charge=CHARGE,
 )
 STRUCTS = st.one_of(
     TELEMETRY,
@@ -95,6 +98,7 @@ STRUCTS = st.one_of(
         range_km=INTERVAL,
         soc_end_of_shift_pct=INTERVAL,
         quality=st.builds(QualityCounts, *[count] * 5),
+        next_charge=CHARGE,
     ),
     struct(
         ModelErrors,
@@ -132,7 +136,8 @@ def test_every_struct_is_unchanged_by_a_round_trip(value):
 def test_outlook_is_unchanged_by_a_round_trip_and_includes_unknown_fields(value):
     payload = encode(value)
     assert msgspec.json.decode(payload, type=Outlook) == value
-    assert set(msgspec.json.decode(payload)) == set(Outlook.__struct_fields__)
+    optional = {"next_charge"} if value.next_charge is msgspec.UNSET else set()
+    assert set(msgspec.json.decode(payload)) == set(Outlook.__struct_fields__) - optional
 
 
 @given(TELEMETRY)
@@ -146,7 +151,7 @@ def test_forecast_includes_unknown_fields_as_null():
     quality = QualityCounts(0, 0, 0, 0, 0)
     unknown = Forecast("a", 0.0, None, "m/1", 0.0, 0.0, *[None] * 7, quality)
     sent = msgspec.json.decode(encode(unknown))
-    assert set(sent) == set(Forecast.__struct_fields__)
+    assert set(sent) == set(Forecast.__struct_fields__) - {"next_charge"}
     assert sent["soc_pct"] is None
 
 

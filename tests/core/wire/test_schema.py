@@ -86,7 +86,8 @@ def test_schemas_have_no_references_so_that_viewers_can_plot():
     properties = make_schema("forecast")["properties"]
     assert properties["range_km"]["type"] == ["object", "null"]
     assert properties["range_km"]["properties"]["p05"]["type"] == "number"
-    assert make_schema("plan")["properties"]["legs"]["items"]["properties"]["distance_km"]["type"] == "number"
+    assert make_schema("plan")["properties"]["legs"]["items"]["properties"]["duration_s"]["type"] == "number"
+    assert properties["next_charge"]["properties"]["soc_pct"]["properties"]["p05"]["type"] == "number"
     for kind in KINDS:
         text = msgspec.json.encode(make_schema(kind)).decode()
         assert "$ref" not in text

@@ -1,0 +1,254 @@
+"""Forecast the charge at the next planned charge of a car and at the end of its shift.
+
+Both forecasts are made by the same function. The first begins with the present charge. The second begins with it, too,
+where no charge is planned. Where one is, it begins with the charge that cars reach in planned charges
+(`core.forecast.learning.charged_soc`), and which is not below the charge on arrival; the energy ahead is then that of
+the rides and waits after the last planned charge. What happens between several charges is not computed, because the
+last one decides what follows.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.batch import Floats, Ints
+from core.forecast.conformal import OVER_CHARGE, TO_CHARGE, ConformalIntervals
+from core.forecast.learning.charged_soc import ChargedSoc
+from core.forecast.outlook import (
+    FACTOR_DECAY_TIME,
+    CarEstimate,
+    EnergyAhead,
+    MeanAndSd,
+    PlanTimes,
+    UsualConsumption,
+    compute_end_soc,
+    compute_reserve_risk,
+)
+from core.forecast.plan_tracker import PLAN_LAG
+from core.forecast.soc_filter import CONSUMPTION_WANDER
+
+
+class SocForecast(NamedTuple):
+    """Hold the charge of n cars at a point ahead, (n,) each.
+
+    Parameters
+    ----------
+    mean, p05, p95 : Mean, 5th and 95th percentile. [1]
+    risk : Probability that it is below the reserve. [1]
+    raw_mean, raw_sd : Mean and standard deviation before the conformal correction. [1]
+    energy_km : Distance that the energy until there would usually drive. [km]
+    """
+
+    mean: Floats
+    p05: Floats
+    p95: Floats
+    risk: Floats
+    raw_mean: Floats
+    raw_sd: Floats
+    energy_km: Floats
+
+
+class SocAhead(NamedTuple):
+    """Hold the forecasts of n cars for the end of the shift and for the next planned charge.
+
+    Parameters
+    ----------
+    end : SocForecast
+        Its risk is that of falling below the reserve at any time before.
+    charge : SocForecast
+        NaN of cars without a planned charge, and at the charger.
+    charge_time : (n,) float
+        When the next planned charge begins. [s]
+    basis : (n,) int
+        Of `end`: `BY_PLAN`, `BY_HISTORY` or `OVER_CHARGE`.
+    charged : CarEstimate or None
+        Estimates after the last planned charge, of those cars that have one.
+    """
+
+    end: SocForecast
+    charge: SocForecast
+    charge_time: Floats
+    basis: Ints
+    charged: CarEstimate | None = None
+
+
+class LearnedErrors(NamedTuple):
+    """Hold what was learned of the errors of forecasts, and the temperature at which it is looked up.
+
+    Parameters
+    ----------
+    conformal : ConformalIntervals
+    charged_soc : ChargedSoc
+    ahead_c : (n,) float
+        Outside temperature ahead. [°C]
+    """
+
+    conformal: ConformalIntervals
+    charged_soc: ChargedSoc
+    ahead_c: Floats
+
+
+def find_charging_since(estimates: NDArray[np.void], plan_came: Floats) -> Floats:
+    """Return since when cars stand at the charger of the next planned charge, NaN of others, (n,). [s]
+
+    A plan that was sent as the charge ended, or later, is about what follows.
+
+    Parameters
+    ----------
+    estimates : (n,) SOC_ESTIMATE
+    plan_came : (n,) float
+        When the plan was sent. [s]
+    """
+    follows = plan_came > estimates["unplugged"] - PLAN_LAG
+    return np.where((estimates["departed"] == 1.0) | follows, np.nan, estimates["arrived"])
+
+
+def forecast_soc(
+    estimate: CarEstimate,
+    energy: MeanAndSd,
+    hours: Floats,
+    basis: Ints,
+    usual: UsualConsumption,
+    errors: LearnedErrors,
+    reserve: Floats,
+    most: Floats,
+) -> SocForecast:
+    """Return the charge after an energy.
+
+    Parameters
+    ----------
+    estimate : CarEstimate
+    energy : MeanAndSd
+        Predicted energy. [kWh]
+    hours : (n,) float
+        Time in which it is spent. [h]
+    basis : (n,) int
+        Basis of the forecast, see `core.forecast.conformal`.
+    usual : UsualConsumption
+    errors : LearnedErrors
+    reserve : (n,) float
+        [1]
+    most : (n,) float
+        Largest charge that is possible. [1]
+
+    Returns
+    -------
+    SocForecast
+    """
+    raw = compute_end_soc(estimate, energy, hours)
+    energy_km = energy.mean / usual.energy_per_km
+    quantiles, bounds = errors.conformal.get_quantiles(basis, energy_km, errors.ahead_c)
+    mean, low, high = (np.clip(raw.mean + raw.sd * bound, 0.0, most) for bound in bounds)
+    return SocForecast(mean, low, high, compute_reserve_risk(raw, reserve, quantiles), *raw, energy_km)
+
+
+def forecast_soc_ahead(
+    estimate: CarEstimate,
+    ahead: EnergyAhead,
+    progress: NDArray[np.void],
+    times: PlanTimes,
+    time: Floats,
+    charging_since: Floats,
+    usual: UsualConsumption,
+    errors: LearnedErrors,
+) -> SocAhead:
+    """Return the forecasts for the end of the shift and for the next planned charge.
+
+    Parameters
+    ----------
+    estimate : CarEstimate
+    ahead : EnergyAhead
+        Until the next planned charge, or else the end of the shift.
+    progress : (n,) PLAN_PROGRESS
+    times : PlanTimes
+    time : (n,) float
+        Now. [s]
+    charging_since : (n,) float
+        See `find_charging_since`. [s]
+    usual : UsualConsumption
+    errors : LearnedErrors
+
+    Returns
+    -------
+    SocAhead
+    """
+    energy = MeanAndSd(ahead.energy, ahead.sd)
+    first = forecast_soc(estimate, energy, ahead.hours, ahead.basis, usual, errors, ahead.reserve, estimate.soc)
+    unknown = np.full(len(time), np.nan)
+    rows = np.flatnonzero(ahead.basis == TO_CHARGE)
+    if not len(rows):
+        return SocAhead(first, SocForecast(*(unknown for _ in first)), unknown, ahead.basis)
+    times, usual = PlanTimes(*(each[rows] for each in times)), UsualConsumption(*(each[rows] for each in usual))
+    progress, errors = progress[rows], errors._replace(ahead_c=errors.ahead_c[rows])
+    arrival = MeanAndSd(first.raw_mean[rows], first.raw_sd[rows])
+    hours = (times.end - time[rows]) / 3600.0 - times.after
+    estimate = CarEstimate(*(each[rows] for each in estimate))
+    charged = estimate_after_charge(estimate, progress["charge_to"], hours, errors.charged_soc)
+    higher = (arrival.mean > charged.soc) & (progress["charges"] == 1.0)
+    charged = charged._replace(
+        soc=np.where(higher, arrival.mean, charged.soc), variance=np.where(higher, arrival.sd**2, charged.variance)
+    )
+    last = forecast_soc(
+        charged,
+        compute_energy_after_charges(progress, times, usual),
+        times.after,
+        np.full(len(rows), OVER_CHARGE),
+        usual,
+        errors,
+        ahead.reserve[rows],
+        np.ones(len(rows)),
+    )
+    last = last._replace(risk=1.0 - (1.0 - first.risk[rows]) * (1.0 - last.risk))
+    end = SocForecast(*(whole.copy() for whole in first))
+    for whole, part in zip(end, last, strict=True):
+        whole[rows] = part
+    awaits = (ahead.basis == TO_CHARGE) & np.isnan(charging_since)
+    charge = SocForecast(*(np.where(awaits, each, np.nan) for each in first))
+    charge_time = np.where(awaits, time + 3600.0 * ahead.hours, np.nan)
+    return SocAhead(end, charge, charge_time, np.where(ahead.basis == TO_CHARGE, OVER_CHARGE, ahead.basis), charged)
+
+
+def estimate_after_charge(
+    estimate: CarEstimate, charge_to: Floats, hours: Floats, charged_soc: ChargedSoc
+) -> CarEstimate:
+    """Return the estimate of cars that have charged as planned.
+
+    Parameters
+    ----------
+    estimate : CarEstimate
+        Now.
+    charge_to : (n,) float
+        Planned charge. [1]
+    hours : (n,) float
+        Time until the planned charge has ended. [h]
+    charged_soc : ChargedSoc
+
+    Returns
+    -------
+    CarEstimate
+        Its charge is independent of the consumption, which returns to the usual meanwhile and keeps wandering.
+    """
+    soc, variance = charged_soc.expect(charge_to)
+    decay = np.exp(-hours / FACTOR_DECAY_TIME)
+    return estimate._replace(
+        soc=soc,
+        variance=variance,
+        log_factor=estimate.usual + (estimate.log_factor - estimate.usual) * decay,
+        log_factor_variance=estimate.log_factor_variance + CONSUMPTION_WANDER**2 * hours,
+        covariance=np.zeros(len(hours)),
+    )
+
+
+def compute_energy_after_charges(progress: NDArray[np.void], times: PlanTimes, usual: UsualConsumption) -> MeanAndSd:
+    """Return the energy from the last planned charge to the end of the shift. [kWh]
+
+    Parameters
+    ----------
+    progress : (n,) PLAN_PROGRESS
+    times : PlanTimes
+    usual : UsualConsumption
+    """
+    driving = np.asarray(np.einsum("ij,ij->i", progress["after_kwh"], usual.weights))
+    waiting = times.waiting_after * usual.standing_power + progress["after_legs"] * usual.approach_energy
+    return usual.correct(np.column_stack([driving, waiting]), TO_CHARGE)
