@@ -34,7 +34,7 @@ from core.totals.display_yield import LANE_YIELD
 from core.wire.sample_losses import SAMPLE_LOSS
 from core.wire.state_schema import Anything, ByName, Fault, Many, Maybe, Named, Number, Packed, Row, Schema, Sizes, Text
 
-SNAPSHOT: Final = 18
+SNAPSHOT: Final = 19
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 """Names of the fields in the arrays of a snapshot."""
@@ -169,7 +169,7 @@ _STATISTICS: Final = Row(
         _grid(4, HOURS),
         Many(Row(_AMOUNT, _REAL, _AMOUNT, _REAL, _REAL, _AMOUNT), count=2),
     ),
-    Many(Row(_LANE, Maybe(_COUNT), _REAL, _REAL, _REAL)),
+    Many(Row(_LANE, Maybe(_COUNT), _REAL, _REAL, _REAL, Number(0, "kinds", whole=True), _REAL, _REAL, Number(0, 1))),
     Packed(LOG_FACTOR_PRIOR, by_lane="predicted", limits={"variance": Number(1e-9, 1e9)}),
     Packed(SHIFT_PATTERN, by_lane="predicted"),
     Packed("i8", count=3 * BASES, limits={"": _COUNT}),

@@ -322,7 +322,8 @@ class ForecastEngine:
             driver = int(shift["driver"]) if shift["driver"] >= 0.0 else None
             relative_power = predicted / (float(usual.mean_power[0]) * hours)
             pattern = ShiftPattern(hours, relative_power) if relative_power > 0.0 else None
-            self.statistics.add_shift(ShiftEnergy(lane, driver, predicted, used, capacity), pattern)
+            energy = (predicted, used, capacity, kind, float(shift["hours"]), float(ambient[0]))
+            self.statistics.add_shift(ShiftEnergy(lane, driver, *energy, bool(shift["uncorrected"] == 0.0)), pattern)
 
     def apply_daily_update(self) -> None:
         """Let the statistics of the day take effect."""

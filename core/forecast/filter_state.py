@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 DEFAULT_QUANTUM: Final = 0.01
 """Quantum of a state of charge whose step has not been observed, the coarsest that cars report. [1]"""
-CAPACITY_SD: Final = 0.1
+CAPACITY_SD: Final = 0.15
 """Standard deviation of `log_capacity` before any data, from age, temperature and the car's definition of full. [1]"""
 
 RUNNING: Final = 0
@@ -61,6 +61,7 @@ FILTER_STATE: Final = np.dtype(
         ("hours", "f8"),  # awake in the shift [h]
         ("predicted", "f8"),  # energy predicted of the shift [kWh]
         ("warmth", "f8"),  # integral of the outside temperature over `hours` [K h]
+        ("uncorrected", "f8"),  # 1 where no learned correction applied to part of the predicted energy
         ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
         ("faulty", "f8"),  # last time in the shift at which the reading was frozen, absent or jumped, NaN for none [s]
         ("connected", "f8"),  # when the present or last charging began, or the silence in which it did [s]
@@ -150,6 +151,7 @@ CLOSED_SHIFT: Final = np.dtype(
         ("hours", "f8"),  # awake [h]
         ("predicted", "f8"),  # [kWh]
         ("warmth", "f8"),  # [K h]
+        ("uncorrected", "f8"),  # 1 where no learned correction applied to part of the predicted energy
         ("charged", "f8"),  # time of the last charging, NaN for none [s]
         ("faulty", "f8"),  # last time at which the reading was frozen, absent or jumped, NaN for none [s]
         ("driver", "f8"),  # code of the only driver, -1 where unknown or more than one

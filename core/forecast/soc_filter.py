@@ -122,7 +122,7 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     state.shift += 1.0
     state.begin = event.time
     state.distance = state.ride_distance = state.hours = state.predicted = state.warmth = 0.0
-    state.compared_predicted = state.compared_used = state.jump = 0.0
+    state.compared_predicted = state.compared_used = state.jump = state.uncorrected = 0.0
     state.begin_soc = state.last_soc = state.lowest_soc = state.charged = state.faulty = nan
     forget_charges(state)
     state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
@@ -140,6 +140,7 @@ def close_shift(state: Any, event: int, lane: int, row: Any) -> None:
     row.begin_soc, row.last_soc, row.lowest_soc = state.begin_soc, state.last_soc, state.lowest_soc
     row.ride_distance, row.distance = state.ride_distance, state.distance
     row.hours, row.predicted, row.warmth = state.hours, state.predicted, state.warmth
+    row.uncorrected = state.uncorrected
     row.charged, row.faulty = state.charged, state.faulty
     row.driver = state.driver if state.drivers == 1.0 else -1.0  # two drivers share the consumption
 
@@ -159,6 +160,8 @@ def update_with_totals(state: Any, event: Any) -> None:
             state.hours += duration / 3600.0
             state.warmth += warmth / 3600.0
             state.predicted += 0.0 if isnan(predicted) else predicted
+            if event.factor == 1.0 and event.power == 0.0:
+                state.uncorrected = 1.0
         state.distance += distance
         state.ride_distance += event.riding * distance
     silent = passed - max(duration, 0.0) > FILTER_RESET_SILENCE

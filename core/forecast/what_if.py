@@ -234,8 +234,7 @@ class RouteAhead(NamedTuple):
         driving = self.legs.energy @ now.usual.weights[0]
         if is_charge.any():
             return LegTimes(hours, pause, driving, idling, TO_CHARGE, TO_CHARGE)
-        has_plan_errors = np.isfinite(now.errors.conformal.bounds["lower"][BY_PLAN]).any()  # not without plans
-        return LegTimes(hours, pause, driving, idling, BY_PLAN if has_plan_errors else BY_HISTORY, BY_PLAN)
+        return LegTimes(hours, pause, driving, idling, int(way.energy.basis[0]), BY_PLAN)
 
     def _compute_stretch(
         self, now: CarOutlook, way: "WayAhead", soc: SocAhead, legs: "LegTimes", rows: Ints, number: int

@@ -290,7 +290,7 @@ def test_replay_reports_forecasts_and_comparison(recording, tmp_path):
     assert [(shift["vehicle_id"], shift["soc_end_pct"]) for shift in written["shifts"]] == [
         (f"car-{i}", pytest.approx(81.0)) for i in range(3)
     ]
-    assert "forecasts of the shift's end have no intervals" in out
+    assert "the charge at the shift's end has no forecast" in out
     assert all(ride["predicted_kwh"] > 0 and ride["energy_kwh"] > 0 for ride in rides)
     assert "9 rides of 3 cars" in out
     assert "messages that could not be decoded" in out

@@ -13,7 +13,7 @@ from statistics import fmean, median
 from typing import Any, Final, NamedTuple
 
 from core.batch import Ints, take_keys
-from core.forecast.filter_state import DEFAULT_QUANTUM
+from core.forecast.filter_state import CAPACITY_SD, DEFAULT_QUANTUM
 from core.forecast.soc_filter import DRIVER_SD, ENERGY_SD
 
 CAR_SD: Final = 0.08
@@ -24,7 +24,7 @@ CAR_CHANGE_SHIFTS: Final = 60
 """Number of shifts, a quarter's, in which a car may change by `CAR_SD`: tyres, wear, load."""
 DRIVER_CHANGE_SHIFTS: Final = 240
 """Number of shifts, a year's, in which a driver may change by `DRIVER_SD`."""
-LARGEST_LOG_ERROR: Final = 0.7
+LARGEST_LOG_ERROR: Final = 1.0
 """A shift with a larger logarithm of used over predicted energy is ignored. [1]"""
 LEAST_SHIFTS: Final = 3
 """Number of shifts from which a car has a usual pattern."""
@@ -58,8 +58,8 @@ class LogFactor(NamedTuple):
     variance: float
 
 
-UNKNOWN_CAR: Final = LogFactor(0.0, CAR_SD**2)
-"""Part of a car without a shift so far."""
+UNKNOWN_CAR: Final = LogFactor(0.0, CAR_SD**2 + CAPACITY_SD**2)
+"""Part of a car without a shift so far, whose usable capacity is not known either."""
 UNKNOWN_DRIVER: Final = LogFactor(0.0, DRIVER_SD**2)
 """Part of a driver without a shift so far."""
 

@@ -17,7 +17,7 @@ DRIVING_SHARE: Final = 0.75
 """Share of the official consumption that driving takes: less charging losses and the accessories of the cycle. [1]"""
 CONSUMPTION_PER_MASS: Final = 1.2e-4
 """Official consumption over kerb mass of the cars in the catalogue, for cars without a rating. [kWh/(km kg)]"""
-RELATIVE_SD: Final = 0.3
+FIRST_RELATIVE_SD: Final = 0.3
 """Standard deviation of the energy over that energy. [1]"""
 USUAL_SPEED: Final = 10.0
 """Kilometres of rides in an hour of a shift, idle periods included. [km/h]"""
@@ -64,6 +64,6 @@ def make_first_tables(model: VehicleModel, accessory_scale: float) -> LegEnergyT
         idle_power=zeros,
         energy_per_km=usual,
         mean_power=USUAL_SPEED * usual,
-        relative_sd=RELATIVE_SD * ones,
+        relative_sd=FIRST_RELATIVE_SD * ones,
         mean_pause=USUAL_PAUSE,
     )

@@ -23,7 +23,7 @@ from core.forecast.learning.first_tables import make_first_tables
 from core.forecast.learning.forecast_errors import ShiftErrors
 from core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
 from core.forecast.learning.ride_stats import RideStatistics
-from core.forecast.outlook import UsualConsumption
+from core.forecast.outlook import UsualConsumption, compute_temperature_weights
 from core.forecast.soc_filter import WARM_UP_TIME
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
@@ -57,6 +57,14 @@ class ShiftEnergy(NamedTuple):
         Predicted energy, and energy by the charge. [kWh]
     capacity_kwh : float
         Nominal usable capacity. [kWh]
+    kind : int
+        Kind of the car.
+    hours : float
+        Duration. [h]
+    ambient : float
+        Mean outside temperature. [K]
+    is_corrected : bool
+        Whether the predicted energy is corrected by learned tables, or not at all.
     """
 
     lane: int
@@ -64,6 +72,10 @@ class ShiftEnergy(NamedTuple):
     predicted_kwh: float
     used_kwh: float
     capacity_kwh: float
+    kind: int
+    hours: float
+    ambient: float
+    is_corrected: bool
 
 
 class FleetStatistics:
@@ -140,10 +152,11 @@ class FleetStatistics:
 
     def apply_daily_update(self) -> None:
         """Let everything that was collected take effect."""
-        for energy in self._waiting:
-            self.factors.add_shift(*energy)
-        self._waiting = []
         self.rides.update_tables(self._context)
+        self._tables = []
+        for energy in self._waiting:
+            self._learn_factors(energy)
+        self._waiting = []
         self.conformal.apply_daily_update()
         self.correction.apply_daily_update()
         self.daily_cycle.apply_daily_update()
@@ -151,7 +164,25 @@ class FleetStatistics:
         for lane in range(len(self.prior)):
             self.prior[lane] = self.factors.expect(lane)
             self._patterns[lane] = self.factors.get_usual_pattern(lane)
-        self._tables = []
+
+    def _learn_factors(self, energy: ShiftEnergy) -> None:
+        """Learn the factors of a car and its driver from a shift.
+
+        Without learned tables, the used over the predicted energy tells about the model, and not about the car. Where
+        the tables were learned since, the prediction is corrected by them.
+        """
+        predicted = energy.predicted_kwh
+        if not energy.is_corrected:
+            if not self.has_learned_tables(energy.kind):
+                return
+            weights = compute_temperature_weights(np.array([energy.ambient]))
+            factor, power = self.compute_corrections(np.array([energy.kind]), np.array([True]), weights)
+            predicted = float(factor[0]) * predicted + float(power[0]) * energy.hours
+        self.factors.add_shift(energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh)
+
+    def has_learned_tables(self, kind: int) -> bool:
+        """Return whether the tables of a kind of car were learned from its rides."""
+        return (self._cars.name(kind) or "") in self.rides.tables
 
     def get_tables(self, lane: int, kind: int | None = None) -> LegEnergyTables | None:
         """Return the tables of the vehicle model of a kind of car, by default that of a lane; None without tables."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from core.batch import Floats
 from core.columns import ZERO_CELSIUS
+from core.forecast.learning.first_tables import FIRST_RELATIVE_SD
 from core.forecast.learning.leg_energy import LEAST_KM, PACES, TEMPERATURES, LegEnergyTables, compute_knot_weights
 from core.forecast.learning.leg_energy_fit import (
     CELLS,
@@ -35,8 +36,10 @@ from core.forecast.soc_filter import ENERGY_SD
 from core.totals.accumulator import EDGES, Totals
 from core.totals.context import RunContext
 
-LEAST_RIDES: Final = 40
-"""Rides of a vehicle model below which it has no tables."""
+LEAST_RIDES: Final = 12
+"""Rides of a vehicle model below which it has no tables of its own."""
+RIDES_OF_A_DAY: Final = 15.0
+"""Number of rides that share the weather, the traffic and the car, so that they count as one observation."""
 STANDING_DISTANCE: Final = 60.0
 """A car that moved less in an idle period stood, as positions wander. [m]"""
 
@@ -98,7 +101,9 @@ class ModelSums:
         tables = build_leg_energy_tables(rides, idle, RideEdges(self.first_edge, self.last_edge), context)
         if tables is None or not tables.is_plausible():
             return None
-        return fit_leg_energy(tables, LegEquations(self.matrix, self.right))
+        fitted = fit_leg_energy(tables, LegEquations(self.matrix, self.right))
+        shared = FIRST_RELATIVE_SD / np.sqrt(1.0 + self.rides / RIDES_OF_A_DAY)
+        return fitted._replace(relative_sd=np.hypot(fitted.relative_sd, shared))
 
     def dump(self) -> Any:
         """Return the sums as plain values."""

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from core.forecast.filter_state import CAPACITY_SD
 from core.forecast.learning import car_driver as module
 from core.forecast.learning.car_driver import (
     CAR_CHANGE_SHIFTS,
@@ -35,7 +36,7 @@ def test_consumption_factor_is_kept_from_shift_to_shift():
     mean, variance = factors.expect(0)
     assert mean == pytest.approx(np.log(1.2), abs=0.02)
     assert DAY_FACTOR_SD**2 < variance < before[1]
-    assert factors.expect(1) == before == (0.0, CAR_SD**2 + DRIVER_SD**2 + DAY_FACTOR_SD**2)
+    assert factors.expect(1) == before == (0.0, CAR_SD**2 + CAPACITY_SD**2 + DRIVER_SD**2 + DAY_FACTOR_SD**2)
 
 
 def test_cars_and_drivers_are_distinguished():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.forecast.learning.first_tables import RELATIVE_SD
+from core.forecast.learning.first_tables import FIRST_RELATIVE_SD
 from core.forecast.learning.leg_energy import PACES, STEEPEST_DESCENT, TEMPERATURES, compute_knot_weights
 from core.forecast.learning.leg_energy_fit import LegEquations, fit_leg_energy
 from core.forecast.learning.ride_stats import LEAST_RIDES, RideStatistics
@@ -125,7 +125,7 @@ def test_first_tables_serve_a_model_with_few_rides_and_before_the_daily_update()
     few = train(rides=LEAST_RIDES - LEGS)
     assert few.engine.statistics.rides._sums[MODEL].rides < LEAST_RIDES
     assert few.engine.statistics.rides.tables == {}
-    assert (few.engine.statistics.get_tables(0).relative_sd == RELATIVE_SD).all()
+    assert (few.engine.statistics.get_tables(0).relative_sd == FIRST_RELATIVE_SD).all()
     today = Pipeline(settings=SETTINGS)
     today.push([leaf("c"), *(m for number in range(6) for _, m in shift("c", 0, columns("c", number) | times()))])
     assert today.engine.statistics.rides.tables == {}
