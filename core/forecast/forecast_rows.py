@@ -56,6 +56,7 @@ class ForecastRows(NamedTuple):
         end of the shift, before their correction. [1]
     charge_time : When the next planned charge begins. [s]
     charge_km : Distance of rides until then. [km]
+    charge_to : Planned charge after the last planned charge. [1]
     charge_soc, charge_soc_p05, charge_soc_p95 : Charge then. [1]
     charge_risk : Probability that it is below the reserve. [1]
     raw_charge_soc, raw_charge_soc_sd : The same as `raw_end_soc`. [1]
@@ -94,6 +95,7 @@ class ForecastRows(NamedTuple):
     waiting_fall: Floats
     charge_time: Floats
     charge_km: Floats
+    charge_to: Floats
     charge_soc: Floats
     charge_soc_p05: Floats
     charge_soc_p95: Floats
@@ -156,7 +158,7 @@ def compute_forecast_rows(
     usual = statistics.compute_usual(kind, compute_temperature_weights(ambient))
     estimate = CarEstimate.from_filter(estimates, cars.capacity[kind])
     riding, charging_since = running.ride >= 0, find_charging_since(estimates, progress["came"])
-    times = schedule_plan(progress, time, get_ride_km(running), riding, charging_since, usual)
+    times = schedule_plan(progress, time, get_ride_km(running), riding, charging_since)
     ahead = compute_planned_energy(progress, times, time, riding, usual)
     ahead = fill_from_history(ahead, usual, time - estimates["begin"], time, patterns)
     errors = LearnedErrors(statistics.conformal, statistics.charged_soc, ahead_c)
@@ -202,6 +204,7 @@ def compute_forecast_rows(
         waiting_fall=falls[:, 1],
         charge_time=soc.charge_time,
         charge_km=np.where(np.isfinite(soc.charge_time), ahead.km, np.nan),
+        charge_to=np.where(soc.basis == OVER_CHARGE, progress["charge_to"], np.nan),
         charge_soc=soc.charge.mean,
         charge_soc_p05=soc.charge.p05,
         charge_soc_p95=soc.charge.p95,

@@ -132,8 +132,6 @@ class UsualConsumption(NamedTuple):
         Energy of rides and idle periods over the kilometres of rides. [kWh/km]
     mean_power : (n,) float
         The same energy over the hours of both. [kW]
-    mean_pause : (n,) float
-        Mean duration of an idle period. [h]
     relative_sd : (n,) float
         Standard deviation of these energies at the temperature, over the energy. [1]
     factor : (n, bases, 2) float
@@ -147,7 +145,6 @@ class UsualConsumption(NamedTuple):
     approach_energy: Floats
     energy_per_km: Floats
     mean_power: Floats
-    mean_pause: Floats
     relative_sd: Floats
     factor: Floats
     covariance: Floats
@@ -181,16 +178,18 @@ class PlanTimes(NamedTuple):
     ----------
     end : When the shift ends. [s]
     left : Share of the next leg that is left. [1]
-    pause : Mean wait before a ride, in plans with charges. [h]
+    pause : Mean wait before a leg, in plans with charges. [h]
+    waits : Number of these waits until the next planned charge. [1]
     waiting : Waits until the next planned charge, or else the end of the shift. [h]
     until : Time until then. [h]
-    after : Time from the last planned charge to the end of the shift, negative or 0 without one. [h]
+    after : Time from the last planned charge to the end of the shift. [h]
     waiting_after : Waits in that time. [h]
     """
 
     end: Floats
     left: Floats
     pause: Floats
+    waits: Floats
     waiting: Floats
     until: Floats
     after: Floats
@@ -203,13 +202,11 @@ def schedule_plan(
     ride_km: Floats,
     riding: NDArray[np.bool_],
     charging_since: Floats,
-    usual: UsualConsumption,
 ) -> PlanTimes:
     """Return how the rest of a shift is spent by plan.
 
     A plan does not state when a leg begins. Without charges, what matters is the time that remains for waiting. With
-    charges it is spread evenly before the rides, but a wait is at most as long as usual, and the remaining time comes
-    after the last leg.
+    charges it is spread evenly before the rides and charges.
 
     Parameters
     ----------
@@ -221,7 +218,6 @@ def schedule_plan(
     riding : (n,) bool
     charging_since : (n,) float
         When a car that stands at a charger came there, NaN for others. [s]
-    usual : UsualConsumption
 
     Returns
     -------
@@ -235,13 +231,16 @@ def schedule_plan(
     hours = (end - time) / 3600.0
     spare = np.maximum(hours - (driving + (middle + progress["after_s"])) / 3600.0, 0.0)
     approaches = progress["legs"] - riding * (progress["legs"] > 0.0)
-    rides = approaches + progress["between_legs"] + progress["after_legs"]
-    pause = np.minimum(spare / np.maximum(rides, 1.0), usual.mean_pause)
     has_charge = progress["charges"] > 0.0
-    waiting = np.where(has_charge, approaches * pause, spare)
+    waits = approaches + (has_charge & np.isnan(charging_since))
+    between = progress["between_legs"] + np.maximum(progress["charges"] - 1.0, 0.0)
+    number = waits + between + progress["after_legs"]
+    pause = spare / np.maximum(number, 1.0)
+    waiting = np.where(has_charge, waits * pause, spare)
     until = np.where(has_charge, driving / 3600.0 + waiting, hours)
-    waiting_after = spare - (approaches + progress["between_legs"]) * pause
-    return PlanTimes(end, left, pause, waiting, until, progress["after_s"] / 3600.0 + waiting_after, waiting_after)
+    waiting_after = np.where(number > 0.0, progress["after_legs"] * pause, spare)
+    after = progress["after_s"] / 3600.0 + waiting_after
+    return PlanTimes(end, left, pause, waits, waiting, until, after, waiting_after)
 
 
 def compute_planned_energy(
@@ -267,13 +266,12 @@ def compute_planned_energy(
         np.asarray(np.einsum("ij,ij->i", progress[name], usual.weights))
         for name in ("leg_kwh", "begun_kwh", "later_kwh")
     )
-    rides = progress["legs"] - riding * (progress["legs"] > 0.0)
-    approaches = rides + has_charge  # the way to a charger is empty, too
+    approaches = progress["legs"] - riding * (progress["legs"] > 0.0) + has_charge  # the way to a charger is empty, too
     idling = times.waiting * usual.standing_power + approaches * usual.approach_energy
     parts = np.column_stack([np.where(riding, left * begun, whole) + later, idling])
     basis = np.where(has_charge, TO_CHARGE, BY_PLAN)
     energy = usual.correct(parts, basis)
-    timing_sd = usual.standing_power * np.sqrt(rides) * times.pause  # a wait has an sd equal to its mean
+    timing_sd = usual.standing_power * np.sqrt(times.waits) * times.pause  # a wait has an sd equal to its mean
     known = (progress["planned"] == 1.0) & is_plan_current(progress["came"], progress["end"], time)
     return EnergyAhead(
         np.where(known, energy.mean, np.nan),

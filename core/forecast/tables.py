@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
-from core.forecast.conformal import BY_HISTORY
+from core.forecast.conformal import BY_HISTORY, OVER_CHARGE
 from core.forecast.forecast_rows import ForecastRows
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
@@ -45,7 +45,9 @@ def tabulate_outlooks(parts: Sequence[PublishedForecasts], context: RunContext) 
         planned, or by the car's usual shifts), `planned`, `soc_pct` (filtered), `soc_mean_pct`, `soc_p05_pct`,
         `soc_p95_pct` (at the end; NaN where unknown), `reserve_soc_pct`, `reserve_risk`, `ahead_km`, `ambient_c`,
         `soc_begin_pct`, `shift_km`; `charge_s`, `charge_soc_mean_pct`, `charge_soc_p05_pct`, `charge_soc_p95_pct`,
-        `charge_risk` and `charge_km` of the next planned charge, NaN without one.
+        `charge_risk` and `charge_km` of the next planned charge, NaN without one; `charge_planned`, whether one is
+        ahead or under way, and `charge_to_pct` up to which the last one is planned; `arrived_s` and `arrival_soc_pct`,
+        begin of the last charge in the shift and reading before it.
     """
     names, cars = context.vehicle_ids, context.cars
     lane = np.concatenate([part.lane for part in parts]) if parts else np.zeros(0, np.int64)
@@ -77,6 +79,10 @@ def tabulate_outlooks(parts: Sequence[PublishedForecasts], context: RunContext) 
             "charge_soc_p95_pct": 100.0 * rows.charge_soc_p95,
             "charge_risk": rows.charge_risk,
             "charge_km": rows.charge_km,
+            "charge_planned": rows.basis == OVER_CHARGE,
+            "charge_to_pct": 100.0 * rows.charge_to,
+            "arrived_s": rows.arrived,
+            "arrival_soc_pct": 100.0 * rows.arrival_soc,
         }
     )
 

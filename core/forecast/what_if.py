@@ -3,7 +3,8 @@
 The queried ride comes first, after the rest of the leg in progress and a usual empty way. Then follow the other legs of
 the plan, with the remaining time spread evenly before them, because a plan does not state when a leg begins. Where
 these waits would be longer than usual, they have the usual length and the remaining time comes after the last leg: a
-car with hours to spare mostly spends them at a charger. The duration of a single wait has a standard deviation equal to
+car with hours to spare mostly spends them at a charger. A plan with charges says when it does, and there the waits
+may have any length. The duration of a single wait has a standard deviation equal to
 its mean, as where rides are requested at any time.
 
 Without a plan, the shift continues after the ride as the car's shifts usually do. The energies and the charge are those
@@ -191,7 +192,7 @@ class RouteAhead(NamedTuple):
         time, riding = np.array([now.time]), np.array([self.in_progress])
         progress = self.legs.compute_progress(0.0).reshape(1)
         charging_since = find_charging_since(now.filtered, progress["came"])
-        times = schedule_plan(progress, time, np.zeros(1), riding, charging_since, now.usual)
+        times = schedule_plan(progress, time, np.zeros(1), riding, charging_since)
         energy = compute_planned_energy(progress, times, time, riding, now.usual)
         return WayAhead(progress, times, charging_since, energy)
 
@@ -224,11 +225,12 @@ class RouteAhead(NamedTuple):
         """Return the time and the energy of each leg and of the wait before it."""
         is_charge = np.isfinite(self.legs.charge_to)
         place, hours = np.arange(len(is_charge)), self.legs.seconds / 3600.0
-        waits = (place >= self.in_progress + (self.query_place is not None)) & ~is_charge
+        waits = place >= self.in_progress + (self.query_place is not None)
         until_end = (float(way.energy.end[0]) - now.time) / 3600.0
         ahead = until_end if is_charge.any() else float(way.energy.hours[0])
         spare = max(ahead - float(hours.sum()), 0.0)
-        pause = np.asarray(waits * min(spare / max(int(waits.sum()), 1), now.mean_pause), np.float64)
+        longest = inf if is_charge.any() else now.mean_pause
+        pause = np.asarray((waits & ~is_charge) * min(spare / max(int(waits.sum()), 1), longest), np.float64)
         approaches = (place >= self.in_progress) & ~is_charge
         idling = pause * now.usual.standing_power + approaches * now.usual.approach_energy
         driving = self.legs.energy @ now.usual.weights[0]

@@ -81,5 +81,8 @@ def _outlooks(shift, hours, sd_an_hour, narrow, bias, unlearned, rng) -> pd.Data
             "reserve_risk": known * ndtr((RESERVE - mean) / (narrow * sd)),
             "ahead_km": shift["ride_km"] * (1.0 - share), "ambient_c": shift["ambient_c"],
             "soc_begin_pct": 90.0, "shift_km": shift["distance_km"] * share,
+            "charge_planned": False, "charge_to_pct": np.nan, "arrived_s": np.nan, "arrival_soc_pct": np.nan,
+            "charge_s": np.nan, "charge_soc_mean_pct": np.nan, "charge_soc_p05_pct": np.nan,
+            "charge_soc_p95_pct": np.nan, "charge_risk": np.nan, "charge_km": np.nan,
         }
     )  # fmt: skip

@@ -22,6 +22,7 @@ from core import models
 from core.evaluate.soc.baselines import compute_baselines, compute_leg_baselines
 from core.evaluate.soc.cases import select_cases
 from core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
+from core.evaluate.soc.planned_charges import select_charge_cases
 from core.pipeline import Pipeline
 from core.settings import Settings
 from core.wire.messages import Message
@@ -48,6 +49,7 @@ PARTS: Final = {
         "autumn-plans",
         "autumn-charges",
     ),
+    "charges": ("charges",),
     "small": ("small",),
     "preset": ("preset",),
 }
@@ -175,6 +177,7 @@ def judge(fleet: str, seed: int, first_day_s: float, source: Iterator[list[Messa
     selected = select_cases(outlooks, shifts)
     cases = pd.concat([selected.cases, compute_baselines(selected.cases, outlooks, shifts, plans)], axis=1)
     legs = pd.concat([legs, compute_leg_baselines(legs, outlooks, shifts, plans)], axis=1)
+    charges = select_charge_cases(outlooks, shifts, plans)
     return Judged(
         fleet,
         seed,
@@ -185,6 +188,8 @@ def judge(fleet: str, seed: int, first_day_s: float, source: Iterator[list[Messa
         outlooks[COMPARED],
         count_impossible_bounds(outlooks, plans),
         time.perf_counter() - begun,
+        charges.get("to the charge", pd.DataFrame()),
+        charges.get("over the charge", pd.DataFrame()),
     )
 
 

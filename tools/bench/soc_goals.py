@@ -1,7 +1,7 @@
 """State the goals of forecasts of the state of charge, and measure them on judged fleets."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -31,6 +31,8 @@ FEWEST_SHOWN: Final = 10
 FEWEST_FAULTY: Final = 20
 """Number of forecasts without which a fault counts as not forecast."""
 TROUBLES: Final = {"autumn-no-plan": "no plan", "autumn-no-shows": "no-shows", "autumn-plans": "plans 50 % wrong"}
+NO_CHARGES: Final = FLEETS["autumn"]
+"""Fleet without planned charges."""
 MOST_CHANGE: Final = 0.1
 """Largest change of the forecast of a healthy car through a fault of another. [%]"""
 
@@ -60,6 +62,8 @@ class Judged:
         Of `core.evaluate.soc.outcomes.count_impossible_bounds`.
     seconds : float
         Time that simulation and forecasts took. [s]
+    to_charge, over_charge : DataFrame
+        Forecasts around planned charges with outcome and baselines, of `core.evaluate.soc.planned_charges`.
     """
 
     fleet: str
@@ -71,6 +75,8 @@ class Judged:
     forecasts: pd.DataFrame
     bounds: dict[str, Any]
     seconds: float
+    to_charge: pd.DataFrame = field(default_factory=pd.DataFrame)
+    over_charge: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
 class Line(NamedTuple):
@@ -109,8 +115,10 @@ def check_goals(judged: Sequence[Judged]) -> list[Line]:
             lines += _check_recording(fleet, cases)
         lines += _check_days(fleet, mine, cases)
         lines += _check_trouble(fleet, cases)
-        if fleet == "autumn-charges":
-            lines += _check_charges(fleet, _pool(mine, "legs"))
+        if FLEETS.get(fleet, NO_CHARGES).conditions.planned_charges:
+            lines += _check_last_legs(fleet, _pool(mine, "legs"))
+            lines += _check_to_charge(fleet, _pool(mine, "to_charge"))
+            lines += _check_over_charge(fleet, _pool(mine, "over_charge"))
         lines.append(_check_bounds(fleet, mine))
     return lines + _check_healthy(judged)
 
@@ -253,18 +261,57 @@ def _check_trouble(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
             yield Line(fleet, f"{name}: coverage", ">= 85 %", "no forecast with an interval", "missed")
 
 
-def _check_charges(fleet: str, legs: pd.DataFrame) -> Iterator[Line]:
+def _check_last_legs(fleet: str, legs: pd.DataFrame) -> Iterator[Line]:
     """Yield coverage and error of the last leg before the next charge."""
     if not len(legs) or not legs["charges"].any():
-        yield Line(fleet, "to the next charge: coverage", "88 to 92 %", "no forecast", "missed")
+        yield Line(fleet, "last leg before a charge: coverage", "88 to 92 %", "no forecast", "missed")
         return
     later = legs[legs["charges"]].sort_values("leg", kind="stable")
     last = later.drop_duplicates(["vehicle_id", "time_s"], keep="last")
     last = last[last["minutes"] >= 30.0]
     if len(last):
-        yield _share(fleet, "to the next charge: coverage", (0.88, 0.92), _held(last), last)
+        yield _share(fleet, "last leg before a charge: coverage", (0.88, 0.92), _held(last), last)
         ours, theirs = _both(last, REGRESSION)
-        yield _less(fleet, "to the next charge: MAE against regression", 0.20, ours, theirs)
+        yield _less(fleet, "last leg before a charge: MAE against regression", 0.20, ours, theirs)
+
+
+def _check_to_charge(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
+    """Yield coverage, error and width of forecasts of the charge when the next planned charge begins."""
+    if not len(cases):
+        yield Line(fleet, "to the next charge: coverage", "88 to 92 %", "no forecast", "missed")
+        return
+    for hours in (1, AHEAD, 4):
+        rows, where = cases[cases["hours"] == hours], f"to the next charge, {hours} h ahead"
+        if len(rows) < FEWEST_SHOWN:
+            continue
+        goals = hours == AHEAD
+        yield _share(fleet, f"{where}: coverage", (0.88, 0.92) if goals else None, _held(rows), rows)
+        yield _less(fleet, f"{where}: MAE against regression", 0.20 if goals else None, *_both(rows, REGRESSION))
+        known = rows.dropna(subset=list(PERSONS))
+        if len(known):
+            best = min(PERSONS, key=lambda name: float(_error(known, name).mean()))
+            what = f"{where}: MAE against best person ({best})"
+            yield _less(fleet, what, 0.40 if goals else None, _error(known, "soc_mean_pct"), _error(known, best))
+        yield _width(fleet, where, rows)
+
+
+def _check_over_charge(fleet: str, cases: pd.DataFrame) -> Iterator[Line]:
+    """Yield coverage, error and width of forecasts for the end of the shift over a planned charge."""
+    for hours in (1, AHEAD, 4) if len(cases) else ():
+        rows, where = cases[cases["hours"] == hours], f"end after a planned charge, {hours} h ahead"
+        if len(rows) < FEWEST_SHOWN:
+            continue
+        goals = hours == AHEAD
+        yield _share(fleet, f"{where}: coverage", (0.88, 0.92) if goals else None, _held(rows), rows)
+        ours, theirs = _both(rows, "model_mean")
+        yield _less(fleet, f"{where}: MAE against a person (planned charge)", 0.40 if goals else None, ours, theirs)
+        yield _width(fleet, where, rows)
+
+
+def _width(fleet: str, where: str, rows: pd.DataFrame) -> Line:
+    """Return the line of the median width of intervals."""
+    width = float((rows["soc_p95_pct"] - rows["soc_p05_pct"]).median())
+    return Line(fleet, f"{where}: median width", "", f"{width:.1f}", "")
 
 
 def _check_bounds(fleet: str, judged: Sequence[Judged]) -> Line:

@@ -15,6 +15,7 @@ from tools.simulator.conditions import (
     ABSENT,
     FROZEN,
     JUMPING,
+    NO_NEWCOMERS,
     Conditions,
     DisplayFault,
     Newcomers,
@@ -72,6 +73,13 @@ FLEETS: Final[Mapping[str, Simulation]] = MappingProxyType(
         "autumn-no-shows": _with(_SHORT, no_shows=0.15),
         "autumn-plans": _with(_SHORT, plan_spread=0.5, replans=0.1),
         "autumn-charges": _with(replace(_SHORT, charging=LOW, shift_hours=8.0), planned_charges=True),
+        "charges": replace(
+            _AUTUMN,
+            days=20,
+            charging=LOW,
+            shift_hours=8.0,
+            conditions=replace(_SETTLED, newcomers=NO_NEWCOMERS, planned_charges=True),
+        ),
         "small": _SMALL,
     }
 )

@@ -63,7 +63,7 @@ def compute_baselines(
         A column for each of `BASELINES`, and `regression_p05` and `regression_p95`; NaN where the baseline gives no
         value. [%]
     """
-    expected = {"linear": _linear(cases, outlooks), **_by_rates(cases, shifts)}
+    expected = {"linear": _linear(cases, outlooks), **compute_rate_baselines(cases, shifts)}
     persons = pd.DataFrame({name: np.clip(expected[name], 0.0, 100.0) for name in PERSONS})
     return pd.concat([persons, compute_regression(cases, outlooks, shifts, plans)], axis=1)
 
@@ -88,13 +88,26 @@ def compute_leg_baselines(
         A column for each of `BASELINES`, and `regression_p05` and `regression_p95`; NaN where the baseline gives no
         value. [%]
     """
-    expected = {"linear": np.full(len(cases), np.nan), **_by_rates(cases, shifts)}
+    expected = {"linear": np.full(len(cases), np.nan), **compute_rate_baselines(cases, shifts)}
     persons = pd.DataFrame({name: np.clip(expected[name], 0.0, 100.0) for name in PERSONS})
     return pd.concat([persons, compute_regression(cases, outlooks, shifts, plans)], axis=1)
 
 
-def _by_rates(cases: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Floats]:
-    """Return the state of charge after the kilometres ahead, by the mean and by the official consumption. [%]"""
+def compute_rate_baselines(cases: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Floats]:
+    """Return the state of charge after the kilometres ahead, by the mean and by the official consumption.
+
+    Parameters
+    ----------
+    cases : (n, columns) DataFrame
+        Forecasts, with `soc_pct` and `ahead_km`.
+    shifts : DataFrame
+        All ended shifts.
+
+    Returns
+    -------
+    dict of str to (n,) float
+        `model_mean` and `rating`. [%]
+    """
     rating = [
         known.rated_kwh_per_km if (known := load_catalogue().get(key)) else None for key in cases["vehicle_model"]
     ]

@@ -54,6 +54,7 @@ OUTLOOK_COLUMNS: Final = [
     "reserve_risk",
     "ahead_km",
     "soc_begin_pct",
+    "charge_planned",
     "forecast_ambient_c",
 ]
 """Columns of forecasts that the evaluation needs, where `forecast_ambient_c` is their `ambient_c`."""
@@ -88,7 +89,7 @@ class ForecastCases:
     unlearned: pd.DataFrame
 
 
-def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> ForecastCases:
+def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame, wanted: pd.DataFrame | None = None) -> ForecastCases:
     """Return the forecasts that are evaluated.
 
     Parameters
@@ -97,6 +98,8 @@ def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> ForecastCases:
         Forecasts of a pipeline, with `OUTLOOK_COLUMNS` at least.
     shifts : DataFrame
         Ended shifts, with `SHIFT_COLUMNS` and `ambient_c`.
+    wanted : DataFrame, optional
+        `SHIFT_KEY`, `hours` and `wanted_s` of the forecasts to evaluate; by default all `HOURS_AHEAD` of each end.
 
     Returns
     -------
@@ -108,8 +111,11 @@ def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> ForecastCases:
     made = made.rename(columns={"ambient_c": "forecast_ambient_c"})[OUTLOOK_COLUMNS].sort_values(
         "time_s", kind="stable"
     )
-    wanted = pd.concat([ended.assign(hours=hours) for hours in HOURS_AHEAD], ignore_index=True)
-    wanted["wanted_s"] = wanted["end_s"] - 3600.0 * wanted["hours"]
+    if wanted is None:
+        wanted = pd.concat([ended.assign(hours=hours) for hours in HOURS_AHEAD], ignore_index=True)
+        wanted["wanted_s"] = wanted["end_s"] - 3600.0 * wanted["hours"]
+    else:
+        wanted = ended.merge(wanted, on=SHIFT_KEY)
     wanted = wanted[wanted["wanted_s"] >= wanted["begin_s"]].sort_values("wanted_s", kind="stable")
     cases = pd.merge_asof(wanted, made, left_on="wanted_s", right_on="time_s", by=SHIFT_KEY)
     cases = cases.sort_values([*SHIFT_KEY, "hours"], ignore_index=True)
@@ -134,7 +140,7 @@ def _reasons(cases: pd.DataFrame, made: pd.DataFrame) -> NDArray[np.str_]:
     holds = {
         CUT_SHORT: cut,
         SILENT: ~(cases["wanted_s"] - cases["time_s"] <= MOST_FORECAST_AGE),
-        CHARGED: cases["charged_s"] >= cases["time_s"],
+        CHARGED: (cases["charged_s"] >= cases["time_s"]) | (cases["charge_planned"] == True),  # noqa: E712 (may be NaN)
         UNREPORTED: cases["soc_end_pct"].isna(),
         WARM_UP: unknown,
     }

@@ -18,6 +18,7 @@ from core.evaluate.soc.baselines import BASELINES, PERSONS, compute_baselines, c
 from core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, ForecastCases, normalise_keys, select_cases
 from core.evaluate.soc.legs import MINUTES
 from core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
+from core.evaluate.soc.planned_charges import select_charge_cases
 from core.evaluate.soc.reserve_risk import evaluate_reserve_risk
 from core.stats.clustered import compute_clustered_mean, compute_clustered_share
 from core.stats.scores import Codes
@@ -66,8 +67,8 @@ def evaluate_soc(
     dict
         `about`: counts and dates of the forecasts. `overall`: figures, `pooled` over times ahead and by `hours`. `by`:
         figures by condition. `bounds`: upper bounds that are impossible. `reserve`: risk of ending below a reserve.
-        `legs`: figures of single legs. `forecasts`: columns with one entry per case. `examples`: single shifts.
-        `notes`: remarks for the reader.
+        `legs`: figures of single legs. `charges`: around planned ones. `forecasts`: columns with one entry per case.
+        `examples`: single shifts. `notes`: remarks for the reader.
 
     Raises
     ------
@@ -85,6 +86,7 @@ def evaluate_soc(
         )
     cases = pd.concat([selected.cases, compute_baselines(selected.cases, outlooks, shifts, plans)], axis=1)
     bounds = count_impossible_bounds(outlooks, plans)
+    charges = select_charge_cases(outlooks, shifts, plans)
     return {
         "about": _about(selected),
         "overall": compute_figures_by_time(cases),
@@ -92,6 +94,7 @@ def evaluate_soc(
         "bounds": bounds,
         "reserve": evaluate_reserve_risk(cases),
         "legs": {} if legs is None or not len(legs) else compute_leg_figures(legs, outlooks, shifts, plans),
+        "charges": {name: compute_charge_figures(group) for name, group in charges.items()},
         "forecasts": {
             "vehicle_id": cases["vehicle_id"].tolist(),
             "shift": cases["shift"].tolist(),
@@ -159,6 +162,19 @@ def compute_leg_figures(
         ]
         figures[name] = [*bins, {"bin": "all", **compute_forecast_figures(group)}] if bins else []
     return figures
+
+
+def compute_charge_figures(cases: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the figures of forecasts around planned charges by `bin` of the time ahead; the last bin is `all`.
+
+    Parameters
+    ----------
+    cases : DataFrame
+        Cases of `core.evaluate.soc.planned_charges.select_charge_cases`.
+    """
+    hours = sorted(set(cases["hours"]))
+    bins = [{"bin": f"{each} h", **compute_forecast_figures(cases[cases["hours"] == each])} for each in hours]
+    return [*bins, {"bin": "all", **compute_forecast_figures(cases)}]
 
 
 def compute_figures_by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:

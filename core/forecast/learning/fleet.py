@@ -229,7 +229,6 @@ class FleetStatistics:
             approach_energy=interpolate(self._rows.approach_energy),
             energy_per_km=interpolate(self._rows.energy_per_km),
             mean_power=interpolate(self._rows.mean_power),
-            mean_pause=self._rows.mean_pause[kinds, 0],
             relative_sd=interpolate(self._rows.relative_sd),
             factor=np.einsum("nk,bpk->nbp", weights, self.correction.factor),
             covariance=np.einsum("nk,bkpq->nbpq", weights, self.correction.covariance),
@@ -304,7 +303,6 @@ class _StackedTables(NamedTuple):
     approach_energy: Floats
     energy_per_km: Floats
     mean_power: Floats
-    mean_pause: Floats
     relative_sd: Floats
 
 
@@ -313,7 +311,7 @@ def _stack_tables(tables: Sequence[LegEnergyTables | None]) -> _StackedTables:
     unknown = {"ride_factor": 1.0, "ride_power": 0.0, "idle_factor": 1.0, "idle_power": 0.0}
     columns = {
         name: [
-            np.broadcast_to(unknown.get(name, np.nan) if of_kind is None else getattr(of_kind, name), _KNOTS)
+            np.full(_KNOTS, unknown.get(name, np.nan)) if of_kind is None else getattr(of_kind, name)
             for of_kind in tables
         ]
         for name in _StackedTables._fields

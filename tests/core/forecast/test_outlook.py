@@ -50,7 +50,7 @@ def certain(energy):
 def planned_energy(progress, time, ride_km=0.0, riding=False):
     """Return the energy ahead of one car by the progress of its plan."""
     progress, time, riding = progress.reshape(1), np.array([time]), np.array([riding])
-    times = schedule_plan(progress, time, np.array([ride_km]), riding, np.array([np.nan]), usual())
+    times = schedule_plan(progress, time, np.array([ride_km]), riding, np.array([np.nan]))
     return compute_planned_energy(progress, times, time, riding, usual())
 
 

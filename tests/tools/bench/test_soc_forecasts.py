@@ -79,14 +79,25 @@ def test_last_leg_before_a_charge_is_judged():
     legs = one.cases.assign(leg=0, minutes=45.0, charges=True, vehicle_id=one.cases["cluster"].astype(str))
     early = legs.assign(leg=-1, soc_end_pct=0.0)  # an earlier leg of the same query, which does not count
     lines = soc_goals.check_goals([replace(one, legs=pd.concat([early, legs], ignore_index=True))])
-    assert find(lines, "to the next charge: MAE").verdict == "met"
+    assert find(lines, "last leg before a charge: MAE").verdict == "met"
     none = soc_goals.check_goals([replace(one, legs=legs.assign(charges=False))])
-    assert find(none, "to the next charge: coverage").measured == "no forecast"
+    assert find(none, "last leg before a charge: coverage").measured == "no forecast"
+
+
+def test_forecasts_around_planned_charges_are_judged():
+    one = make_judged("autumn-charges", width=6.7)
+    cases = one.cases.assign(linear=0.0)
+    lines = soc_goals.check_goals([replace(one, to_charge=cases, over_charge=cases)])
+    for what in ("coverage", "MAE against regression", "MAE against best person"):
+        assert find(lines, f"to the next charge, 2 h ahead: {what}").verdict == "met"
+    assert find(lines, "end after a planned charge, 2 h ahead: coverage").verdict == "met"
+    assert find(lines, "end after a planned charge, 2 h ahead: MAE against a person").verdict == "met"
+    assert find(soc_goals.check_goals([one]), "to the next charge: coverage").measured == "no forecast"
 
 
 def test_parts_name_fleets():
     assert list_fleets("small,preset") == ["small", "preset"]
-    assert len(list_fleets("all")) == len(set(list_fleets("all"))) == 10
+    assert len(list_fleets("all")) == len(set(list_fleets("all"))) == 11
 
 
 @pytest.mark.usefixtures("_small")

@@ -69,7 +69,7 @@ def build_sections(result: Result) -> list[Section]:
             [tables.tabulate_by_time(result), *([intervals] if intervals.rows else [])],
         ),
         Section("conditions", "Errors by condition", "", tables.tabulate_conditions(result)),
-        Section("legs", "Leg by leg, up to the next charge", "", tables.tabulate_legs(result)),
+        Section("legs", "Leg by leg, and around charges", "", tables.tabulate_legs(result)),
         Section(
             RESERVE,
             "The risk of ending below a reserve",

@@ -169,19 +169,30 @@ def _of_bin(part: Mapping[str, Any]) -> tuple[Cell, ...]:
 
 
 def tabulate_legs(result: Result) -> list[ReportTable]:
-    """Return the figures of single legs by the time until their end, without a later charge and with one."""
+    """Return the figures of single legs and around planned charges, by the time ahead."""
     heads = (*FIGURES, *(HEADS[name] for name in LEG_BASELINES))
     titles = {
         "without a charge": "State of charge at the end of single legs",
         "charged later": "The same where the car charged later in the shift",
         "to the next charge": "The last of these legs before the next charge",
     }
-    notes = (LEG_NOTE, PERCENT_NOTE, COVERAGE_NOTE)
-    legs = get_mapping(result, "legs")
+    charge_titles = {
+        "to the charge": "State of charge when the next planned charge begins",
+        "over the charge": "State of charge at the end of a shift with a planned charge",
+    }
+    legs, charges = get_mapping(result, "legs"), get_mapping(result, "charges")
+    notes = (PERCENT_NOTE, COVERAGE_NOTE)
     return [
-        ReportTable(title, "minutes ahead", heads, tuple(map(_leg_row, legs[key])), notes)
-        for key, title in titles.items()
-        if legs.get(key)
+        *(
+            ReportTable(title, "minutes ahead", heads, tuple(map(_leg_row, legs[key])), (LEG_NOTE, *notes))
+            for key, title in titles.items()
+            if legs.get(key)
+        ),
+        *(
+            ReportTable(title, "time ahead", heads, tuple(map(_leg_row, charges[key])), notes)
+            for key, title in charge_titles.items()
+            if charges.get(key)
+        ),
     ]
 
 
