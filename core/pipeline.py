@@ -404,8 +404,8 @@ class Pipeline:
 
         Keys: `received` by kind, `duplicates` dropped, `lost` samples, `implausible_forecasts` withheld by cause,
         `undecodable` by cause, `samples` by quality bit, `rides` ended, rides `unfit` and `unpredicted` by reason,
-        `vehicles`, `unpredictable` vehicle messages by reason. With shadows also `unpredicted_by_shadow`, of the rides
-        that count, and `shadow_faults` by cause. With a map also `elevation_map`.
+        `vehicles`, `unpredictable` vehicle messages by reason, and vehicles of `unknown_models`. With shadows also
+        `unpredicted_by_shadow`, of the rides that count, and `shadow_faults` by cause. With a map also `elevation_map`.
         """
         counts = {
             "vehicles": len(self.lanes),
@@ -419,6 +419,7 @@ class Pipeline:
             "unfit": dict(self.counters.unfit),
             "unpredicted": dict(self.counters.unpredicted),
             "unpredictable": dict(self.cars.unpredictable),
+            "unknown_models": self.cars.group_unknown(self.context.vehicle_ids),
         } | self.cleaner.map_lookup.count_fixes()
         return counts | self.shadows.quality() if self.shadows else counts
 

@@ -52,6 +52,7 @@ from core.forecast.soc_ahead import (
 )
 from core.forecast.soc_filter import METER_GAIN_SD, write_estimate
 from core.forecast.soc_reading import READING_SD
+from core.vehicles.catalogue import OVERRIDES
 from core.wire.messages import Interval, Leg, LegOutlook, NextCharge, Outlook, Plan
 
 _ROUNDING_KWH: Final = 1e-9
@@ -467,7 +468,10 @@ def _explain_unknown_end(now: CarOutlook, end: Interval | None, no_energy: str |
     if now.tables is None:
         if now.model_name is None:
             return "no vehicle message has told which model this car is"
-        return f"the vehicle model {now.model_name!r} is not in the catalogue"
+        return (
+            f"the vehicle model {now.model_name!r} is not in the catalogue, and its vehicle message lacks "
+            f"{' or '.join(OVERRIDES)}"
+        )
     return no_energy or "the temperature or the energy ahead is unknown"
 
 

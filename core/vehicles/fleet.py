@@ -10,7 +10,7 @@ import numpy as np
 
 from core.batch import Floats, Ints, grown, take_lanes
 from core.settings import Limits
-from core.vehicles.catalogue import VehicleModel, vehicle_model
+from core.vehicles.catalogue import UNKNOWN_MODEL, VehicleModel, vehicle_model
 from core.wire.message_order import VehicleChange
 from core.wire.messages import Vehicle
 
@@ -104,6 +104,20 @@ class Cars:
     def unpredicted(self, kind: int) -> str | None:
         """Return why the energy of a car of this kind cannot be predicted, `None` where it can."""
         return SILENT if kind == UNKNOWN else self._reasons[kind]
+
+    def group_unknown(self, vehicle_ids: Sequence[str]) -> dict[str, list[str]]:
+        """Return the cars whose vehicle model is not in the catalogue, by the model that they sent.
+
+        Parameters
+        ----------
+        vehicle_ids : sequence of str
+            Car of each lane.
+        """
+        unknown: dict[str, list[str]] = {}
+        for vehicle, kind in zip(vehicle_ids, self.of_lane.tolist(), strict=False):
+            if self._reasons[kind] == UNKNOWN_MODEL:
+                unknown.setdefault(self.name(kind) or "", []).append(vehicle)
+        return unknown
 
     def parameters_of(self, kinds: Ints) -> CarParameters:
         """Return the parameters of cars.

@@ -55,6 +55,7 @@ def test_car_of_unknown_model_is_measured_and_its_missing_prediction_counted():
     assert ride["energy_kwh"] > 0
     assert np.isnan(ride["mass_kg"])
     assert pipeline.quality()["unpredictable"] == {"unknown_vehicle_model": 1}
+    assert len(pipeline.quality()["unknown_models"]) == 1
 
 
 def test_setting_outside_its_limits_is_named():

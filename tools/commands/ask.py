@@ -160,7 +160,11 @@ def figures(outlook: Outlook) -> Iterator[tuple[str, str]]:
     if outlook.soc_pct is not None:
         yield "now", _now(outlook)
     if outlook.consumption_scale is not None:
-        yield "this car today", f"consumes {outlook.consumption_scale * 100:.0f} % of the prediction of {outlook.model}"
+        share = f"{outlook.consumption_scale * 100:.0f} %"
+        yield (
+            "this car today",
+            f"consumes {share} of what {outlook.model} predicts once the fleet's rides have corrected it",
+        )
     if outlook.why_not:
         yield "not known", outlook.why_not
 

@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from math import isfinite
 from types import TracebackType
@@ -20,6 +20,7 @@ from core.forecast.status import VehicleStatus
 from core.formatting import format_minus
 from core.monitoring.shadow import ShadowModels
 from core.pipeline import Pipeline
+from core.vehicles.catalogue import OVERRIDES
 from stream.loop import Tally
 from tools.terminal.model_comparison import WIDE, make_models_table
 from tools.terminal.output import make_console
@@ -349,6 +350,31 @@ def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
     ):
         if text := _format_counts(counts):
             lines.append(f"{what}: {text}")
+    return lines + describe_unknown_models(quality["unknown_models"])
+
+
+def describe_unknown_models(unknown: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return a line for each vehicle model that is not in the catalogue, with its cars and the remedy.
+
+    Parameters
+    ----------
+    unknown : mapping of str to sequence of str
+        Cars by model, as `Pipeline.quality` gives them.
+
+    Examples
+    --------
+    >>> lines = describe_unknown_models({"horse": ["taxi-7", "taxi-8", "taxi-9", "taxi-10"]})
+    >>> lines[0].partition(":")[0]
+    "the vehicle model 'horse' of taxi-7, taxi-8, taxi-9 and 1 more is not in the catalogue"
+    """
+    *most, last = OVERRIDES
+    lines = []
+    for model, cars in unknown.items():
+        named = ", ".join(cars[:3]) + (f" and {len(cars) - 3:,} more" if len(cars) > 3 else "")
+        lines.append(
+            f"the vehicle model {model!r} of {named} is not in the catalogue: no energy of theirs is predicted; send "
+            f"{', '.join(most)} and {last} in their vehicle messages"
+        )
     return lines
 
 
