@@ -20,6 +20,7 @@ cluster.
 
 from collections.abc import Sequence
 from functools import cache
+from itertools import product
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -110,7 +111,7 @@ class ConformalIntervals:
         self._widening_by_temperature = np.zeros((*self.shape[::2], 2))
         self.table = np.zeros((*self.shape, len(LEVELS)))
         self.bounds = np.zeros(self.shape, BOUND_PAIR)
-        self._compute_quantiles()
+        self._compute_quantiles(range(BASES))
 
     def add_shift(self, basis: int, ahead_km: Floats, ambient_c: Floats, scores: Floats) -> None:
         """Count the standardised errors of one shift's forecasts, for the next daily update.
@@ -136,24 +137,24 @@ class ConformalIntervals:
 
     def apply_daily_update(self) -> None:
         """Let the shifts since the last daily update take effect."""
-        for basis, shifts in enumerate(self._shifts_today.tolist()):
-            if shifts:
-                weight = weigh_day(shifts)
-                self._counts[basis] = DAY_MEMORY * self._counts[basis] + weight * self._today[basis]
-                for axis, widening in enumerate((self._widening_by_distance, self._widening_by_temperature)):
-                    step = ADAPTATION_RATE * weight * self._missed_today[basis].sum(axis=1 - axis)
-                    widening[basis] = np.clip(widening[basis] + step, -LARGEST_ADAPTATION, LARGEST_ADAPTATION)
+        taught = np.flatnonzero(self._shifts_today).tolist()
+        for basis in taught:
+            weight = weigh_day(int(self._shifts_today[basis]))
+            self._counts[basis] = DAY_MEMORY * self._counts[basis] + weight * self._today[basis]
+            for axis, widening in enumerate((self._widening_by_distance, self._widening_by_temperature)):
+                step = ADAPTATION_RATE * weight * self._missed_today[basis].sum(axis=1 - axis)
+                widening[basis] = np.clip(widening[basis] + step, -LARGEST_ADAPTATION, LARGEST_ADAPTATION)
         self._today[:], self._missed_today[:], self._shifts_today[:] = 0.0, 0.0, 0
-        self._compute_quantiles()
+        self._compute_quantiles(taught)
 
-    def _compute_quantiles(self) -> None:
-        """Compute the quantiles and bounds of every class from its counts."""
+    def _compute_quantiles(self, bases: Sequence[int]) -> None:
+        """Compute the quantiles and bounds of the classes of some bases from their counts."""
         by_distance, by_temperature = (_weigh_neighbours(size) for size in self.shape[1:])
         around = np.einsum("de,tu,beus->bdts", by_distance, by_temperature, self._counts)
         around += PRIOR_SHIFTS * _make_prior()[:, np.newaxis, np.newaxis]
         counts = self._counts + BORROWED_SHIFTS * around / around.sum(axis=-1, keepdims=True)
         widening = self._widening_by_distance[:, :, np.newaxis] + self._widening_by_temperature[:, np.newaxis]
-        for place in np.ndindex(self.shape):
+        for place in product(bases, *map(range, self.shape[1:])):
             quantiles = compute_quantiles(counts[place], LEVELS)
             low = float(quantiles[LEVELS.index(LOWER_LEVEL)] - widening[place][0])
             high = float(quantiles[LEVELS.index(UPPER_LEVEL)] + widening[place][1])

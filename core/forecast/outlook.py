@@ -270,7 +270,7 @@ def compute_planned_energy(
     idling = times.waiting * usual.standing_power + approaches * usual.approach_energy
     parts = np.column_stack([np.where(riding, left * begun, whole) + later, idling])
     basis = np.where(has_charge, TO_CHARGE, BY_PLAN)
-    energy = usual.correct(parts, basis)
+    energy = usual.correct(parts, basis if has_charge.any() else BY_PLAN)
     timing_sd = usual.standing_power * np.sqrt(times.waits) * times.pause  # a wait has an sd equal to its mean
     known = (progress["planned"] == 1.0) & is_plan_current(progress["came"], progress["end"], time)
     return EnergyAhead(

@@ -168,9 +168,11 @@ class PlanTracker:
         km, time = get_ride_km(running), running.at_last("time")
         ended_km, ended_time = rides.amount("distance") * 1e-3, rides.at_last("time")
         over = np.zeros(len(km), np.bool_)  # rows of rides that have ended since
-        for at, kind, i, lane in self._list_steps(running, rides, arrivals, estimates):
+        charged = estimates["arrived"] > self._arrived[running.lane]
+        charged |= (estimates["departed"] == 1.0) & (estimates["unplugged"] > self._departed[running.lane])
+        for at, kind, i, lane in self._list_steps(running, rides, arrivals, charged):
             begins = kind == _ROW and self._begins_later_shift(lane, float(time[i]))
-            if kind == _ROW and not (self._follow_charge(lane, estimates[i]) or begins):
+            if kind == _ROW and not ((charged[i] and self._follow_charge(lane, estimates[i])) or begins):
                 continue
             of_lane = running.lane == lane
             before = of_lane & (running.at < at)
@@ -220,7 +222,7 @@ class PlanTracker:
         return bool(self._riding[lane])
 
     def _list_steps(
-        self, running: Totals, rides: Totals, arrivals: Sequence[PlanArrival], estimates: NDArray[np.void]
+        self, running: Totals, rides: Totals, arrivals: Sequence[PlanArrival], charged: NDArray[np.bool_]
     ) -> list[_Step]:
         """Return in order what may change plans; rows only of lanes whose plan may wait, or that have charged."""
         steps = [_Step(arrival.at, _PLAN_CAME, i, arrival.lane) for i, arrival in enumerate(arrivals)]
@@ -229,9 +231,7 @@ class PlanTracker:
         may_wait = self._waiting[running.lane]
         if arrivals:
             may_wait |= np.isin(running.lane, [arrival.lane for arrival in arrivals])
-        has_arrived = estimates["arrived"] > self._arrived[running.lane]
-        has_charged = (estimates["departed"] == 1.0) & (estimates["unplugged"] > self._departed[running.lane])
-        rows = np.flatnonzero(may_wait | has_arrived | has_charged)
+        rows = np.flatnonzero(may_wait | charged)
         waiting = zip(running.at[rows].tolist(), rows.tolist(), running.lane[rows].tolist(), strict=True)
         return sorted([*steps, *(_Step(at, _ROW, i, lane) for at, i, lane in waiting)])
 
