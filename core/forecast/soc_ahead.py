@@ -7,7 +7,7 @@ the rides and waits after the last planned charge. What happens between several 
 last one decides what follows.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,12 @@ class SocForecast(NamedTuple):
     raw_mean: Floats
     raw_sd: Floats
     energy_km: Floats
+
+
+EMPTY_SOC: Final = 0.05
+"""Charge that a display may still show when the battery is empty, and the least upper bound of a forecast. [1]
+
+Estimated: in the cold, and with aged cells, the voltage ends a drive before the display reaches 0 %."""
 
 
 class SocAhead(NamedTuple):
@@ -140,6 +146,7 @@ def forecast_soc(
     energy_km = energy.mean / usual.energy_per_km
     quantiles, bounds = errors.conformal.get_quantiles(basis, energy_km, errors.ahead_c)
     mean, low, high = (np.clip(raw.mean + raw.sd * bound, 0.0, most) for bound in bounds)
+    high = np.minimum(np.maximum(high, EMPTY_SOC), most)
     return SocForecast(mean, low, high, compute_reserve_risk(raw, reserve, quantiles), *raw, energy_km)
 
 

@@ -9,6 +9,7 @@ from core.forecast import filter_state, soc_filter, soc_reading
 from core.forecast.engine import SHORT_SHIFT
 from core.forecast.learning.car_driver import DRIVER_SD, compute_driver_code
 from core.forecast.outlook import OVERTIME, PLAN_LEAD
+from core.forecast.soc_ahead import EMPTY_SOC
 from core.pipeline import Pipeline
 from tests.support.fleet_days import (
     CAPACITY,
@@ -358,3 +359,13 @@ def test_upper_bound_is_at_most_the_present_charge():
     known = [(each.soc_pct, each.soc_end_of_shift_pct) for each in published if each.soc_end_of_shift_pct is not None]
     assert known
     assert all(end.p95 <= now + 0.005 for now, end in known)
+
+
+def test_display_of_an_empty_battery_may_show_some_charge():
+    messages = [m for _, m in shift("c", DAYS)]
+    legs = [{"distance_km": 20.0, "duration_s": 900.0}] * 24
+    messages[1] = make_message("plan", "c", BEGIN + 14.0, shift_end_s=BEGIN + SHIFT, reserve_soc_pct=RESERVE, legs=legs)
+    _, published = driven(messages=messages[:60])
+    end = list(published.values())[-1].soc_end_of_shift_pct
+    assert (end.mean, end.p05) == (0.0, 0.0)
+    assert end.p95 >= 100.0 * EMPTY_SOC
