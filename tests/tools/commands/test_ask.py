@@ -6,7 +6,7 @@ import json
 import pytest
 from rich.console import Console
 
-from core.wire.messages import Interval, LegOutlook
+from core.wire.messages import Interval, LegOutlook, NextCharge
 from stream.zenoh_session import find_free_port
 from tests.support.commands import done, refused
 from tests.support.live_consumers import consumers, logged
@@ -82,6 +82,15 @@ def test_figures_are_those_of_outlook():
         "now": "72.0 ± 0.4 % of 38.2 ± 0.6 kWh, by a sample of 2024-01-15 12:00 UTC",
         "this car today": "consumes 104 % of what hybrid/2 predicts once the fleet's rides have corrected it",
     }
+
+
+def test_planned_charges_are_told():
+    charge = NextCharge(NOW + 1800.0, Interval(41.0, 38.0, 44.0), 0.01)
+    legs = [*OUTLOOK.legs, LegOutlook(0.0, 2400.0, None, Interval(80.0, 70.0, 85.0), 80.0)]
+    told = dict(figures(outlook(next_charge=charge, legs=legs)))
+    assert told["next charge"].startswith("41 % (38 to 44) at ")
+    assert told["next charge"].endswith(", 21 points above the reserve")
+    assert told["then planned"] == "2 legs, 30 km, 4.0 kWh, charges to 80 %"
 
 
 @pytest.mark.parametrize("without", ["soc_pct", "soc_sd_pct", "usable_capacity_kwh", "usable_capacity_sd_kwh"])

@@ -152,3 +152,12 @@ def test_leg_figures_match_planted_errors():
         assert whole["baselines"]["linear"]["n"] == 0
         assert whole["baselines"]["rating"]["n"] == mine.sum()
     assert evaluate_soc(*frames)["legs"] == {}
+
+
+def test_only_legs_before_the_next_planned_charge_are_recorded():
+    answer = outlook(BEGIN)
+    charge = LegOutlook(0.0, HOUR, None, Interval(80.0, 70.0, 90.0), 80.0)
+    answer.legs.insert(1, charge)
+    recorder = LegRecorder(lambda _: answer)
+    recorder.query(CAR)
+    assert recorder.table()["soc_mean_pct"].tolist() == [60.0]
