@@ -37,9 +37,8 @@ class FileLock:
         except OSError as error:
             owner = os.read(self._file, 20).decode(errors="replace").strip()
             os.close(self._file)
-            raise SettingsError(
-                f"{what} is in use by process {owner or 'of another user'}; stop that process, or choose another place"
-            ) from error
+            who = f"process {owner}" if owner else "another process"
+            raise SettingsError(f"{what} is in use by {who}; stop that process, or choose another place") from error
         os.ftruncate(self._file, 0)
         os.pwrite(self._file, f"{os.getpid()}\n".encode(), 0)
 

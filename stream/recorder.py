@@ -129,11 +129,11 @@ class Recorder:
             self._rotates = False
             self._end_file()
         if messages and now >= self._retry_s:
-            before = self.recorded
+            before = self.recorded + self.unrecorded
             try:
                 self._write(messages)
             except RecordingError as error:
-                self._give_up(error, len(messages) - (self.recorded - before), now)
+                self._give_up(error, len(messages) - (self.recorded + self.unrecorded - before), now)
         elif messages:
             self.unrecorded += len(messages)
         if now - self._flushed_s >= self._flush_s:
@@ -186,6 +186,13 @@ class Recorder:
                 if skip < len(messages):
                     yield messages[skip:]
                 skip = max(0, skip - len(messages))
+            if skip:
+                _log.warning(
+                    "%s was cut off: it holds %d of %d messages that are in the state",
+                    path,
+                    place.messages - skip,
+                    place.messages,
+                )
 
     def close(self) -> None:
         """Close the current file and free the folder; a second call has no effect."""
@@ -213,6 +220,9 @@ class Recorder:
         if sink is not None and (is_full or is_old):
             self._end_file()
             sink = None
+            if self._clock() < self._retry_s:  # the disk refused the end of the file
+                self.unrecorded += len(messages)
+                return
         if sink is None:
             sink = self._sink = McapSink(self._find_fresh_path(first_ns))
             self._sync_folder()

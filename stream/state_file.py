@@ -15,6 +15,8 @@ from stream.structured_log import event_fields
 
 PREVIOUS: Final = ".previous"
 """End of the name of the file that holds the state before the last one."""
+DAMAGED: Final = ".damaged"
+"""End of the name under which the next save keeps a last state that could not be used."""
 
 LARGEST_STATE: Final = 4 << 30
 """Largest state that is read. [B]"""
@@ -26,7 +28,8 @@ class StateFile:
     """Save and load snapshots under one name; a context manager that locks the file for this process.
 
     A complete state exists under the name at any time, however the process ends. `{name}.previous` holds the state
-    that was saved before it.
+    that was saved before it. A last state that could not be used never replaces that one: the next save keeps it as
+    `{name}.damaged`.
 
     Parameters
     ----------
@@ -42,6 +45,7 @@ class StateFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._previous = path.with_name(path.name + PREVIOUS)
+        self._is_damaged = False
         self._lock = FileLock(path.with_name(f".{path.name}.lock"), path)
 
     @property
@@ -74,10 +78,13 @@ class StateFile:
                 failure = failure or SocastError(f"{path}: {error}")
             else:
                 if path == self._previous:
+                    self._is_damaged = failure is not None
                     saved = datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="seconds")
                     reason = str(failure) if failure else f"{self.path} does not exist"
-                    _log.error("state before the last one used", extra=event_fields(reason=reason, saved=saved))
+                    _log.error(f"continued from {path}", extra=event_fields(reason=reason, saved=saved))
                 return note
+        if failure is not None and self._previous.exists():
+            raise SocastError(f"{failure}; {self._previous} cannot be used either: restore a copy, or move both away")
         raise failure or SettingsError(f"{self.path} does not exist")
 
     def save(self, snapshot: bytes) -> None:
@@ -99,7 +106,7 @@ class StateFile:
                 file.write(snapshot)
                 file.flush()
                 os.fsync(file.fileno())
-            self._keep_previous()
+            self._keep_last()
             fresh.replace(self.path)
             sync_folder(self.path.parent)
         except OSError as error:
@@ -109,14 +116,16 @@ class StateFile:
         """Free the lock; a second call has no effect."""
         self._lock.close()
 
-    def _keep_previous(self) -> None:
+    def _keep_last(self) -> None:
         """Give the last state its second name, so that the first name is never without a file."""
+        kept = self.path.with_name(self.path.name + DAMAGED) if self._is_damaged else self._previous
         link = self.path.with_name(f".{self.path.name}.link")
         with suppress(FileNotFoundError):
             link.unlink()
         with suppress(FileNotFoundError):
             os.link(self.path, link)
-            link.replace(self._previous)
+            link.replace(kept)
+            self._is_damaged = False
 
     def __enter__(self) -> Self:
         """Return itself."""

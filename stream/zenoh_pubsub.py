@@ -73,6 +73,7 @@ _SPACES: Final = "weather", "fleet"
 A weather observation then does not come after the samples that it applies to. A node that detects the subscription to
 the fleet can rely on the subscription to the weather.
 """
+_MOST_KEYS, _LONGEST_KEY = 100_000, 512  # that are remembered as text
 _NAP_S: Final = 0.0002, 0.01  # shortest and longest wait for more samples; a busy channel is full after 0.001 s
 _log = logging.getLogger("socast.zenoh")
 
@@ -82,7 +83,11 @@ class _Keys(dict[Any, str]):
 
     def __missing__(self, key: Any) -> str:
         text = str(key)
-        text = self[key] = "" if text.endswith("/forecast") else text
+        text = "" if text.endswith("/forecast") else text
+        if len(self) >= _MOST_KEYS:
+            self.clear()
+        if len(text) <= _LONGEST_KEY:
+            self[key] = text
         return text
 
 

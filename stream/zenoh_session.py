@@ -231,15 +231,23 @@ def format_zenoh_error(error: Exception) -> str:
     return (inner.group(1) if inner else text).strip(" .!")
 
 
+def _read_config(file: Path) -> zenoh.Config:
+    """Return the configuration of a file."""
+    try:
+        read_input(file)  # Zenoh itself would read a file of any size
+        return zenoh.Config.from_file(file)
+    except FileNotFoundError as error:
+        raise SettingsError(f"--config {file} does not exist; `socast secure init` makes one") from error
+    except OSError as error:
+        raise SettingsError(f"--config {file} cannot be read: {error.strerror}") from error
+    except zenoh.ZError as error:
+        raise SettingsError(f"{file} is not a Zenoh configuration: {format_zenoh_error(error)}") from error
+
+
 def _make_config(connection: Connection) -> zenoh.Config:
     """Return Zenoh's configuration; raise `SettingsError` if the file or a value is invalid."""
     file = connection.config
-    try:
-        if file:
-            read_input(file)  # Zenoh itself would read a file of any size
-        config = zenoh.Config.from_file(file) if file else zenoh.Config()
-    except (zenoh.ZError, OSError) as error:
-        raise SettingsError(f"{file} is not a Zenoh configuration: {format_zenoh_error(error)}") from error
+    config = _read_config(file) if file else zenoh.Config()
     mode = connection.mode or _read(config, "mode") or ("client" if connection.connect else "router")
     _insert(config, "mode", mode)
     if connection.connect:

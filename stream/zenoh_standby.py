@@ -40,6 +40,8 @@ SETTLE_S: Final = 0.3
 TICK_S: Final = 0.02
 """Time between two looks at the tokens. [s]"""
 _WAITING: Final = 1024
+_DIGITS: Final = 9  # of a ticket, so that tickets as texts are in the order of their numbers
+_LARGEST_TICKET: Final = 900_000_000  # a larger one is no ticket of a consumer
 _log = logging.getLogger("socast.standby")
 
 
@@ -118,7 +120,8 @@ class Election:
     def _take(self, token: str, *, is_there: bool) -> None:
         """Note a token of another consumer."""
         ticket, _, name = token.partition("-")
-        if name == self._name or not (ticket.isdecimal() and ticket.isascii()):
+        is_ticket = len(ticket) == _DIGITS and ticket.isdecimal() and ticket.isascii()
+        if name == self._name or not is_ticket or int(ticket) >= _LARGEST_TICKET:
             return
         if is_there:
             self._others.add(token)
@@ -129,7 +132,7 @@ class Election:
     def _draw_ticket(self) -> None:
         """Replace the token by one behind all that were seen."""
         self._highest += 1
-        self.token = f"{self._highest:09d}-{self._name}"
+        self.token = f"{self._highest:0{_DIGITS}d}-{self._name}"
         self._declare(self.token)
 
     def _become_passive(self, cause: str) -> None:
@@ -203,8 +206,11 @@ class Standby:
                 while (sample := self._tokens.handler.try_recv()) is not None:
                     events.append((str(sample.key_expr)[len(self._space) :], sample.kind == zenoh.SampleKind.PUT))
                 self.election.look(events, has_router=self._has_stayed_connected())
-        except zenoh.ZError as error:
+        except Exception as error:  # noqa: BLE001 - whatever it is, another consumer must be able to take over
             _log.error("passive for good: %s", error)
+            if self._token is not None:
+                self._token.undeclare()
+                self._token = None
 
 
 class FencedSink:

@@ -8,7 +8,7 @@ from core.errors import RecordingError, SettingsError
 from core.wire.messages import Message
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
-from stream.recorder import Recorder, list_recordings
+from stream.recorder import Place, Recorder, list_recordings
 from stream.source import merge_sources
 
 SECOND = 1_000_000_000
@@ -137,6 +137,36 @@ def test_refusal_at_end_of_chunk_is_counted_and_raises_nothing(
     recorder.close()
     assert (recorder.recorded, recorder.unrecorded) == (5, 4)
     assert read_folder(tmp_path) == make_messages(5)
+
+
+def test_refusal_at_a_rotation_counts_each_message_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    clock = Clock()
+    recorder = Recorder(tmp_path, file_s=60.0, clock=clock)
+    recorder.put(make_messages(5))
+
+    def full(self: McapSink) -> None:
+        raise RecordingError(f"{self.path} cannot be written: no space left on device")
+
+    with monkeypatch.context() as disk:
+        disk.setattr(McapSink, "sync", full)
+        recorder.put(make_messages(3, 100))
+    assert (recorder.recorded, recorder.unrecorded) == (0, 8)
+    assert len(recorder.files) == 1
+    clock.now = 20.0
+    recorder.put(make_messages(2, 110))
+    recorder.close()
+    assert (recorder.recorded, recorder.unrecorded) == (2, 8)
+
+
+def test_recording_that_was_cut_off_is_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    recorder = Recorder(tmp_path)
+    recorder.put(make_messages(5))
+    recorder.close()
+    recorder = Recorder(tmp_path)
+    name = recorder.files[0].name if recorder.files else list_recordings(tmp_path)[0].name
+    assert list(recorder.read_after(Place(name, 9))) == []
+    recorder.close()
+    assert "was cut off: it holds 5 of 9 messages that are in the state" in caplog.text
 
 
 def test_second_close_has_no_effect(tmp_path: Path):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from core.errors import SettingsError, SocastError
-from stream.state_file import PREVIOUS, StateFile
+from stream.state_file import DAMAGED, PREVIOUS, StateFile
 
 
 @pytest.fixture
@@ -50,8 +50,20 @@ def test_damaged_state_falls_back_to_the_one_before_and_logs_an_error(path, capl
         assert file.load(restore) == "first"
     (record,) = caplog.records
     assert record.levelno == logging.ERROR
-    assert record.getMessage() == "state before the last one used"
+    assert record.getMessage() == f"continued from {path}.previous"
     assert record.fields["reason"] == f"{path}: damaged is no state"
+
+
+def test_damaged_state_never_replaces_the_one_before(path):
+    save(path, b"first", b"damaged")
+    with StateFile(path) as file:
+        file.load(restore)
+        file.save(b"third")
+        assert path.with_name(path.name + PREVIOUS).read_bytes() == b"first"
+        assert path.with_name(path.name + DAMAGED).read_bytes() == b"damaged"
+        file.save(b"fourth")
+    assert path.with_name(path.name + PREVIOUS).read_bytes() == b"third"
+    assert path.read_bytes() == b"fourth"
 
 
 def test_missing_state_falls_back_to_the_one_before(path, caplog):
@@ -65,7 +77,13 @@ def test_missing_state_falls_back_to_the_one_before(path, caplog):
 
 def test_two_damaged_states_are_refused_with_the_failure_of_the_last_one(path):
     save(path, b"damaged first", b"damaged second")
-    with StateFile(path) as file, pytest.raises(SocastError, match=r"damaged second is no state$"):
+    with (
+        StateFile(path) as file,
+        pytest.raises(
+            SocastError,
+            match=r"damaged second is no state; .*previous cannot be used either: restore a copy, or move both away$",
+        ),
+    ):
         file.load(restore)
 
 

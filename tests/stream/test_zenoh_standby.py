@@ -104,7 +104,9 @@ def test_the_lower_token_wins_where_two_are_active():
 
 def test_a_token_that_is_none_is_ignored():
     member = Member("a")
-    member.look(("x", True), ("-1-b", True), ("000000000-a", True), times=2)
+    member.look(
+        ("x", True), ("-1-b", True), ("000000000-a", True), ("999999999-b", True), (f"{'9' * 5000}-b", True), times=2
+    )
     assert member.election.is_active
 
 

@@ -48,6 +48,6 @@ def test_file_of_no_configuration_is_refused(tmp_path, capsys):
         sink.put(telemetry(drive(3)))
     for command in (("ask", "taxi-1"), ("replay", recording)):
         message = refused(capsys, *command, "--config", tmp_path / "missing.json5")
-        assert "missing.json5 is not a Zenoh configuration" in message
+        assert "missing.json5 does not exist; `socast secure init` makes one" in message
     message = refused(capsys, "replay", recording, "--config", tmp_path / "missing.json5", "--in-process")
     assert "--config only publishes and makes no forecasts" in message
