@@ -213,16 +213,17 @@ class Recorder:
 
     def _write(self, messages: Sequence[Message]) -> None:
         """Write messages to the current file, or to the next one if the current file has reached a limit."""
+        if self._clock() < self._retry_s:  # the disk has just refused the end of a file
+            self.unrecorded += len(messages)
+            return
         first_ns = messages[0].receipt_ns
         sink = self._sink
         is_full = sink is not None and sink.written >= self._file_bytes
         is_old = first_ns - self._first_ns >= self._file_ns or first_ns < self._newest_ns  # the clock was set back
         if sink is not None and (is_full or is_old):
             self._end_file()
-            sink = None
-            if self._clock() < self._retry_s:  # the disk refused the end of the file
-                self.unrecorded += len(messages)
-                return
+            self._write(messages)
+            return
         if sink is None:
             sink = self._sink = McapSink(self._find_fresh_path(first_ns))
             self._sync_folder()

@@ -108,6 +108,7 @@ class StateFile:
                 os.fsync(file.fileno())
             self._keep_last()
             fresh.replace(self.path)
+            self._is_damaged = False
             sync_folder(self.path.parent)
         except OSError as error:
             raise SettingsError(f"{self.path} cannot be written: {error.strerror}; choose another file") from error
@@ -125,7 +126,6 @@ class StateFile:
         with suppress(FileNotFoundError):
             os.link(self.path, link)
             link.replace(kept)
-            self._is_damaged = False
 
     def __enter__(self) -> Self:
         """Return itself."""

@@ -41,7 +41,7 @@ TICK_S: Final = 0.02
 """Time between two looks at the tokens. [s]"""
 _WAITING: Final = 1024
 _DIGITS: Final = 9  # of a ticket, so that tickets as texts are in the order of their numbers
-_LARGEST_TICKET: Final = 900_000_000  # a larger one is no ticket of a consumer
+_LARGEST_TICKET: Final = 900_000_000  # no consumer queues behind a larger one, which would leave too few digits
 _log = logging.getLogger("socast.standby")
 
 
@@ -121,11 +121,12 @@ class Election:
         """Note a token of another consumer."""
         ticket, _, name = token.partition("-")
         is_ticket = len(ticket) == _DIGITS and ticket.isdecimal() and ticket.isascii()
-        if name == self._name or not is_ticket or int(ticket) >= _LARGEST_TICKET:
+        if name == self._name or not is_ticket:
             return
         if is_there:
             self._others.add(token)
-            self._highest = max(self._highest, int(ticket))
+            if int(ticket) < _LARGEST_TICKET:
+                self._highest = max(self._highest, int(ticket))
         else:
             self._others.discard(token)
 

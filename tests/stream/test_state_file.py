@@ -66,6 +66,26 @@ def test_damaged_state_never_replaces_the_one_before(path):
     assert path.read_bytes() == b"fourth"
 
 
+def test_failed_save_leaves_the_state_before_a_damaged_one(path, monkeypatch):
+    replace = Path.replace
+
+    def refuse_fresh(self, target):
+        if self.name.endswith(".new"):
+            raise OSError(28, "No space left on device")
+        return replace(self, target)
+
+    save(path, b"first", b"damaged")
+    with StateFile(path) as file:
+        file.load(restore)
+        with monkeypatch.context() as disk:
+            disk.setattr(Path, "replace", refuse_fresh)
+            with pytest.raises(SettingsError):
+                file.save(b"third")
+        file.save(b"fourth")
+        assert path.with_name(path.name + PREVIOUS).read_bytes() == b"first"
+        assert path.read_bytes() == b"fourth"
+
+
 def test_missing_state_falls_back_to_the_one_before(path, caplog):
     save(path, b"first", b"second")
     path.unlink()

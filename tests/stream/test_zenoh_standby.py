@@ -110,6 +110,17 @@ def test_a_token_that_is_none_is_ignored():
     assert member.election.is_active
 
 
+def test_two_consumers_behind_the_largest_ticket_are_never_both_active():
+    members = [Member(name) for name in "ab"]
+    for member in members:
+        member.look(("899999999-z", True), times=2)
+        member.look(("899999999-z", False))
+    tokens = [member.election.token for member in members]
+    for member, other in zip(members, reversed(tokens), strict=True):
+        member.look((other, True), times=2)
+    assert sum(member.election.is_active for member in members) == 1
+
+
 def test_the_fence_closes_before_the_router_removes_a_token():
     assert LEASE_S * 3 / 4 > FENCE_S
 
