@@ -105,8 +105,10 @@ def confirm_jump(state: Any, event: Any, limit: float, quantum: float) -> None:
     state.suspect = off
     returned, is_step = state.jump != 0.0 and abs(off + state.jump) <= limit, abs(off) < LEAST_JUMP
     if returned or event.time - state.suspect_time >= (STEP_CONFIRMATION if is_step else JUMP_CONFIRMATION):
-        if not is_step:
-            state.jump = 0.0 if returned else state.jump + off
+        if returned:
+            state.jump = 0.0
+        elif not is_step:
+            state.jump += off
         state.soc = event.soc
         state.p_ss += quantum * quantum / 12.0 + (STEP_SD**2 if is_step else 0.0)
         state.faulty = event.time

@@ -14,7 +14,9 @@ from core.forecast.learning.leg_energy import PACES, TEMPERATURES, LegEnergyTabl
 from core.vehicles import ACCESSORIES, VehicleModel
 
 DRIVING_SHARE: Final = 0.75
-"""Share of the official consumption that driving takes: less charging losses and the accessories of the cycle. [1]"""
+"""Share of the official consumption that driving takes: less charging losses and the accessories of the cycle. [1]
+
+Estimated, as the other figures of this module: the standard deviation below covers what they miss."""
 CONSUMPTION_PER_MASS: Final = 1.2e-4
 """Official consumption over kerb mass of the cars in the catalogue, for cars without a rating. [kWh/(km kg)]"""
 FIRST_RELATIVE_SD: Final = 0.3

@@ -268,11 +268,8 @@ class FleetStatistics:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        learned = (
-            *(self.rides, self.factors, self.conformal, self.correction),
-            *(self.daily_cycle, self.charged_soc),
-        )
-        parts = [part.dump() for part in learned]
+        learning = self.rides, self.factors, self.conformal, self.correction
+        parts = [part.dump() for part in (*learning, self.daily_cycle, self.charged_soc)]
         arrays = self.prior.tobytes(), self._patterns.tobytes(), self.interval_outcomes.tobytes()
         return parts, self._waiting, *arrays
 
