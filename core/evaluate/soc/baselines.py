@@ -34,7 +34,7 @@ PERSONS: Final[Mapping[str, str]] = MappingProxyType(
 """Name of each baseline that a person can compute by hand -> its description."""
 REGRESSION: Final = "regression"
 BASELINES: Final[Mapping[str, str]] = MappingProxyType(
-    {**PERSONS, REGRESSION: "kilometres, driving and waiting hours, cold and heat, car and day, fitted to earlier days"}
+    {**PERSONS, REGRESSION: "kilometres, hours, cold and heat, fitted to earlier days"}
 )
 """Name of each baseline -> its description."""
 LEAST_PACE_TIME: Final = 900.0
