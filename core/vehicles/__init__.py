@@ -8,8 +8,20 @@ from core.vehicles.catalogue import (
     OCCUPANT_MASS,
     AccessoryCurve,
     VehicleModel,
+    add_vehicles,
     load_catalogue,
     read_catalogue,
 )
+from core.vehicles.data_sheet import list_assumed, read_data_sheets
 
-__all__ = ["ACCESSORIES", "OCCUPANT_MASS", "AccessoryCurve", "VehicleModel", "load_catalogue", "read_catalogue"]
+__all__ = [
+    "ACCESSORIES",
+    "OCCUPANT_MASS",
+    "AccessoryCurve",
+    "VehicleModel",
+    "add_vehicles",
+    "list_assumed",
+    "load_catalogue",
+    "read_catalogue",
+    "read_data_sheets",
+]

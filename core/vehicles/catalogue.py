@@ -154,8 +154,12 @@ less than the 5 kW of that heater (Argonne National Laboratory, Leaf testing).
 """
 
 
+_OWN: Final[dict[str, VehicleModel]] = {}
+"""Vehicle models that were added to those of the product."""
+
+
 def load_catalogue() -> Mapping[str, VehicleModel]:
-    """Return the vehicle models that the product includes.
+    """Return the vehicle models that the product includes, and those that were added.
 
     Returns
     -------
@@ -167,7 +171,18 @@ def load_catalogue() -> Mapping[str, VehicleModel]:
     >>> load_catalogue()["nissan-leaf-2013"].nominal_capacity_kwh
     24.0
     """
-    return _read_shipped()
+    return MappingProxyType({**_read_shipped(), **_OWN}) if _OWN else _read_shipped()
+
+
+def add_vehicles(vehicles: Mapping[str, VehicleModel]) -> None:
+    """Add vehicle models of one's own to the catalogue of this process.
+
+    Parameters
+    ----------
+    vehicles : mapping of str to VehicleModel
+        Vehicle models by key, from `core.vehicles.read_data_sheets`.
+    """
+    _OWN.update(vehicles)
 
 
 @cache
@@ -198,7 +213,7 @@ def read_catalogue(text: str) -> Mapping[str, VehicleModel]:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise CatalogueError(f"vehicle catalogue: not TOML: {error}") from error
-    return MappingProxyType({key: _read_entry(key, table) for key, table in tables.items()})
+    return MappingProxyType({key: read_entry(key, table) for key, table in tables.items()})
 
 
 def vehicle_model(message: Vehicle) -> VehicleModel | str:
@@ -248,8 +263,21 @@ def vehicle_model(message: Vehicle) -> VehicleModel | str:
     return replace(known, usable_capacity_kwh=usable, sources={**known.sources, **sources}, **overrides)
 
 
-def _read_entry(key: str, table: Any) -> VehicleModel:
-    """Check a table of the catalogue, and return it as a vehicle model."""
+def read_entry(key: str, table: Any) -> VehicleModel:
+    """Check a table of the catalogue, and return it as a vehicle model.
+
+    Parameters
+    ----------
+    key : str
+        Key of the vehicle model.
+    table : object
+        Its table, as TOML gives it.
+
+    Raises
+    ------
+    CatalogueError
+        If a figure is missing, unknown, not a number, out of bounds or without a source.
+    """
     if not isinstance(table, dict):
         raise CatalogueError(f"vehicle catalogue: {key!r} is no table: write [{key}] and its figures below")
     known = {f.name for f in fields(VehicleModel)} - {"key"}

@@ -59,5 +59,5 @@ def get_data_set(name: str) -> DataSet:
         If no data set has this name.
     """
     if name not in DATA_SETS:
-        raise SettingsError(f"no data set is called {name!r}; choose from {', '.join(DATA_SETS)}")
+        raise SettingsError(f"no data set is called {name!r}; choose from csv, parquet, {', '.join(DATA_SETS)}")
     return DATA_SETS[name]

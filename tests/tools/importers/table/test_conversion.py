@@ -1,0 +1,189 @@
+"""Test that tables of many forms become the same samples, and that what cannot be read is counted by cause."""
+
+from collections import Counter
+from datetime import UTC, datetime
+
+import pandas as pd
+import pytest
+
+from core.errors import ImportFileError
+from stream.mcap_reader import McapSource
+from tests.support.own_tables import read_samples
+from tools.importers.table.column_map import read_map
+from tools.importers.table.conversion import convert_tables, open_tables
+from tools.importers.table.import_summary import list_lines
+from tools.importers.table.row_reader import AMBIGUOUS_TIME, IMPLAUSIBLE_TIME, NO_TIME, NO_VALUE, UNREADABLE_TIME
+from tools.importers.table.table_file import WRONG_WIDTH, list_tables
+
+MAP = """\
+[vehicle]
+name = "taxi-7"
+[time]
+column = "t"
+{time}
+{more}
+[fields]
+speed_kmh = {{ column = "speed" }}
+{fields}
+"""
+NOON = datetime(2024, 5, 1, 12, tzinfo=UTC).timestamp()
+
+
+def run(tmp_path, content, *, time="", more="", fields="", kind="csv", text=None):
+    """Convert one table; return its samples and the summary."""
+    files = content if isinstance(content, list) else [tmp_path / f"table.{kind}"]
+    if isinstance(content, str):
+        files[0].write_text(content, encoding="utf-8")
+    elif isinstance(content, bytes):
+        files[0].write_bytes(content)
+    map_file = tmp_path / "map.toml"
+    map_file.write_text(text or MAP.format(time=time, more=more, fields=fields), encoding="utf-8")
+    columns = read_map(map_file)
+    summary = convert_tables(open_tables(files, kind, columns), columns, tmp_path / "out.mcap")
+    return read_samples(tmp_path / "out.mcap"), summary
+
+
+def refused(tmp_path, *arguments, **options):
+    """Return the one line of the error of a conversion."""
+    with pytest.raises(ImportFileError) as error:
+        run(tmp_path, *arguments, **options)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+SAME = [
+    pytest.param("t,speed\n2024-05-01T12:00:00Z,10.5\n", {}, id="plain"),
+    pytest.param("\ufefft,speed\n2024-05-01 12:00:00,10.5\n", {}, id="BOM"),
+    pytest.param("t;speed\n2024-05-01T12:00:00Z;10,5\n", {}, id="semicolon and decimal comma"),
+    pytest.param("t\tspeed\n2024-05-01T14:00:00+02:00\t10.5\n", {}, id="tabulator and offset"),
+    pytest.param("t,speed\n2024-05-01T12:00:00Z,10.5\n".encode("utf-16"), {}, id="UTF-16"),
+    pytest.param("t,speed,Höhe\n2024-05-01T12:00:00Z,10.5,7\n".encode("latin-1"), {}, id="Latin-1"),
+    pytest.param("logger 3\n\nt,speed\n2024-05-01 12:00,10.5\n", {"more": "[file]\nskip_lines = 2"}, id="lines above"),
+    pytest.param("t,speed\r\n1714564800,10.5\r\n", {"time": "unit = 's'"}, id="Unix s"),
+    pytest.param("t,speed\n1714564800000,+10.50\n", {"time": "unit = 'ms'"}, id="Unix ms"),
+    pytest.param("t,speed\n3600,1.05e1\n", {"time": "unit = 's'\norigin = '2024-05-01T11:00:00'"}, id="origin"),
+    pytest.param("t,speed\n2024-05-01 14:00:00,10.5\n", {"time": "zone = 'Europe/Berlin'"}, id="zone"),
+    pytest.param(
+        "t,speed\n05/01/2024 08:00 AM,10.5\n",
+        {"time": "format = '%m/%d/%Y %I:%M %p'\nzone = 'America/Montreal'"},
+        id="format",
+    ),
+]
+
+
+@pytest.mark.parametrize(("content", "options"), SAME)
+def test_forms_of_a_table_give_the_same_sample(tmp_path, content, options):
+    (sample,), summary = run(tmp_path, content, **options)
+    assert (sample.vehicle_id, sample.time_s, sample.speed_kmh) == ("taxi-7", NOON, 10.5)
+    assert not summary.causes
+    assert not summary.cells
+
+
+def test_parquet_with_types_gives_the_samples_of_text(tmp_path):
+    times = pd.to_datetime(["2024-05-01T12:00:00", "2024-05-01T12:00:02"])
+    frame = pd.DataFrame({"t": times, "speed": [10, 11], "plugged": [True, False], "soc": [0.8, None]})
+    frame.to_parquet(tmp_path / "table.parquet")
+    fields = 'charging = { column = "plugged" }\nsoc_pct = { column = "soc", unit = "1" }'
+    samples, _ = run(tmp_path, None, fields=fields, kind="parquet")
+    assert [(s.time_s - NOON, s.speed_kmh, s.charging, s.soc_pct) for s in samples] == [
+        (0.0, 10.0, True, 80.0),
+        (2.0, 11.0, False, None),
+    ]
+
+
+def test_units_and_signs_are_converted(tmp_path):
+    fields = """\
+battery_voltage_v = { column = "u", unit = "mV" }
+battery_current_a = { column = "i", sign = -1 }
+ambient_c = { column = "temp", unit = "degF" }
+odometer_km = { column = "odo", unit = "mi" }
+elevation_m = { column = "alt", unit = "ft" }
+"""
+    (sample,), _ = run(tmp_path, "t,speed,u,i,temp,odo,alt\n2024-05-01T12:00Z,1,360000,-5,50,100,1000\n", fields=fields)
+    assert (sample.battery_voltage_v, sample.battery_current_a) == (360.0, 5.0)
+    assert (sample.ambient_c, sample.odometer_km, sample.elevation_m) == (10.0, 160.9344, 304.8)
+
+
+def test_power_alone_is_sent_as_voltage_times_current(tmp_path):
+    content = "t,speed,p,u\n2024-05-01T12:00:00Z,1,7200,\n2024-05-01T12:00:02Z,1,-3000,400\n"
+    fields = 'battery_power_kw = { column = "p", unit = "W" }\nbattery_voltage_v = { column = "u" }'
+    samples, _ = run(tmp_path, content, fields=fields)
+    assert [(s.battery_voltage_v, s.battery_current_a) for s in samples] == [(360.0, 20.0), (400.0, -7.5)]
+
+
+def test_rows_that_cannot_be_read_are_counted_by_cause_and_others_kept(tmp_path):
+    good = [f"2024-05-01T12:00:{second:02},{second}" for second in range(10)]
+    bad = [",1", "yesterday,2", "1970-01-02T00:00:00,3", "2024-05-01T13:00:00,", "2024-05-01T13:00:00,1,2,3"]
+    samples, summary = run(tmp_path, "\n".join(["t,speed", *good, *bad, "2024-05-01T14:00:00,fast"]) + "\n")
+    assert [s.speed_kmh for s in samples] == list(range(10))
+    assert summary.causes == Counter({NO_TIME: 1, UNREADABLE_TIME: 1, IMPLAUSIBLE_TIME: 1, NO_VALUE: 2, WRONG_WIDTH: 1})
+    assert summary.rows == len(samples) + summary.causes.total()
+    assert (summary.cells, summary.examples) == (Counter({"speed": 1}), {"speed": "fast"})
+
+
+def test_hour_that_the_change_of_the_clock_repeats_is_counted(tmp_path):
+    times = ["2024-10-27 01:59:00", "2024-10-27 02:30:00", "2024-10-27 03:00:00", "2024-03-31 02:30:00"]
+    samples, summary = run(tmp_path, "\n".join(["t,speed", *(f"{t},1" for t in times)]), time="zone = 'Europe/Berlin'")
+    assert [datetime.fromtimestamp(s.time_s, UTC).hour for s in samples] == [23, 2]
+    assert summary.causes == Counter({AMBIGUOUS_TIME: 2})
+
+
+def test_decimal_comma_that_is_not_declared_is_named_with_its_remedy(tmp_path):
+    content = 't,speed,soc\n2024-05-01T12:00:00Z,"10,5",80\n'
+    _, summary = run(tmp_path, content, fields='soc_pct = { column = "soc" }')
+    assert any("'10,5'; set decimal = ',' in [file]" in line for line, _ in list_lines(summary))
+
+
+def test_duplicate_headers_are_refused_until_one_is_chosen(tmp_path):
+    content = "t,speed,speed\n2024-05-01T12:00:00Z,1,2\n"
+    assert "column 'speed' appears 2 times; write speed#1 or speed#2 in the map" in refused(tmp_path, content)
+    text = MAP.format(time="", more="", fields="").replace('"speed"', '"speed#2"')
+    ((sample,), _) = run(tmp_path, content, text=text)
+    assert sample.speed_kmh == 2.0
+
+
+def test_files_in_any_order_are_merged_by_time(tmp_path):
+    files = []
+    for name, seconds in (("b", (3, 1)), ("a", (2, 0))):
+        files.append(tmp_path / f"{name}.csv")
+        rows = "".join(f"2024-05-01T12:00:0{second}Z,{second}\n" for second in seconds)
+        files[-1].write_text("t,speed\n" + rows)
+    text = MAP.format(time="", more="[ride]\nfrom_file_name = true", fields="").replace(
+        'name = "taxi-7"', 'from_file_name = true\nprefix = "car-"\nmodel = "nissan-leaf-2013"'
+    )
+    samples, _ = run(tmp_path, list_tables([tmp_path], "csv"), text=text)
+    assert [(s.vehicle_id, s.ride_id, s.speed_kmh) for s in samples] == [
+        ("car-a", "a", 0), ("car-b", "b", 1), ("car-a", "a", 2), ("car-b", "b", 3),
+    ]  # fmt: skip
+    assert files
+    keys = [message.key for block in McapSource(tmp_path / "out.mcap") for message in block]
+    assert keys.count("fleet/car-a/vehicle") == 1
+
+
+def test_gaps_divide_rides_of_each_car(tmp_path):
+    rows = [("a", 0), ("b", 5), ("a", 10), ("b", 700), ("a", 701), ("a", 702)]
+    stamps = [(car, datetime.fromtimestamp(NOON + second, UTC).isoformat()) for car, second in rows]
+    content = "t,speed,car\n" + "".join(f"{stamp},1,{car}\n" for car, stamp in stamps)
+    text = MAP.format(time="", more="[ride]\ngap_s = 600", fields="").replace('name = "taxi-7"', 'column = "car"')
+    samples, _ = run(tmp_path, content, text=text)
+    assert [s.ride_id for s in samples] == ["a-1", "b-1", "a-1", "b-2", "a-2", "a-2"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "is empty"),
+        ("t,speed\n", "none of 0 rows can be read"),
+        ("t,speed\nx,1\n", "none of 1 rows can be read (1 with a time that cannot be read)"),
+        ("when,speed\n1,2\n", "has no column 't'; it has when, speed; correct the map"),
+        (b"PAR1\0\0\0\0", "use `socast import parquet`"),
+        (b"t,speed\n" + b"2024-05-01T12:00:00Z,1\n" * 20000 + b"\xff\xff,1\n", "is damaged or of another form"),
+    ],
+)
+def test_wrong_file_is_one_clear_line(tmp_path, content, words):
+    assert words in refused(tmp_path, content)
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_missing_parquet_file_is_one_clear_line(tmp_path):
+    assert "cannot be read" in refused(tmp_path, [tmp_path / "none.parquet"], kind="parquet")

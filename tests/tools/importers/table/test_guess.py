@@ -1,0 +1,105 @@
+"""Test what names, ranges and physics say about columns."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from core.errors import ImportFileError
+from tests.support.own_tables import abrp, make_drive
+from tools.importers.table.column_map import FileFormat
+from tools.importers.table.guess import guess_map
+from tools.importers.table.guess_names import guess_name
+from tools.importers.table.table_file import open_table
+
+NAMES = [
+    ("speed (mph)", "speed_kmh", "mph"),
+    ("Speed [km/h]", "speed_kmh", "km/h"),
+    ("speed_mps", "speed_kmh", "mps"),
+    ("batt_current_A", "battery_current_a", "A"),
+    ("HV Battery Current[A]", "battery_current_a", "A"),
+    ("power_w", "battery_power_kw", "w"),
+    ("OAT[DegC]", "ambient_c", "DegC"),
+    ("elapsed_s", "time", "s"),
+    ("timestamp_ms", "time", "ms"),
+    ("VehicleId", "vehicle", None),
+    ("Vehicle.Speed", "speed_kmh", None),
+    ("Vehicle.TraveledDistance", "odometer_km", None),
+    ("Vehicle.Powertrain.TractionBattery.StateOfCharge.Current", "soc_pct", None),
+    ("Vehicle.Powertrain.TractionBattery.CurrentVoltage", "battery_voltage_v", None),
+    ("Vehicle.Powertrain.TractionBattery.CurrentCurrent", "battery_current_a", None),
+    ("Vehicle.Powertrain.TractionBattery.CurrentPower", "battery_power_kw", None),
+    ("Vehicle.Exterior.AirTemperature", "ambient_c", None),
+    ("Vehicle.CurrentLocation.Latitude", "latitude_deg", None),
+]
+
+
+@pytest.mark.parametrize(("name", "role", "unit"), NAMES, ids=[name for name, *_ in NAMES])
+def test_name_gives_field_and_unit(name, role, unit):
+    assert guess_name(name)[1:] == (role, unit)
+
+
+@pytest.mark.parametrize(
+    "name", ["wind speed", "motor power", "12V voltage", "cell voltage max", "inside_temp", "charger current", "notes"]
+)
+def test_names_of_other_quantities_are_left_out(name):
+    assert guess_name(name) is None
+
+
+def guess(tmp_path, **columns):
+    """Return the guessed map of a table of the drive with these columns."""
+    path = tmp_path / "table.csv"
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return guess_map([open_table(path, "csv", FileFormat())])
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("km/h", 3.6), ("mph", 1 / 0.44704), ("m/s", 1.0)])
+def test_unit_of_speed_follows_from_positions(tmp_path, unit, factor):
+    d = make_drive(600)
+    found = guess(tmp_path, time=d["time"], speed=d["speed"] * factor, lat=d["latitude"], lon=d["longitude"])
+    (speed,) = [each for each in found.fields if each.field == "speed_kmh"]
+    assert speed.unit == unit
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("km", 1e-3), ("mi", 1 / 1609.344), ("m", 1.0)])
+def test_unit_of_odometer_follows_from_a_known_speed(tmp_path, unit, factor):
+    d = make_drive(600)
+    found = guess(tmp_path, time=d["time"], speed_kmh=d["speed"] * 3.6, odometer=9e6 * factor + d["distance"] * factor)
+    assert {each.field: each.unit for each in found.fields}["odometer_km"] == unit
+
+
+@pytest.mark.parametrize(("values", "unit"), [((20, 25), "degC"), ((60, 80), "degF"), ((285, 290), "K")])
+def test_unit_of_temperature_follows_from_its_range(tmp_path, values, unit):
+    d = make_drive(100)
+    found = guess(tmp_path, time=d["time"], speed=d["speed"], ambient_temp=np.linspace(*values, 100))
+    assert {each.field: each.unit for each in found.fields}["ambient_c"] == unit
+
+
+@pytest.mark.parametrize(
+    ("form", "expected"),
+    [
+        ("%d/%m/%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S"),
+        ("%m/%d/%Y %I:%M:%S %p", "%m/%d/%Y %I:%M:%S %p"),
+        ("%Y-%m-%dT%H:%M:%S", None),
+    ],
+)
+def test_format_of_dates_is_found(tmp_path, form, expected):
+    d = make_drive(200, start=1714572000.0 + 20 * 86400.0)
+    found = guess(tmp_path, time=d["stamp"].strftime(form), speed=d["speed"])
+    assert (found.time.form, found.time.has_zone) == (expected, False)
+
+
+def test_day_and_month_are_told_apart_by_the_shorter_span(tmp_path):
+    stamps = pd.to_datetime([1714572000 + hour * 3600 for hour in range(0, 24 * 5, 6)], unit="s")
+    found = guess(tmp_path, time=stamps.strftime("%d/%m/%Y %H:%M:%S"), speed=1.0)
+    assert found.time.form == "%d/%m/%Y %H:%M:%S"
+    assert "by the shorter span of time" in found.time.reason
+
+
+def test_table_without_time_is_refused_in_one_line(tmp_path):
+    with pytest.raises(ImportFileError, match="no column looks like a time; it has speed, soc"):
+        guess(tmp_path, speed=[1.0], soc=[2.0])
+
+
+def test_columns_that_are_not_read_are_listed_with_the_reason(tmp_path):
+    found = guess_map([open_table(abrp(tmp_path / "a.csv"), "csv", FileFormat())])
+    assert dict(found.left_out) == {"is_dcfc": "its name says nothing"}

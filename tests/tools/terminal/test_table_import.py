@@ -1,0 +1,51 @@
+"""Test the options of `socast import csv` and what it prints and draws."""
+
+import pytest
+
+from tests.support.commands import called, done, refused
+from tests.support.own_tables import abrp, teslamate
+
+OTHERS = [
+    (["--guess"], "--map is missing"),
+    (["--map", "{tmp}/map.toml"], "--out is missing"),
+    (["--map", "{tmp}/map.toml", "--guess", "--html", "{tmp}/x.html"], "--html is given without --out"),
+    (["--map", "{tmp}/map.toml", "--guess", "--time-zone", "UTC"], "--time-zone applies to public data sets only"),
+    (["--map", "{tmp}/map.toml", "--out", "{tmp}/car.csv"], "is read and would be overwritten"),
+]
+
+
+@pytest.mark.parametrize(("options", "words"), OTHERS, ids=[words for _, words in OTHERS])
+def test_options_that_do_not_fit_are_refused_in_one_line(tmp_path, capsys, options, words):
+    file = abrp(tmp_path / "car.csv")
+    assert words in refused(capsys, "import", "csv", file, *(option.format(tmp=tmp_path) for option in options))
+
+
+def test_options_of_tables_are_refused_for_public_data_sets(tmp_path, capsys):
+    assert "apply to csv and parquet only" in refused(capsys, "import", "ved", tmp_path, "--guess", "-o", "x.mcap")
+    assert "--out is missing" in refused(capsys, "import", "ved", tmp_path)
+
+
+def test_folder_without_tables_is_refused(tmp_path, capsys):
+    assert "holds no file that ends in" in refused(capsys, "import", "parquet", tmp_path, "--guess", "--map", "m.toml")
+
+
+def test_page_draws_each_car_and_shows_each_comparison(tmp_path):
+    map_file, page = tmp_path / "map.toml", tmp_path / "page.html"
+    file = teslamate(tmp_path / "car.csv")
+    done("import", "csv", file, "--guess", "--map", map_file, "-o", tmp_path / "a.mcap", "--html", page)
+    text = page.read_text(encoding="utf-8")
+    assert "odometer against speed" in text
+    assert "by positions" in text
+    assert 'content="import 1"' in text
+
+
+def test_summary_of_wrong_data_names_value_limit_and_remedy(tmp_path):
+    map_file = tmp_path / "map.toml"
+    file = abrp(tmp_path / "car.csv")
+    done("import", "csv", file, "--guess", "--map", map_file)
+    text = map_file.read_text(encoding="utf-8")
+    map_file.write_text(text.replace('"speed", unit = "km/h"', '"speed", unit = "m/s"'), encoding="utf-8")
+    printed, _, code = called("import", "csv", file, "--map", map_file, "-o", tmp_path / "a.mcap")
+    assert code == 0
+    (line,) = [line for line in printed.splitlines() if "does not agree: odometer against speed" in line]
+    assert "ratio 0.278 (limit: ratio from 0.9 to 1.1); the speed is probably in km/h, not m/s" in line

@@ -1,0 +1,125 @@
+"""`socast vehicles`: show the vehicle catalogue, and describe cars of one's own by their data sheets."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from core.errors import CatalogueError, SettingsError
+from core.vehicles import VehicleModel, list_assumed, load_catalogue, read_data_sheets
+from core.wire.messages import IDENTITY
+from tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
+from tools.terminal.rich_table import Column, make_table
+from tools.terminal.vehicle_files import load_vehicle_file, make_data_sheet
+
+app = typer.Typer(help="The vehicle catalogue, and cars of your own.", no_args_is_help=True)
+
+DataSheets = Annotated[Path, typer.Argument(metavar="FILE.toml", help="File of data sheets.")]
+
+
+@app.command("list")
+def list_vehicles(_: VehicleFiles = None, json_file: JsonFile = None) -> None:
+    """List the vehicle models that forecasts know, with their figures.
+
+    A tilde marks a figure that is estimated.
+
+    Examples
+    --------
+    socast vehicles list
+    socast vehicles list --vehicles my-cars.toml
+    """
+    _show(load_catalogue(), json_file)
+
+
+@app.command("new")
+def new_file(
+    file: DataSheets,
+    mass_kg: Annotated[float, typer.Option(metavar="KG", help="Kerb mass, with the battery and nobody aboard.")],
+    capacity_kwh: Annotated[float, typer.Option(metavar="KWH", help="Rated energy of the new battery.")],
+    key: Annotated[
+        str | None, typer.Option(metavar="KEY", help="Key of the model; by default the name of the file.")
+    ] = None,
+    drag_area_m2: Annotated[
+        float | None, typer.Option(metavar="M2", help="Drag coefficient times frontal area.")
+    ] = None,
+    rated_kwh_per_100km: Annotated[
+        float | None, typer.Option("--rated-kwh-per-100km", metavar="KWH", help="Official consumption.")
+    ] = None,
+) -> None:
+    """Write the data sheet of a car of your own.
+
+    What is not known is left out: it is assumed as usual in the catalogue, and a fit corrects it from rides.
+
+    Examples
+    --------
+    socast vehicles new my-van.toml --mass-kg 2100 --capacity-kwh 75 --drag-area-m2 1.1
+    """
+    if file.exists():
+        raise SettingsError(f"{file} is there already and would be overwritten; name another file")
+    name = key if key is not None else file.stem
+    if not IDENTITY.fullmatch(name) or "." in name:
+        raise SettingsError(f"--key is '{name}', must be up to 64 letters, digits, _ and -; name the car with --key")
+    text = make_data_sheet(name, mass_kg, capacity_kwh, drag_area_m2, rated_kwh_per_100km)
+    vehicles = read_data_sheets(text, str(file))
+    check_outputs((), file)
+    try:
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CatalogueError(f"{file} cannot be written: {error.strerror}; name another file") from error
+    _show(vehicles, None)
+    make_console().print(
+        f"data sheet in {file}: give it with --vehicles {file}", markup=False, highlight=False, soft_wrap=True
+    )
+
+
+@app.command("check")
+def check_file(file: DataSheets, json_file: JsonFile = None) -> None:
+    """Check a file of data sheets, and show what is assumed.
+
+    Examples
+    --------
+    socast vehicles check my-van.toml
+    """
+    vehicles = load_vehicle_file(file)
+    _show(vehicles, json_file)
+    console = make_console(json_file)
+    for key, vehicle in vehicles.items():
+        assumed = ", ".join(list_assumed(vehicle)) or "nothing"
+        console.print(Text(f"{key}: assumed as usual in the catalogue: {assumed}"), soft_wrap=True)
+    console.print(Text(f"{len(vehicles)} vehicle{'s' * (len(vehicles) != 1)} in {file}: all checks passed."))
+
+
+def _show(vehicles: Mapping[str, VehicleModel], json_file: Path | None) -> None:
+    """Print vehicle models as a table, and write them as JSON."""
+    write_json(json_file, "vehicles", {"vehicles": [_make_record(vehicle) for vehicle in vehicles.values()]})
+    make_console(json_file).print(_tabulate(vehicles))
+
+
+def _make_record(vehicle: VehicleModel) -> dict[str, Any]:
+    """Return a vehicle model for JSON."""
+    return {**vars(vehicle), "sources": dict(vehicle.sources)}
+
+
+def _tabulate(vehicles: Mapping[str, VehicleModel]) -> Table:
+    """Return the table of vehicle models."""
+    heads = ("mass,\nkg", "drag\narea, m²", "rolling\nresistance", "battery,\nkWh", "rated,\nkWh/km")
+    table = make_table([Column("model"), *(Column(head, number=True) for head in heads)])
+    for key, vehicle in sorted(vehicles.items()):
+        assumed = set(list_assumed(vehicle))
+        figures = [
+            _format(vehicle.mass_kg, "mass_kg" in assumed),
+            _format(vehicle.drag_area_m2, bool(assumed & {"drag_coefficient", "frontal_area_m2"})),
+            _format(vehicle.rolling_resistance, "rolling_resistance" in assumed),
+            _format(vehicle.nominal_capacity_kwh, "nominal_capacity_kwh" in assumed),
+            _format(vehicle.rated_kwh_per_km, "rated_kwh_per_km" in assumed),
+        ]
+        table.add_row(Text(key), *map(Text, figures))
+    return table
+
+
+def _format(value: float | None, assumed: bool) -> str:
+    """Return a figure, with a tilde where it is estimated."""
+    return "–" if value is None else f"{'~' * assumed}{value:.4g}"

@@ -1,0 +1,360 @@
+"""The map of a table: a TOML file that assigns columns to fields of the wire contract, with units, signs and clock.
+
+A mistake in the file is one line with the file, the line number, the value, what it must be, and the remedy.
+"""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from datetime import datetime, tzinfo
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+from core.errors import ImportFileError, SettingsError, read_input
+from tools.importers.table.units import FIELD_UNITS, POWER, Conversion, find_conversion
+from tools.terminal.settings_file import explain_toml
+
+TIME_UNITS: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+"""Unit of a time in numbers -> seconds."""
+NOMINAL_VOLTAGE: Final = 360.0
+"""Voltage of a traction battery of which only the power is known. [V]"""
+LONGEST_MAP: Final = 1 << 20
+"""Largest map. [B]"""
+
+_TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
+    "file": {"separator": str, "decimal": str, "encoding": str, "skip_lines": int},
+    "vehicle": {
+        "column": str,
+        "name": str,
+        "from_file_name": bool,
+        "prefix": str,
+        "model": str,
+        "models": dict,
+        "nominal_voltage_v": (int, float),
+    },
+    "time": {"column": (str, list), "unit": str, "format": str, "zone": str, "origin": str},
+    "ride": {"column": str, "from_file_name": bool, "gap_s": (int, float)},
+    "long": {"name": str, "value": str},
+    "fields": {},
+}
+"""Table of a map -> its keys and their types."""
+_FIELD_KEYS: Final = {"column": str, "signal": str, "unit": str, "sign": int, "true": list}
+_TYPE_WORDS: Final = {
+    str: "text in quotes",
+    bool: "true or false",
+    int: "a whole number",
+    list: "a list",
+    dict: "a table",
+}
+
+
+class FileFormat(NamedTuple):
+    """Describe how a CSV file is written; None is found from the file itself."""
+
+    separator: str | None = None
+    decimal: str | None = None
+    encoding: str | None = None
+    skip_lines: int = 0
+
+
+class TimeSource(NamedTuple):
+    """Describe the clock of a table.
+
+    Parameters
+    ----------
+    columns : tuple of str
+        Column of the time, or those of date and time of day, which are joined by a space.
+    unit_s : float, optional
+        Unit of a time in numbers; None for a time in text. [s]
+    form : str, optional
+        Format of a time in text as of `strptime`; None is ISO 8601.
+    zone : tzinfo
+        Time zone of a time without one.
+    origin : float
+        Unix time of the number 0. [s]
+    """
+
+    columns: tuple[str, ...]
+    unit_s: float | None
+    form: str | None
+    zone: tzinfo
+    origin: float
+
+
+class VehicleSource(NamedTuple):
+    """Describe which car a row belongs to, and its model."""
+
+    column: str | None
+    name: str | None
+    prefix: str
+    model: str | None
+    models: Mapping[str, str]
+    nominal_voltage: float
+
+
+class RideSource(NamedTuple):
+    """Describe how rides are named: by a column, by the file, by gaps of a length [s], or not at all."""
+
+    column: str | None = None
+    from_file_name: bool = False
+    gap: float | None = None
+
+
+class FieldSource(NamedTuple):
+    """Describe where a field comes from: a column, or a signal of the long form, and its conversion."""
+
+    column: str | None
+    signal: str | None
+    conversion: Conversion
+    true: frozenset[str]
+
+
+class ColumnMap(NamedTuple):
+    """Hold a checked map.
+
+    Parameters
+    ----------
+    path : Path
+        File of the map.
+    file : FileFormat
+    time : TimeSource
+    vehicle : VehicleSource
+    ride : RideSource
+    long : tuple of (str, str), optional
+        Columns of the name and of the value of a signal, where each row holds one signal.
+    fields : mapping of str to FieldSource
+        By the names of `FIELD_UNITS`.
+    """
+
+    path: Path
+    file: FileFormat
+    time: TimeSource
+    vehicle: VehicleSource
+    ride: RideSource
+    long: tuple[str, str] | None
+    fields: Mapping[str, FieldSource]
+
+    def list_required_columns(self) -> list[str]:
+        """Return the columns that every file must have."""
+        return [name for name in (*self.time.columns, self.vehicle.column, self.ride.column) if name is not None]
+
+    def list_columns(self) -> list[str]:
+        """Return all columns that are read, each once."""
+        names = self.list_required_columns() + [each.column for each in self.fields.values() if each.column is not None]
+        return list(dict.fromkeys([*names, *(self.long or ())]))
+
+
+def read_map(path: Path) -> ColumnMap:
+    """Read the map of a table.
+
+    Parameters
+    ----------
+    path : Path
+        TOML file.
+
+    Raises
+    ------
+    ImportFileError
+        If the file cannot be read, or holds a mistake.
+    """
+    try:
+        content = read_input(path, LONGEST_MAP)
+    except OSError as error:
+        raise ImportFileError(
+            f"{path} cannot be read: {error.strerror}; write a first map with --guess --map {path}"
+        ) from error
+    try:
+        text = content.decode("utf-8-sig")
+        tables = tomllib.loads(text)
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ImportFileError(explain_toml(path, content, error)) from error
+    return _MapReader(path, text, tables).read()
+
+
+class _MapReader:
+    """Check the tables of a map one by one."""
+
+    def __init__(self, path: Path, text: str, tables: Mapping[str, Any]) -> None:
+        self.path, self.text, self.tables = path, text, tables
+
+    def read(self) -> ColumnMap:
+        """Return the checked map."""
+        for name, table in self.tables.items():
+            if name not in _TABLES:
+                raise self.refuse((name,), f"no table is called '{name}'; {_suggest(name, list(_TABLES))}")
+            if not isinstance(table, dict):
+                raise self.refuse((name,), f"'{name}' is a table; write [{name}] and its keys below")
+            if name != "fields":
+                self.check_keys(name, table, _TABLES[name])
+        signal = self.tables.get("long", {})
+        long = (self.need("long", "name"), self.need("long", "value")) if signal else None
+        fields = {name: self.read_field(name, each) for name, each in self.tables.get("fields", {}).items()}
+        if not fields:
+            raise ImportFileError(
+                f"{self.path}: [fields] names no field; write one such as speed_kmh = {{ column = ... }}"
+            )
+        if any(each.signal for each in fields.values()) and long is None:
+            raise ImportFileError(f"{self.path}: a field has a signal, but [long] is missing; name its columns there")
+        return ColumnMap(
+            self.path, self.read_file(), self.read_time(), self.read_vehicle(), self.read_ride(), long, fields
+        )
+
+    def refuse(self, keys: tuple[str, ...], words: str) -> ImportFileError:
+        """Return an error that names the line of a key."""
+        return ImportFileError(f"{self.path}, line {find_line(self.text, *keys)}: {words}")
+
+    def check_keys(self, table: str, values: Mapping[str, Any], known: Mapping[str, Any], *above: str) -> None:
+        """Refuse unknown keys and values of a wrong type."""
+        for key, value in values.items():
+            where = (*above, table, key)
+            if key not in known:
+                raise self.refuse(where, f"'{table}' has no key '{key}'; {_suggest(key, list(known))}")
+            wanted = known[key]
+            kinds = wanted if isinstance(wanted, tuple) else (wanted,)
+            if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+                words = "a number" if float in kinds else " or ".join(_TYPE_WORDS[kind] for kind in kinds)
+                raise self.refuse(where, f"{key} is {value!r}, must be {words}")
+
+    def need(self, table: str, key: str) -> Any:
+        """Return a value that must be there."""
+        value = self.tables.get(table, {}).get(key)
+        if not value:
+            raise self.refuse((table,), f"[{table}] has no {key}; add {key} = ...")
+        return value
+
+    def read_file(self) -> FileFormat:
+        """Return how the files are written."""
+        table = self.tables.get("file", {})
+        decimal = table.get("decimal")
+        if decimal not in {None, ".", ","}:
+            raise self.refuse(("file", "decimal"), f"decimal is {decimal!r}, must be '.' or ','")
+        separator = table.get("separator")
+        if separator is not None and len(separator) != 1:
+            raise self.refuse(("file", "separator"), f"separator is {separator!r}, must be one character such as ';'")
+        skip = table.get("skip_lines", 0)
+        if not 0 <= skip <= 1000:
+            raise self.refuse(("file", "skip_lines"), f"skip_lines is {skip}, must be from 0 to 1000")
+        return FileFormat(separator, decimal, table.get("encoding"), skip)
+
+    def read_time(self) -> TimeSource:
+        """Return the clock."""
+        table = self.tables.get("time", {})
+        columns = self.need("time", "column")
+        names = (columns,) if isinstance(columns, str) else tuple(columns)
+        if not all(isinstance(name, str) for name in names) or len(names) > 2:
+            raise self.refuse(("time", "column"), f"column is {columns!r}, must be one name, or those of date and time")
+        unit = table.get("unit")
+        if unit is not None and unit not in TIME_UNITS:
+            raise self.refuse(
+                ("time", "unit"), f"unit is '{unit}', must be one of {', '.join(TIME_UNITS)}; text has none"
+            )
+        if unit is not None and "format" in table:
+            raise self.refuse(("time", "format"), "a time has a unit or a format; leave one of them out")
+        zone = self.find_zone(table.get("zone", "UTC"))
+        return TimeSource(
+            names, TIME_UNITS.get(unit) if unit else None, table.get("format"), zone, self.find_origin(zone)
+        )
+
+    def find_zone(self, name: str) -> ZoneInfo:
+        """Return the time zone of a name."""
+        try:
+            return ZoneInfo(name)
+        except (ZoneInfoNotFoundError, ValueError, OSError) as error:
+            raise self.refuse(
+                ("time", "zone"), f"zone is '{name}', which is no time zone; write one such as Europe/Berlin or UTC"
+            ) from error
+
+    def find_origin(self, zone: tzinfo) -> float:
+        """Return the Unix time of the number 0. [s]"""
+        text = self.tables.get("time", {}).get("origin")
+        if text is None:
+            return 0.0
+        try:
+            origin = datetime.fromisoformat(text)
+        except ValueError as error:
+            raise self.refuse(
+                ("time", "origin"), f"origin is '{text}', must be a date and time such as 2024-05-01T08:00:00"
+            ) from error
+        return (origin if origin.tzinfo else origin.replace(tzinfo=zone)).timestamp()
+
+    def read_vehicle(self) -> VehicleSource:
+        """Return which car a row belongs to."""
+        table = self.tables.get("vehicle", {})
+        given = [key for key in ("column", "name", "from_file_name") if table.get(key)]
+        if len(given) != 1:
+            found = " and ".join(given) or "none"
+            raise self.refuse(
+                ("vehicle",), f"[vehicle] needs one of column, name and from_file_name, and has {found}; correct it"
+            )
+        models = table.get("models", {})
+        if not all(isinstance(model, str) for model in models.values()):
+            raise self.refuse(("vehicle", "models"), "models holds a value that is not text; write CAR = 'MODEL'")
+        return VehicleSource(
+            table.get("column"),
+            table.get("name"),
+            table.get("prefix", ""),
+            table.get("model"),
+            models,
+            float(table.get("nominal_voltage_v", NOMINAL_VOLTAGE)),
+        )
+
+    def read_ride(self) -> RideSource:
+        """Return how rides are named."""
+        table = self.tables.get("ride", {})
+        given = [key for key in ("column", "from_file_name", "gap_s") if table.get(key)]
+        if len(given) > 1:
+            raise self.refuse(("ride",), f"[ride] has {' and '.join(given)}; leave all but one out")
+        gap = table.get("gap_s")
+        if gap is not None and not 1 <= gap <= 86400:
+            raise self.refuse(("ride", "gap_s"), f"gap_s is {gap:g}, must be from 1 to 86400 s")
+        return RideSource(table.get("column"), table.get("from_file_name", False), gap)
+
+    def read_field(self, name: str, table: Any) -> FieldSource:
+        """Return the source of a field."""
+        where = ("fields", name)
+        if name not in FIELD_UNITS:
+            raise self.refuse(where, f"no field is called '{name}'; {_suggest(name, list(FIELD_UNITS))}")
+        if not isinstance(table, dict):
+            raise self.refuse(where, f"{name} is {table!r}, must be a table such as {{ column = 'a name' }}")
+        self.check_keys(name, table, _FIELD_KEYS, "fields")
+        if ("column" in table) == ("signal" in table):
+            raise self.refuse(where, f"{name} needs a column, or a signal of the long form; write one of them")
+        sign = table.get("sign", 1)
+        if sign not in {1, -1}:
+            raise self.refuse(where, f"sign is {sign}, must be 1 or -1")
+        try:
+            conversion = find_conversion(table.get("unit", FIELD_UNITS[name]), name)
+        except SettingsError as error:
+            raise self.refuse(where, f"{name}: {error}") from error
+        true = frozenset(str(word).strip().lower() for word in table.get("true", ()))
+        turned = Conversion(sign * conversion.factor, sign * conversion.offset)
+        return FieldSource(table.get("column"), table.get("signal"), turned, true)
+
+
+def find_line(text: str, *keys: str) -> int:
+    r"""Return the number of the line that sets a key below tables, or of the last table on the way that is there.
+
+    Examples
+    --------
+    >>> find_line("[time]\ncolumn = 'a'\n[vehicle]\ncolumn = 'b'", "vehicle", "column")
+    4
+    """
+    at = 0
+    for key in keys:
+        name = rf"(?:{re.escape(key)}|\"{re.escape(key)}\"|'{re.escape(key)}')"
+        found = re.compile(rf"^[ \t]*(?:\[[\w.\"']*)?{name}[ \t]*[=.\]]", re.MULTILINE).search(text, at)
+        at = found.start() if found else at
+    return text.count("\n", 0, at) + 1
+
+
+def _suggest(name: str, known: list[str]) -> str:
+    """Return the remedy for an unknown key."""
+    near = get_close_matches(name, known, 1)
+    return f"did you mean '{near[0]}'?" if near else f"write one of {', '.join(known)}"
+
+
+def has_power(fields: Mapping[str, Any]) -> bool:
+    """Return whether the fields give the power of the battery."""
+    return POWER in fields or {"battery_voltage_v", "battery_current_a"} <= fields.keys()

@@ -1,0 +1,154 @@
+"""Convert tables to a recording: read, sort, make messages, and check whether the values agree."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from core.errors import ImportFileError
+from core.vehicles import load_catalogue
+from stream.mcap_writer import MOST_CHANNELS, McapSink
+from stream.recording_metadata import make_metadata
+from tools.importers.table.agreement import AgreementSums, Check, check_agreement
+from tools.importers.table.column_map import ColumnMap
+from tools.importers.table.import_summary import ImportSummary
+from tools.importers.table.row_messages import RowMessages, join_signals
+from tools.importers.table.row_reader import RowReader
+from tools.importers.table.table_file import TableFile, open_table
+from tools.importers.table.time_sort import sort_rows
+
+MOST_CARS: Final = MOST_CHANNELS // 2
+"""Largest number of cars in one recording, with two keys each."""
+CLOCK_TOLERANCE: Final = 300.0
+"""Time by which a row may be later than the last change of its file. [s]"""
+
+
+def open_tables(paths: Sequence[Path], kind: str, columns: ColumnMap) -> list[TableFile]:
+    """Return the form of each file, after a check that the columns of the map are there.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files.
+    kind : str
+        `csv` or `parquet`.
+    columns : ColumnMap
+        The map.
+
+    Raises
+    ------
+    ImportFileError
+        If a file lacks a required column, or no file has another column of the map.
+    """
+    tables = [open_table(path, kind, columns.file) for path in paths]
+    for table in tables:
+        table.check_columns(columns.list_required_columns())
+    for name in columns.list_columns():
+        if not any(name in table.names for table in tables):
+            tables[0].check_columns([name])
+    return tables
+
+
+def convert_tables(
+    tables: Sequence[TableFile], columns: ColumnMap, out: Path, settings: Mapping[str, Any] | None = None
+) -> ImportSummary:
+    """Write the rows of tables as a recording in the order of time.
+
+    Parameters
+    ----------
+    tables : sequence of TableFile
+        Files, from `open_tables`.
+    columns : ColumnMap
+        The map.
+    out : Path
+        The recording.
+    settings : mapping of str to object, optional
+        Settings of the import for the metadata of the recording.
+
+    Returns
+    -------
+    ImportSummary
+
+    Raises
+    ------
+    ImportFileError
+        If no row can be read.
+    """
+    reader, sums = RowReader(columns), AgreementSums()
+    messages = RowMessages(columns, reader)
+    try:
+        with McapSink(out, metadata=make_metadata("import", settings=settings or {})) as sink:
+            for rows in sort_rows(_read_limited(reader, tables), out.resolve().parent):
+                joined = join_signals(rows) if columns.long else rows
+                sums.add(joined)
+                sink.put(messages.make(joined))
+    except ImportFileError:
+        out.unlink()
+        raise
+    if not messages.samples:
+        out.unlink()
+        found = ", ".join(f"{count:,} with {cause}" for cause, count in reader.causes.most_common())
+        raise ImportFileError(
+            f"{tables[0].path}: none of {reader.rows:,} rows can be read ({found or 'no rows'}); correct {columns.path}"
+        )
+    cars = sums.list_cars(reader.vehicles, columns.vehicle.models, columns.vehicle.model)
+    return ImportSummary(
+        out=out,
+        files=len(tables),
+        rows=reader.rows,
+        samples=messages.samples,
+        hours=sum(car.sums["duration"] for car in cars) / 3600.0,
+        causes=reader.causes,
+        cells=reader.cells,
+        examples=reader.examples,
+        decimal=tables[0].decimal,
+        notes=_list_notes(tables, columns),
+        cars=cars,
+        checks=[*check_agreement(cars), _check_clock(tables, sums.span[1])],
+    )
+
+
+def _read_limited(reader: RowReader, tables: Sequence[TableFile]) -> Iterator[np.ndarray]:
+    """Yield blocks of rows, and refuse more cars than a recording can hold."""
+    for block in reader.read(tables):
+        if len(reader.vehicles) > MOST_CARS:
+            raise ImportFileError(
+                f"{tables[0].path}: names {len(reader.vehicles):,} vehicles or more; a recording holds {MOST_CARS:,}: "
+                "check the column of [vehicle], or import the files in parts"
+            )
+        yield block
+
+
+def _list_notes(tables: Sequence[TableFile], columns: ColumnMap) -> list[str]:
+    """Return what a person should know of the files and the map."""
+    names = {each.column for each in columns.fields.values() if each.column is not None}
+    notes = [
+        f"{table.path}: has no column {', '.join(map(repr, missing))}; unknown in its rows"
+        for table in tables
+        if (missing := sorted(names - set(table.names)))
+    ]
+    if columns.vehicle.model is None and not columns.vehicle.models:
+        notes.append(
+            f"no vehicle model: the energy of the cars is measured and not predicted; set model in [vehicle] of "
+            f"{columns.path}, such as nissan-leaf-2013, or describe the car with `socast vehicles new`"
+        )
+    used = {columns.vehicle.model, *columns.vehicle.models.values()} - {None}
+    notes += [
+        f"the vehicle model {model!r} is not in the catalogue: the energy of its cars is measured and not predicted; "
+        "describe it with `socast vehicles new` and give the file with --vehicles"
+        for model in sorted(map(str, used))
+        if model not in load_catalogue()
+    ]
+    return notes
+
+
+def _check_clock(tables: Sequence[TableFile], last: float) -> Check:
+    """Check that no row is later than the last change of the files, which a wrong zone or unit makes."""
+    changed = max(table.path.stat().st_mtime for table in tables)
+    late = last - changed
+    limit = f"at most {CLOCK_TOLERANCE:g} s after the files were written"
+    found = f"last row {abs(late) / 3600.0:,.1f} h {'after' if late > 0 else 'before'} the files were written"
+    if late <= CLOCK_TOLERANCE:
+        return Check("clock against file", found, limit, True)
+    return Check("clock against file", found, limit, False, "set zone or unit in [time]")

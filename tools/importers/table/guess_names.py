@@ -1,0 +1,117 @@
+"""Guess from its name which field of the wire contract a column or a signal holds, and in which unit."""
+
+import re
+from typing import Final, NamedTuple
+
+from tools.importers.table.units import FIELD_UNITS, POWER, convertible, spell_unit
+
+TIME: Final = "time"
+VEHICLE: Final = "vehicle"
+RIDE: Final = "ride"
+SIGNAL: Final = "signal"
+VALUE: Final = "value"
+
+_NOT_THE_PACK: Final = (
+    r"\b(12 ?v|aux|auxiliary|cells?|charger|ac|grid|motor|engine|fan|phase|max|min|limit|device|wheel|heater|hvac)\b"
+)
+_TIME_NAMES: Final = (
+    r"^(time|date|datetime|date time|time ?stamp|utc|epoch|unix|unix time|ts|elapsed( time)?|recorded at"
+    r"|m time utc)$"
+    r"|\b(timestamp|date time)$"
+)
+_AMBIENT: Final = (
+    r"\b(outside|ambient|ext|external|exterior|outdoor|air|v e)\b.*\b(temp|temperature)\b|^oat\b|\bambient\b"
+)
+_HVAC: Final = r"\b(hvac|climate|heating|heater|air ?con|air conditioning)\b.*\b(power|watts?)\b|\bhvac\b"
+_NO_STATE: Final = r"\b(power|rate|current|voltage|kwh|energy|time|mode|dcfc|type)\b"
+_RULES: Final = (
+    (TIME, _TIME_NAMES, ""),
+    (VEHICLE, r"^(vehicle|car|vin|device|asset|plate|unit)( (id|name|number))?$|^(veh|vehicle|car|device)id$", ""),
+    (RIDE, r"^(drive|trip|ride|journey|session)( (id|number))?$|^(trip|drive|ride)id$", ""),
+    ("latitude_deg", r"\b(lat|latitude)\b", ""),
+    ("longitude_deg", r"\b(lon|lng|long|longitude)\b", ""),
+    ("elevation_m", r"\b(elevation|altitude|alt)\b", ""),
+    (
+        "battery_temperature_c",
+        r"\b(batt|battery|pack|hv|v b)\b.*\b(temp|temperature)\b",
+        r"\b(max|min|cell|inlet)\b",
+    ),
+    ("ambient_c", _AMBIENT, r"\b(cabin|inside|conditioning)\b"),
+    ("hvac_w", _HVAC, r"\b(no power|on|state)\b"),
+    ("battery_voltage_v", r"\b(voltage|volts?)\b", _NOT_THE_PACK),
+    (POWER, r"\bpower\b", rf"{_NOT_THE_PACK}|\bno power\b"),
+    ("soc_pct", r"\b(soc|state of charge|battery level|charge level)\b", r"\b(usable|limit|target|max|min)\b"),
+    ("battery_current_a", r"\b(current|amps|amperes?)\b", rf"{_NOT_THE_PACK}|\blocation\b"),
+    ("odometer_km", r"\b(odo|odometer|mileage|traveled distance|total distance)\b", r"\btrip\b"),
+    ("speed_kmh", r"\b(speed|velocity)\b", r"\b(wind|fan|motor|engine|limit|posted|average|max|rpm)\b"),
+    ("occupants", r"\b(occupants?|passengers|people)\b", ""),
+    ("charging", r"\b(is )?charging( state)?\b|\bcharge state\b", _NO_STATE),
+    (SIGNAL, r"^(signal|metric|diagnostic|variable|parameter|key|name)( (id|name))?$", ""),
+    (VALUE, r"^(value|data|reading|val)$", ""),
+)
+"""Role, pattern of the words of a name, and pattern of words that exclude it; the first that fits counts."""
+
+
+class NamedColumn(NamedTuple):
+    """Hold what the name of a column says: its role or field, and its unit where the name has one."""
+
+    name: str
+    role: str
+    unit: str | None
+
+
+def guess_name(name: str) -> NamedColumn | None:
+    """Return the role of a column by its name; None where the name says nothing.
+
+    Examples
+    --------
+    >>> guess_name("Speed [km/h]")
+    NamedColumn(name='Speed [km/h]', role='speed_kmh', unit='km/h')
+    >>> guess_name("batt_current_A").unit, guess_name("tyre pressure")
+    ('A', None)
+    """
+    bare, bracketed = _take_brackets(name.partition("#")[0])
+    words = _split_words(bare)
+    text = " ".join(words).lower()
+    for role, pattern, unless in _RULES:
+        if re.search(pattern, text) and not (unless and re.search(unless, text)):
+            return NamedColumn(name, role, _find_unit(role, bracketed, words))
+    # a time in milliseconds, and so on, ends in its unit
+    if words and re.search(_TIME_NAMES, " ".join(words[:-1]).lower()) and words[-1].lower() in {"s", "ms", "us", "ns"}:
+        return NamedColumn(name, TIME, words[-1].lower())
+    return None
+
+
+def _take_brackets(name: str) -> tuple[str, str | None]:
+    """Return a name without the unit in brackets at its end, and that unit."""
+    found = re.match(r"^(.*?)\s*[\[(]([^\])]*)[\])]+\s*$", name)
+    return (found[1], found[2].strip()) if found else (name, None)
+
+
+def _split_words(name: str) -> list[str]:
+    """Return the words of a name, divided at signs, and where small letters meet capitals.
+
+    >>> _split_words("DiagnosticStateOfChargeId"), _split_words("batt_current_A")
+    (['Diagnostic', 'State', 'Of', 'Charge', 'Id'], ['batt', 'current', 'A'])
+    """
+    divided = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])|(?<=[a-z])(?=[A-Z]+$)", " ", name)
+    return re.findall(r"[A-Za-z0-9°%]+", divided)
+
+
+def _find_unit(role: str, bracketed: str | None, words: list[str]) -> str | None:
+    """Return the unit that a name gives."""
+    if role == TIME:
+        return bracketed if bracketed in {"s", "ms", "us", "ns", "min", "h"} else None
+    if role not in FIELD_UNITS:
+        return None
+    if bracketed and convertible(bracketed, role):
+        return bracketed
+    endings = [words[-1], "/".join(words[-2:])] if len(words) > 1 else []
+    return next((unit for unit in endings if _is_unit(unit, role)), None)
+
+
+def _is_unit(word: str, role: str) -> bool:
+    """Return whether the last word of a name is a unit of its field and no name of it."""
+    if not FIELD_UNITS[role] or not convertible(word, role):
+        return False
+    return spell_unit(word, role) not in {"", "1"}

@@ -1,0 +1,135 @@
+"""Guess how a column of a table holds time: numbers in a unit, ISO 8601, or another format of text."""
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from core.errors import ImportFileError
+from tools.importers.table.guess_names import NamedColumn
+from tools.importers.table.table_file import Block, TableFile
+
+EPOCH_UNITS: Final = (("s", 1e8, 1e10), ("ms", 1e11, 1e13), ("us", 1e14, 1e16), ("ns", 1e17, 1e19))
+"""Unit of Unix time, and the numbers that it has from 1973 to 2286."""
+_DATES: Final = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%Y/%m/%d", "%d.%m.%y", "%m/%d/%y", "%Y%m%d")
+_CLOCKS: Final = (" %H:%M:%S", " %H:%M:%S.%f", " %H:%M", " %I:%M:%S %p", " %I:%M %p", ", %H:%M:%S")
+FORMATS: Final = tuple(date + clock for date, clock in product(_DATES, _CLOCKS))
+"""Formats of text that are tried after ISO 8601."""
+TRIED: Final = 2000
+"""Cells that are tried."""
+
+
+class GuessedTime(NamedTuple):
+    """Hold how a table writes its time.
+
+    Parameters
+    ----------
+    columns : tuple of str
+        Column of the time, or of date and time of day.
+    unit : str, optional
+        Unit of numbers.
+    form : str, optional
+        Format of text; None is ISO 8601.
+    has_zone : bool
+        Whether each time states its offset, or is Unix time.
+    needs_origin : bool
+        Whether the numbers count from a time that the file does not state.
+    reason : str
+        Why.
+    """
+
+    columns: tuple[str, ...]
+    unit: str | None
+    form: str | None
+    has_zone: bool
+    needs_origin: bool
+    reason: str
+
+
+def guess_time(candidates: Sequence[NamedColumn], blocks: Sequence[tuple[TableFile, Block]]) -> GuessedTime:
+    """Return how a table writes its time.
+
+    Parameters
+    ----------
+    candidates : sequence of NamedColumn
+        Columns whose names are times.
+    blocks : sequence of (TableFile, Block)
+        First rows of files.
+
+    Raises
+    ------
+    ImportFileError
+        If no candidate can be read.
+    """
+    names = [each.name for each in candidates]
+    units = {each.name: each.unit for each in candidates}
+    path, example = blocks[0][0].path, ""
+    pairs = [tuple(names[:2])] if len(names) > 1 else []
+    for columns in [*((name,) for name in names), *pairs]:
+        cells = _collect(columns, blocks)
+        if cells is None or not len(cells):
+            continue
+        found = _read(columns, cells, units.get(columns[0]))
+        if found is not None:
+            return found
+        example = str(cells[0].as_py())
+    raise ImportFileError(
+        f"{path}: column '{names[0]}' holds {example[:40]!r}, which is no time in a known form; "
+        "write a map by hand with a format in [time]"
+    )
+
+
+def _collect(columns: Sequence[str], blocks: Sequence[tuple[TableFile, Block]]) -> Any:
+    """Return the first cells of a time, joined by a space where there are two columns."""
+    for _, block in blocks:
+        if all(name in block for name in columns):
+            if len(columns) == 1:
+                return block[columns[0]].drop_null().slice(0, TRIED)
+            texts = [pc.utf8_trim_whitespace(pc.cast(block[name], pa.string())) for name in columns]
+            return pc.binary_join_element_wise(*texts, " ").drop_null().slice(0, TRIED)
+    return None
+
+
+def _read(columns: tuple[str, ...], cells: Any, unit: str | None) -> GuessedTime | None:
+    """Return how cells hold time, None where they hold none."""
+    if pa.types.is_timestamp(cells.type):
+        zone = cells.type.tz
+        return GuessedTime(
+            columns, None, None, zone is not None, False, f"Parquet time stamps{f' in {zone}' if zone else ''}"
+        )
+    texts = pd.Series([str(cell) for cell in cells.to_pylist()])
+    numbers = pd.to_numeric(texts.str.replace(",", ".", regex=False), errors="coerce")
+    if numbers.notna().mean() > 0.9:
+        return _read_numbers(columns, numbers.dropna().to_numpy(), unit)
+    if pd.to_datetime(texts, format="ISO8601", errors="coerce", utc=True).notna().mean() > 0.9:
+        has_zone = bool(texts.str.contains(r"\d[Tt ]\d.*(?:Z|[+-]\d\d:?(?:\d\d)?)$", regex=True).mean() > 0.9)
+        return GuessedTime(columns, None, None, has_zone, False, "ISO 8601" + (" with offset" if has_zone else ""))
+    fitting = [form for form in FORMATS if pd.to_datetime(texts, format=form, errors="coerce").notna().mean() > 0.9]
+    if not fitting:
+        return None
+    best = min(fitting, key=lambda form: _measure_span(texts, form))
+    others = [form for form in fitting if form[:2] != best[:2]]
+    doubt = f", not {others[0]}, by the shorter span of time" if others else ""
+    return GuessedTime(columns, None, best, False, False, f"the text has this format{doubt}")
+
+
+def _read_numbers(columns: tuple[str, ...], numbers: Any, unit: str | None) -> GuessedTime | None:
+    """Return the unit of times in numbers."""
+    if len(columns) > 1:
+        return None
+    middle = float(np.median(numbers))
+    for epoch, low, high in EPOCH_UNITS:
+        if low <= middle < high:
+            return GuessedTime(columns, epoch, None, True, False, f"numbers near {middle:.4g} are Unix time in {epoch}")
+    reason = "the numbers are too small for Unix time, so they count from a start that the file does not state"
+    return GuessedTime(columns, unit or "s", None, False, True, reason)
+
+
+def _measure_span(texts: "pd.Series[str]", form: str) -> float:
+    """Return the time from the first to the last text, read in a format. [s]"""
+    parsed = pd.to_datetime(texts, format=form, errors="coerce").dropna()
+    return float((parsed.max() - parsed.min()).total_seconds())

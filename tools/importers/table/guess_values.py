@@ -1,0 +1,160 @@
+"""Guess units and signs from the values of a table: by their ranges, and by the physics of a car."""
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from core.batch import Floats
+from tools.importers.table.agreement import SUMS, AgreementSums, fit_mass
+from tools.importers.table.units import FIELD_UNITS, POWER, Conversion, find_conversion
+
+NEAR: Final = 0.15
+"""Largest logarithm of the ratio of a distance to that by speed in the right unit."""
+CANDIDATES: Final = {"speed_kmh": ("km/h", "mph", "m/s"), "odometer_km": ("km", "mi")}
+"""Field -> units among which distances decide."""
+FASTEST: Final = 0.1
+"""Speed above which an odometer cannot count in kilometres. [km/s]"""
+_COMPARISONS: Final = (
+    ("speed_kmh", "fixes", None),
+    ("odometer_km", "odometer", "speed_kmh"),
+    ("speed_kmh", "odometer", "odometer_km"),
+)
+"""Field, the sum that its distance is compared with, and the field whose unit must be known for it."""
+
+
+class GuessedUnit(NamedTuple):
+    """Hold unit and sign of a field with the reasons for them."""
+
+    unit: str | None
+    sign: int
+    reasons: tuple[str, ...]
+
+
+def guess_values(rows: np.ndarray, units: Mapping[str, str | None]) -> dict[str, GuessedUnit]:
+    """Return unit and sign of each field.
+
+    Parameters
+    ----------
+    rows : structured array
+        Rows in the order of time. A field whose name gives no unit is as it stands in the file.
+    units : mapping of str to str or None
+        Unit that the name of each field gives.
+
+    Returns
+    -------
+    dict of str to GuessedUnit
+    """
+    rows = rows.copy()
+    found: dict[str, GuessedUnit] = {}
+    settled = {field for field, unit in units.items() if unit is not None}
+    for field, unit in units.items():
+        if unit is not None:
+            found[field] = GuessedUnit(unit, 1, (f"unit in the name: {unit}",))
+            continue
+        guessed, reason = _guess_by_range(field, rows)
+        if guessed == "m" and field == "odometer_km":
+            settled.add(field)
+        found[field] = GuessedUnit(guessed, 1, (reason,) if reason else ())
+        rows[field] = _convert(field, guessed, rows[field])
+    for field, measured, known in _COMPARISONS:
+        if field not in units or field in settled or (known is not None and known not in settled):
+            continue
+        unit = _guess_by_distance(field, measured, rows)
+        if unit is not None:
+            by = "positions" if measured == "fixes" else "speed" if field == "odometer_km" else "the odometer"
+            found[field] = GuessedUnit(unit, 1, (f"{unit}, because distances agree with {by}",))
+            rows[field] = _convert(field, unit, rows[field])
+            settled.add(field)
+    return found | _guess_signs(rows, found)
+
+
+def _convert(field: str, unit: str | None, values: Floats) -> Floats:
+    """Return values in the unit of the contract."""
+    conversion = find_conversion(unit, field) if unit is not None and FIELD_UNITS[field] else Conversion(1.0)
+    return conversion.apply(values)
+
+
+def _guess_by_range(field: str, rows: np.ndarray) -> tuple[str | None, str]:
+    """Return the unit that the range of values suggests, and the reason."""
+    values = rows[field]
+    known = values[np.isfinite(values)]
+    usual = FIELD_UNITS[field]
+    if not len(known) or not usual:
+        return None, ""
+    low, middle, high = np.percentile(known, [1, 50, 99]).tolist()
+    size = max(abs(low), abs(high))
+    shown = f"values from {low:.4g} to {high:.4g}"
+    rules = (
+        ("1", field == "soc_pct" and min(low, 1.0 - high) >= 0.0, "a fraction"),
+        ("K", usual == "degC" and middle > 200.0, "kelvin"),
+        ("degF", usual == "degC" and middle > 48.0, "degrees Fahrenheit"),
+        ("m", field == "odometer_km" and _measure_growth(rows) > FASTEST, "it grows faster than any car drives in km"),
+        ("kW", field == POWER and size <= 1000.0, "kW"),
+        ("W", field == POWER, "W"),
+        ("kW", field == "hvac_w" and size <= 20.0, "kW"),
+        ("W", field == "hvac_w", "W"),
+        (f"m{usual}", field in {"battery_voltage_v", "battery_current_a"} and size > 2000.0, f"m{usual}"),
+        ({"percent": "%", "degree": "deg"}.get(usual, usual), True, "assumed"),
+    )
+    unit, reason = next((unit, reason) for unit, fits, reason in rules if fits)
+    return unit, f"{shown}: {reason}"
+
+
+def _measure_growth(rows: np.ndarray) -> float:
+    """Return the usual growth of the odometer between rows in which it grows, per second."""
+    known = rows[np.isfinite(rows["odometer_km"])]
+    known = known[np.argsort(known["vehicle"], kind="stable")]
+    step, growth = np.diff(known["time"]), np.diff(known["odometer_km"])
+    grows = (step > 0) & (growth > 0) & (np.diff(known["vehicle"]) == 0)
+    return float(np.median(growth[grows] / np.maximum(step[grows], 1.0))) if grows.any() else 0.0
+
+
+def _guess_by_distance(field: str, measured: str, rows: np.ndarray) -> str | None:
+    """Return the unit with which the distance by speed agrees with another one."""
+    total = _sum(rows)
+    beside = total[f"speed_beside_{measured}"]
+    if beside < 500.0 or total[measured] <= 0.0:
+        return None
+    factors = {unit: find_conversion(unit, field).factor for unit in CANDIDATES[field]}
+    ratio = total[measured] / beside
+    wanted = ratio if field == "speed_kmh" else 1.0 / ratio
+    best = min(factors, key=lambda unit: abs(np.log(wanted / factors[unit])))
+    return best if abs(np.log(wanted / factors[best])) < NEAR else None
+
+
+def _guess_signs(rows: np.ndarray, found: Mapping[str, GuessedUnit]) -> dict[str, GuessedUnit]:
+    """Return the current and the power that are turned because acceleration would charge the battery."""
+    turned = {}
+    pairs = (("battery_current_a", "battery_voltage_v"), (POWER, POWER))
+    for field, beside in pairs:
+        if field not in found or (beside not in found and field != POWER):
+            continue
+        names = [name for name in rows.dtype.names or () if name in {"time", "vehicle", "speed_kmh", field, beside}]
+        total = _sum(rows[names])
+        mass = fit_mass(total)
+        sign, reason = _judge_sign(mass, total)
+        known = found[field]
+        turned[field] = known._replace(sign=sign, reasons=(*known.reasons, reason))
+    return turned
+
+
+def _judge_sign(mass: float | None, total: Mapping[str, float]) -> tuple[int, str]:
+    """Return the sign of a power and the reason."""
+    if mass is not None and abs(mass) > 100.0:
+        if mass < 0:
+            return -1, "turned: as it stands, acceleration would charge the battery"
+        return 1, "sign: acceleration discharges the battery"
+    if total["distance"] > 1000.0:
+        if total["energy"] < 0:
+            return -1, "turned: as it stands, driving would charge the battery"
+        return 1, "sign: driving discharges the battery"
+    return 1, "sign: too little driving to check; positive must mean discharging"
+
+
+def _sum(rows: np.ndarray) -> dict[str, float]:
+    """Return the sums of all cars."""
+    sums = AgreementSums()
+    sums.add(rows)
+    cars = sums.list_cars([""] * (int(rows["vehicle"].max()) + 1), {}, None)
+    return {name: sum(car.sums[name] for car in cars) for name in SUMS}

@@ -1,0 +1,89 @@
+"""What an import read, what it could not read, and whether the values agree with each other."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from rich.console import Console
+from rich.text import Text
+
+from tools.importers.table.agreement import CarSums, Check
+
+
+class ImportSummary(NamedTuple):
+    """Hold the summary of an import.
+
+    Parameters
+    ----------
+    out : Path
+        The recording.
+    files, rows, samples : int
+        Files and rows read, and samples written.
+    hours : float
+        Time between rows that lie close together. [h]
+    causes : Counter of str
+        Rows that could not be read, by cause.
+    cells : Counter of str
+        Cells that hold no number, by column.
+    examples : mapping of str to str
+        Text of the first such cell of each column.
+    decimal : str
+        Decimal mark with which numbers were read.
+    notes : sequence of str
+        What else a person should know.
+    cars : sequence of CarSums
+        Sums of each car.
+    checks : sequence of Check
+        Comparisons.
+    """
+
+    out: Path
+    files: int
+    rows: int
+    samples: int
+    hours: float
+    causes: Counter[str]
+    cells: Counter[str]
+    examples: Mapping[str, str]
+    decimal: str
+    notes: Sequence[str]
+    cars: Sequence[CarSums]
+    checks: Sequence[Check]
+
+
+def print_summary(summary: ImportSummary, console: Console) -> None:
+    """Print a summary, one line for each statement."""
+    for line, style in list_lines(summary):
+        console.print(Text(line, style), soft_wrap=True)
+
+
+def list_lines(summary: ImportSummary) -> list[tuple[str, str]]:
+    """Return the lines of a summary with their styles."""
+    cars = len(summary.cars)
+    first = (
+        f"{summary.out}: {summary.samples:,} samples of {cars} car{'s' * (cars != 1)}, {summary.hours:.1f} h, "
+        f"from {summary.rows:,} rows in {summary.files} file{'s' * (summary.files != 1)}"
+    )
+    lines = [(first, "")]
+    for cause, count in summary.causes.most_common():
+        lines.append((f"left out: {count:,} rows with {cause}", "yellow"))
+    for column, count in summary.cells.most_common():
+        text = summary.examples[column]
+        comma = text.count(",") == 1 and summary.decimal == "."
+        remedy = "; set decimal = ',' in [file]" if comma and text.replace(",", "").lstrip("+-").isdigit() else ""
+        lines.append((f"unknown: {count:,} cells of '{column}' hold no number, such as {text!r}{remedy}", "yellow"))
+    lines += [(note, "yellow") for note in summary.notes]
+    lines += [
+        (_describe(check), "" if check.passed else "dim" if check.passed is None else "red") for check in summary.checks
+    ]
+    return lines
+
+
+def _describe(check: Check) -> str:
+    """Return a check as one line: value, limit and remedy."""
+    if check.passed is None:
+        return f"not checked: {check.name}: {check.found}"
+    if check.passed:
+        return f"agrees: {check.name}: {check.found} (limit: {check.limit})"
+    return f"does not agree: {check.name}: {check.found} (limit: {check.limit}); {check.remedy}"

@@ -1,0 +1,123 @@
+"""Write a guessed map as a TOML file with the reasons as comments, and as a table for the terminal."""
+
+import json
+from typing import Final
+
+from rich.table import Table
+from rich.text import Text
+
+from tools.importers.table.guess import GAP, GuessedField, GuessedMap
+from tools.importers.table.table_file import TableFile
+from tools.importers.table.units import FIELD_UNITS, POWER
+from tools.terminal.rich_table import Column, make_table
+
+MOST_LEFT_OUT: Final = 40
+"""Columns that are not read and are listed in a map."""
+
+
+def write_map_text(guessed: GuessedMap, table: TableFile) -> str:
+    """Return a map as TOML.
+
+    Parameters
+    ----------
+    guessed : GuessedMap
+        The map.
+    table : TableFile
+        First file, whose form is written down where it is not the usual one.
+    """
+    lines = ["# A first map, guessed from names, units, ranges and physics. Check it, then import with it.", ""]
+    lines += _write_file(table) + _write_vehicle(guessed, table) + _write_time(guessed) + _write_ride(guessed)
+    if guessed.long:
+        lines += ["[long]", f"name = {_quote(guessed.long[0])}", f"value = {_quote(guessed.long[1])}", ""]
+    lines.append("[fields]")
+    lines += [_write_field(each) for each in guessed.fields]
+    if guessed.left_out:
+        lines += ["", "# Not read:"]
+        lines += [f"#   {_quote(name)}: {why}" for name, why in guessed.left_out[:MOST_LEFT_OUT]]
+    return "\n".join(lines) + "\n"
+
+
+def make_guess_table(guessed: GuessedMap) -> Table:
+    """Return a table of what was decided and why."""
+    table = make_table([Column("field"), Column("column"), Column("unit"), Column("why")])
+    time = guessed.time
+    _add(table, "time", " + ".join(time.columns), time.unit or time.form or "", time.reason + _describe_zone(guessed))
+    _add(table, "vehicle", guessed.vehicle or "", "", "by its name" if guessed.vehicle else _describe_vehicle(guessed))
+    _add(table, "ride", guessed.ride or "", "", "by its name" if guessed.ride else f"gaps of {GAP:g} s")
+    for each in guessed.fields:
+        unit = f"{each.unit or ''}{', turned' if each.sign < 0 else ''}"
+        _add(table, each.field, each.column or each.signal or "", unit, "; ".join(each.reasons))
+    return table
+
+
+def _add(table: Table, *cells: str) -> None:
+    """Add a row of plain text."""
+    table.add_row(*map(Text, cells))
+
+
+def _describe_zone(guessed: GuessedMap) -> str:
+    """Return what is assumed of the time zone."""
+    return "" if guessed.time.has_zone or guessed.time.needs_origin else "; zone not stated, UTC assumed"
+
+
+def _describe_vehicle(guessed: GuessedMap) -> str:
+    """Return where the name of the car comes from."""
+    return "each file is a car" if guessed.is_per_file else "all rows are of one car"
+
+
+def _write_file(table: TableFile) -> list[str]:
+    """Return the table of the form of the files, where it is not the usual one."""
+    usual = {"separator": ",", "decimal": ".", "encoding": "utf-8"}
+    found = {"separator": table.separator, "decimal": table.decimal, "encoding": table.encoding}
+    lines = [f"{key} = {_quote(value)}" for key, value in found.items() if value != usual[key]]
+    return ["[file]", *lines, ""] if lines else []
+
+
+def _write_vehicle(guessed: GuessedMap, table: TableFile) -> list[str]:
+    """Return the table of the car."""
+    if guessed.vehicle is not None:
+        source = f"column = {_quote(guessed.vehicle)}"
+    elif guessed.is_per_file:
+        source = "from_file_name = true"
+    else:
+        source = f"name = {_quote(table.stem)}"
+    return ["[vehicle]", source, '# model = "nissan-leaf-2013"   # key of the vehicle catalogue', ""]
+
+
+def _write_time(guessed: GuessedMap) -> list[str]:
+    """Return the table of the clock."""
+    time = guessed.time
+    names = ", ".join(map(_quote, time.columns))
+    lines = ["[time]", f"column = {names if len(time.columns) == 1 else f'[{names}]'}   # {time.reason}"]
+    if time.unit:
+        lines.append(f"unit = {_quote(time.unit)}")
+    if time.form:
+        lines.append(f"format = {_quote(time.form)}")
+    if time.needs_origin:
+        lines += ['origin = "2000-01-01T00:00:00"   # time of the number 0: correct it', 'zone = "UTC"']
+    elif not time.has_zone:
+        lines.append('zone = "UTC"   # the file does not state it: correct it where it is local time')
+    return [*lines, ""]
+
+
+def _write_ride(guessed: GuessedMap) -> list[str]:
+    """Return the table of the rides."""
+    source = f"column = {_quote(guessed.ride)}" if guessed.ride else f"gap_s = {GAP:g}"
+    return ["[ride]", source, ""]
+
+
+def _write_field(each: GuessedField) -> str:
+    """Return the line of a field."""
+    where = f"column = {_quote(each.column)}" if each.column is not None else f"signal = {_quote(each.signal or '')}"
+    parts = [where]
+    if each.unit is not None and FIELD_UNITS[each.field]:
+        parts.append(f"unit = {_quote(each.unit)}")
+    if each.sign < 0 or each.field in {"battery_current_a", POWER}:
+        parts.append(f"sign = {each.sign}")
+    comment = f"   # {'; '.join(each.reasons)}" if each.reasons else ""
+    return f"{each.field} = {{ {', '.join(parts)} }}{comment}"
+
+
+def _quote(text: str) -> str:
+    """Return text as a TOML string."""
+    return json.dumps(text, ensure_ascii=False)

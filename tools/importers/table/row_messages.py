@@ -1,0 +1,148 @@
+"""Turn sorted rows into the messages that loggers on board would have sent."""
+
+from itertools import repeat
+from typing import Any, Final
+
+import numpy as np
+
+from core.batch import Floats, Ints
+from core.vehicles import load_catalogue
+from core.vehicles.catalogue import OVERRIDES
+from core.vehicles.data_sheet import OF_SHEET
+from core.wire.messages import Message, Telemetry, Vehicle, encode
+from tools.importers.drive import DECIMALS, make_message
+from tools.importers.table.column_map import ColumnMap
+from tools.importers.table.row_reader import RowReader
+from tools.importers.table.units import POWER
+
+DECIMALS_OF_TABLES: Final = {**DECIMALS, "odometer_km": 4}
+"""Decimal places of each field of a sample: finer than any of the sensors."""
+_FIELDS: Final = tuple(Telemetry.__struct_fields__[4:])  # after vehicle, time, ride and counter
+
+
+class RowMessages:
+    """Make the messages of rows, with a vehicle message before the first sample of each car.
+
+    Parameters
+    ----------
+    columns : ColumnMap
+        Map of the tables.
+    reader : RowReader
+        Reader of the rows, which holds the names.
+
+    Attributes
+    ----------
+    samples : int
+        Samples so far.
+    """
+
+    def __init__(self, columns: ColumnMap, reader: RowReader) -> None:
+        self.map, self.reader = columns, reader
+        self.samples = 0
+        self._announced: set[int] = set()
+        self._last: dict[int, float] = {}
+        self._ride_numbers: dict[int, int] = {}
+
+    def make(self, rows: np.ndarray) -> list[Message]:
+        """Return the messages of rows.
+
+        Parameters
+        ----------
+        rows : structured array
+            Rows in the order of time, after those of the calls before.
+        """
+        rides = self._name_rides(rows)
+        columns = _make_wire_columns(rows, self.map.vehicle.nominal_voltage)
+        stamps = np.round(rows["time"], 3).tolist()
+        wire = [columns.get(name, repeat(None)) for name in _FIELDS]
+        names, messages = self.reader.vehicles, []
+        for place, stamp, ride, *values in zip(rows["vehicle"].tolist(), stamps, rides, *wire, strict=False):
+            if place not in self._announced:
+                self._announced.add(place)
+                messages += self._announce(names[place], stamp)
+            vehicle = names[place]
+            sample = Telemetry(vehicle, stamp, ride, None, *values)
+            messages.append(Message(f"fleet/{vehicle}/telemetry", encode(sample), round(stamp * 1000) * 1_000_000))
+        self.samples += len(rows)
+        return messages
+
+    def _announce(self, vehicle: str, stamp: float) -> list[Message]:
+        """Return the vehicle message of a car, if its model is known; a car of one's own brings its figures."""
+        model = self.map.vehicle.models.get(vehicle, self.map.vehicle.model)
+        if not model:
+            return []
+        known = load_catalogue().get(model)
+        is_own = known is not None and known.sources.get("origin") == OF_SHEET
+        figures = {name: getattr(known, name) for name in OVERRIDES} if is_own else {}
+        return [make_message(f"fleet/{vehicle}/vehicle", Vehicle(vehicle, stamp, model, **figures))]
+
+    def _name_rides(self, rows: np.ndarray) -> list[str | None]:
+        """Return the ride of each row."""
+        if self.map.ride.gap is None:
+            names: list[str | None] = [*self.reader.rides, None]
+            return [names[place] for place in rows["ride"].tolist()]
+        numbers = np.ones(len(rows), "i8")
+        for vehicle in np.unique(rows["vehicle"]).tolist():
+            at = np.flatnonzero(rows["vehicle"] == vehicle)
+            times = rows["time"][at]
+            before = np.append(self._last.get(vehicle, times[0]), times[:-1])
+            numbers[at] = self._ride_numbers.get(vehicle, 1) + np.cumsum(times - before > self.map.ride.gap)
+            self._last[vehicle], self._ride_numbers[vehicle] = float(times[-1]), int(numbers[at[-1]])
+        names_of = self.reader.vehicles
+        return [f"{names_of[v]}-{n}" for v, n in zip(rows["vehicle"].tolist(), numbers.tolist(), strict=True)]
+
+
+def join_signals(rows: np.ndarray) -> np.ndarray:
+    """Return rows of which those of one car and one time are joined into one.
+
+    Parameters
+    ----------
+    rows : structured array
+        Rows in the order of time and vehicle. Of several values of a field, the largest remains.
+    """
+    if len(rows) < 2:
+        return rows
+    new = np.append(True, (np.diff(rows["time"]) > 0) | (np.diff(rows["vehicle"]) != 0))
+    starts = np.flatnonzero(new)
+    joined = rows[starts].copy()
+    for name in rows.dtype.names or ():
+        if name not in {"time", "vehicle"}:
+            joined[name] = np.fmax.reduceat(rows[name], starts)
+    return joined
+
+
+def compute_power(rows: np.ndarray) -> Floats:
+    """Return the power of the battery of rows, NaN where unknown. [W]"""
+    names = rows.dtype.names or ()
+    power = np.full(len(rows), np.nan)
+    if "battery_voltage_v" in names and "battery_current_a" in names:
+        power = rows["battery_voltage_v"] * rows["battery_current_a"]
+    return np.where(np.isfinite(power), power, rows[POWER] * 1000.0) if POWER in names else power
+
+
+def _make_wire_columns(rows: np.ndarray, nominal_voltage: float) -> dict[str, list[Any]]:
+    """Return the columns of the fields as JSON holds them; a power becomes voltage and current."""
+    columns = {name: rows[name] for name in rows.dtype.names or () if name in _FIELDS}
+    if POWER in (rows.dtype.names or ()):
+        power, unknown = rows[POWER] * 1000.0, np.full(len(rows), np.nan)
+        voltage = columns.get("battery_voltage_v", unknown)
+        current = columns.get("battery_current_a", unknown)
+        lacking = np.isfinite(power) & ~np.isfinite(voltage * current)
+        voltage = np.where(lacking & ~(voltage > 0), nominal_voltage, voltage)
+        columns["battery_voltage_v"] = voltage
+        columns["battery_current_a"] = np.where(lacking, power / voltage, current)
+    return {name: _to_json(name, values) for name, values in columns.items()}
+
+
+def _to_json(name: str, values: Floats | Ints) -> list[Any]:
+    """Return a column as JSON holds it: rounded, None if unknown."""
+    known = np.isfinite(values)
+    filled = np.where(known, values, 0.0)
+    if name in {"charging", "occupants"}:
+        known &= filled >= 0
+        typed = (filled > 0).tolist() if name == "charging" else np.round(np.maximum(filled, 0)).astype("i8").tolist()
+    else:
+        typed = (np.round(filled, DECIMALS_OF_TABLES[name]) + 0.0).tolist()  # no -0.0
+    if known.all():
+        return list(typed)
+    return [value if there else None for value, there in zip(typed, known.tolist(), strict=True)]

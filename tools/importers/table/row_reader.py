@@ -1,0 +1,256 @@
+"""Convert the cells of tables to rows of numbers in the units of the wire contract, and count what cannot be read."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from core.batch import Floats, Ints
+from core.wire.messages import LONGEST_TEXT, join_chunks
+from tools.importers.table.column_map import ColumnMap, FieldSource, TimeSource
+from tools.importers.table.table_file import WRONG_WIDTH, Block, TableFile
+
+Bools = NDArray[np.bool_]
+
+NO_TIME: Final = "no time"
+UNREADABLE_TIME: Final = "a time that cannot be read"
+AMBIGUOUS_TIME: Final = "a local time that the change of the clock repeats or skips"
+IMPLAUSIBLE_TIME: Final = "a time before 2000 or after 2100"
+NO_VEHICLE: Final = "no vehicle"
+NO_VALUE: Final = "no value in any field of the map"
+FIRST_TIME: Final = 946684800.0
+"""1 January 2000. [Unix s]"""
+LAST_TIME: Final = 4102444800.0
+"""1 January 2100. [Unix s]"""
+
+TRUE: Final = frozenset({"true", "1", "1.0", "yes", "y", "on", "t", "charging", "ja", "oui"})
+FALSE: Final = frozenset({"false", "0", "0.0", "no", "n", "off", "f", "done", "stopped", "disconnected", "nein", "non"})
+_WHOLE: Final = re.compile(r"^(\d+)\.0$")
+"""A whole number, as programs export it from a column with empty cells."""
+_NUMBER: Final = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
+_OFFSET: Final = r"(Z|[+-]\d\d:?(\d\d)?)$"
+
+
+class RowReader:
+    """Read the rows of tables.
+
+    Parameters
+    ----------
+    columns : ColumnMap
+        Map of the tables.
+
+    Attributes
+    ----------
+    vehicles, rides : list of str
+        Names of vehicles and rides; rows hold their places in these lists.
+    rows : int
+        Rows in the files so far.
+    causes : Counter of str
+        Rows that cannot be read, by cause.
+    cells : Counter of (str, str)
+        Cells that hold no number where one belongs, by column and first such text; their rows are kept.
+    """
+
+    def __init__(self, columns: ColumnMap) -> None:
+        self.map = columns
+        self.vehicles: list[str] = []
+        self.rides: list[str] = []
+        self.rows = 0
+        self.causes: Counter[str] = Counter()
+        self.cells: Counter[str] = Counter()
+        self.examples: dict[str, str] = {}
+        self.dtype = np.dtype(
+            [("time", "f8"), ("vehicle", "i4"), ("ride", "i4"), *((name, "f8") for name in columns.fields)]
+        )
+        self._places: dict[str, dict[str, int]] = {"vehicle": {}, "ride": {}}
+
+    def read(self, tables: Sequence[TableFile]) -> Iterator[np.ndarray]:
+        """Yield rows as structured arrays, one per block of a file, in the order of the files."""
+        for table in tables:
+            for block in table.iterate_blocks(self.map.list_columns(), self.causes):
+                yield self.convert(table, block)
+        self.rows += self.causes[WRONG_WIDTH]
+
+    def convert(self, table: TableFile, block: Block) -> np.ndarray:
+        """Return the readable rows of a block."""
+        count = len(next(iter(block.values())))
+        self.rows += count
+        rows = np.zeros(count, self.dtype)
+        keep = np.ones(count, bool)
+        rows["time"] = self._read_time(table, block, keep)
+        rows["vehicle"] = self._read_vehicles(table, block, keep)
+        rows["ride"] = self._read_rides(table, block, count)
+        has_value = np.zeros(count, bool)
+        for name, source in self.map.fields.items():
+            rows[name] = self._read_field(table, block, name, source, count)
+            has_value |= np.isfinite(rows[name])
+        self._drop(keep, ~has_value, NO_VALUE)
+        return rows[keep]
+
+    def _drop(self, keep: Bools, wrong: Bools, cause: str) -> None:
+        """Mark rows as unreadable, each under its first cause."""
+        newly = keep & wrong
+        if number := int(newly.sum()):
+            self.causes[cause] += number
+            keep &= ~wrong
+
+    def _read_time(self, table: TableFile, block: Block, keep: Bools) -> Floats:
+        """Return the Unix time of each row. [s]"""
+        source = self.map.time
+        cells = [block[name] for name in source.columns]
+        missing = np.logical_or.reduce([_to_bools(pc.is_null(each)) for each in cells])
+        self._drop(keep, missing, NO_TIME)
+        ambiguous = np.zeros(len(keep), bool)
+        if source.unit_s is not None:
+            numbers, _ = _to_numbers(cells[0], table.decimal)
+            times = source.origin + numbers * source.unit_s
+        elif pa.types.is_timestamp(cells[0].type):
+            times, ambiguous = _to_unix(cells[0].to_pandas(), source)
+        else:
+            texts = [pc.utf8_trim_whitespace(pc.cast(each, pa.string())) for each in cells]
+            joined = texts[0] if len(texts) == 1 else pc.binary_join_element_wise(*texts, " ")
+            times, ambiguous = _parse_times(joined, source)
+        self._drop(keep, ambiguous, AMBIGUOUS_TIME)
+        self._drop(keep, ~np.isfinite(times), UNREADABLE_TIME)
+        with np.errstate(invalid="ignore"):
+            self._drop(keep, (times < FIRST_TIME) | (times >= LAST_TIME), IMPLAUSIBLE_TIME)
+        return times
+
+    def _read_vehicles(self, table: TableFile, block: Block, keep: Bools) -> Ints:
+        """Return the place of each row's vehicle in `vehicles`."""
+        source = self.map.vehicle
+        if source.column is None:
+            return np.full(len(keep), self._place("vehicle", source.prefix + (source.name or table.stem)), "i4")
+        places = self._places_of("vehicle", block[source.column], source.prefix)
+        self._drop(keep, places < 0, NO_VEHICLE)
+        return places
+
+    def _read_rides(self, table: TableFile, block: Block, count: int) -> Ints:
+        """Return the place of each row's ride in `rides`, -1 between rides."""
+        if self.map.ride.column is not None:
+            return self._places_of("ride", block[self.map.ride.column], "")
+        return np.full(count, self._place("ride", table.stem) if self.map.ride.from_file_name else -1, "i4")
+
+    def _places_of(self, what: str, cells: pa.Array, prefix: str) -> Ints:
+        """Return the places of the names in cells, -1 where there is none."""
+        coded = pc.dictionary_encode(pc.cast(cells, pa.string()))
+        names = [_WHOLE.sub(r"\1", str(name).strip()) for name in coded.dictionary.to_pylist()]
+        places = np.array([self._place(what, prefix + name) if name else -1 for name in names] + [-1], "i4")
+        coded_places: Ints = places[pc.fill_null(coded.indices, len(names)).to_numpy(zero_copy_only=False)]
+        return coded_places
+
+    def _place(self, what: str, name: str) -> int:
+        """Return the place of a name in its list, to which it is added where it is new."""
+        known = self._places[what]
+        if name not in known:
+            known[name] = len(known)
+            if what == "vehicle":
+                self.vehicles.append(join_chunks(name))
+            else:
+                self.rides.append(name[:LONGEST_TEXT])
+        return known[name]
+
+    def _read_field(self, table: TableFile, block: Block, name: str, source: FieldSource, count: int) -> Floats:
+        """Return the values of a field, NaN where unknown."""
+        column = source.column if source.column is not None else self._value_column()
+        if column not in block:
+            return np.full(count, np.nan)
+        cells = block[column]
+        chosen = None
+        if source.signal is not None and self.map.long is not None:
+            names = pc.utf8_trim_whitespace(pc.cast(block[self.map.long[0]], pa.string()))
+            chosen = pc.fill_null(pc.equal(names, source.signal), False)
+            cells = pc.if_else(chosen, cells, pa.scalar(None, cells.type))
+        read = _to_flags(cells, source.true) if name == "charging" else _to_numbers(cells, table.decimal)
+        values, wrong = read
+        if len(wrong):
+            label = source.signal or column
+            self.cells[label] += len(wrong)
+            self.examples.setdefault(label, str(wrong[0].as_py())[:40])
+        return source.conversion.apply(values)
+
+    def _value_column(self) -> str:
+        """Return the column of values of the long form."""
+        return self.map.long[1] if self.map.long else ""
+
+
+def _to_bools(array: pa.Array) -> Bools:
+    """Return an array of pyarrow as numpy."""
+    flags: Bools = array.to_numpy(zero_copy_only=False).astype(bool)
+    return flags
+
+
+def _to_numbers(cells: pa.Array, decimal: str) -> tuple[Floats, pa.Array]:
+    """Return cells as numbers, NaN where unknown, and those cells that are no numbers."""
+    if pa.types.is_dictionary(cells.type):
+        cells = cells.cast(cells.type.value_type)
+    if not (pa.types.is_string(cells.type) or pa.types.is_large_string(cells.type)):
+        numbers = pc.cast(cells, pa.float64(), safe=False)
+        return numbers.to_numpy(zero_copy_only=False).astype("f8"), cells.slice(0, 0)
+    texts = pc.utf8_trim_whitespace(cells)
+    if decimal == ",":
+        texts = pc.replace_substring(texts, ",", ".")
+    is_number = pc.match_substring_regex(texts, _NUMBER)
+    wrong = cells.filter(pc.fill_null(pc.invert(is_number), False))
+    numbers = pc.cast(pc.if_else(is_number, texts, pa.scalar(None, texts.type)), pa.float64())
+    return numbers.to_numpy(zero_copy_only=False).astype("f8"), wrong
+
+
+def _to_flags(cells: pa.Array, true: frozenset[str]) -> tuple[Floats, pa.Array]:
+    """Return cells as 1 for true and 0 for false, NaN where unknown, and those cells that are neither."""
+    if pa.types.is_floating(cells.type) or pa.types.is_integer(cells.type):
+        values, wrong = _to_numbers(cells, ".")
+        return np.where(np.isnan(values), np.nan, (values > 0).astype("f8")), wrong
+    coded = pc.dictionary_encode(pc.cast(cells, pa.string()))
+    words = [str(word).strip().lower() for word in coded.dictionary.to_pylist()]
+    flags = np.array([*(_to_flag(word, true) for word in words), np.nan])
+    values = flags[pc.fill_null(coded.indices, len(words)).to_numpy(zero_copy_only=False)]
+    return values, cells.filter(pa.array(np.isnan(values) & _to_bools(pc.is_valid(cells))))
+
+
+def _to_flag(word: str, true: frozenset[str]) -> float:
+    """Return what a word means: with words of the map for true, all others are false."""
+    if true:
+        return float(word in true)
+    number = pd.to_numeric(word, errors="coerce")
+    if word in TRUE or word in FALSE:
+        return float(word in TRUE)
+    return float(number > 0) if np.isfinite(number) else np.nan
+
+
+def _parse_times(texts: pa.Array, source: TimeSource) -> tuple[Floats, Bools]:
+    """Return the Unix times of texts [s], NaN where unreadable, and which of them the change of the clock repeats."""
+    series: Any = texts.to_pandas()
+    form = source.form or "ISO8601"
+    with_offset = _to_bools(pc.fill_null(pc.match_substring_regex(texts, _OFFSET), False))
+    if source.form is None:  # a date alone ends like an offset
+        with_offset &= _to_bools(pc.fill_null(pc.greater(pc.utf8_length(texts), 10), False))
+    times, ambiguous = np.full(len(series), np.nan), np.zeros(len(series), bool)
+    if with_offset.any():
+        parsed = pd.to_datetime(series[with_offset], format=form, errors="coerce", utc=True)
+        times[with_offset] = _to_seconds(parsed.dt.tz_localize(None))
+    if not with_offset.all():
+        plain = pd.to_datetime(series[~with_offset], format=form, errors="coerce")
+        times[~with_offset], ambiguous[~with_offset] = _to_unix(plain, source)
+    return times, ambiguous
+
+
+def _to_unix(stamps: Any, source: TimeSource) -> tuple[Floats, Bools]:
+    """Return the Unix times of dates [s], and which of them the change of the clock repeats or skips."""
+    if stamps.dt.tz is not None:
+        return _to_seconds(stamps.dt.tz_convert("UTC").dt.tz_localize(None)), np.zeros(len(stamps), bool)
+    local = stamps.dt.tz_localize(source.zone, ambiguous="NaT", nonexistent="NaT")
+    unclear = (local.isna() & stamps.notna()).to_numpy()
+    return _to_seconds(local.dt.tz_convert("UTC").dt.tz_localize(None)), unclear
+
+
+def _to_seconds(stamps: Any) -> Floats:
+    """Return dates in UTC as Unix times, NaN where unknown. [s]"""
+    values = stamps.to_numpy().astype("datetime64[us]")
+    return np.where(np.isnat(values), np.nan, values.astype("i8") / 1e6)

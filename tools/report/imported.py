@@ -1,0 +1,96 @@
+"""Draw on one page whether distance and energy of imported cars agree with each other."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from core.vehicles import load_catalogue
+from tools.importers.table.agreement import CarSums, estimate_capacity
+from tools.importers.table.import_summary import ImportSummary, list_lines
+from tools.report.cells import Cell, ReportTable, Row
+from tools.report.evaluation.illustrations import Illustration
+from tools.report.evaluation.sections import Section
+from tools.report.figure_style import REFERENCE_LINE, apply_layout, draw_dots, escape_label, get_style
+from tools.report.page import escape_text, render_document, save
+
+TITLE = "Imported data"
+CAPTION = (
+    "Each point is a car. Left: distance by odometer or positions over that by speed; on the dashed line they are "
+    "equal. Right: energy of 100 % of the displayed charge, by power, over the energy per km."
+)
+FEWEST_KM = 1.0
+"""Shortest distance of a car that is drawn. [km]"""
+
+
+def write(summary: ImportSummary, path: Path) -> None:
+    """Write the page of an import.
+
+    Parameters
+    ----------
+    summary : ImportSummary
+        Summary of the import.
+    path : Path
+        File to write.
+    """
+    section = Section("agreement", "Do the values agree?", "", [_tabulate(summary)])
+    figure = draw_agreement(summary.cars)
+    shown = [Illustration("agreement-of-cars", "Distance and energy of each car", CAPTION, figure)]
+    lead = f"<p>{escape_text(list_lines(summary)[0][0])}</p>"
+    foot = "<p>Made by <code>socast import</code>.</p>"
+    save(render_document("import", TITLE, lead, [section], lambda _: shown, foot), path)
+
+
+def draw_agreement(cars: Sequence[CarSums]) -> go.Figure:
+    """Return the figure of the distances and energies of cars.
+
+    Parameters
+    ----------
+    cars : sequence of CarSums
+        Sums of each car.
+    """
+    figure = make_subplots(rows=1, cols=2, subplot_titles=("Distance", "Energy"), horizontal_spacing=0.12)
+    longest = 0.0
+    for place, name in enumerate(("odometer", "fixes")):
+        known = [car for car in cars if car.sums[f"speed_beside_{name}"] > FEWEST_KM * 1000.0]
+        x = [car.sums[f"speed_beside_{name}"] / 1000.0 for car in known]
+        y = [car.sums[name] / 1000.0 for car in known]
+        longest = max([longest, *x, *y])
+        title = "positions" if name == "fixes" else name
+        figure.add_trace(_draw_points(f"by {title}", place, x, y, known), row=1, col=1)
+    line = go.Scatter(
+        x=[0.0, longest], y=[0.0, longest], mode="lines", line=REFERENCE_LINE, name="equal", showlegend=False
+    )
+    figure.add_trace(line, row=1, col=1)
+    known = [car for car in cars if car.sums["distance"] > FEWEST_KM * 1000.0 and estimate_capacity(car) is not None]
+    x = [car.sums["energy"] / 3600.0 / car.sums["distance"] for car in known]
+    figure.add_trace(_draw_points("energy", 2, x, [estimate_capacity(car) for car in known], known), row=1, col=2)
+    for key in sorted({car.model for car in known if car.model in load_catalogue()}, key=str):
+        nominal = load_catalogue()[str(key)].nominal_capacity_kwh
+        figure.add_hline(nominal, line=REFERENCE_LINE, annotation_text=escape_label(str(key)), row=1, col=2)
+    figure.update_xaxes(title_text="distance by speed, km", row=1, col=1)
+    figure.update_yaxes(title_text="distance, km", row=1, col=1)
+    figure.update_xaxes(title_text="energy per km, kWh", row=1, col=2)
+    figure.update_yaxes(title_text="energy per 100 %, kWh", row=1, col=2)
+    return apply_layout(figure, 420)
+
+
+def _draw_points(
+    name: str, place: int, x: Sequence[float], y: Sequence[float | None], cars: Sequence[CarSums]
+) -> go.Scatter:
+    """Return the points of cars with their names."""
+    points = draw_dots(name, get_style(place), list(x), list(y))
+    points.text = [escape_label(car.vehicle) for car in cars]
+    return points
+
+
+def _tabulate(summary: ImportSummary) -> ReportTable:
+    """Return the table of the comparisons."""
+    verdicts = {True: "agrees", False: "does not agree", None: "not checked"}
+    rows = tuple(
+        Row(check.name, (Cell(verdicts[check.passed]), Cell(check.found), Cell(check.limit), Cell(check.remedy or "–")))
+        for check in summary.checks
+    )
+    lines = tuple(line for line, _ in list_lines(summary)[1:] if not line.startswith(tuple(verdicts.values())))
+    return ReportTable("Do the values agree?", "comparison", ("verdict", "found", "limit", "remedy"), rows, lines)
