@@ -32,9 +32,10 @@ from core.forecast.learning.car_driver import ShiftPattern, compute_driver_code
 from core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
 from core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord
 from core.forecast.learning.leg_energy import LegEnergyTables
-from core.forecast.outlook import compute_temperature_weights
+from core.forecast.outlook import compute_temperature_weights, find_expected_end
 from core.forecast.plan_tracker import CUT_SHORT_MARGIN, DriverNamed, PlanArrival, PlanTracker
 from core.forecast.soc_filter import close_shift, filter_events
+from core.forecast.weather_forecasts import ForecastArrival, WeatherForecasts
 from core.totals.accumulator import Sums, Totals, join_totals
 from core.totals.context import RunContext
 from core.totals.tables import model_columns
@@ -46,7 +47,7 @@ _UNKNOWN_END: Final = np.array((np.nan, np.nan, np.nan, np.nan), END_OF_SHIFT)[(
 
 
 class PendingInput:
-    """Collect totals and dispatch messages until it pays to compute forecasts.
+    """Collect totals, dispatch messages and weather forecasts until it pays to compute forecasts.
 
     Batches may be small. Forecasts do not depend on where they are cut, so they are processed together. Messages
     are counted from the first pending batch.
@@ -59,28 +60,28 @@ class PendingInput:
     Attributes
     ----------
     size : int
-        Number of pending samples and dispatch messages.
+        Number of pending samples and messages.
     """
 
     def __init__(self, none: Totals) -> None:
         self._none = none
         self._sums: list[Sums] = []
-        self._dispatch: list[PlanArrival | DriverNamed] = []
+        self._arrivals: list[PlanArrival | DriverNamed | ForecastArrival] = []
         self._replaced: list[ReplacedKind] = []
         self.size = 0
         self._before = 0  # messages of batches before the present one
 
     def __bool__(self) -> bool:
-        return bool(self._sums or self._dispatch)
+        return bool(self._sums or self._arrivals)
 
     def add_sums(self, sums: Sums, rows: int) -> None:
         """Add the sums of a number of rows."""
         self._sums.append(Sums(*(totals._replace(at=totals.at + self._before) for totals in sums)))
         self.size += rows
 
-    def add_dispatch(self, message: PlanArrival | DriverNamed) -> None:
-        """Add a plan or the name of a driver, in the order of their arrival."""
-        self._dispatch.append(message._replace(at=self._before + message.at))
+    def add_arrival(self, message: PlanArrival | DriverNamed | ForecastArrival) -> None:
+        """Add a plan, the name of a driver or a weather forecast, in the order of their arrival."""
+        self._arrivals.append(message._replace(at=self._before + message.at))
         self.size += 1
 
     def add_replaced(self, kinds: Sequence[ReplacedKind]) -> None:
@@ -94,28 +95,30 @@ class PendingInput:
             self._replaced = []
 
     def take(self, end: int) -> "DueInput":
-        """Return and drop all sums, joined, and the dispatch messages up to the place `end` in the batch."""
+        """Return and drop all sums, joined, and the messages up to the place `end` in the batch."""
         sums, self._sums, self.size = self._sums, [], 0
-        due = [each for each in self._dispatch if each.at <= self._before + end]
-        self._dispatch = self._dispatch[len(due) :]
+        due = [each for each in self._arrivals if each.at <= self._before + end]
+        self._arrivals = self._arrivals[len(due) :]
         replaced, self._replaced = self._replaced, [each for each in self._replaced if each.at > self._before + end]
         plans = [each for each in due if isinstance(each, PlanArrival)]
         drivers = [each for each in due if isinstance(each, DriverNamed)]
+        forecasts = [each for each in due if isinstance(each, ForecastArrival)]
         rides, idle, running = (
             join_totals([getattr(each, name) for each in sums], self._none)
             for name in ("rides", "idle_periods", "running")
         )
-        return DueInput(Sums(rides, idle, self._none, running), plans, drivers, replaced)
+        return DueInput(Sums(rides, idle, self._none, running), plans, drivers, forecasts, replaced)
 
 
 class DueInput(NamedTuple):
-    """Hold totals and dispatch messages for which forecasts are to be computed.
+    """Hold totals and messages for which forecasts are to be computed.
 
     Parameters
     ----------
     sums : Sums
     arrivals : sequence of PlanArrival
     drivers : sequence of DriverNamed
+    forecasts : sequence of ForecastArrival
     replaced : sequence of ReplacedKind
         Kinds of car that vehicle messages replaced among these messages, and after them.
     """
@@ -123,6 +126,7 @@ class DueInput(NamedTuple):
     sums: Sums
     arrivals: Sequence[PlanArrival] = ()
     drivers: Sequence[DriverNamed] = ()
+    forecasts: Sequence[ForecastArrival] = ()
     replaced: Sequence[ReplacedKind] = ()
 
 
@@ -172,6 +176,7 @@ class ForecastEngine:
     ----------
     statistics : FleetStatistics
     plans : PlanTracker
+    weather : WeatherForecasts
     log : ForecastLog
     state : (lanes,) FILTER_STATE
     ends : (lanes,) END_OF_SHIFT
@@ -183,7 +188,7 @@ class ForecastEngine:
     def __init__(self, context: RunContext, width: int) -> None:
         self.context, self._cars = context, context.cars
         self.statistics = FleetStatistics(context, width)
-        self.plans, self.log = PlanTracker(), ForecastLog()
+        self.plans, self.weather, self.log = PlanTracker(), WeatherForecasts(), ForecastLog()
         self.state = create_filter_state(0)
         self.ends = np.zeros(0, END_OF_SHIFT)
         self.closed: list[NDArray[np.void]] = []
@@ -210,7 +215,13 @@ class ForecastEngine:
 
         progress = self.plans.process(sums.running, sums.rides, due.arrivals, estimates, get_tables, lanes)
         self.statistics.charged_soc.add_charges(self.plans.take_outcomes())
-        rows = compute_forecast_rows(sums.running, of_running, estimates, progress, self.statistics, self._cars)
+        time, patterns = sums.running.at_last("time"), self.statistics.get_patterns(sums.running.lane)
+        expected_end = find_expected_end(progress, time, estimates["begin"], patterns)
+        now = estimates["ambient"], time, expected_end, self.statistics.daily_cycle
+        ambient = self.weather.expect_between(sums.running.at, due.forecasts, *now)
+        rows = compute_forecast_rows(
+            sums.running, of_running, estimates, progress, ambient, self.statistics, self._cars
+        )
         self.ends[sums.running.lane] = rows.get_end_of_shift()
         self._evaluate(sums.running, rows, shifts, at, kinds)
         return rows
@@ -264,7 +275,8 @@ class ForecastEngine:
         weights = compute_temperature_weights(mean_ambient)
         out["lane"], out["time"] = totals.lane, totals.at_last("time")
         out["predicted"] = predicted
-        out["factor"], out["power"] = self.statistics.compute_corrections(kind, riding, weights)
+        learned = self.statistics.compute_corrections(kind, riding, weights)
+        out["factor"], out["power"], out["per_km"], out["level_sd"] = learned
         out["metered"] = totals.amount("energy") / JOULES_PER_KWH
         out["meter_time"], out["duration"] = totals.amount("metered"), duration
         out["riding"], out["distance"], out["ambient"] = riding, totals.amount("distance"), ambient
@@ -322,12 +334,24 @@ class ForecastEngine:
             driver = int(shift["driver"]) if shift["driver"] >= 0.0 else None
             relative_power = predicted / (float(usual.mean_power[0]) * hours)
             pattern = ShiftPattern(hours, relative_power) if relative_power > 0.0 else None
-            energy = (predicted, used, capacity, kind, float(shift["hours"]), float(ambient[0]))
-            self.statistics.add_shift(ShiftEnergy(lane, driver, *energy, bool(shift["uncorrected"] == 0.0)), pattern)
+            energy = ShiftEnergy(
+                lane=lane,
+                driver=driver,
+                predicted_kwh=predicted,
+                model_kwh=float(shift["model_predicted"]),
+                used_kwh=used,
+                capacity_kwh=capacity,
+                kind=kind,
+                hours=float(shift["hours"]),
+                ambient=float(ambient[0]),
+                is_corrected=bool(shift["uncorrected"] == 0.0),
+            )
+            self.statistics.add_shift(energy, pattern)
 
-    def apply_daily_update(self) -> None:
-        """Let the statistics of the day take effect."""
+    def apply_daily_update(self, midnight: float = -inf) -> None:
+        """Let the statistics of the day take effect, and forget the weather forecasts for times before midnight [s]."""
         self.statistics.apply_daily_update()
+        self.weather.forget_before(midnight)
 
     def finish(self, *, interrupted: bool = False) -> None:
         """Close every shift in progress at the end of the stream.
@@ -381,13 +405,14 @@ class ForecastEngine:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return self.statistics.dump(), self.plans.dump(), self.log.dump(), self.state.tobytes()
+        return self.statistics.dump(), self.plans.dump(), self.weather.dump(), self.log.dump(), self.state.tobytes()
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, once the cars are known."""
-        statistics, plans, log, filters = state
+        statistics, plans, weather, log, filters = state
         self.statistics.load(statistics)
         self.plans.load(plans)
+        self.weather.load(weather)
         self.log.load(log)
         self.state = np.frombuffer(filters, FILTER_STATE).copy()
 

@@ -61,7 +61,8 @@ FILTER_STATE: Final = np.dtype(
         ("hours", "f8"),  # awake in the shift [h]
         ("predicted", "f8"),  # energy predicted of the shift [kWh]
         ("warmth", "f8"),  # integral of the outside temperature over `hours` [K h]
-        ("uncorrected", "f8"),  # 1 where no learned correction applied to part of the predicted energy
+        ("model_predicted", "f8"),  # energy predicted by the model alone [kWh]
+        ("uncorrected", "f8"),  # 1 where learned tables did not correct part of the predicted energy
         ("charged", "f8"),  # time of the last charging within the shift, NaN for none [s]
         ("faulty", "f8"),  # last time in the shift at which the reading was frozen, absent or jumped, NaN for none [s]
         ("connected", "f8"),  # when the present or last charging began, or the silence in which it did [s]
@@ -73,6 +74,7 @@ FILTER_STATE: Final = np.dtype(
         ("begin_log_capacity", "f8"),  # `c` at the beginning of the shift
         ("usual", "f8"),  # expected `a - c` of the shift, before any of its data
         ("usual_variance", "f8"),  # variance of that expectation
+        ("level_sd", "f8"),  # standard deviation of the level of the tables, part of that variance [1]
         ("driver", "f8"),  # code of the driver, -1 while unknown
         ("driver_mean", "f8"),  # mean of the driver's part of `a`
         ("driver_variance", "f8"),  # variance of the driver's part
@@ -92,6 +94,8 @@ FILTER_EVENT: Final = np.dtype(
         ("predicted", "f8"),  # energy predicted of the ride or idle period so far [kWh]
         ("factor", "f8"),  # learned correction factor of the predicted energy [1]
         ("power", "f8"),  # learned correction that is added to the predicted power [kW]
+        ("per_km", "f8"),  # correction that is added for each kilometre driven [kWh/km]
+        ("level_sd", "f8"),  # standard deviation of the level of the tables, 0 for learned ones [1]
         ("metered", "f8"),  # energy so far by voltage and current [kWh]
         ("meter_time", "f8"),  # time for which that is known [s]
         ("duration", "f8"),  # so far [s]
@@ -149,9 +153,10 @@ CLOSED_SHIFT: Final = np.dtype(
         ("distance", "f8"),  # [m]
         ("ride_distance", "f8"),  # [m]
         ("hours", "f8"),  # awake [h]
-        ("predicted", "f8"),  # [kWh]
+        ("predicted", "f8"),  # as corrected [kWh]
         ("warmth", "f8"),  # [K h]
-        ("uncorrected", "f8"),  # 1 where no learned correction applied to part of the predicted energy
+        ("model_predicted", "f8"),  # energy predicted by the model alone [kWh]
+        ("uncorrected", "f8"),  # 1 where learned tables did not correct part of the predicted energy
         ("charged", "f8"),  # time of the last charging, NaN for none [s]
         ("faulty", "f8"),  # last time at which the reading was frozen, absent or jumped, NaN for none [s]
         ("driver", "f8"),  # code of the only driver, -1 where unknown or more than one

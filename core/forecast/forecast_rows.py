@@ -16,7 +16,6 @@ from core.forecast.outlook import (
     compute_range,
     compute_temperature_weights,
     fill_from_history,
-    find_expected_end,
     schedule_plan,
 )
 from core.forecast.plan_tracker import get_ride_km
@@ -130,6 +129,7 @@ def compute_forecast_rows(
     predicted: Floats,
     estimates: NDArray[np.void],
     progress: NDArray[np.void],
+    ambient: Floats,
     statistics: FleetStatistics,
     cars: Cars,
 ) -> ForecastRows:
@@ -143,6 +143,8 @@ def compute_forecast_rows(
         Energy predicted of the rides so far. [kWh]
     estimates : (n,) SOC_ESTIMATE
     progress : (n,) PLAN_PROGRESS
+    ambient : (n,) float
+        Mean outside temperature over the time ahead. [K]
     statistics : FleetStatistics
     cars : Cars
 
@@ -152,8 +154,6 @@ def compute_forecast_rows(
     """
     time, kind = running.at_last("time"), running.at_last("kind").astype(np.int64)
     patterns = statistics.get_patterns(running.lane)
-    expected_end = find_expected_end(progress, time, estimates["begin"], patterns)
-    ambient = statistics.daily_cycle.expect_ambient(estimates["ambient"], time, expected_end)
     ahead_c = ambient - ZERO_CELSIUS
     usual = statistics.compute_usual(kind, compute_temperature_weights(ambient))
     estimate = CarEstimate.from_filter(estimates, cars.capacity[kind])

@@ -121,15 +121,24 @@ def open_shift(state: Any, event: Any, prior: Any) -> None:
     """Begin a shift, with an unknown driver and the prior distribution of `a - c`."""
     state.shift += 1.0
     state.begin = event.time
-    state.distance = state.ride_distance = state.hours = state.predicted = state.warmth = 0.0
+    state.distance = state.ride_distance = state.hours = state.warmth = 0.0
+    state.predicted = state.model_predicted = 0.0
     state.compared_predicted = state.compared_used = state.jump = state.uncorrected = 0.0
     state.begin_soc = state.last_soc = state.lowest_soc = state.charged = state.faulty = nan
     forget_charges(state)
     state.driver, state.driver_mean, state.driver_variance, state.drivers = -1.0, 0.0, DRIVER_SD**2, 0.0
     state.p_cc = min(state.p_cc + CAPACITY_AGEING**2, CAPACITY_SD**2)
     state.begin_log_capacity = state.log_capacity
-    state.usual, state.usual_variance = prior.mean, prior.variance
-    state.log_consumption, state.p_aa = state.log_capacity + prior.mean, state.p_cc + prior.variance
+    state.usual, state.usual_variance, state.level_sd = prior.mean, prior.variance, 0.0
+    begin_consumption(state, event.level_sd)
+
+
+@njit(cache=False)
+def begin_consumption(state: Any, level_sd: float) -> None:
+    """Begin `a` at its prior distribution, with the standard deviation of the level of the tables."""
+    state.usual_variance += level_sd**2 - state.level_sd**2
+    state.level_sd = level_sd
+    state.log_consumption, state.p_aa = state.log_capacity + state.usual, state.p_cc + state.usual_variance
     state.p_sa, state.p_ac = state.p_sc, state.p_cc
 
 
@@ -140,6 +149,7 @@ def close_shift(state: Any, event: int, lane: int, row: Any) -> None:
     row.begin_soc, row.last_soc, row.lowest_soc = state.begin_soc, state.last_soc, state.lowest_soc
     row.ride_distance, row.distance = state.ride_distance, state.distance
     row.hours, row.predicted, row.warmth = state.hours, state.predicted, state.warmth
+    row.model_predicted = state.model_predicted
     row.uncorrected = state.uncorrected
     row.charged, row.faulty = state.charged, state.faulty
     row.driver = state.driver if state.drivers == 1.0 else -1.0  # two drivers share the consumption
@@ -150,18 +160,20 @@ def update_with_totals(state: Any, event: Any) -> None:
     """Update the state of a car by the totals of a ride or idle period, and by its reading."""
     passed = event.time - state.time if state.active == 1.0 else 0.0
     meter_time, duration = event.meter_time - state.seen_meter_time, event.duration - state.seen_time
-    predicted = event.factor * (event.predicted - state.seen_predicted) + event.power * duration / 3600.0
-    metered = event.metered - state.seen_metered
+    model_predicted, metered = event.predicted - state.seen_predicted, event.metered - state.seen_metered
     warmth, distance = event.ambient - state.seen_ambient, event.distance - state.seen_distance
+    predicted = event.power * duration / 3600.0 + event.per_km * distance / 1000.0
+    if event.factor != 0.0:  # the prediction may be unknown
+        predicted += event.factor * model_predicted
     remember_totals(state, event)
+    if event.level_sd != state.level_sd:  # the tables were learned within the shift
+        begin_consumption(state, event.level_sd)
     if duration > 0.0:
         state.ambient = warmth / duration
         if state.distance > DEPARTURE_DISTANCE:
             state.hours += duration / 3600.0
             state.warmth += warmth / 3600.0
-            state.predicted += 0.0 if isnan(predicted) else predicted
-            if event.factor == 1.0 and event.power == 0.0:
-                state.uncorrected = 1.0
+            add_predicted(state, predicted, model_predicted)
         state.distance += distance
         state.ride_distance += event.riding * distance
     silent = passed - max(duration, 0.0) > FILTER_RESET_SILENCE
@@ -183,6 +195,15 @@ def update_with_totals(state: Any, event: Any) -> None:
         discard_soc(state)
     if state.charging == 0.0 and isnan(state.suspect) and not isnan(state.reported):
         record_shift_soc(state)
+
+
+@njit(cache=False)
+def add_predicted(state: Any, predicted: float, model_predicted: float) -> None:
+    """Add predicted energies to those of the shift. [kWh]"""
+    state.predicted += 0.0 if isnan(predicted) else predicted
+    state.model_predicted += 0.0 if isnan(model_predicted) else model_predicted
+    if state.level_sd > 0.0:
+        state.uncorrected = 1.0
 
 
 @njit(cache=False)
@@ -292,7 +313,9 @@ def write_estimate(state: Any, out: Any) -> None:
     out.covariance = state.p_sa - state.p_sc
     out.ambient, out.shift, out.quantum = state.ambient, state.shift, state.quantum
     out.charged, out.faulty, out.reported = state.charged, state.faulty, state.last_soc
-    out.begin, out.begin_soc, out.distance, out.usual = state.begin, state.begin_soc, state.distance, state.usual
+    out.begin, out.begin_soc, out.distance = state.begin, state.begin_soc, state.distance
+    lasting = state.level_sd**2 / state.usual_variance if state.level_sd > 0.0 else 0.0  # what no hours change
+    out.usual = state.usual + lasting * (out.log_factor - state.usual)
     out.arrived, out.arrival_soc, out.charged_soc = state.arrived, state.arrival_soc, state.charged_soc
     out.unplugged = state.unplugged
     out.departed = 1.0 if state.distance - state.unplugged_distance > DEPARTURE_DISTANCE else 0.0

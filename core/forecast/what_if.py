@@ -100,7 +100,8 @@ class CarOutlook:
         self.pattern = statistics.get_patterns(np.array([lane]))
         usual_end = self.shift_begin + 3600.0 * self.pattern["hours"]
         end = np.array([shift_end]) if np.isfinite(shift_end) else usual_end
-        ambient = statistics.daily_cycle.expect_ambient(estimate["ambient"], np.array([self.time]), end)
+        now = estimate["ambient"], np.array([self.time]), end
+        ambient = engine.weather.expect_ambient(*now, statistics.daily_cycle)
         self.usual = statistics.compute_usual(kinds, compute_temperature_weights(ambient))
         self.tables = statistics.get_tables(lane)
         self.model_name = cars.name(int(kinds[0]))
@@ -470,7 +471,7 @@ def _explain_unknown_end(now: CarOutlook, end: Interval | None, no_energy: str |
             return "no vehicle message has told which model this car is"
         return (
             f"the vehicle model {now.model_name!r} is not in the catalogue, and its vehicle message lacks "
-            f"{' or '.join(OVERRIDES)}"
+            f"{' or '.join(OVERRIDES)}; describe the car with `socast vehicles new`"
         )
     return no_energy or "the temperature or the energy ahead is unknown"
 

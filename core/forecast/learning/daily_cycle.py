@@ -23,8 +23,6 @@ WHOLE_OBSERVATION: Final = 900.0
 """Time for which an hour must be observed to count as a whole. [s]"""
 LARGEST_RATE: Final = 6.0
 """A temperature that changes faster is that of another place, such as a garage. [K/h]"""
-_QUADRATURE: Final = (np.arange(5) + 0.5) / 5.0
-"""Shares of the time ahead at which the change is averaged."""
 
 
 class DailyCycle:
@@ -65,32 +63,21 @@ class DailyCycle:
         smooth = 0.25 * np.roll(rate, 1) + 0.5 * rate + 0.25 * np.roll(rate, -1)
         self._since_midnight = np.append(0.0, np.cumsum(smooth))
 
-    def expect_ambient(self, ambient: Floats, time: Floats, end: Floats) -> Floats:
-        """Return the mean outside temperature over the time ahead.
+    def get_level(self, time: Floats) -> Floats:
+        """Return the usual outside temperature at times, but for a constant. [K]
 
         Parameters
         ----------
-        ambient : (n,) float
-            Present temperature. [K]
-        time, end : (n,) float
-            Present time, and end of the time ahead. [s]
+        time : (n,) float
+            Unix time. [s]
 
         Returns
         -------
         (n,) float
-            [K] The present temperature where the end is unknown or past.
         """
-        now = time % SECONDS_PER_DAY / 3600.0
-        ahead = np.clip(np.nan_to_num((end - time) / 3600.0), 0.0, float(HOURS))
-        mean = np.zeros(len(now))
-        for share in _QUADRATURE.tolist():
-            mean += self._interpolate(now + share * ahead) / len(_QUADRATURE)
-        return np.asarray(ambient + mean - self._interpolate(now))
-
-    def _interpolate(self, hour: Floats) -> Floats:
-        """Return the change since the midnight of the present day at hours of this day and the next."""
-        days = np.floor(hour / HOURS)
-        within = np.interp(hour - HOURS * days, np.arange(HOURS + 1.0), self._since_midnight)
+        days = np.floor(time / SECONDS_PER_DAY)
+        hour = (time - SECONDS_PER_DAY * days) / 3600.0
+        within = np.interp(hour, np.arange(HOURS + 1.0), self._since_midnight)
         return np.asarray(days * self._since_midnight[-1] + within)
 
     def dump(self) -> Any:

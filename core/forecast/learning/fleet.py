@@ -53,8 +53,8 @@ class ShiftEnergy(NamedTuple):
     lane : int
     driver : int or None
         Code of the only driver, None where unknown or more than one.
-    predicted_kwh, used_kwh : float
-        Predicted energy, and energy by the charge. [kWh]
+    predicted_kwh, model_kwh, used_kwh : float
+        Energy as predicted and corrected, as predicted by the model alone, and by the charge. [kWh]
     capacity_kwh : float
         Nominal usable capacity. [kWh]
     kind : int
@@ -64,18 +64,36 @@ class ShiftEnergy(NamedTuple):
     ambient : float
         Mean outside temperature. [K]
     is_corrected : bool
-        Whether the predicted energy is corrected by learned tables, or not at all.
+        Whether learned tables corrected all of the predicted energy.
     """
 
     lane: int
     driver: int | None
     predicted_kwh: float
+    model_kwh: float
     used_kwh: float
     capacity_kwh: float
     kind: int
     hours: float
     ambient: float
     is_corrected: bool
+
+
+class EnergyCorrections(NamedTuple):
+    """Hold how tables change the energy that the model predicts of n rides or idle periods, (n,) float each.
+
+    Parameters
+    ----------
+    factor : Factor of the predicted energy. [1]
+    power : Power to add. [kW]
+    per_km : Energy to add for each kilometre driven. [kWh/km]
+    level_sd : Standard deviation of the level of the tables, 0 for learned tables. [1]
+    """
+
+    factor: Floats
+    power: Floats
+    per_km: Floats
+    level_sd: Floats
 
 
 class FleetStatistics:
@@ -168,16 +186,16 @@ class FleetStatistics:
     def _learn_factors(self, energy: ShiftEnergy) -> None:
         """Learn the factors of a car and its driver from a shift.
 
-        Without learned tables, the used over the predicted energy tells about the model, and not about the car. Where
-        the tables were learned since, the prediction is corrected by them.
+        Without learned tables, the used over the predicted energy tells about the tables, and not about the car. Where
+        the tables were learned since, they correct what the model predicted.
         """
         predicted = energy.predicted_kwh
         if not energy.is_corrected:
             if not self.has_learned_tables(energy.kind):
                 return
             weights = compute_temperature_weights(np.array([energy.ambient]))
-            factor, power = self.compute_corrections(np.array([energy.kind]), np.array([True]), weights)
-            predicted = float(factor[0]) * predicted + float(power[0]) * energy.hours
+            learned = self.compute_corrections(np.array([energy.kind]), np.array([True]), weights)
+            predicted = float(learned.factor[0]) * energy.model_kwh + float(learned.power[0]) * energy.hours
         self.factors.add_shift(energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh)
 
     def has_learned_tables(self, kind: int) -> bool:
@@ -191,7 +209,7 @@ class FleetStatistics:
         self._update_kinds()
         return self._tables[kind]
 
-    def compute_corrections(self, kinds: Ints, riding: NDArray[np.bool_], weights: Floats) -> tuple[Floats, Floats]:
+    def compute_corrections(self, kinds: Ints, riding: NDArray[np.bool_], weights: Floats) -> "EnergyCorrections":
         """Return the corrections of the predicted energy at each row.
 
         Parameters
@@ -205,16 +223,18 @@ class FleetStatistics:
 
         Returns
         -------
-        (n,) float
-            Factor of the predicted energy. [1]
-        (n,) float
-            Power to add. [kW]
+        EnergyCorrections
         """
         self._update_kinds()
         ride = riding[:, np.newaxis]
         factor = np.where(ride, self._rows.ride_factor[kinds], self._rows.idle_factor[kinds])
         power = np.where(ride, self._rows.ride_power[kinds], self._rows.idle_power[kinds])
-        return np.einsum("ij,ij->i", factor, weights), np.einsum("ij,ij->i", power, weights)
+        return EnergyCorrections(
+            np.asarray(np.einsum("ij,ij->i", factor, weights)),
+            np.asarray(np.einsum("ij,ij->i", power, weights)),
+            self._rows.driven_energy_per_km[kinds, 0],
+            self._rows.level_sd[kinds, 0],
+        )
 
     def compute_usual(self, kinds: Ints, weights: Floats) -> UsualConsumption:
         """Return the usual consumption of cars at the temperature of each row; the parameters are as above."""
@@ -301,14 +321,17 @@ class _StackedTables(NamedTuple):
     energy_per_km: Floats
     mean_power: Floats
     relative_sd: Floats
+    driven_energy_per_km: Floats
+    level_sd: Floats
 
 
 def _stack_tables(tables: Sequence[LegEnergyTables | None]) -> _StackedTables:
     """Return the stacked tables of all kinds of car."""
-    unknown = {"ride_factor": 1.0, "ride_power": 0.0, "idle_factor": 1.0, "idle_power": 0.0}
+    unknown = {"ride_factor": 1.0, "idle_factor": 1.0}
+    unknown |= dict.fromkeys(("ride_power", "idle_power", "driven_energy_per_km", "level_sd"), 0.0)
     columns = {
         name: [
-            np.full(_KNOTS, unknown.get(name, np.nan)) if of_kind is None else getattr(of_kind, name)
+            np.full(_KNOTS, unknown.get(name, np.nan) if of_kind is None else getattr(of_kind, name))
             for of_kind in tables
         ]
         for name in _StackedTables._fields

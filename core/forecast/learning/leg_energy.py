@@ -82,6 +82,10 @@ class LegEnergyTables(NamedTuple):
         Standard deviation of the energy at a temperature, larger where no rides were, over that energy. [1]
     mean_pause : float
         Mean duration of an idle period. [h]
+    driven_energy_per_km : float
+        Correction that is added for each kilometre driven, 0 for learned tables. [kWh/km]
+    level_sd : float
+        Standard deviation of the level of the tables, 0 for learned tables. A shift reveals it. [1]
     """
 
     leg_energy_per_km: Floats
@@ -100,6 +104,8 @@ class LegEnergyTables(NamedTuple):
     mean_power: Floats
     relative_sd: Floats
     mean_pause: float
+    driven_energy_per_km: float = 0.0
+    level_sd: float = 0.0
 
     def is_plausible(self) -> bool:
         """Return whether the consumption is positive and possible at every temperature; else no car has such tables."""

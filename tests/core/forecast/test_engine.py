@@ -61,10 +61,11 @@ def test_end_of_shift_is_forecast_and_its_interval_shrinks(car):
     for each in known:
         assert each.soc_end_of_shift_pct.p05 <= each.soc_end_of_shift_pct.mean <= each.soc_end_of_shift_pct.p95
         assert each.range_km.p05 <= each.range_km.mean <= each.range_km.p95
-        assert each.reserve_risk == pytest.approx(0.0, abs=0.04)
+        assert each.reserve_risk == pytest.approx(0.0, abs=0.05)
     quarters = [[width(each) for each in part] for part in (known[:30], known[-60:-30], known[-25:])]
     assert np.mean(quarters[0]) > 1.3 * np.mean(quarters[1]) > 1.3**2 * np.mean(quarters[2])
-    assert known[0].soc_end_of_shift_pct.mean == pytest.approx(end, abs=7.0)
+    assert known[0].soc_end_of_shift_pct.mean == pytest.approx(end, abs=9.0)
+    assert known[0].soc_end_of_shift_pct.p05 < end < known[0].soc_end_of_shift_pct.p95
     assert known[-1].soc_end_of_shift_pct.mean == pytest.approx(end, abs=1.0)
 
 

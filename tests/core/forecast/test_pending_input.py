@@ -126,20 +126,21 @@ def test_later_dispatch_messages_wait_and_messages_count_from_first_batch():
     pending = PendingInput(none)
     assert not pending
     plan_later = PlanArrival(9, 1, None)
-    pending.add_dispatch(DriverNamed(5, 0, "x"))
-    pending.add_dispatch(plan_later)
+    pending.add_arrival(DriverNamed(5, 0, "x"))
+    pending.add_arrival(plan_later)
     pending.add_sums(accumulator.close()._replace(running=rows._replace(at=rows.at + 3)), 2)
     pending.add_sums(accumulator.close()._replace(running=rows._replace(at=rows.at + 5)), 2)
     assert pending.size == 6
     pending.add_replaced([ReplacedKind(6, 0, 1), ReplacedKind(8, 0, 2)])
-    sums, plans, drivers, replaced = pending.take(7)
+    sums, plans, drivers, forecasts, replaced = pending.take(7)
+    assert forecasts == []
     assert replaced == [ReplacedKind(6, 0, 1), ReplacedKind(8, 0, 2)]
     assert sums.running.at.tolist() == [3, 3, 5, 5]
     assert (plans, drivers) == ([], [DriverNamed(5, 0, "x")])
     assert pending.size == 0
     pending.end_batch(9)
     pending.add_sums(accumulator.close()._replace(running=rows._replace(at=rows.at + 2)), 2)
-    sums, plans, _, replaced = pending.take(4)
+    sums, plans, *_, replaced = pending.take(4)
     assert replaced == [ReplacedKind(8, 0, 2)]
     assert sums.running.at.tolist() == [11, 11]
     assert plans == [plan_later]

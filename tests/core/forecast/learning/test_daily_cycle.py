@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from core.columns import SECONDS_PER_DAY
 from core.forecast.learning.daily_cycle import HOURS, DailyCycle
+from core.forecast.weather_forecasts import WeatherForecasts
 
 KELVIN = 280.0
 
@@ -30,7 +31,7 @@ def learned(days, begin=0.0, hours=24.0, cars=3):
 
 def expected(cycle, hour, ahead):
     now = np.array([50.0 * SECONDS_PER_DAY + 3600.0 * hour])
-    return float(cycle.expect_ambient(np.array([KELVIN]), now, now + 3600.0 * ahead)[0])
+    return float(WeatherForecasts().expect_ambient(np.array([KELVIN]), now, now + 3600.0 * ahead, cycle)[0])
 
 
 @pytest.mark.parametrize(("hour", "ahead"), [(8.0, 6.0), (12.0, 1.0), (20.0, 8.0), (23.0, 4.0)])
