@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Callable
+from datetime import UTC, datetime
 from typing import Any, Final, Protocol
 
 import msgspec
@@ -90,10 +91,7 @@ class Checkpoints:
             note = self._file.load(self._pipeline.restore)
             if self._recorder is not None and note is not None:
                 forecasts = self._catch_up(self._recorder, note)
-            vehicles = self._pipeline.quality()["vehicles"]
-            _log.info(
-                "restored", extra=event_fields(file=str(self._file.path), vehicles=vehicles, caught_up=self.caught_up)
-            )
+            self._log_start()
         self.save()
         return list(forecasts.values())
 
@@ -124,6 +122,21 @@ class Checkpoints:
             note = msgspec.to_builtins(self._recorder.place)
         self._file.save(self._pipeline.snapshot(note))
         self.saved_s = self._clock()
+
+    def _log_start(self) -> None:
+        """Log what the service continues from; loudly where it is not the last state."""
+        file = self._file
+        fields: dict[str, Any] = {"file": str(file.loaded), "vehicles": self._pipeline.quality()["vehicles"]}
+        if self._recorder is not None:
+            fields["caught_up"] = self.caught_up
+        if not file.failure or file.loaded is None:
+            _log.info("restored", extra=event_fields(**fields))
+            return
+        saved = datetime.fromtimestamp(file.loaded.stat().st_mtime, UTC).isoformat(timespec="seconds")
+        fields |= {"saved": saved, "reason": file.failure}
+        if self._recorder is None:
+            fields["lost"] = "what came after this state, because --record is not given"
+        _log.error("restored from the state before the last one", extra=event_fields(**fields))
 
     def _catch_up(self, recorder: Recorder, note: Any) -> dict[str, Message]:
         """Take what was recorded after the state; return the newest forecast by key."""

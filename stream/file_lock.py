@@ -3,14 +3,13 @@
 import fcntl
 import os
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from core.errors import SettingsError
+from stream.closeable import Closeable
 
 
-class FileLock:
-    """Hold a lock for the life of the process; a context manager.
+class FileLock(Closeable):
+    """Hold a lock for the life of the process.
 
     The operating system frees the lock when the process ends, however it ends. The lock file remains.
 
@@ -18,8 +17,8 @@ class FileLock:
     ----------
     lock : Path
         Lock file; it is made if it does not exist.
-    what : Path
-        File or folder that the lock protects, for the message.
+    what : str
+        File or folder that the lock protects, for the message, such as `--state fleet.state`.
 
     Raises
     ------
@@ -27,7 +26,7 @@ class FileLock:
         If another process holds the lock, or if the lock file cannot be made.
     """
 
-    def __init__(self, lock: Path, what: Path) -> None:
+    def __init__(self, lock: Path, what: str) -> None:
         try:
             self._file = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
@@ -47,16 +46,6 @@ class FileLock:
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Free the lock."""
-        self.close()
 
 
 def sync_folder(folder: Path) -> None:

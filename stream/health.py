@@ -7,10 +7,10 @@ from http.server import BaseHTTPRequestHandler
 from ipaddress import ip_address
 from socketserver import TCPServer, ThreadingMixIn
 from threading import BoundedSemaphore, Thread
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from core.errors import SettingsError
+from stream.closeable import Closeable
 from stream.service_status import ServiceStatus, describe_role
 
 if TYPE_CHECKING:
@@ -75,8 +75,8 @@ def parse_http_address(text: str) -> HttpAddress:
     )
 
 
-class HealthServer:
-    """Answer web requests on the service from threads of its own; a context manager.
+class HealthServer(Closeable):
+    """Answer web requests on the service from threads of its own.
 
     Parameters
     ----------
@@ -120,16 +120,6 @@ class HealthServer:
         """Stop listening; requests in progress end with the process."""
         self._server.shutdown()
         self._server.server_close()
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()
 
 
 class _Server(ThreadingMixIn, TCPServer):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import inf
 from threading import Event
 from types import FrameType
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeAlias
 
 from core.wire.messages import Message
 from stream.recorder import Recorder
@@ -91,6 +91,20 @@ class Tally:
     newest: Message | None = None
 
 
+Watch: TypeAlias = Callable[[Tally], None]
+"""A function that the loop calls after each list of messages, empty lists included."""
+
+
+def combine_watches(*watches: Watch) -> Watch:
+    """Return a watch that calls each of several watches."""
+
+    def watch(tally: Tally) -> None:
+        for each in watches:
+            each(tally)
+
+    return watch
+
+
 def run(
     source: Source,
     pipeline: Forecaster,
@@ -99,7 +113,7 @@ def run(
     recorder: Recorder | None = None,
     keep_open: bool = False,
     publish_s: float = 0.0,
-    watch: Callable[[Tally], None] = lambda _: None,
+    watch: Watch = lambda _: None,
     report_s: float = REPORT_S,
     clock: Callable[[], float] = time.monotonic,
 ) -> Tally:
@@ -111,8 +125,9 @@ def run(
     Parameters
     ----------
     source : Source
-        Source that ends by itself or at its stop event. The loop logs its count `missed`, if it has one, and counts its
-        messages of the type `RecoveredMessage` if it says `has_recovered`.
+        Source that ends by itself or at its stop event. The loop logs its counts `missed` and `dropped`;
+        `missed` is None where nothing is requested again. It counts the messages of the type `RecoveredMessage` if the
+        source says `has_recovered`.
     pipeline : Forecaster
         Pipeline that turns messages into forecasts.
     sinks : sequence of Sink
@@ -138,7 +153,7 @@ def run(
         Counts of the whole run.
     """
     tally, began, which = Tally(), clock(), {"newest_only": publish_s > 0.0}
-    keep = _make_keeper(source, recorder, tally)
+    keep, counters = _make_keeper(source, recorder, tally), _CounterLog(tally, source, pipeline, recorder)
     due = began + report_s
     published = -inf
     with ExitStack() as closing:
@@ -160,12 +175,12 @@ def run(
             watch(tally)
             if clock() >= due:
                 due = clock() + report_s
-                _report("running", tally, source, pipeline, recorder)
+                counters.write("running")
         _pass_on(pipeline.forecasts(**which), pipeline.model_errors(**which), sinks, tally)
         if not keep_open:
             _pass_on(pipeline.finish(), pipeline.model_errors(**which), sinks, tally)
         tally.seconds = clock() - began
-    _report("finished", tally, source, pipeline, recorder)
+    counters.write("finished")
     return tally
 
 
@@ -247,15 +262,32 @@ def _pass_on(forecasts: list[Message], errors: list[Message], sinks: Sequence[Si
             sink.put(messages)
 
 
-def _report(event: str, tally: Tally, source: Source, pipeline: Forecaster, recorder: Recorder | None) -> None:
-    """Log all counters under the name of an event."""
-    tally.missed = getattr(source, "missed", 0)
-    counts: dict[str, Any] = {"messages": tally.received, "forecasts": tally.forecasts, "missed": tally.missed}
-    if tally.recovered:
-        counts["recovered"] = tally.recovered
-    if tally.model_errors:
-        counts["model_errors"] = tally.model_errors
-    if recorder is not None:
-        counts |= {"recorded": recorder.recorded, "unrecorded": recorder.unrecorded}
-    rate = tally.received / tally.seconds if tally.seconds > 0 else 0.0
-    _log.info(event, extra=event_fields(**counts, per_second=round(rate, 1), **flatten_counts(pipeline.quality())))
+class _CounterLog:
+    """Log all counters, and the rate since the last line."""
+
+    def __init__(self, tally: Tally, source: Source, pipeline: Forecaster, recorder: Recorder | None) -> None:
+        self._tally, self._source, self._pipeline, self._recorder = tally, source, pipeline, recorder
+        self._received, self._seconds = tally.received, tally.seconds
+
+    def write(self, event: str) -> None:
+        """Log the counters under the name of an event."""
+        tally, recorder = self._tally, self._recorder
+        missed: int | None = getattr(self._source, "missed", 0)
+        tally.missed = missed or 0
+        counts: dict[str, Any] = {"messages": tally.received, "forecasts": tally.forecasts}
+        counts |= {"recovery": "off"} if missed is None else {"missed": missed}
+        if tally.recovered:
+            counts["recovered"] = tally.recovered
+        if tally.model_errors:
+            counts["model_errors"] = tally.model_errors
+        if recorder is not None:
+            counts |= {"recorded": recorder.recorded, "unrecorded": recorder.unrecorded}
+        counts |= flatten_counts({"dropped": getattr(self._source, "dropped", {})})
+        counts["per_second"] = self._measure_rate()
+        _log.info(event, extra=event_fields(**counts, **flatten_counts(self._pipeline.quality())))
+
+    def _measure_rate(self) -> float:
+        """Return the messages received per second since the last call. [Hz]"""
+        received, seconds = self._tally.received - self._received, self._tally.seconds - self._seconds
+        self._received, self._seconds = self._tally.received, self._tally.seconds
+        return round(received / seconds, 1) if seconds > 0 else 0.0

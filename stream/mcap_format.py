@@ -22,7 +22,12 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 LARGEST_CHUNK: Final = 64 << 20
 """Largest size of a chunk, compressed or not, and of a message outside chunks; larger ones are left out. [B]"""
 
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, DATA_END = 2, 3, 4, 5, 6, 8, 11, 15
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX = 1, 2, 3, 4, 5, 6, 8
+STATISTICS, METADATA, DATA_END = 11, 12, 15
+METADATA_NAME: Final = "socast"
+"""Name of the metadata record that says what wrote a recording."""
+FOR_VIEWERS: Final = {"socast": "for viewers"}
+"""Metadata of a channel that was added for viewers, and that the reader leaves out."""
 RECORD: Final = struct.Struct("<BQ")
 """Start of every record: opcode, and length of the rest. [B]"""
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
@@ -94,6 +99,61 @@ def iterate_strings(body: bytes, at: int, count: int) -> Iterator[bytes]:
         if at > len(body):
             raise ValueError("a string reaches beyond its record")
         yield body[at - length : at]
+
+
+def decode_metadata(body: bytes) -> tuple[str, dict[str, str]]:
+    """Return the name and the entries of a metadata record.
+
+    Parameters
+    ----------
+    body : bytes
+        Body of the record.
+
+    Returns
+    -------
+    tuple of (str, dict of str to str)
+
+    Raises
+    ------
+    ValueError, struct.error
+        If a string is not UTF-8 or reaches beyond the record.
+    """
+    (name,) = iterate_strings(body, 0, 1)
+    return name.decode(), _decode_map(body, _LENGTH.size + len(name))
+
+
+def decode_channel(body: bytes) -> tuple[str, str, dict[str, str]]:
+    """Return the topic, the encoding of messages and the metadata of a channel record.
+
+    Parameters
+    ----------
+    body : bytes
+        Body of the record.
+
+    Returns
+    -------
+    tuple of (str, str, dict of str to str)
+
+    Raises
+    ------
+    ValueError, struct.error
+        If a string is not UTF-8 or reaches beyond the record.
+    """
+    topic, encoding = iterate_strings(body, 4, 2)
+    at = 4 + 2 * _LENGTH.size + len(topic) + len(encoding)
+    return topic.decode(), encoding.decode(), _decode_map(body, at)
+
+
+def _decode_map(body: bytes, at: int) -> dict[str, str]:
+    """Return a map of strings, which follows its length in the record."""
+    end = at + _LENGTH.size + _LENGTH.unpack_from(body, at)[0]
+    at += _LENGTH.size
+    entries: dict[str, str] = {}
+    while at < end:
+        key, value = iterate_strings(body, at, 2)
+        entries[key.decode()] = value.decode()
+        at += 2 * _LENGTH.size + len(key) + len(value)
+    return entries
 
 
 def decompress_chunk(record: bytes, limit: int = LARGEST_CHUNK) -> bytes:

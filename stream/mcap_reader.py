@@ -11,6 +11,7 @@ most `MOST_HELD` bytes wait to be sorted, and a summary that contradicts the fil
 
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from math import inf
@@ -29,14 +30,20 @@ from stream.mcap_format import (
     DATA_END,
     FOOTER,
     FOOTER_RECORD,
+    FOR_VIEWERS,
+    HEADER,
     LARGEST_CHUNK,
     MAGIC,
     MESSAGE,
     MESSAGE_HEAD,
+    METADATA,
+    METADATA_NAME,
     RECORD,
     SCHEMA,
     STATISTICS,
     OversizedError,
+    decode_channel,
+    decode_metadata,
     decompress_chunk,
     explain_foreign_channel,
     iterate_records,
@@ -56,6 +63,8 @@ MOST_DESCRIPTIONS: Final = 1 << 18
 """Largest number of descriptions that differ from the one before of the same number."""
 DESCRIPTION_BYTES: Final = 64 << 20
 """Largest size of all schemas and channels together. [B]"""
+LARGEST_METADATA: Final = 64 << 10
+"""Largest metadata record. [B]"""
 _STATISTICS: Final = struct.Struct("<QHIIII")  # messages, schemas, channels, attachments, metadata, chunks
 _CHUNK_PLACE: Final = struct.Struct("<QQQQ")  # first time, last time, offset, length
 _SPAN: Final = struct.Struct("<QQ")  # first and last time in the head of a chunk
@@ -89,6 +98,11 @@ class McapSource:
         Number of chunks in the file, and number of chunks that the current iteration has read.
     schemas : dict
         Name of the schema by topic, for the topics read so far; an empty name for a topic without a schema.
+    metadata : dict of str to str
+        What wrote the recording, see `stream.recording_metadata`; empty if the file does not say.
+    viewer_messages : Counter of str
+        Number of messages by topic that the current iteration has left out because their channels are marked as
+        `FOR_VIEWERS`.
 
     Raises
     ------
@@ -101,15 +115,20 @@ class McapSource:
         self.losses = Losses()
         self.blocks_read = 0
         self.schemas: dict[str, str] = {}
+        self.metadata: dict[str, str] = {}
+        self.viewer_messages: Counter[str] = Counter()
         self._schemas: dict[int, tuple[str, str, bytes]] = {}
         self._keys: dict[int, str | None] = {}
         self._foreign: dict[int, tuple[str, str]] = {}
+        self._for_viewers: set[int] = set()
         self._learnt: dict[tuple[int, bytes], bytes] = {}
         self._learnt_bytes = self._changes = self._read_bytes = self._expanded = 0
         self._count: int | None = None
         try:
             with self.path.open("rb") as file:
                 self._check(file)
+                with suppress(*_DAMAGE):
+                    self._read_metadata(file)
                 self._blocks = self._read_index(file) or self._scan_chunks(file)
         except OSError as error:
             raise RecordingError(f"{self.path} cannot be read: {(error.strerror or str(error)).lower()}") from error
@@ -138,6 +157,7 @@ class McapSource:
         """Yield the messages in order of receipt, about one chunk at a time."""
         whole = self._of_file
         self.losses = Losses(whole.unfinished, whole.truncated_bytes, is_contradicted=whole.is_contradicted)
+        self.viewer_messages = Counter()
         self._read_bytes = self._expanded = 0
         self.blocks_read = delivered = 0
         waiting = WaitingMessages()
@@ -150,7 +170,7 @@ class McapSource:
                 delivered += len(ready)
                 self.losses.disordered = waiting.disordered
                 yield ready
-        left_out = self.losses.undescribed + self.losses.foreign.total()
+        left_out = self.losses.undescribed + self.losses.foreign.total() + self.viewer_messages.total()
         if self._count is not None:
             self.losses.missing_messages = max(0, self._count - delivered - left_out)
         if not delivered:
@@ -163,6 +183,19 @@ class McapSource:
             raise RecordingError(f"{self.path} is empty: 0 bytes; nothing was recorded")
         if begin != MAGIC:
             raise RecordingError(f"{self.path} is not an MCAP recording: it begins with {begin!r}, not {MAGIC!r}")
+
+    def _read_metadata(self, file: BinaryIO) -> None:
+        """Read the metadata records between the header and the first chunk."""
+        opcode, length = RECORD.unpack(file.read(RECORD.size))
+        if opcode == HEADER:
+            file.seek(length, 1)
+            opcode, length = RECORD.unpack(file.read(RECORD.size))
+        while opcode == METADATA and length <= LARGEST_METADATA:
+            name, entries = decode_metadata(file.read(length))
+            if name == METADATA_NAME:
+                self.metadata = entries
+                return
+            opcode, length = RECORD.unpack(file.read(RECORD.size))
 
     def _refuse_foreign(self) -> None:
         """Refuse a recording if none of its channels follows the wire contract."""
@@ -264,10 +297,13 @@ class McapSource:
             name, form, data = iterate_strings(body, 2, 3)
             self._schemas[number] = (name.decode(), form.decode(), data)
         else:
-            topic, encoding = (part.decode() for part in iterate_strings(body, 4, 2))
+            topic, encoding, marks = decode_channel(body)
             wire = self._schemas.get(int.from_bytes(body[2:4], "little"), ("", "", b""))
             self.schemas[topic] = wire[0]
-            reason = explain_foreign_channel(topic, encoding, *wire)
+            is_for_viewers = marks == FOR_VIEWERS
+            (self._for_viewers.add if is_for_viewers else self._for_viewers.discard)(number)
+            reason = f"topic {topic} is for viewers" if is_for_viewers else ""
+            reason = reason or explain_foreign_channel(topic, encoding, *wire)
             self._keys[number] = None if reason else topic
             if reason:
                 self._foreign[number] = (topic, reason)
@@ -317,7 +353,8 @@ class McapSource:
                 if key is not None:
                     append(new(Message, (key, data[at + head : stop], receipt_ns)))
                 elif channel in self._foreign:
-                    self.losses.foreign[self._foreign[channel][0]] += 1
+                    left_out = self.viewer_messages if channel in self._for_viewers else self.losses.foreign
+                    left_out[self._foreign[channel][0]] += 1
                 else:
                     self.losses.undescribed += 1
             elif opcode:

@@ -3,7 +3,8 @@
 The topic is the key, the message encoding is `json` and the schema encoding is `jsonschema`. `log_time` is the time of
 receipt and `publish_time` is the sender's `time_s`. Chunks are compressed with zstd and indexed. Each chunk describes
 the channels that it uses, so that a damaged chunk does not make other chunks unreadable. The loops over single
-messages, in writer and reader, pack and unpack records without the `mcap` package, which needs 5 to 7 µs per message.
+messages, in writer and reader, pack and unpack records without the `mcap` package, which needs 5 to 7 µs per message. A
+metadata record `socast` after the header says what wrote the recording.
 
 References
 ----------
@@ -15,22 +16,35 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Any, BinaryIO, Final, Self
+from typing import Any, BinaryIO, Final
 
 import msgspec
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, Header, Schema, Statistics, SummaryOffset
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
 
 from core.errors import RecordingError
 from core.wire.messages import KINDS, Message, address
 from core.wire.schema import make_schema
-from stream.mcap_format import FOOTER_RECORD, MAGIC, MESSAGE_HEAD, RECORD
+from stream.closeable import Closeable
+from stream.mcap_format import FOOTER_RECORD, FOR_VIEWERS, MAGIC, MESSAGE_HEAD, METADATA_NAME, RECORD
+from stream.recording_metadata import find_version
 
 CHUNK_BYTES: Final = 1 << 20
 """Size at which the writer compresses a chunk and writes it. [B]"""
@@ -60,8 +74,8 @@ def _find_publish_time(payload: bytes, receipt_ns: int) -> int:
     return time_ns if 0 <= time_ns < 1 << 64 else receipt_ns
 
 
-class McapSink:
-    """Write an MCAP recording as a sink; a context manager.
+class McapSink(Closeable):
+    """Write an MCAP recording as a sink.
 
     Parameters
     ----------
@@ -70,6 +84,11 @@ class McapSink:
     chunk_bytes : int
         Size at which a chunk is written. [B] A killed process loses at most this many bytes, and only messages that
         came after the last `flush`.
+    metadata : mapping of str to str, optional
+        What made the recording, see `stream.recording_metadata.make_metadata`. The version of socast is added.
+    viewer_schemas : mapping of str to dict, optional
+        Last chunk of a topic outside the wire contract -> JSON schema of its messages, with its name as `title`; for
+        messages that are put for viewers.
 
     Attributes
     ----------
@@ -84,12 +103,21 @@ class McapSink:
         If the file cannot be written.
     """
 
-    def __init__(self, path: str | Path, chunk_bytes: int = CHUNK_BYTES) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        chunk_bytes: int = CHUNK_BYTES,
+        *,
+        metadata: Mapping[str, str] | None = None,
+        viewer_schemas: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
         self.path = Path(path)
         self.messages = self.kept = 0
         self._chunk_bytes = chunk_bytes
+        self._viewer_schemas = viewer_schemas or {}
         self._compress = zstandard.ZstdCompressor().compress
         self._keys: dict[str, int] = {}
+        self._viewer_keys: dict[str, int] = {}
         self._schemas: dict[str, Schema] = {}
         self._channels: list[Channel] = []
         self._counts: Counter[int] = Counter()
@@ -100,7 +128,10 @@ class McapSink:
             self._file: BinaryIO = self.path.open("wb")
         except OSError as error:
             raise RecordingError(f"{self.path} cannot be written: {error.strerror}; choose another place") from error
-        self._write(MAGIC + _encode_record(Header(profile="", library="socast")), flush=True)
+        begin = MAGIC + _encode_record(Header(profile="", library="socast"))
+        about = _encode_record(Metadata(METADATA_NAME, {"version": find_version()} | dict(metadata or {})))
+        self._metadata_index = MetadataIndex(len(begin), len(about), METADATA_NAME)
+        self._write(begin + about, flush=True)
 
     @property
     def written(self) -> int:
@@ -136,13 +167,15 @@ class McapSink:
                     return at
         return len(messages)
 
-    def put(self, messages: Sequence[Message]) -> None:
+    def put(self, messages: Sequence[Message], *, for_viewers: bool = False) -> None:
         """Append messages to the recording.
 
         Parameters
         ----------
         messages : sequence of Message
             Messages in order of receipt.
+        for_viewers : bool
+            Put them on channels of their own, which only viewers read and `McapSource` leaves out.
 
         Raises
         ------
@@ -150,8 +183,9 @@ class McapSink:
             If the disk is full, or if the messages have more than `MOST_CHANNELS` keys in total.
         """
         parts, pack, body = self._parts, MESSAGE_HEAD.pack, _BODY
+        keys = self._viewer_keys if for_viewers else self._keys
         for key, payload, receipt_ns in messages:
-            channel = self._keys.get(key) or self._open(key)
+            channel = keys.get(key) or self._open(key, for_viewers=for_viewers)
             index = self._index.get(channel)
             if index is None:
                 index = self._describe(channel)
@@ -208,31 +242,29 @@ class McapSink:
         with suppress(OSError):
             self._file.close()
 
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the recording."""
-        self.close()
-
-    def _open(self, key: str) -> int:
-        """Return the channel number of a new key; a key outside the wire contract gets no schema."""
+    def _open(self, key: str, *, for_viewers: bool) -> int:
+        """Return the channel number of a new key."""
         if self.full:
             raise RecordingError(
                 f"{self.path}: key {MOST_CHANNELS + 1:,} is {key}; a recording holds {MOST_CHANNELS:,}"
             )
-        known = address(key)
-        if known and known.kind not in self._schemas:
-            data = json.dumps(make_schema(known.kind)).encode()
-            number = len(self._schemas) + 1
-            self._schemas[known.kind] = Schema(number, data, "jsonschema", KINDS[known.kind].__name__)
-        channel = self._keys[key] = len(self._channels) + 1
-        described = self._schemas[known.kind].id if known else 0
-        self._channels.append(Channel(channel, key, "json", {}, described))
+        channel = len(self._channels) + 1
+        (self._viewer_keys if for_viewers else self._keys)[key] = channel
+        schema = self._find_schema(key, for_viewers=for_viewers)
+        self._channels.append(Channel(channel, key, "json", FOR_VIEWERS if for_viewers else {}, schema))
         return channel
+
+    def _find_schema(self, key: str, *, for_viewers: bool) -> int:
+        """Return the number of the schema of a key; 0 for none, as outside the wire contract."""
+        known = address(key)
+        kind = known.kind if known else key.rpartition("/")[2]
+        if not known and not (for_viewers and kind in self._viewer_schemas):
+            return 0
+        if kind not in self._schemas:
+            schema = make_schema(kind) if known else self._viewer_schemas[kind]
+            name = KINDS[kind].__name__ if known else schema["title"]
+            self._schemas[kind] = Schema(len(self._schemas) + 1, json.dumps(schema).encode(), "jsonschema", name)
+        return self._schemas[kind].id
 
     def _describe(self, channel: int) -> list[int]:
         """Add the schema and the channel to the chunk before the channel's first message, and start its index."""
@@ -283,11 +315,12 @@ class McapSink:
         """Return the summary section and the footer."""
         first, last = self._span or (0, 0)
         statistics = Statistics(
-            0, len(self._channels), dict(self._counts), len(self._indexes), self._counts.total(), last, first, 0,
+            0, len(self._channels), dict(self._counts), len(self._indexes), self._counts.total(), last, first, 1,
             len(self._schemas),
         )  # fmt: skip
-        groups: tuple[list[Any], ...] = (list(self._schemas.values()), self._channels, [statistics], self._indexes)
-        opcodes = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX)
+        schemas, about = list(self._schemas.values()), self._metadata_index
+        groups: tuple[list[Any], ...] = (schemas, self._channels, [statistics], self._indexes, [about])
+        opcodes = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.METADATA_INDEX)
         start = at = self._file.tell()
         parts, offsets = [], b""
         for opcode, records in zip(opcodes, groups, strict=True):

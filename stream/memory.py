@@ -2,10 +2,9 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Self
 
 from core.wire.messages import Message
+from stream.closeable import Closeable
 
 
 @dataclass
@@ -30,7 +29,7 @@ class MemorySource:
 
 
 @dataclass
-class MemorySink:
+class MemorySink(Closeable):
     """Keep every message as a sink.
 
     Parameters
@@ -51,13 +50,3 @@ class MemorySink:
     def close(self) -> None:
         """Set `closed`."""
         self.closed = True
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the sink."""
-        self.close()

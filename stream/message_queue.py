@@ -114,6 +114,14 @@ class MessageQueue:
             self._has_ended = True
             self._changed.notify_all()
 
+    def drop(self) -> int:
+        """Accept no more messages, remove what is queued, and return the number of removed messages."""
+        with self._changed:
+            self.end()
+            count, self.messages, self.size = self.messages, 0, 0
+            self._lists.clear()
+        return count
+
     @property
     def has_ended(self) -> bool:
         """Return whether no more messages will come."""

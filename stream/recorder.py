@@ -7,7 +7,7 @@ before it saves its state. After a crash it loads the state and reads the messag
 import logging
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Final
@@ -16,9 +16,11 @@ import msgspec
 
 from core.errors import RecordingError, SettingsError
 from core.wire.messages import Message
+from stream.closeable import Closeable
 from stream.file_lock import FileLock, sync_folder
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
+from stream.structured_log import event_fields
 
 FILE_BYTES: Final = 256 << 20
 """Size at which the recorder closes a file and starts the next one. [B]"""
@@ -50,7 +52,7 @@ class Place(msgspec.Struct, frozen=True):
     messages: Annotated[int, msgspec.Meta(ge=0, le=WHOLE)] = WHOLE
 
 
-class Recorder:
+class Recorder(Closeable):
     """Write messages into consecutive files in a folder, as a sink.
 
     The name of a file is the UTC time of receipt of its first message, such as `20260131T235959.123Z.mcap`. A new file
@@ -71,6 +73,8 @@ class Recorder:
         messages.
     clock : callable
         Function that returns monotonic time. [s]
+    metadata : mapping of str to str, optional
+        What every file says about its origin, see `stream.recording_metadata.make_metadata`.
 
     Attributes
     ----------
@@ -96,20 +100,22 @@ class Recorder:
         file_s: float = FILE_S,
         flush_s: float = FLUSH_S,
         clock: Callable[[], float] = time.monotonic,
+        *,
+        metadata: Mapping[str, str] | None = None,
     ) -> None:
         if not (file_bytes > 0 and file_s > 0 and flush_s > 0):
             raise SettingsError(f"limits of {file_bytes} B, {file_s:g} s and {flush_s:g} s must all be above 0")
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise SettingsError(f"{folder} cannot be made: {error.strerror}; choose another folder") from error
-        self._lock = FileLock(folder / ".lock", folder)
+            raise SettingsError(f"--record {folder} cannot be made: {error.strerror}; choose another folder") from error
+        self._lock = FileLock(folder / ".lock", f"--record {folder}")
         self.files: list[Path] = []
         before = list_recordings(folder)
         self.place = Place(before[-1].name if before else "")
         self.recorded = self.unrecorded = 0
         self._folder, self._file_bytes, self._file_ns, self._flush_s = folder, file_bytes, round(file_s * 1e9), flush_s
-        self._clock = clock
+        self._clock, self._metadata = clock, metadata
         self._sink: McapSink | None = None
         self._first_ns = self._newest_ns = self._taken = 0
         self._flushed_s = clock()
@@ -128,6 +134,7 @@ class Recorder:
         if self._rotates:
             self._rotates = False
             self._end_file()
+            _log.info("recording rotated", extra=event_fields(files=len(self.files)))
         if messages and now >= self._retry_s:
             before = self.recorded + self.unrecorded
             try:
@@ -225,9 +232,10 @@ class Recorder:
             self._write(messages)
             return
         if sink is None:
-            sink = self._sink = McapSink(self._find_fresh_path(first_ns))
+            sink = self._sink = McapSink(self._find_fresh_path(first_ns), metadata=self._metadata)
             self._sync_folder()
             self.files.append(sink.path)
+            _log.info("recording", extra=event_fields(file=str(sink.path)))
             self._first_ns = self._newest_ns = first_ns
             self._taken = 0
         room = sink.room(messages)

@@ -3,9 +3,8 @@
 from collections.abc import Callable
 from contextlib import ExitStack
 from threading import Event
-from types import TracebackType
-from typing import Self
 
+from stream.closeable import Closeable
 from stream.health import HealthServer, parse_http_address
 from stream.loop import Tally
 from stream.metrics import make_registry
@@ -14,8 +13,8 @@ from stream.service_status import ServiceStatus, ServiceWatch
 from stream.systemd_notify import SystemdNotifier
 
 
-class ServiceMonitor:
-    """Serve the metrics of the service, and tell systemd of it; a context manager.
+class ServiceMonitor(Closeable):
+    """Serve the metrics of the service, and tell systemd of it.
 
     Parameters
     ----------
@@ -73,13 +72,3 @@ class ServiceMonitor:
     def close(self) -> None:
         """Stop the server and leave systemd."""
         self._closing.close()
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()

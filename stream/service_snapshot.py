@@ -115,6 +115,8 @@ class ServiceSnapshot:
         Time of the last state and of the last sync of the recording. [Unix s]
     publishes : bool, optional
         Whether this consumer publishes, where one of several does.
+    obstacle : str
+        Why the service is not ready although its loop moves; empty where it is.
     of_vehicles : VehicleSnapshot, optional
     """
 
@@ -152,11 +154,16 @@ class ServiceSnapshot:
     saved_s: float | None = None
     recorded_s: float | None = None
     publishes: bool | None = None
+    obstacle: str = ""
     of_vehicles: VehicleSnapshot | None = None
 
 
 class Candidate(Protocol):
     """Define what a snapshot reads of a consumer on standby, such as `stream.zenoh_standby.Standby`."""
+
+    @property
+    def failure(self) -> str:
+        """Return why the consumer has left the election for good; an empty text while it takes part."""
 
     @property
     def is_active(self) -> bool:
@@ -249,6 +256,7 @@ class SnapshotTaker:
             answered=queries.answered if queries else 0,
             refused_queries=dict(queries.refused) if queries else {},
             publishes=self._candidate.is_active if self._candidate else None,
+            obstacle=self._candidate.failure if self._candidate else "",
             **_read_quality(self._pipeline.quality()),
             **self._read_vehicles(),
             **self._read_models(),

@@ -67,7 +67,7 @@ class ServiceStatus:
     def find_obstacle(self) -> str:
         """Return why the service is not ready; an empty text where it is."""
         if self.phase == "ready":
-            return self.find_hang()
+            return self.find_hang() or (self.snapshot.obstacle if self.snapshot else "")
         return f"starting: {self.step}" if self.phase == "starting" and self.step else self.phase
 
 

@@ -4,12 +4,11 @@ import logging
 import os
 from collections.abc import Callable
 from contextlib import suppress
-from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from core.errors import SettingsError, SocastError, read_input
+from stream.closeable import Closeable
 from stream.file_lock import FileLock, sync_folder
 from stream.structured_log import event_fields
 
@@ -24,7 +23,7 @@ LARGEST_STATE: Final = 4 << 30
 _log = logging.getLogger("socast.state")
 
 
-class StateFile:
+class StateFile(Closeable):
     """Save and load snapshots under one name; a context manager that locks the file for this process.
 
     A complete state exists under the name at any time, however the process ends. `{name}.previous` holds the state
@@ -36,6 +35,13 @@ class StateFile:
     path : Path
         State file; it need not exist.
 
+    Attributes
+    ----------
+    loaded : Path or None
+        File that `load` used: the last state, or the one before.
+    failure : str
+        Why `load` could not use the last state; empty if it did.
+
     Raises
     ------
     SettingsError
@@ -45,8 +51,10 @@ class StateFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._previous = path.with_name(path.name + PREVIOUS)
+        self.loaded: Path | None = None
+        self.failure = ""
         self._is_damaged = False
-        self._lock = FileLock(path.with_name(f".{path.name}.lock"), path)
+        self._lock = FileLock(path.with_name(f".{path.name}.lock"), f"--state {path}")
 
     @property
     def exists(self) -> bool:
@@ -77,11 +85,8 @@ class StateFile:
             except SocastError as error:
                 failure = failure or SocastError(f"{path}: {error}")
             else:
-                if path == self._previous:
-                    self._is_damaged = failure is not None
-                    saved = datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="seconds")
-                    reason = str(failure) if failure else f"{self.path} does not exist"
-                    _log.error(f"continued from {path}", extra=event_fields(reason=reason, saved=saved))
+                self.loaded, self._is_damaged = path, failure is not None
+                self.failure = str(failure or "") if path == self.path or failure else f"{self.path} does not exist"
                 return note
         if failure is not None and self._previous.exists():
             raise SocastError(f"{failure}; {self._previous} cannot be used either: restore a copy, or move both away")
@@ -106,19 +111,23 @@ class StateFile:
                 file.write(snapshot)
                 file.flush()
                 os.fsync(file.fileno())
-            self._keep_last()
+            kept = self._keep_last()
             fresh.replace(self.path)
-            self._is_damaged = False
             sync_folder(self.path.parent)
         except OSError as error:
-            raise SettingsError(f"{self.path} cannot be written: {error.strerror}; choose another file") from error
+            raise SettingsError(
+                f"--state {self.path} cannot be written: {error.strerror}; choose another file"
+            ) from error
+        if self._is_damaged:
+            self._is_damaged = False
+            _log.warning("the damaged state is kept for its examination", extra=event_fields(file=str(kept)))
 
     def close(self) -> None:
         """Free the lock; a second call has no effect."""
         self._lock.close()
 
-    def _keep_last(self) -> None:
-        """Give the last state its second name, so that the first name is never without a file."""
+    def _keep_last(self) -> Path:
+        """Give the last state a second name and return it, so that the first name is never without a file."""
         kept = self.path.with_name(self.path.name + DAMAGED) if self._is_damaged else self._previous
         link = self.path.with_name(f".{self.path.name}.link")
         with suppress(FileNotFoundError):
@@ -126,13 +135,4 @@ class StateFile:
         with suppress(FileNotFoundError):
             os.link(self.path, link)
             link.replace(kept)
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Free the lock."""
-        self.close()
+        return kept

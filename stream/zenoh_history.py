@@ -4,6 +4,9 @@ A publisher that numbers its samples keeps the last ones in a cache, and a livel
 token vanishes when the publisher, the router or a link between them is lost, and comes again afterwards. The consumer
 then asks the cache for all that it holds, and the pipeline drops what it has.
 
+Live samples wait for answers at most `HOLD_S` at a time. A publisher whose token comes and goes, as over a poor link,
+makes them wait at most `RETURNS` times in `RETURNS_S`; after that its cache is asked once this time is over.
+
 Notes
 -----
 The module allows for this observed behaviour of zenoh 1.10:
@@ -16,6 +19,7 @@ The module allows for this observed behaviour of zenoh 1.10:
 
 import logging
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import count
 from math import inf
 from typing import Any, Final
@@ -34,6 +38,12 @@ DOUBT_S: Final = 0.1
 """Time after the loss of a publisher within which the loss of the router shows. [s]"""
 RETURN_S: Final = 5.0
 """Longest wait for publishers after the return of the router; they try to connect every few seconds. [s]"""
+HOLD_S: Final = ANSWER_S + SETTLE_S
+"""Longest time for which live samples wait while there is a router; then all are passed on. [s]"""
+RETURNS: Final = 4
+"""Number of times that the token of a publisher may come within `RETURNS_S` for its cache to be asked at once."""
+RETURNS_S: Final = 60.0
+"""Time in which the comings of a token are counted. [s]"""
 SINGLY: Final = 8
 """Number of publishers that are asked one by one; more are asked together."""
 _ANSWERS: Final = 1 << 8
@@ -64,8 +74,9 @@ class CacheHistory:
         self._open: list[Any] = []
         self._fresh: list[str] = list(self._all)
         self._is_client, self._is_cut_off = bool(node.session.info.routers_zid()), False
-        self._gone: set[str] = set()
-        self._doubt_s = -inf
+        self._gone: dict[str, float] = {}  # key -> time until which it is awaited
+        self._returns: dict[str, _Returns] = {}
+        self._later: dict[str, float] = {}  # key -> time at which its cache is asked
         self._quiet_from = -inf
         self._began: float | None = None
         channel: Any = handlers.RingChannel
@@ -85,6 +96,7 @@ class CacheHistory:
             tokens, _ = _receive(subscriber.handler)
             self._take_tokens(tokens, now)
         self._watch_link(now)
+        self._fresh += _remove_due(self._later, now)
         out: list[Any] = []
         for query in list(self._open):
             replies, ended = _receive(query)
@@ -95,7 +107,8 @@ class CacheHistory:
             self._ask()
         if self._fresh or self._open or out:
             self._quiet_from = now
-            self._began = self._began if self._began is not None else now
+        if self._began is None and (self._gone or self._quiet_from == now):
+            self._began = now
         return out
 
     def is_waiting(self, now: float) -> bool:
@@ -106,21 +119,22 @@ class CacheHistory:
         now : float
             Monotonic time. [s]
         """
-        if self._is_cut_off or self._gone:
+        if self._is_cut_off:
             return True
         if self._began is None:
             return False
-        if now - self._quiet_from < SETTLE_S and now - self._began < ANSWER_S + SETTLE_S:
+        if (self._gone or now - self._quiet_from < SETTLE_S) and now - self._began < HOLD_S:
             return True
         self._began = None
+        self._gone.clear()
         return False
 
     def close(self) -> None:
         """End the watch for publishers; a second call has no effect."""
         while self._tokens:
             self._tokens.pop().undeclare()
-        self._fresh.clear()
-        self._open.clear()
+        for waiting in (self._fresh, self._open, self._later):
+            waiting.clear()
 
     def _take_tokens(self, tokens: Sequence[Any], now: float) -> None:
         """Note which publishers have appeared, and which have gone while this session may be cut off."""
@@ -128,12 +142,29 @@ class CacheHistory:
             key = str(token.key_expr)
             if "/forecast/@adv/" in key:
                 continue
+            returns = self._returns.get(key)
+            if returns is None or now - returns.since_s > RETURNS_S:
+                returns = self._note_returns(key, now)
             if token.kind == zenoh.SampleKind.PUT:
-                self._fresh.append(key)
-                self._gone.discard(key)
-            elif self._is_client:
-                self._gone.add(key)
-                self._doubt_s = now + DOUBT_S
+                self._gone.pop(key, None)
+                returns.number += 1
+                if returns.number <= RETURNS:
+                    self._fresh.append(key)
+                else:
+                    self._later[key] = returns.since_s + RETURNS_S
+            else:
+                self._later.pop(key, None)
+                if self._is_client and returns.number <= RETURNS:
+                    self._gone[key] = now + DOUBT_S
+
+    def _note_returns(self, key: str, now: float) -> "_Returns":
+        """Begin to count the comings of a token; forget tokens that have not come for long, where they are many."""
+        if len(self._returns) >= _TOKENS:
+            self._returns = {key: each for key, each in self._returns.items() if now - each.since_s <= RETURNS_S}
+        if len(self._returns) >= _TOKENS:
+            self._returns.clear()
+        returns = self._returns[key] = _Returns(now)
+        return returns
 
     def _watch_link(self, now: float) -> None:
         """Wait while the router is away, and afterwards for the publishers that were there before, for `RETURN_S`.
@@ -145,10 +176,11 @@ class CacheHistory:
         has_router = bool(self._session.info.routers_zid())
         if self._is_cut_off and has_router:
             self._fresh += self._all
-            self._doubt_s = now + RETURN_S
+            self._began = now
+            self._gone = dict.fromkeys(self._gone, now + RETURN_S)
         self._is_cut_off = not has_router
-        if has_router and now > self._doubt_s:
-            self._gone.clear()
+        if has_router:
+            _remove_due(self._gone, now)
 
     def _ask(self) -> None:
         """Ask the publishers that have appeared, all in one query if they are many."""
@@ -171,6 +203,22 @@ class CacheHistory:
                 self._open.append(query)
         except zenoh.ZError as error:
             _log.warning("caches of publishers not asked: %s", format_zenoh_error(error))
+
+
+@dataclass
+class _Returns:
+    """Count how often the token of a publisher came since a time. [s]"""
+
+    since_s: float
+    number: int = 0
+
+
+def _remove_due(times: dict[str, float], now: float) -> list[str]:
+    """Remove the keys whose time has come, and return them."""
+    due = [key for key, moment in times.items() if moment <= now]
+    for key in due:
+        del times[key]
+    return due
 
 
 class _Sent(msgspec.Struct, gc=False):

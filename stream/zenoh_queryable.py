@@ -19,14 +19,14 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from queue import SimpleQueue
 from threading import Thread
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import msgspec
 import zenoh
 from zenoh import handlers
 
 from core.errors import AskError, SettingsError
+from stream.closeable import Closeable
 from stream.zenoh_session import Node, format_zenoh_error
 
 WAITING: Final = 256
@@ -94,8 +94,8 @@ class ZenohQuery:
         self._send(self._query, partial(self._query.reply_err, payload, encoding=zenoh.Encoding.APPLICATION_JSON))
 
 
-class ZenohQueryable:
-    """Receive queries for `{prefix}fleet/*/outlook` and send their answers; a context manager.
+class ZenohQueryable(Closeable):
+    """Receive queries for `{prefix}fleet/*/outlook` and send their answers.
 
     Parameters
     ----------
@@ -136,16 +136,6 @@ class ZenohQueryable:
         self._queryable.undeclare()
         self._outgoing.put(None)
         self._thread.join(CLOSE_S)
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the queryable."""
-        self.close()
 
     def _leave(self, query: Any, send: Callable[[], None]) -> None:
         """Queue an answer for sending, or drop it if too many answers wait."""

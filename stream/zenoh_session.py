@@ -18,13 +18,14 @@ import socket
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Literal, Self
+from typing import Any, Final, Literal
 
 import msgspec
 import zenoh
 
 from core.errors import SettingsError, read_input
+from stream.closeable import Closeable
+from stream.link_check import explain_failure
 
 LOOPBACK: Final = "tcp/127.0.0.1:7447"
 """Default endpoint at which the embedded router listens."""
@@ -32,6 +33,7 @@ STALL_US: Final = 60_000_000
 """Time for which a remote end may stop reading before Zenoh closes its transport. [us]"""
 LINGER_S: Final = 0.5
 """Time given to directly connected nodes to read; no query shows when they have read. [s]"""
+_CHECKED: Final = 3  # endpoints that are checked after a failure
 _BARRIER: Final = "socast/barrier"
 """Key of a query that no consumer answers; when the query ends, the router has read everything sent before it."""
 
@@ -42,6 +44,9 @@ _OURS: Final[tuple[tuple[str, Any, Any], ...]] = (  # each value replaces Zenoh'
     ("transport/link/tx/queue/congestion_control/block/wait_before_close", 5_000_000, STALL_US),
     ("transport/unicast/max_sessions", 1000, 1_000_000),
 )
+
+_OPTIONS: Final = {"connect/endpoints": "--connect", "listen/endpoints": "--listen", "mode": "--mode"}
+"""Setting of Zenoh -> option that sets it."""
 
 Mode = Literal["client", "peer", "router"]
 
@@ -84,8 +89,8 @@ class Connection:
     largest_bytes: float | None = None
 
 
-class Node:
-    """Hold an open Zenoh session; a context manager.
+class Node(Closeable):
+    """Hold an open Zenoh session.
 
     Parameters
     ----------
@@ -114,13 +119,9 @@ class Node:
         except zenoh.ZError as error:
             if _only_listening_fails(config):
                 raise SettingsError(
-                    f"cannot listen at {', '.join(self.endpoints)}: {format_zenoh_error(error)}; "
-                    "choose another endpoint with --listen, or join the router that has it with --connect"
+                    f"cannot listen at {', '.join(self.endpoints)}: {format_zenoh_error(error)}; {_help_listen(error)}"
                 ) from error
-            raise SettingsError(
-                f"Zenoh cannot be joined: {format_zenoh_error(error)}; "
-                f"is a router listening there{_ask_certificate(config)}?"
-            ) from error
+            raise SettingsError(f"Zenoh cannot be joined: {_explain(config, connection, error)}") from error
         _warn_if_open(config)
 
     def close(self) -> None:
@@ -136,16 +137,6 @@ class Node:
             pass  # no consumer answers
         if self.endpoints:
             time.sleep(LINGER_S)
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()
 
 
 def parse_prefix(text: str) -> str:
@@ -180,7 +171,7 @@ def parse_prefix(text: str) -> str:
         is_plain = False
     if not is_plain:
         raise SettingsError(
-            f"prefix is {text!r}; give plain chunks such as montreal or quebec/montreal, "
+            f"--prefix is {text!r}; give plain chunks such as montreal or quebec/montreal, "
             "without wildcards, empty chunks or any of * $ ? #"
         )
     return f"{chunks}/"
@@ -241,7 +232,14 @@ def _read_config(file: Path) -> zenoh.Config:
     except OSError as error:
         raise SettingsError(f"--config {file} cannot be read: {error.strerror}") from error
     except zenoh.ZError as error:
-        raise SettingsError(f"{file} is not a Zenoh configuration: {format_zenoh_error(error)}") from error
+        raise SettingsError(f"--config {file} is not a Zenoh configuration: {_find_line(error)}") from error
+
+
+def _find_line(error: Exception) -> str:
+    """Return what is wrong with JSON5, with the line and the column, which Zenoh draws below each other."""
+    words = format_zenoh_error(error)
+    drawn = re.search(r"--> (\d+):(\d+).*?\^-* *(?:\| *)*=? *(.*)", words)
+    return f"line {drawn[1]}, column {drawn[2]}: {drawn[3]}" if drawn else words
 
 
 def _make_config(connection: Connection) -> zenoh.Config:
@@ -264,6 +262,7 @@ def _make_config(connection: Connection) -> zenoh.Config:
     if mode == "router" and not (_read(config, "connect/endpoints") or _read(config, "scouting/multicast/enabled")):
         _insert_unset(config, "scouting/delay", None, 0)  # else Zenoh waits half a second for nodes that none looks for
     _insert_limits(config, connection)
+    _refuse_protocols(config, connection)
     return config
 
 
@@ -296,11 +295,42 @@ def _warn_if_open(config: zenoh.Config) -> None:
         )
 
 
-def _ask_certificate(config: zenoh.Config) -> str:
-    """Return what else may be wrong with a connection over TLS, because Zenoh does not say."""
-    if not re.search(r'"(tls|quic)/', config.get_json("connect/endpoints")):
-        return ""
-    return ", and is your certificate in force (`socast secure list`)"
+def _help_listen(error: Exception) -> str:
+    """Return the remedy where a node cannot listen."""
+    if "TLS" in str(error):
+        return "give certificates with --config; `socast secure init` makes them"
+    return "choose another endpoint with --listen, or join the router that has it with --connect"
+
+
+def _explain(config: zenoh.Config, connection: Connection, error: Exception) -> str:
+    """Return why no router can be joined, as a check of its endpoints finds it; else what Zenoh says."""
+    tls: dict[str, Any] = _read(config, "transport/link/tls") or {}
+    if connection.config:
+        tls |= _read_certificates(connection.config)
+    found = (explain_failure(endpoint, tls) for endpoint in _list_endpoints(config, "connect")[:_CHECKED])
+    words = next(filter(None, found), "")
+    return words or f"{format_zenoh_error(error)}; is a router listening there?"
+
+
+def _read_certificates(file: Path) -> dict[str, Any]:
+    """Return the TLS setting of a file in JSON; Zenoh shows no keys that a configuration holds."""
+    try:
+        return dict(msgspec.json.decode(file.read_bytes())["transport"]["link"]["tls"])
+    except (msgspec.DecodeError, OSError, KeyError, TypeError, ValueError):
+        return {}
+
+
+def _refuse_protocols(config: zenoh.Config, connection: Connection) -> None:
+    """Refuse an endpoint whose protocol the configuration does not allow, such as plain TCP beside certificates."""
+    allowed: list[str] = _read(config, "transport/link/protocols") or []
+    for option, endpoints in (("--connect", connection.connect), ("--listen", connection.listen)):
+        for endpoint in endpoints:
+            protocol, _, address = endpoint.partition("/")
+            if allowed and protocol not in allowed:
+                raise SettingsError(
+                    f"{option} is {endpoint}, and {connection.config} allows only {', '.join(allowed)}: "
+                    f"give {allowed[0]}/{address}, or leave {option} out"
+                )
 
 
 def _is_local(endpoint: str) -> bool:
@@ -337,9 +367,9 @@ def _read(config: zenoh.Config, name: str) -> Any:
     return msgspec.json.decode(config.get_json(name))
 
 
-def _list_endpoints(config: zenoh.Config) -> list[str]:
-    """Return the endpoints at which a configuration listens."""
-    endpoints = _read(config, "listen/endpoints") or []
+def _list_endpoints(config: zenoh.Config, side: Literal["listen", "connect"] = "listen") -> list[str]:
+    """Return the endpoints at which a configuration listens, or those to which it connects."""
+    endpoints = _read(config, f"{side}/endpoints") or []
     return [
         str(end) for end in (endpoints.get(_read(config, "mode"), []) if isinstance(endpoints, dict) else endpoints)
     ]
@@ -351,4 +381,5 @@ def _insert(config: zenoh.Config, name: str, value: Any) -> None:
     try:
         config.insert_json5(name, text)
     except zenoh.ZError as error:
-        raise SettingsError(f"Zenoh setting {name} cannot be {text}: {format_zenoh_error(error)}") from error
+        option = _OPTIONS.get(name, f"Zenoh setting {name}")
+        raise SettingsError(f"{option} cannot be {text}: {format_zenoh_error(error)}") from error

@@ -18,14 +18,16 @@ come over it for `LEASE_S`. Another consumer takes over `SETTLE_S` later. By the
 import logging
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from threading import Event, Thread
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import zenoh
 from zenoh import handlers
 
 from core.wire.messages import Message
+from stream.closeable import Closeable
+from stream.idle_keys import IdleKeys
 from stream.source import Sink
 from stream.structured_log import event_fields
 from stream.zenoh_queryable import ZenohQuery, ZenohQueryable
@@ -142,16 +144,22 @@ class Election:
         _log.warning("passive", extra=event_fields(cause=cause, token=self.token))
 
 
-class Standby:
-    """Take part in the election through a Zenoh session; a context manager.
+class Standby(Closeable):
+    """Take part in the election through a Zenoh session.
 
     Parameters
     ----------
     node : Node
         Session and prefix; its lease should be `LEASE_S`.
+
+    Attributes
+    ----------
+    failure : str
+        Why the consumer has left the election for good; empty while it takes part.
     """
 
     def __init__(self, node: Node) -> None:
+        self.failure = ""
         self._session, self._space = node.session, f"{node.prefix}socast/consumers/"
         channel: Any = handlers.FifoChannel(_WAITING)
         self._token: Any = None
@@ -172,24 +180,10 @@ class Standby:
         """Give up the token; a second call has no effect."""
         self._closing.set()
         self._thread.join()
-        if self._token is not None:
-            self._token.undeclare()
-            self._token = None
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Give up the token."""
-        self.close()
 
     def _declare(self, token: str) -> None:
         """Replace the token."""
-        if self._token is not None:
-            self._token.undeclare()
+        self._give_up_token()
         self._token = self._session.liveliness().declare_token(self._space + token)
 
     def _has_stayed_connected(self) -> bool:
@@ -200,7 +194,7 @@ class Standby:
         return bool(self._session.info.routers_zid()) and not was_lost
 
     def _work(self) -> None:
-        """Look at the tokens until closed; a failure leaves the consumer passive."""
+        """Look at the tokens until closed; a failure leaves the consumer passive and not ready."""
         try:
             while not self._closing.wait(TICK_S):
                 events = []
@@ -208,10 +202,17 @@ class Standby:
                     events.append((str(sample.key_expr)[len(self._space) :], sample.kind == zenoh.SampleKind.PUT))
                 self.election.look(events, has_router=self._has_stayed_connected())
         except Exception as error:  # noqa: BLE001 - whatever it is, another consumer must be able to take over
-            _log.error("passive for good: %s", error)
-            if self._token is not None:
-                self._token.undeclare()
-                self._token = None
+            self.failure = f"left the election for good, restart the service: {error!r}"
+            _log.error("passive for good", extra=event_fields(token=self.election.token, error=repr(error)))
+        finally:
+            self._give_up_token()
+
+    def _give_up_token(self) -> None:
+        """Undeclare the token, so that another consumer can take over; a closed session holds none."""
+        token, self._token = self._token, None
+        if token is not None:
+            with suppress(zenoh.ZError):
+                token.undeclare()
 
 
 class FencedSink:
@@ -249,16 +250,20 @@ class TakeoverSink:
     sink : Sink
         Sink that drops messages while this consumer is passive; its `put` must not wait.
     standby : Standby
+    keys : IdleKeys, optional
+        Decides which messages are so old that they are not kept any longer.
     """
 
-    def __init__(self, sink: Sink, standby: Standby) -> None:
-        self._sink, self._standby = sink, standby
+    def __init__(self, sink: Sink, standby: Standby, keys: IdleKeys | None = None) -> None:
+        self._sink, self._standby, self._keys = sink, standby, keys or IdleKeys()
         self._newest: dict[str, Message] = {}
         self._takeovers = 0
 
     def put(self, messages: Sequence[Message]) -> None:
         """Keep messages, and pass them on if this consumer is active."""
         self._newest.update((message.key, message) for message in messages)
+        for key in self._keys.use([message.key for message in messages]):
+            del self._newest[key]
         if self._standby.is_active:
             self._sink.put(messages)
 
@@ -273,7 +278,7 @@ class TakeoverSink:
         self._sink.close()
 
 
-class StandbyQueryable:
+class StandbyQueryable(Closeable):
     """Receive queries while this consumer is active; a passive one is not there for those who ask.
 
     Parameters
@@ -300,13 +305,3 @@ class StandbyQueryable:
         if self._queryable is not None:
             self._queryable.close()
             self._queryable = None
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Receive no more queries."""
-        self.close()

@@ -50,6 +50,8 @@ class Taken:
         return msgspec.json.encode([self.payloads, note])
 
     def restore(self, snapshot: bytes) -> Any:
+        if snapshot == b"damaged":
+            raise SocastError("damaged is no state")
         self.payloads, note = msgspec.json.decode(snapshot)
         return note
 
@@ -101,6 +103,25 @@ def test_start_continues_from_the_state_and_then_from_what_was_recorded_after_it
     assert (
         forecasts == [message._replace(key=message.key.replace("telemetry", "forecast")) for message in SENT[7:9]][::-1]
     )
+
+
+def test_start_from_the_state_before_a_damaged_one_says_how_far_the_recording_caught_up(service, caplog):
+    first = service.start()
+    first.checkpoints.restore()
+    for part in (SENT[:4], SENT[4:7], SENT[7:9]):
+        first.pipeline.take(part, first.recorder.put)
+        if part[0] is not SENT[7]:
+            first.checkpoints.save()
+    service.state.write_text("damaged")
+    second = service.start()
+    with caplog.at_level(logging.INFO, "socast.state"):
+        second.checkpoints.restore()
+    assert second.pipeline.payloads == payloads(SENT[:9])
+    start, kept = caplog.records
+    assert start.levelno == logging.ERROR
+    assert (start.fields["file"], start.fields["caught_up"]) == (f"{service.state}.previous", 5)
+    assert "damaged is no state" in start.fields["reason"]
+    assert kept.fields == {"file": f"{service.state}.damaged"}
 
 
 def test_second_start_takes_nothing_twice(service):

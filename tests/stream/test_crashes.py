@@ -16,7 +16,7 @@ from stream.checkpoints import Checkpoints
 from stream.mcap_reader import McapSource
 from stream.recorder import Recorder, list_recordings
 from stream.state_file import StateFile
-from tests.support.faulty_shifts import shift
+from tests.support.faulty_shifts import decodable_shift
 
 CACHE = 64
 """Number of messages that caches deliver again after a crash."""
@@ -60,7 +60,7 @@ class Consumer:
 
 @pytest.fixture(scope="module")
 def sent() -> list[Message]:
-    once = {(m.key, m.payload): m for m in reversed(shift(5))}
+    once = {(m.key, m.payload): m for m in reversed(decodable_shift(5))}
     return [m._replace(receipt_ns=1_700_000_000 * 10**9 + i) for i, m in enumerate(reversed(once.values()))]
 
 
@@ -154,32 +154,71 @@ _STEPS: list[tuple[object, str]] = [
 ]
 
 
+def make_crash(owner: object, name: str, number: int, *, before: bool) -> Callable[..., object]:
+    """Return a replacement of a function that ends the process before or after one of its calls."""
+    genuine: Callable[..., object] = getattr(owner, name)
+    calls = count()
+
+    def crash(*arguments: object) -> object:
+        now = next(calls) == number
+        if now and before:
+            raise Crash
+        result = genuine(*arguments)
+        if now:
+            raise Crash
+        return result
+
+    return crash
+
+
 @pytest.mark.parametrize("before", [True, False], ids=["before", "after"])
 @pytest.mark.parametrize("step", range(len(_STEPS)), ids=[name for _, name in _STEPS])
 def test_crash_at_each_step_of_saving_the_state(tmp_path, monkeypatch, sent, expected, step, before):
     owner, name = _STEPS[step]
-    genuine: Callable[..., object] = getattr(owner, name)
     crashes = 0
     for number in (0, 1, 2, 5, 9):
-        folder, calls = tmp_path / str(number), count()
+        folder = tmp_path / str(number)
         folder.mkdir()
-
-        def crash(*arguments: object, calls=calls, number=number) -> object:
-            now = next(calls) == number
-            if now and before:
-                raise Crash
-            result = genuine(*arguments)
-            if now:
-                raise Crash
-            return result
-
         with monkeypatch.context() as disk:
-            disk.setattr(owner, name, crash)
+            disk.setattr(owner, name, make_crash(owner, name, number, before=before))
             given = run_until_crash(folder, sent)
         if given is not None:
             crashes += 1
             assert_continues(folder, sent, given, expected)
     assert crashes >= 2
+
+
+@pytest.fixture(scope="module")
+def damaged(tmp_path_factory, sent: list[Message]) -> tuple[Path, int]:
+    """Give the files of a consumer whose last state is damaged, and how many messages it had been given."""
+    folder, given = tmp_path_factory.mktemp("damaged"), 4 * LIST * SAVE
+    consumer = Consumer(folder)
+    consumer.take(sent[:given])
+    consumer.recorder.close()
+    consumer.free_locks()
+    content = consumer.file.path.read_bytes()
+    consumer.file.path.write_bytes(content[: len(content) // 2])
+    return folder, given
+
+
+@pytest.mark.parametrize("before", [True, False], ids=["before", "after"])
+@pytest.mark.parametrize("step", range(len(_STEPS)), ids=[name for _, name in _STEPS])
+def test_crash_at_each_step_of_replacing_a_damaged_state(tmp_path, monkeypatch, sent, expected, damaged, step, before):
+    owner, name = _STEPS[step]
+    crashes = 0
+    for number in range(3):
+        folder = tmp_path / str(number)
+        shutil.copytree(damaged[0], folder)
+        with monkeypatch.context() as disk:
+            disk.setattr(owner, name, make_crash(owner, name, number, before=before))
+            try:
+                Consumer(folder).free_locks()
+            except Crash:
+                crashes += 1
+        assert (folder / "cars.previous").exists()
+        assert_continues(folder, sent, damaged[1], expected)
+        assert (folder / "cars.damaged").read_bytes() == (damaged[0] / "cars").read_bytes()
+    assert crashes or name == "fdatasync", "a start writes nothing to the recording"
 
 
 def test_every_truncated_recording_is_read_to_its_last_whole_chunk(tmp_path, sent):

@@ -14,7 +14,7 @@ HOLDER = """
 import sys
 from pathlib import Path
 from stream.file_lock import FileLock
-lock = FileLock(Path(sys.argv[1]), Path("cars"))
+lock = FileLock(Path(sys.argv[1]), "cars")
 print("held", flush=True)
 sys.stdin.read()
 """
@@ -27,17 +27,17 @@ def file(tmp_path: Path) -> Path:
 
 def test_second_lock_is_refused_with_the_process_that_holds_the_first(file):
     with (
-        FileLock(file, Path("cars")),
+        FileLock(file, "cars"),
         pytest.raises(SettingsError, match=rf"^cars is in use by process {os.getpid()};"),
     ):
-        FileLock(file, Path("cars"))
+        FileLock(file, "cars")
 
 
 def test_closed_lock_can_be_taken_again_and_its_file_remains(file):
-    lock = FileLock(file, Path("cars"))
+    lock = FileLock(file, "cars")
     lock.close()
     lock.close()
-    with FileLock(file, Path("cars")):
+    with FileLock(file, "cars"):
         pass
     assert file.read_text() == f"{os.getpid()}\n"
 
@@ -50,22 +50,22 @@ def test_killed_process_frees_its_lock(file):
         assert holder.stdout
         assert holder.stdout.readline() == "held\n"
         with pytest.raises(SettingsError, match=rf"in use by process {holder.pid};"):
-            FileLock(file, Path("cars"))
+            FileLock(file, "cars")
     finally:
         holder.kill()
         holder.communicate()
-    FileLock(file, Path("cars")).close()
+    FileLock(file, "cars").close()
 
 
 def test_longer_name_of_the_process_before_is_no_part_of_the_message(file):
     file.write_text("99999999999999\n")
-    with FileLock(file, Path("cars")), pytest.raises(SettingsError, match=rf"by process {os.getpid()};"):
-        FileLock(file, Path("cars"))
+    with FileLock(file, "cars"), pytest.raises(SettingsError, match=rf"by process {os.getpid()};"):
+        FileLock(file, "cars")
 
 
 def test_lock_in_a_missing_folder_is_refused(tmp_path):
     with pytest.raises(SettingsError, match=r"^cars cannot be written: No such file or directory;"):
-        FileLock(tmp_path / "none" / "lock", Path("cars"))
+        FileLock(tmp_path / "none" / "lock", "cars")
 
 
 def test_sync_of_a_missing_folder_raises(tmp_path):

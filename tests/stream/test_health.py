@@ -60,9 +60,18 @@ def test_service_is_ready_once_the_caches_of_publishers_were_asked_and_remains_s
 @pytest.mark.parametrize(
     ("publishes", "answer"), [(None, "ok\n"), (True, "ok, publishes\n"), (False, "ok, on standby\n")]
 )
-def test_a_consumer_of_several_says_whether_it_publishes_and_is_ready_either_way(server, status, publishes, answer):
-    ServiceWatch(status, lambda *_: replace(FULL, publishes=publishes))(Tally())
+def test_a_consumer_of_several_says_whether_it_publishes_and_is_ready_either_way(
+    server, status, clock, publishes, answer
+):
+    ServiceWatch(status, lambda *_: replace(FULL, publishes=publishes), clock=clock)(Tally())
     assert ask_page(server.address, "/readyz") == (200, answer)
+    assert ask_page(server.address, "/livez") == (200, "ok\n")
+
+
+def test_a_consumer_that_has_left_the_election_is_live_and_not_ready(server, status, clock):
+    left = replace(FULL, publishes=False, obstacle="left the election")
+    ServiceWatch(status, lambda *_: left, clock=clock)(Tally())
+    assert ask_page(server.address, "/readyz") == (503, "left the election\n")
     assert ask_page(server.address, "/livez") == (200, "ok\n")
 
 

@@ -24,8 +24,8 @@ from stream.memory import MemorySink, MemorySource
 from stream.recorder import Recorder, list_recordings
 from stream.source import stop_source
 from stream.structured_log import log_lines
-from stream.zenoh_pubsub import ZenohSource
 from stream.zenoh_session import Connection, Node
+from stream.zenoh_source import ZenohSource
 from tests.support.recorded_shift import shift
 
 Results = tuple[list[Message], list[Message], str]
@@ -109,7 +109,7 @@ def test_publish_period_limits_errors_to_newest_of_each_model():
 PUBLISH = """
 import sys, time
 from stream.mcap_reader import McapSource
-from stream.zenoh_pubsub import ZenohSink
+from stream.zenoh_sink import ZenohSink
 from stream.zenoh_session import Connection, Node
 with Node(Connection(connect=(sys.argv[1],))) as node:
     sink = ZenohSink(node)
@@ -196,11 +196,11 @@ def test_sinks_receive_last_forecasts():
     assert tally.received == len(shift(2))
 
 
-def run_and_read_log(as_json: bool, **settings) -> list[str]:
+def run_and_read_log(source=None, *, as_json: bool, **settings) -> list[str]:
     text = io.StringIO()
     log_lines(as_json=as_json, to=text)
     try:
-        run(MemorySource(shift(50), 40), Pipeline(), **settings)
+        run(source or MemorySource(shift(50), 40), Pipeline(), **settings)
     finally:
         logging.getLogger("socast").handlers.clear()
         logging.getLogger("socast").propagate = True
@@ -220,6 +220,19 @@ def test_counters_are_logged_periodically_and_at_end():
     assert last["received.weather"] == 1
     assert sum(count for name, count in last.items() if name.startswith("undecodable.")) == 1
     assert last["missed"] == 0
+
+
+def test_rate_is_that_since_the_last_line_and_drops_are_told():
+    class Source(list):
+        missed, dropped = None, {"stop": 3}
+
+    ticks = iter(range(1000))
+    source = Source([shift(50)[:40], [], []])
+    lines = run_and_read_log(source, as_json=True, report_s=1.0, clock=lambda: float(next(ticks)))
+    logged = [json.loads(line) for line in lines]
+    assert [line["messages"] for line in logged] == [40] * 4
+    assert logged[0]["per_second"] > logged[1]["per_second"] == logged[2]["per_second"] == 0.0
+    assert {(line["recovery"], line["dropped.stop"], line.get("missed")) for line in logged} == {("off", 3, None)}
 
 
 def test_log_line_holds_keys_and_values():

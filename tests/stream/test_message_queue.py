@@ -69,3 +69,14 @@ def test_an_ended_queue_releases_who_waits_and_gives_what_it_holds():
     assert queue.wait(0.0)
     assert len(queue.take(10, 1000)[0]) == 3
     assert not queue.wait(60.0)
+
+
+def test_a_dropped_queue_tells_how_many_messages_it_held_and_accepts_no_more():
+    queue = MessageQueue(1e6)
+    for number in range(2):
+        queue.put(make_list(3, number), 30, patience_s=0.0)
+    assert queue.drop() == 6
+    assert (queue.messages, queue.size, queue.has_ended) == (0, 0, True)
+    assert not queue.put(make_list(1), 10, patience_s=60.0)
+    assert queue.drop() == 0
+    assert queue.take(10, 1000) == ([], False)

@@ -7,9 +7,11 @@ import msgspec
 import pytest
 
 from core.wire.messages import Message
-from stream import zenoh_pubsub
-from stream.zenoh_pubsub import ZenohSink, ZenohSource
+from stream import zenoh_source
+from stream.zenoh_receiver import BLOCK_BYTES, Received
 from stream.zenoh_session import Connection, Node, find_free_port
+from stream.zenoh_sink import ZenohSink
+from stream.zenoh_source import ZenohSource
 from tests.support.zenoh_sessions import eventually, router
 
 SAMPLE = {"vehicle_id": "a", "time_s": 1.7e9, "speed_kmh": 30.0, "note": "x" * 300}
@@ -22,8 +24,8 @@ def make_lists(count: int) -> list[Message]:
 
 
 def test_lists_are_yielded_up_to_a_size_and_a_stop_is_obeyed_in_time(monkeypatch, caplog):
-    monkeypatch.setattr(zenoh_pubsub, "STOP_S", 0.5)
-    monkeypatch.setattr(zenoh_pubsub, "YIELD_S", 1.0)
+    monkeypatch.setattr(zenoh_source, "STOP_S", 0.5)
+    monkeypatch.setattr(zenoh_source, "YIELD_S", 1.0)
     sent, stop = make_lists(60), Event()
     assert 0.9e6 < len(sent[0].payload) < 1.2e6
     with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
@@ -36,17 +38,56 @@ def test_lists_are_yielded_up_to_a_size_and_a_stop_is_obeyed_in_time(monkeypatch
         for messages in source:
             sizes += [sum(len(message.payload) for message in messages)] if messages else []
             taken += len(messages)
-            assert source.queue_bytes < 20e6 + zenoh_pubsub.BLOCK_BYTES + 1.2e6
+            assert source.queue_bytes < 20e6 + BLOCK_BYTES + 1.2e6
             time.sleep(0.1)  # a consumer that takes 40 MB/s
             if taken and stopped_s is None and eventually(lambda: not thread.is_alive()):
                 stop.set()
                 stopped_s = time.monotonic()
         took_s = time.monotonic() - stopped_s
         thread.join()
-    assert max(sizes) < zenoh_pubsub.DRAIN_BYTES + 2 * zenoh_pubsub.BLOCK_BYTES
+    assert max(sizes) < zenoh_source.DRAIN_BYTES + 2 * BLOCK_BYTES
     assert took_s < 20.0
     assert taken + source.dropped["stop"] == len(sent)
     assert source.dropped["stop"] == 0 or "dropped" in caplog.text
+
+
+LISTS = make_lists(3)
+
+
+class EndlessReceiver:
+    """Stand for a receiver whose channels never run dry; it counts what it gave."""
+
+    def __init__(self) -> None:
+        self.given = 0
+
+    def receive(self, **_: bool) -> Received:
+        self.given += 3
+        return Received(LISTS, recovered=False, samples=3)
+
+    def drop_rest(self) -> int:
+        self.given += 5
+        return 5
+
+    def predict_block(self, messages: int, size: int) -> None:
+        pass
+
+    def end(self) -> None:
+        pass
+
+
+def test_every_message_after_a_stop_is_yielded_or_counted_as_dropped(monkeypatch):
+    monkeypatch.setattr(zenoh_source, "STOP_S", 0.05)
+    monkeypatch.setattr(zenoh_source, "YIELD_S", 0.05)
+    with router() as (node, _):
+        for _ in range(10):
+            stop, receiver = Event(), EndlessReceiver()
+            source = ZenohSource(node, stop, queue_bytes=20e6)
+            monkeypatch.setattr(source, "_receiver", receiver)
+            taken = 0
+            for messages in source:
+                taken += len(messages)
+                stop.set()
+            assert taken + source.dropped["stop"] == receiver.given
 
 
 def test_full_queue_is_told_and_nothing_is_lost(caplog):
@@ -93,6 +134,6 @@ def test_error_of_the_receiving_thread_is_raised_by_the_loop(monkeypatch):
 
     with router() as (node, _):
         source = ZenohSource(node, Event())
-        monkeypatch.setattr(source, "_watch_routers", fail)
+        monkeypatch.setattr(source._receiver, "_watch_routers", fail)
         with pytest.raises(RuntimeError, match="broken"):
             list(source)

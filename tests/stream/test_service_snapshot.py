@@ -41,7 +41,7 @@ def test_counts_of_a_shift_are_those_of_the_pipeline(tmp_path):
 def test_a_consumer_of_several_tells_whether_it_publishes():
     pipeline, source = Pipeline(), MemorySource([])
     for role in (True, False):
-        take = SnapshotTaker(pipeline, source, candidate=SimpleNamespace(is_active=role))
+        take = SnapshotTaker(pipeline, source, candidate=SimpleNamespace(is_active=role, failure=""))
         assert take(Tally(), LagMeter()).publishes is role
     assert SnapshotTaker(pipeline, source)(Tally(), LagMeter()).publishes is None
 

@@ -35,6 +35,7 @@ def test_state_that_was_saved_last_is_loaded(path):
         file.save(b"second")
         assert file.exists
         assert file.load(restore) == "second"
+        assert (file.loaded, file.failure) == (path, "")
 
 
 def test_second_name_holds_the_state_before_the_last_one(path):
@@ -44,14 +45,23 @@ def test_second_name_holds_the_state_before_the_last_one(path):
     assert path.with_name(path.name + PREVIOUS).read_bytes() == b"second"
 
 
-def test_damaged_state_falls_back_to_the_one_before_and_logs_an_error(path, caplog):
+def test_damaged_state_falls_back_to_the_one_before_and_says_why(path):
+    save(path, b"first", b"damaged")
+    with StateFile(path) as file:
+        assert file.load(restore) == "first"
+        assert file.loaded == path.with_name(path.name + PREVIOUS)
+        assert file.failure == f"{path}: damaged is no state"
+
+
+def test_file_that_keeps_a_damaged_state_is_named_once_in_the_log(path, caplog):
     save(path, b"first", b"damaged")
     with caplog.at_level(logging.INFO, "socast.state"), StateFile(path) as file:
-        assert file.load(restore) == "first"
+        file.load(restore)
+        file.save(b"third")
+        file.save(b"fourth")
     (record,) = caplog.records
-    assert record.levelno == logging.ERROR
-    assert record.getMessage() == f"continued from {path}.previous"
-    assert record.fields["reason"] == f"{path}: damaged is no state"
+    assert record.levelno == logging.WARNING
+    assert record.fields == {"file": f"{path}{DAMAGED}"}
 
 
 def test_damaged_state_never_replaces_the_one_before(path):
@@ -86,13 +96,13 @@ def test_failed_save_leaves_the_state_before_a_damaged_one(path, monkeypatch):
         assert path.read_bytes() == b"fourth"
 
 
-def test_missing_state_falls_back_to_the_one_before(path, caplog):
+def test_missing_state_falls_back_to_the_one_before(path):
     save(path, b"first", b"second")
     path.unlink()
     with StateFile(path) as file:
         assert file.exists
         assert file.load(restore) == "first"
-    assert caplog.records[0].fields["reason"] == f"{path} does not exist"
+        assert file.failure == f"{path} does not exist"
 
 
 def test_two_damaged_states_are_refused_with_the_failure_of_the_last_one(path):

@@ -9,9 +9,20 @@ import pytest
 import zenoh
 
 from core.wire.messages import Message
-from stream.zenoh_history import ANSWER_S, DOUBT_S, RETURN_S, SETTLE_S, SINGLY, CacheHistory, merge_samples
-from stream.zenoh_pubsub import ZenohSink
+from stream.zenoh_history import (
+    ANSWER_S,
+    DOUBT_S,
+    HOLD_S,
+    RETURN_S,
+    RETURNS,
+    RETURNS_S,
+    SETTLE_S,
+    SINGLY,
+    CacheHistory,
+    merge_samples,
+)
 from stream.zenoh_session import Connection, Node
+from stream.zenoh_sink import ZenohSink
 from tests.support.zenoh_sessions import eventually, router
 
 SPACES = ("weather/**", "fleet/**")
@@ -260,6 +271,49 @@ def test_a_router_does_not_wait_for_a_publisher_that_goes():
     node.tell(CAR, zenoh.SampleKind.DELETE)
     history.collect(1.0)
     assert not history.is_waiting(1.0)
+
+
+def test_a_token_that_comes_and_goes_does_not_hold_live_samples_forever():
+    node = FakeNode()
+    history = start(node)
+    waits: list[bool] = []
+    for tick in range(2000):
+        now = 1.0 + 0.05 * tick
+        node.tell(CAR, zenoh.SampleKind.DELETE if tick % 2 else zenoh.SampleKind.PUT)
+        history.collect(now)
+        node.answer()
+        waits.append(history.is_waiting(now))
+    assert waits[0]
+    assert sum(waits) * 0.05 < 4.0
+    assert history.asked <= 2 + 2 * (RETURNS + 1)
+
+
+def test_the_cache_of_a_token_that_came_often_is_asked_later():
+    node = FakeNode()
+    history = start(node)
+    for now in range(RETURNS + 2):
+        node.tell(CAR, zenoh.SampleKind.DELETE)
+        node.tell(CAR, zenoh.SampleKind.PUT)
+        history.collect(1.0 + now)
+        node.answer()
+    assert history.asked == 2 + RETURNS
+    history.collect(1.0 + RETURNS_S)
+    assert history.asked == 2 + RETURNS + 1
+
+
+def test_tokens_of_many_publishers_hold_live_samples_for_a_limited_time():
+    node = FakeNode()
+    history = start(node)
+    held, longest = 0, 0
+    for tick in range(1000):
+        now = 1.0 + 0.05 * tick
+        node.tell(CAR.replace("/a/", f"/{tick}/"), zenoh.SampleKind.PUT)
+        node.tell(CAR.replace("/a/", f"/{tick}/"), zenoh.SampleKind.DELETE)
+        history.collect(now)
+        node.answer()
+        held = held + 1 if history.is_waiting(now) else 0
+        longest = max(longest, held)
+    assert HOLD_S - 1.0 < longest * 0.05 < HOLD_S + 0.1
 
 
 def test_queries_that_fail_are_logged_and_end_the_wait(monkeypatch, caplog):

@@ -104,9 +104,17 @@ def test_taken_port_raises_error_that_names_remedy(mode, connect):
     assert re.fullmatch(rf"cannot listen at tcp/127\.0\.0\.1:{port}: .*in use.*another endpoint.*", str(caught.value))
 
 
+@pytest.mark.parametrize("option", ["connect", "listen"])
+def test_plain_endpoint_beside_certificates_is_refused_with_the_one_to_give(option, tmp_path: Path):
+    (tmp_path / "a.json5").write_text("{mode: 'router', transport: {link: {protocols: ['tls']}}}")
+    settings = {option: ("tcp/127.0.0.1:7447",), "config": tmp_path / "a.json5"}
+    with pytest.raises(SettingsError, match=rf"--{option} is tcp/.* allows only tls: give tls/127.0.0.1:7447, or"):
+        Node(Connection(**settings))
+
+
 def test_failed_connection_is_not_reported_as_failed_listening():
     listen = (f"tcp/127.0.0.1:{find_free_port()}",)
-    with pytest.raises(SettingsError, match="is a router listening there"):
+    with pytest.raises(SettingsError, match="is a router running there"):
         Node(Connection(connect=("tcp/127.0.0.1:1",), listen=listen))
 
 

@@ -1,15 +1,18 @@
 """Hot standby: one of two consumers publishes, and the other takes over."""
 
 import signal
+from typing import Any
 
-import pytest
+from zenoh import SampleKind
+from zenoh.handlers import FifoChannel
 
-from core.errors import SettingsError
 from core.wire.messages import Message
-from stream.zenoh_standby import FENCE_S, LEASE_S, SETTLE_S, Election, FencedSink, TakeoverSink
+from stream.idle_keys import IdleKeys
+from stream.zenoh_session import Connection, Node
+from stream.zenoh_standby import FENCE_S, LEASE_S, SETTLE_S, Election, FencedSink, Standby, TakeoverSink
+from tests.support.commands import refused
 from tests.support.takeovers import Takeovers
-from tests.support.zenoh_sessions import eventually
-from tools.commands.live import _choose_lease
+from tests.support.zenoh_sessions import eventually, router
 
 
 class Clock:
@@ -140,9 +143,37 @@ def test_a_takeover_publishes_the_newest_message_of_each_key_once():
     assert kept == [new, other]
 
 
-def test_standby_needs_a_router_of_its_own():
-    with pytest.raises(SettingsError, match="--connect"):
-        _choose_lease(has_router=False, standby=True)
+def test_a_takeover_does_not_publish_what_was_not_renewed_for_long():
+    member, kept, clock = Member("a"), Kept(), Clock()
+    role = Role(member)
+    sink = TakeoverSink(FencedSink(kept, role), role, IdleKeys(10.0, clock))
+    old, new = Message("x", b"1", 0), Message("y", b"2", 0)
+    sink.put([old])
+    clock.now += 10.1
+    sink.put([new])
+    member.look(times=2)
+    sink(None)
+    assert kept == [new]
+
+
+def test_a_consumer_whose_election_fails_gives_up_its_token_and_says_why(monkeypatch):
+    with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client, Standby(client) as standby:
+        watched: Any = node.session.liveliness().declare_subscriber("socast/consumers/*", FifoChannel(16), history=True)
+        assert eventually(lambda: standby.is_active)
+
+        def fail(*_: Any, **__: Any) -> None:
+            raise RuntimeError("broken")
+
+        monkeypatch.setattr(standby.election, "look", fail)
+        assert eventually(lambda: standby.failure)
+        assert "broken" in standby.failure
+        assert not standby.is_active
+        assert watched.handler.recv().kind == SampleKind.PUT
+        assert watched.handler.recv().kind == SampleKind.DELETE
+
+
+def test_standby_needs_a_router_of_its_own(capsys):
+    assert "give --connect or --config" in refused(capsys, "live", "--standby")
 
 
 def test_the_other_consumer_takes_over_and_every_forecast_is_that_of_an_uninterrupted_run(tmp_path):

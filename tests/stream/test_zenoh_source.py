@@ -8,14 +8,21 @@ from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from threading import Event, Thread
+from typing import Any
 
 import pytest
 import zenoh
+from zenoh import SampleKind
+from zenoh.handlers import FifoChannel
 
 from core.errors import SettingsError
 from core.wire.messages import Message
-from stream.zenoh_pubsub import CHANNEL, ZenohSink, ZenohSource, adapt_nap
+from stream.idle_keys import IdleKeys
+from stream.zenoh_receiver import CHANNEL, adapt_nap
 from stream.zenoh_session import Connection, Node, find_free_port
+from stream.zenoh_sink import ZenohSink
+from stream.zenoh_source import ZenohSource
+from tests.support.service import Clock
 from tests.support.zenoh_sessions import eventually, router
 
 KEYS = ("fleet/a/telemetry", "fleet/b/telemetry", "weather/yul")
@@ -117,6 +124,23 @@ def test_late_subscriber_receives_newest_message_of_each_key():
     assert [(m.key, m.payload) for m in got] == [("fleet/a/vehicle", b'{"model":"x"}')]
 
 
+def test_publisher_of_a_key_that_is_not_used_any_more_is_undeclared():
+    clock = Clock()
+    with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
+        tokens: Any = node.session.liveliness().declare_subscriber(
+            "fleet/**/@adv/pub/**", FifoChannel(16), history=True
+        )
+        sink = ZenohSink(client, keys=IdleKeys(10.0, clock))
+        sink.put([Message("fleet/a/forecast", b"1", 0), Message("fleet/b/forecast", b"1", 0)])
+        clock.now += 10.1
+        sink.put([Message("fleet/b/forecast", b"2", 0)])
+        told = [tokens.handler.recv() for _ in range(3)]
+        assert [str(each.key_expr).split("/")[1] for each in told if each.kind == SampleKind.DELETE] == ["a"]
+        sink.put([Message("fleet/a/forecast", b"3", 0)])
+        assert tokens.handler.recv().kind == SampleKind.PUT
+        sink.close()
+
+
 def test_samples_that_no_publisher_can_resend_are_counted_as_missed():
     stop = Event()
     with router() as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
@@ -177,6 +201,7 @@ def test_all_messages_arrive_without_recovery():
             assert eventually(sink.has_subscriber)
             sink.put(sent)
             got = receive(source, stop, len(sent))
+        assert source.missed is None
     assert sorted(m.payload for m in got) == sorted(m.payload for m in sent)
 
 

@@ -1,0 +1,60 @@
+"""An observer of everything that cars send and a consumer publishes; it publishes nothing itself.
+
+The observer is a plain subscriber. It misses what was published before it joined. Where its reader is slow, the oldest
+messages are dropped and counted, so that it never blocks a publisher.
+"""
+
+import time
+from collections import deque
+from threading import Lock
+from typing import Any, Final
+
+from core.wire.messages import Message
+from stream.zenoh_session import Node
+
+MOST_WAITING: Final = 100_000
+"""Largest number of messages that wait for the reader; the oldest of more are dropped."""
+OBSERVED: Final = "fleet/*/telemetry", "fleet/*/vehicle", "fleet/*/forecast", "findings/**"
+"""Keys under the prefix, one by one: an access control may allow some of them only."""
+
+
+class ZenohObserver:
+    """Subscribe to the telemetry, forecasts and findings of a fleet.
+
+    Parameters
+    ----------
+    node : Node
+        Session and prefix to subscribe with.
+
+    Attributes
+    ----------
+    dropped : int
+        Number of messages that were dropped because the reader was slow.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.dropped = 0
+        self._waiting: deque[Message] = deque(maxlen=MOST_WAITING)
+        self._lock = Lock()
+        self._subscribers: list[Any] = [
+            node.session.declare_subscriber(f"{node.prefix}{keys}", self._receive) for keys in OBSERVED
+        ]
+
+    def take(self) -> list[Message]:
+        """Return the messages that have arrived since the last call, in the order of their arrival."""
+        with self._lock:
+            taken = list(self._waiting)
+            self._waiting.clear()
+        return taken
+
+    def close(self) -> None:
+        """Receive nothing more; the session stays open."""
+        while self._subscribers:
+            self._subscribers.pop().undeclare()
+
+    def _receive(self, sample: Any) -> None:
+        """Append a sample."""
+        message = Message(str(sample.key_expr), sample.payload.to_bytes(), time.time_ns())
+        with self._lock:
+            self.dropped += len(self._waiting) == MOST_WAITING
+            self._waiting.append(message)

@@ -1,0 +1,298 @@
+"""The Zenoh subscribers: samples of a fleet and its weather, with what the caches of publishers hold in its place.
+
+One advanced subscriber receives the fleet and one the weather. They request missed samples from advanced publishers and
+count those that they could not get. At the start, and when publishers appear, the receiver asks their caches
+(`stream.zenoh_history`) and merges the answers with live samples, in the order of publication.
+
+Notes
+-----
+The module allows for this observed behaviour of zenoh 1.10:
+
+- An advanced subscriber orders samples that have a timestamp and no source number by timestamp, separately for each
+  router that stamped them. If a router stamps the samples of plain publishers, as `zenohd` does by default, one of two
+  samples that overtake each other in the router is lost. A burst of 180,000 samples from three publishers lost 600.
+  The embedded router does not stamp samples. The receiver logs one warning if another router does.
+- A router and a client in one process share two receiving threads and can wait for each other. Subscribe in the session
+  of the router itself, and publish at high rates from another process.
+"""
+
+import logging
+import time
+from contextlib import suppress
+from itertools import compress, islice, repeat
+from typing import Any, Final, NamedTuple
+
+import zenoh
+from zenoh import ext, handlers
+
+from core.wire.messages import Message
+from stream.receipt_clock import ReceiptClock
+from stream.source import RecoveredMessage
+from stream.structured_log import event_fields
+from stream.zenoh_history import CacheHistory, merge_samples
+from stream.zenoh_session import Node
+
+CHANNEL: Final = 1 << 8
+"""Capacity of Zenoh's channels, in samples of any size; a full channel blocks publishers."""
+BLOCK: Final = 256
+"""Largest number of samples that are taken at once."""
+BLOCK_BYTES: Final = 1 << 22
+"""Size of samples that are taken at once, as far as the last samples predict it. [B]"""
+HOLD_BYTES: Final = 1 << 26
+"""Size of live samples and answers that may wait for further answers of caches; more end the wait. [B]"""
+WATCH_S: Final = 1.0
+"""Time between two checks of the number of connected routers. [s]"""
+_SPACES: Final = "weather", "fleet"
+"""Key spaces in the order in which the receiver subscribes to them and drains them.
+
+A weather observation then does not come after the samples that it applies to. A node that detects the subscription to
+the fleet can rely on the subscription to the weather.
+"""
+_MOST_KEYS, _LONGEST_KEY = 100_000, 512  # that are remembered as text
+_NAP_S: Final = 0.0002, 0.01  # shortest and longest wait for more samples; a busy channel is full after 0.001 s
+_log = logging.getLogger("socast.zenoh")
+
+
+class Received(NamedTuple):
+    """Hold what was received at once.
+
+    Parameters
+    ----------
+    messages : list of Message
+    recovered : bool
+        Whether some of them came from the caches of publishers; these are of the type `RecoveredMessage`.
+    samples : int
+        Number of samples that were taken from the channels; 0 once nothing is left after the end.
+    """
+
+    messages: list[Message]
+    recovered: bool
+    samples: int
+
+
+class _Keys(dict[Any, str]):
+    """Map a key expression to its text, which is made only once; to an empty text for forecasts, which are no input."""
+
+    def __missing__(self, key: Any) -> str:
+        text = str(key)
+        text = "" if text.endswith("/forecast") else text
+        if len(self) >= _MOST_KEYS:
+            self.clear()
+        if len(text) <= _LONGEST_KEY:
+            self[key] = text
+        return text
+
+
+def adapt_nap(nap_s: float, fullness: float) -> float:
+    """Return how long to wait for more samples, so that a look finds about half as many as it takes at most.
+
+    A look that finds few samples costs as much as one that finds many, and a full channel blocks publishers.
+
+    Parameters
+    ----------
+    nap_s : float
+        Wait before the last look. [s]
+    fullness : float
+        Number of samples that the last look found, relative to the most that it takes. [1]
+
+    Examples
+    --------
+    >>> adapt_nap(0.004, 1.0), adapt_nap(0.004, 0.5), adapt_nap(0.004, 0.1)
+    (0.0, 0.004, 0.008)
+    """
+    shortest, longest = _NAP_S
+    if fullness >= 1.0:
+        return 0.0
+    factor = 2.0 if fullness < 0.4 else 0.5 if fullness > 0.8 else 1.0
+    return min(max(factor * nap_s, shortest), longest)
+
+
+class ZenohReceiver:
+    """Subscribe to a fleet and its weather under one prefix, and take samples from Zenoh's channels.
+
+    Parameters
+    ----------
+    node : Node
+        Session and prefix to subscribe with.
+
+    Attributes
+    ----------
+    missed : int or None
+        Number of samples that publishers sent but the receiver could not get, as far as publishers number their
+        samples; None if missed samples are not requested.
+    is_catching_up : bool
+        Whether live samples wait for the answers of caches.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.missed: int | None = 0 if node.connection.recovery else None
+        self.is_catching_up = node.connection.recovery
+        self._clock = ReceiptClock()
+        self._warned = False
+        self._keys = _Keys()
+        self._looked_s = time.monotonic()
+        self._session = node.session
+        self._own = str(node.session.zid())
+        self._routers = len(node.session.info.routers_zid())
+        self._subscribers = [_subscribe(node, f"{node.prefix}{space}/**") for space in _SPACES]
+        self._receivers = [subscriber.handler.try_recv for subscriber in self._subscribers]
+        self._block = BLOCK
+        self._nap_s = 0.0
+        self._misses: list[Any] = []
+        self._history: CacheHistory | None = None
+        self._held: list[Any] = []
+        self._answers: list[Any] = []
+        self._held_bytes = 0
+        if node.connection.recovery:
+            self._history = CacheHistory(node, [f"{node.prefix}{space}/**" for space in _SPACES])
+            self._misses = [each.sample_miss_listener(handlers.FifoChannel(CHANNEL)) for each in self._subscribers]
+
+    def receive(self, *, stopping: bool) -> Received:
+        """Return what has come, after a short wait for more where little came the last time.
+
+        While caches are asked, live samples are held, and then all are returned together in their order. A publisher's
+        token comes before its samples, so the tokens are looked at after the samples.
+
+        Parameters
+        ----------
+        stopping : bool
+            Whether held samples must not wait any longer.
+        """
+        if self._nap_s:
+            time.sleep(self._nap_s)
+        samples = self._receive(CHANNEL, self._block)
+        self._nap_s = 0.0 if stopping else adapt_nap(self._nap_s, len(samples) / self._block)
+        messages, recovered = self._order(samples, stopping=stopping)
+        self._count_misses()
+        self._watch_routers()
+        return Received(messages, recovered, len(samples))
+
+    def predict_block(self, messages: int, size: int) -> None:
+        """Take only so many samples at once that they are not much larger than `BLOCK_BYTES`.
+
+        Parameters
+        ----------
+        messages : int
+            Number of messages that were received.
+        size : int
+            Size of their payloads. [B]
+        """
+        self._block = max(1, min(BLOCK, BLOCK_BYTES * messages // max(1, size)))
+
+    def end(self) -> None:
+        """Receive nothing more; what has arrived can still be taken. A second call has no effect."""
+        while self._subscribers:
+            self._subscribers.pop().undeclare()
+        if self._history is not None:
+            self._history.close()
+
+    def drop_rest(self) -> int:
+        """End, drop what has arrived and was not taken, and return the number of its messages."""
+        self.end()
+        rest = merge_samples([*self._held, *self._answers])
+        self._held, self._answers = [], []
+        while part := self._receive(CHANNEL, CHANNEL):
+            rest += part
+        return sum([bool(self._keys[each.key_expr]) for each in rest])
+
+    def _order(self, samples: list[Any], *, stopping: bool) -> tuple[list[Message], bool]:
+        """Return the messages of live samples, or of all that waited where caches have answered, and which of both."""
+        if self._history is not None and self._must_hold(samples, stopping=stopping):
+            return [], False
+        if self._answers:
+            return self._merge(), True
+        samples, self._held = self._held or samples, []
+        if not samples:
+            return [], False
+        self._warn_of_stamps(samples[-1])
+        keys = [self._keys[each.key_expr] for each in samples]
+        payloads = [each.payload.to_bytes() for each in samples]
+        fields = zip(keys, payloads, repeat(self._clock.read_ns()))
+        return list(compress(map(tuple.__new__, repeat(Message), fields), keys)), False
+
+    def _must_hold(self, samples: list[Any], *, stopping: bool) -> bool:
+        """Return whether the received samples must wait for the answers of caches.
+
+        If they must wait, or if answers have come, all samples that have arrived are held and later merged with the
+        answers. These may be newer than the end of the channel.
+        """
+        assert self._history is not None
+        now = time.monotonic()
+        answers = self._history.collect(now)
+        self._answers += answers
+        self._held_bytes += sum([len(answer.payload) for answer in answers])
+        self.is_catching_up = self._history.is_waiting(now) and not stopping and self._held_bytes < HOLD_BYTES
+        if self.is_catching_up or self._answers or self._held:
+            while samples and self._held_bytes < HOLD_BYTES:
+                self._held += samples
+                self._held_bytes += sum([len(sample.payload) for sample in samples])
+                samples = self._receive(CHANNEL, self._block)
+            self._held += samples
+        if not self.is_catching_up:
+            self._held_bytes = 0
+        return self.is_catching_up
+
+    def _merge(self) -> list[Message]:
+        """Return the live samples that waited and the answers of caches, in the order of publication."""
+        live, answers, self._held, self._answers = self._held, self._answers, [], []
+        recovered, stamp = {id(answer) for answer in answers}, self._clock.read_ns()
+        return [
+            (RecoveredMessage if id(each) in recovered else Message)(key, each.payload.to_bytes(), stamp)
+            for each in merge_samples([*live, *answers])
+            if (key := self._keys[each.key_expr])
+        ]
+
+    def _receive(self, *limits: int) -> list[Any]:
+        """Return queued samples, at most a number of each space."""
+        out: list[Any] = []
+        for receive, most in zip(self._receivers, limits, strict=True):
+            with suppress(zenoh.ZError):  # the subscription has ended; what came before stays in the list
+                out.extend(islice(iter(receive, None), most))
+        return out
+
+    def _watch_routers(self) -> None:
+        """Log that a router was lost or joined; Zenoh itself reconnects to a router that returns."""
+        if (now := time.monotonic()) - self._looked_s < WATCH_S:
+            return
+        self._looked_s = now
+        routers = len(self._session.info.routers_zid())
+        if routers != self._routers:
+            level, event = (
+                (logging.WARNING, "router lost") if routers < self._routers else (logging.INFO, "router joined")
+            )
+            _log.log(level, event, extra=event_fields(routers=routers))
+            self._routers = routers
+
+    def _count_misses(self) -> None:
+        """Count samples that publishers could not send again."""
+        for listener in self._misses:
+            try:
+                while (miss := listener.try_recv()) is not None:
+                    self.missed = (self.missed or 0) + miss.nb
+            except zenoh.ZError:
+                continue  # the subscription has ended and the listener is empty
+
+    def _warn_of_stamps(self, sample: Any) -> None:
+        """Warn once of a router that stamps the samples of plain publishers."""
+        if self._warned or not self._misses or sample.timestamp is None or sample.source_info is not None:
+            return
+        if str(sample.timestamp.get_id()) in {self._own, *map(str, self._session.info.routers_zid())}:
+            self._warned = True
+            _log.warning(
+                "a router stamps samples for plain publishers, and samples that cross may be lost: "
+                "switch `timestamping` off in the router, or subscribe without recovery"
+            )
+
+
+def _subscribe(node: Node, keys: str) -> Any:
+    """Return a subscriber with its own channel; an advanced one if missed samples are to be requested."""
+    channel: Any = handlers.FifoChannel(CHANNEL)
+    if not node.connection.recovery:
+        return node.session.declare_subscriber(keys, channel, allowed_origin=zenoh.Locality.REMOTE)
+    return ext.declare_advanced_subscriber(
+        node.session,
+        keys,
+        channel,
+        allowed_origin=zenoh.Locality.REMOTE,
+        recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+    )

@@ -1,0 +1,323 @@
+"""The live service: its parts, and how they start, run and stop."""
+
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from threading import Event
+from typing import Final
+
+from core.columns import SECONDS_PER_DAY
+from core.errors import SettingsError
+from core.models import LinearModel
+from core.pipeline import Pipeline
+from core.settings import LIVE_KEY_RATE, Limits
+from core.wire.messages import Message
+from stream.checkpoints import Checkpoints
+from stream.idle_keys import IdleKeys
+from stream.latest_only_sink import LatestOnlySink
+from stream.loop import PUBLISH_S, REPORT_S, Watch, act_on_hangup, combine_watches, run, stop_on_signals
+from stream.query_service import QueryService, QuerySource
+from stream.recorder import Recorder
+from stream.recording_metadata import list_changed_settings
+from stream.service_monitor import ServiceMonitor
+from stream.service_snapshot import SnapshotTaker
+from stream.source import Sink
+from stream.state_file import StateFile
+from stream.structured_log import event_fields
+from stream.zenoh_queryable import ZenohQueryable
+from stream.zenoh_session import Connection, Node
+from stream.zenoh_sink import ZenohSink
+from stream.zenoh_source import ZenohSource
+from stream.zenoh_standby import LEASE_S, FencedSink, Standby, StandbyQueryable, TakeoverSink
+from tools.terminal.forecast_options import ForecastOptions, describe_forecasts, make_pipeline
+from tools.terminal.kernels import compile_kernels
+from tools.terminal.limit_options import LimitLog
+from tools.terminal.live_table import LiveTable
+from tools.terminal.model_comparison import load_models
+from tools.terminal.night_watch import check_watch, make_nightly_diagnosis
+from tools.terminal.recording_options import RecordingOptions
+from tools.terminal.ride_log import RideLog
+
+UNCOUNTED: Final = 2.0
+"""Ratio to `--max-payload-bytes` above which Zenoh drops a payload, before the consumer could count it. [1]"""
+_log = logging.getLogger("socast.live")
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """Hold the values of the options of `socast live`.
+
+    Parameters
+    ----------
+    connection : Connection
+        How to reach the router, without a prefix.
+    forecast : ForecastOptions
+    limits : Limits
+    recording : RecordingOptions
+    state : Path, optional
+        File of the state.
+    watch : Path, optional
+        File of the findings of the nightly diagnosis.
+    report_s : float
+        Time between two log lines of counters. [s]
+    metrics : str, optional
+        Where to serve metrics.
+    metrics_per_car : bool
+        Whether to serve metrics of each vehicle.
+    standby : bool
+        Whether to publish only while no other consumer does.
+    """
+
+    connection: Connection
+    forecast: ForecastOptions
+    limits: Limits
+    recording: RecordingOptions
+    state: Path | None = None
+    watch: Path | None = None
+    report_s: float = REPORT_S
+    metrics: str | None = None
+    metrics_per_car: bool = False
+    standby: bool = False
+
+
+@dataclass(frozen=True)
+class Storage:
+    """Hold the files of the service, whose locks are taken.
+
+    Parameters
+    ----------
+    state : StateFile, optional
+    recorder : Recorder, optional
+    """
+
+    state: StateFile | None
+    recorder: Recorder | None
+
+    @property
+    def has_state(self) -> bool:
+        """Return whether there is a state to continue from."""
+        return self.state is not None and self.state.exists
+
+
+@dataclass(frozen=True)
+class ServiceParts:
+    """Hold the parts of a service that has started.
+
+    Parameters
+    ----------
+    monitor : ServiceMonitor
+    source : ZenohSource
+    pipeline : Pipeline
+    sink : Sink
+        Sink of what is published.
+    queries : QueryService
+    rides : RideLog
+    recorder : Recorder, optional
+    checkpoints : Checkpoints, optional
+    watches : list of callable
+        What the loop calls after each list of messages.
+    """
+
+    monitor: ServiceMonitor
+    source: ZenohSource
+    pipeline: Pipeline
+    sink: Sink
+    queries: QueryService
+    rides: RideLog
+    recorder: Recorder | None
+    checkpoints: Checkpoints | None
+    watches: list[Watch] = field(default_factory=list)
+
+
+def serve(options: LiveOptions) -> None:
+    """Start the service, run it until a signal stops it, and stop it.
+
+    Parameters
+    ----------
+    options : LiveOptions
+
+    Raises
+    ------
+    SocastError
+        If an option is wrong, a file cannot be used, or no connection can be made.
+    """
+    with ExitStack() as ending:
+        parts = start_service(options, ending)
+        run_service(parts, options.report_s)
+        stop_service(parts)
+
+
+def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
+    """Take the locks, compile the kernels, load the state, and connect; return the parts.
+
+    Parameters
+    ----------
+    options : LiveOptions
+    ending : ExitStack
+        Closes the parts, the last one first, also if a later step fails.
+    """
+    check_watch(options.forecast, options.recording.folder, options.watch)
+    connection = _make_connection(options)
+    models = load_models(options.forecast.models)
+    monitor = ending.enter_context(ServiceMonitor(options.metrics))
+    storage = _open_storage(options, models, ending)
+    monitor.begin("compiling kernels")
+    compile_kernels(*models)
+    monitor.begin("loading the state" if storage.has_state else "learning from earlier recordings")
+    pipeline = _make_pipeline(options, models, storage)
+    checkpoints = Checkpoints(pipeline, storage.state, storage.recorder) if storage.state else None
+    first = _restore(pipeline, checkpoints)
+    monitor.begin("connecting to Zenoh")
+    stop = ending.enter_context(stop_on_signals())
+    ending.enter_context(act_on_hangup(_choose_act(storage.recorder, stop)))
+    node = ending.enter_context(Node(connection))
+    role = ending.enter_context(Standby(node)) if options.standby else None
+    queryable, sink, watches = _open_outputs(node, ending, role, options.limits)
+    source = ZenohSource(node, stop, options.limits.queue_bytes)
+    _log_start(node, pipeline, models, monitor)
+    sink.put(first)
+    parts = ServiceParts(
+        monitor,
+        source,
+        pipeline,
+        sink,
+        QueryService(queryable, pipeline),
+        RideLog(pipeline),
+        storage.recorder,
+        checkpoints,
+        watches,
+    )
+    _add_watches(parts, options, ending, role, stop)
+    return parts
+
+
+def run_service(parts: ServiceParts, report_s: float) -> None:
+    """Run the loop until a signal stops it.
+
+    Parameters
+    ----------
+    parts : ServiceParts
+    report_s : float
+        Time between two log lines of counters. [s]
+    """
+    with LiveTable(parts.pipeline, "Live", silent=not sys.stdout.isatty()) as table:
+        run(
+            parts.source,
+            parts.pipeline,
+            [parts.sink],
+            recorder=parts.recorder,
+            keep_open=parts.checkpoints is not None,
+            publish_s=PUBLISH_S,
+            watch=combine_watches(*parts.watches, table),
+            report_s=report_s,
+        )
+
+
+def stop_service(parts: ServiceParts) -> None:
+    """Log the last counts, and save the state.
+
+    Parameters
+    ----------
+    parts : ServiceParts
+    """
+    parts.monitor.announce_stop()
+    parts.queries.end()
+    parts.rides.end()
+    if parts.checkpoints:
+        parts.checkpoints.save()
+
+
+def _make_connection(options: LiveOptions) -> Connection:
+    """Return the connection; refuse --standby without a router of its own."""
+    given = options.connection
+    if options.standby and not (given.connect or given.config):
+        raise SettingsError("--standby needs a router that outlives the consumers: give --connect or --config")
+    return replace(
+        given,
+        prefix=options.forecast.prefix,
+        lease_s=LEASE_S if options.standby else None,
+        largest_bytes=UNCOUNTED * options.limits.payload_bytes,
+    )
+
+
+def _open_storage(options: LiveOptions, models: Sequence[LinearModel], ending: ExitStack) -> Storage:
+    """Take the locks of the state and of the recording, before anything slow begins."""
+    state = ending.enter_context(StateFile(options.state)) if options.state else None
+    changes = list_changed_settings(options.limits, Limits(key_rate=LIVE_KEY_RATE))
+    recorder = options.recording.open_recorder(describe_forecasts("live", options.forecast, models, changes))
+    return Storage(state, ending.enter_context(recorder) if recorder else None)
+
+
+def _make_pipeline(options: LiveOptions, models: Sequence[LinearModel], storage: Storage) -> Pipeline:
+    """Return the pipeline; it learns from --warm-up where there is no state."""
+    if storage.has_state and options.forecast.warm_up:
+        _log.warning(
+            "--warm-up is ignored: the consumer continues from --state", extra=event_fields(state=str(options.state))
+        )
+    return make_pipeline(options.forecast, models, options.limits, warm=not storage.has_state)
+
+
+def _restore(pipeline: Pipeline, checkpoints: Checkpoints | None) -> list[Message]:
+    """Continue from the last state; return the newest forecasts that became due in the recording after it."""
+    forecasts = checkpoints.restore() if checkpoints else []
+    if pipeline.cleaner.has_new_map:
+        _log.warning("the state was made with another elevation map: elevation starts anew, all else continues")
+    return forecasts
+
+
+def _open_outputs(
+    node: Node, ending: ExitStack, role: Standby | None, limits: Limits
+) -> tuple[QuerySource, Sink, list[Watch]]:
+    """Return the source of queries, the sink of what is published, and what the loop calls for them."""
+    idle_s = limits.silent_days * SECONDS_PER_DAY
+    publisher = ZenohSink(node, keys=IdleKeys(idle_s))
+    if role is None:
+        return ending.enter_context(ZenohQueryable(node)), LatestOnlySink(publisher), []
+    sink = TakeoverSink(LatestOnlySink(FencedSink(publisher, role)), role, IdleKeys(idle_s))
+    return ending.enter_context(StandbyQueryable(node, role)), sink, [sink]
+
+
+def _add_watches(
+    parts: ServiceParts, options: LiveOptions, ending: ExitStack, role: Standby | None, stop: Event
+) -> None:
+    """Add what the loop calls after each list of messages."""
+    parts.watches.extend([parts.queries, parts.rides, LimitLog(parts.pipeline)])
+    if parts.checkpoints:
+        parts.watches.append(parts.checkpoints)
+    take = SnapshotTaker(
+        parts.pipeline,
+        parts.source,
+        parts.recorder,
+        parts.checkpoints,
+        parts.queries,
+        role,
+        per_vehicle=options.metrics_per_car,
+    )
+    parts.watches.extend(parts.monitor.make_watches(take, stop))
+    if options.recording.folder and options.watch:
+        nightly = make_nightly_diagnosis(
+            options.forecast, parts.pipeline, parts.sink, options.recording.folder, options.watch
+        )
+        ending.callback(nightly.end)
+        parts.watches.append(nightly)
+
+
+def _choose_act(recorder: Recorder | None, stop: Event) -> Callable[[], None]:
+    """Return what SIGHUP does: stop where a terminal has gone, else begin another file of the recording."""
+    if sys.stdout.isatty():
+        return stop.set
+    return recorder.request_rotation if recorder else lambda: None
+
+
+def _log_start(node: Node, pipeline: Pipeline, models: Sequence[LinearModel], monitor: ServiceMonitor) -> None:
+    """Log where the service listens and what it runs."""
+    endpoints = ",".join(node.endpoints or node.connection.connect)
+    beside = {"shadows": ",".join(shadow.name for shadow in models[1:])} if models[1:] else {}
+    if elevation := pipeline.cleaner.map_lookup.identity:
+        beside |= {"elevation_map": elevation}
+    if monitor.server:
+        beside |= {"metrics": str(monitor.server.address)}
+    _log.info("listening", extra=event_fields(endpoints=endpoints, model=models[0].name, **beside))
