@@ -30,8 +30,8 @@ NUMBER = re.compile(r"(?<![^\s(\[│±])[+\-−±]?\d[\d,]*(?:\.\d+)?(?:e[+-]\d+
 VERSION = re.compile(r"\b[0-9a-f]{12}\b")
 RULES = re.compile(r"[─-╿]+")
 """Lines of tables; their length depends on the width of the columns."""
-LOADS_EFFECTS: Final = re.compile(r" --effects |^socast effects check ")
-"""Commands that add effects to the library of the process; they run in a process of their own."""
+LOADS_EFFECTS: Final = re.compile(r" --effects | --vehicles |^socast effects check ")
+"""Commands that add effects or vehicles to those of the process; they run in a process of their own."""
 
 
 class DocumentedCommand(NamedTuple):

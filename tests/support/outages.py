@@ -41,7 +41,7 @@ PUBLISHER = """
 import sys
 from stream.mcap_reader import McapSource
 from stream.source import pace_source
-from stream.zenoh_pubsub import ZenohSink
+from stream.zenoh_sink import ZenohSink
 from stream.zenoh_session import Connection, Node
 with Node(Connection(connect=(sys.argv[1],))) as node:
     sink = ZenohSink(node)

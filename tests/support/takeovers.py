@@ -21,8 +21,8 @@ from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from core.wire.messages import Message
 from stream.health import HttpAddress
-from stream.zenoh_pubsub import ZenohSink
 from stream.zenoh_session import find_free_port
+from stream.zenoh_sink import ZenohSink
 from tests.support.live_consumers import consumers, logged
 from tests.support.recorded_shift import shift
 from tests.support.router_process import RouterProcess

@@ -9,9 +9,9 @@ from typing import Any
 from core.wire.messages import Message
 from stream.loop import run
 from stream.query_service import QueryService
-from stream.zenoh_pubsub import ZenohSource
 from stream.zenoh_queryable import ZenohQueryable
 from stream.zenoh_session import Connection, Node
+from stream.zenoh_source import ZenohSource
 from tests.support.outlooks import Fleet
 
 

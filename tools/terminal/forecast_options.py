@@ -1,9 +1,9 @@
 """The options that `live` and `replay` share: models, settings of cleaning, key prefix and warm-up recordings."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,12 +12,13 @@ from core.pipeline import Pipeline
 from core.settings import Limits, Settings
 from stream.elevation_files import open_elevation
 from stream.mcap_reader import McapSource
+from stream.recording_metadata import list_changed_settings, make_metadata
 from stream.zenoh_session import parse_prefix
 from tools.terminal.cleaning_options import insert_cleaning_options
 from tools.terminal.elevation_option import ElevationFiles
 from tools.terminal.model_comparison import ModelNames
 from tools.terminal.option_groups import insert_options
-from tools.terminal.output import EffectFiles, select_model_files
+from tools.terminal.output import EffectFiles, VehicleFiles, select_model_files
 from tools.terminal.warm_up import WarmUp, learn_from_recordings
 
 Prefix = Annotated[
@@ -33,7 +34,7 @@ class ForecastOptions:
     ----------
     models : sequence of str
         Names or files of models. The first model makes the forecasts, and the others run as its shadows.
-    effect_files : sequence of Path
+    effect_files, vehicle_files : sequence of Path
         Files of user-defined effects, which are already loaded.
     settings : Settings
         Settings of cleaning.
@@ -47,6 +48,7 @@ class ForecastOptions:
 
     models: Sequence[str]
     effect_files: Sequence[Path]
+    vehicle_files: Sequence[Path]
     settings: Settings
     prefix: str
     warm_up: Sequence[Path]
@@ -55,7 +57,13 @@ class ForecastOptions:
     @property
     def files(self) -> list[Path]:
         """Return the files that the command reads and must not overwrite."""
-        return [*self.warm_up, *select_model_files(self.models), *self.effect_files, *self.elevation]
+        return [
+            *self.warm_up,
+            *select_model_files(self.models),
+            *self.effect_files,
+            *self.vehicle_files,
+            *self.elevation,
+        ]
 
 
 @insert_cleaning_options
@@ -63,13 +71,16 @@ def _make_options(
     *,
     model: ModelNames = None,
     effects_file: EffectFiles = None,
+    vehicles: VehicleFiles = None,
     settings: Settings,
     prefix: Prefix = "",
     warm_up: WarmUp = None,
     elevation: ElevationFiles = None,
 ) -> ForecastOptions:
     """Return the values of the options."""
-    return ForecastOptions(model or (), effects_file or (), settings, prefix, warm_up or (), elevation or ())
+    return ForecastOptions(
+        model or (), effects_file or (), vehicles or (), settings, prefix, warm_up or (), elevation or ()
+    )
 
 
 insert_forecast_options = insert_options("options", _make_options)
@@ -130,3 +141,32 @@ def make_pipeline(
     if learned:
         pipeline.learn_from(learned)
     return pipeline
+
+
+def describe_forecasts(
+    command: str, options: ForecastOptions, models: Sequence[LinearModel], also: Mapping[str, Any] | None = None
+) -> dict[str, str]:
+    """Return the metadata of a recording that a command with the shared options writes.
+
+    Parameters
+    ----------
+    command : str
+        Name of the command.
+    options : ForecastOptions
+        Values of the shared options.
+    models : sequence of LinearModel
+        The loaded models of the options.
+    also : mapping of str to object, optional
+        Other settings that differ from their defaults.
+
+    Returns
+    -------
+    dict of str to str
+        See `stream.recording_metadata.make_metadata`.
+    """
+    return make_metadata(
+        command,
+        prefix=options.prefix,
+        models=[f"{model.name}/{model.version}" for model in models],
+        settings=list_changed_settings(options.settings, Settings()) | dict(also or {}),
+    )

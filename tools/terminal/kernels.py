@@ -123,6 +123,7 @@ def _run_kernels(model: Model, *shadows: Model) -> None:
     messages = [
         Message("weather/compile", encode(first), 0),
         *(Message("fleet/compile/telemetry", encode(sample), 0) for sample in samples),
+        Message("fleet/compile/telemetry", b"{", 0),  # refused messages have a kernel, too
     ]
     live = Pipeline(model, shadows=shadows, limits=Limits(key_rate=1000.0))
     live.push(messages)

@@ -22,9 +22,10 @@ from core.monitoring.shadow import ShadowModels
 from core.pipeline import Pipeline
 from core.vehicles.catalogue import OVERRIDES
 from stream.loop import Tally
-from tools.terminal.model_comparison import WIDE, make_models_table
+from tools.terminal.model_comparison import WIDE, ErrorCourses, make_models_table
 from tools.terminal.output import make_console
 from tools.terminal.rich_table import Column, make_table
+from tools.terminal.small_pictures import draw_charge
 
 REDRAW_S = 0.25
 """Time between two updates of the table on a terminal. [s]"""
@@ -32,6 +33,8 @@ LINE_S = 2.0
 """Time between two lines if the output is not a terminal. [s]"""
 WARNED = 0.05
 """Smallest probability of ending a shift below the reserve at which a car is marked. [1]"""
+WIDE_PICTURE, NARROW_PICTURE = 24, 12
+"""Number of characters of the picture of a car's charge, in a wide and in a narrow terminal."""
 MOST_RIDES = 60
 """Largest number of rides listed on a terminal; the JSON report lists all."""
 
@@ -88,6 +91,7 @@ class LiveTable:
         self._console = console or make_console()
         self._due = clock() + LINE_S * (not self._console.is_terminal)
         self._last: Tally | None = None
+        self._courses = ErrorCourses()
         live = self._console.is_terminal and not silent
         # log lines are redirected above the table, but only if standard error is a terminal too
         on_screen = sys.stderr.isatty()
@@ -126,16 +130,20 @@ class LiveTable:
         cars = sorted(self._pipeline.status())
         if self._live:
             wide, errors = self._console.width >= WIDE, self._pipeline.shadows.errors()
-            below = make_models_table(errors, wide=wide) if self._pipeline.shadows else None
+            self._courses.add(errors)
+            below = make_models_table(errors, wide=wide, courses=self._courses) if self._pipeline.shadows else None
             rows = max(1, self._console.height - 7 - (below.row_count + 6 if below else 0))
             shadows = len(self._pipeline.shadows) if wide else 0
-            fleet = make_fleet_table(cars, self._title, describe_counts(tally, self._pipeline.quality()), rows, shadows)
+            counts = describe_counts(tally, self._pipeline.quality())
+            fleet = make_fleet_table(cars, self._title, counts, rows, shadows, wide=wide)
             self._live.update(Group(fleet, below) if below else fleet, refresh=True)
         else:
             self._console.print(format_fleet_line(cars, tally), markup=False, highlight=False, soft_wrap=True)
 
 
-def make_fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, rows: int, shadows: int = 0) -> Table:
+def make_fleet_table(
+    cars: Sequence[VehicleStatus], title: str, caption: str, rows: int, shadows: int = 0, *, wide: bool = True
+) -> Table:
     """Return a table with one row per car, for the cars with the newest samples.
 
     Parameters
@@ -148,13 +156,15 @@ def make_fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, ro
         Largest number of cars in the table.
     shadows : int
         Number of shadow models whose predictions have a column.
+    wide : bool
+        Whether the table has all columns.
 
     Returns
     -------
     rich.table.Table
     """
     numbers = (
-        ("time", 8),
+        *((("time", 8),) if wide else ()),
         ("SOC\n%", 5),
         ("ride\nkm", 6),
         ("predicted\nkWh", 9),
@@ -166,7 +176,8 @@ def make_fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, ro
     columns = [
         Column("car", fixed=True, min_width=8),
         *(Column(head, number=True, fixed=True, min_width=width) for head, width in numbers),
-        Column("repaired or\nrejected", fixed=True, ratio=1),
+        Column("charge now ● and at\nshift's end ━┃━, 0–100 %" if wide else "0–100 %\n● now, ┃ end", fixed=True),
+        *((Column("repaired or\nrejected", fixed=True, ratio=1),) if wide else ()),
     ]
     table = make_table(columns, title, caption, expand=True)
     newest = sorted(sorted(cars, key=lambda car: car.time_s)[-rows:])
@@ -175,7 +186,7 @@ def make_fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, ro
         off = _compute_off_pct(car.predicted_kwh, car.measured_kwh) if riding else float("nan")
         table.add_row(
             Text(car.vehicle_id),
-            f"{datetime.fromtimestamp(car.time_s, UTC):%H:%M:%S}" if isfinite(car.time_s) else "",
+            *((_format_time(car),) if wide else ()),
             _format_number(car.soc_pct, 1),
             _format_number(car.ride_distance_km, 2),
             _format_number(car.predicted_kwh, 3),
@@ -183,10 +194,11 @@ def make_fleet_table(cars: Sequence[VehicleStatus], title: str, caption: str, ro
             Text(_format_number(off, 0, sign=True), style="red" if abs(off) > 20 else ""),
             _format_end(car),
             *(_format_number(energy, 3) for energy in car.shadows_kwh[:shadows]),
-            Text(_format_counts(car.quality)),
+            draw_charge(car.soc_pct, car.end_pct, WIDE_PICTURE if wide else NARROW_PICTURE, _choose_style(car)),
+            *((Text(_format_counts(car.quality)),) if wide else ()),
         )
     if len(cars) > len(newest):
-        table.add_row(f"and {len(cars) - len(newest):,} more", *[""] * (8 + shadows))
+        table.add_row(f"and {len(cars) - len(newest):,} more", *[""] * (len(columns) - 1))
     return table
 
 
@@ -195,8 +207,23 @@ def _format_end(car: VehicleStatus) -> Text:
     if car.end_pct is None:
         return Text("–")
     mean, low, high = car.end_pct
-    marked = car.risk is not None and car.risk >= WARNED
-    return Text(f"{mean:.0f} {low:.0f}–{high:.0f}{'!' if marked else ' '}", style="red" if marked else "")
+    mark = "!" if _is_at_risk(car) else " "
+    return Text(f"{mean:.0f} {low:.0f}–{high:.0f}{mark}", style="red" if _is_at_risk(car) else "")
+
+
+def _is_at_risk(car: VehicleStatus) -> bool:
+    """Return whether a car risks ending its shift below its reserve."""
+    return car.risk is not None and car.risk >= WARNED
+
+
+def _choose_style(car: VehicleStatus) -> str:
+    """Return the style of a car's forecast."""
+    return "red" if _is_at_risk(car) else "cyan"
+
+
+def _format_time(car: VehicleStatus) -> str:
+    """Return the time of a car's newest sample, UTC."""
+    return f"{datetime.fromtimestamp(car.time_s, UTC):%H:%M:%S}" if isfinite(car.time_s) else ""
 
 
 def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
@@ -372,8 +399,9 @@ def describe_unknown_models(unknown: Mapping[str, Sequence[str]]) -> list[str]:
     for model, cars in unknown.items():
         named = ", ".join(cars[:3]) + (f" and {len(cars) - 3:,} more" if len(cars) > 3 else "")
         lines.append(
-            f"the vehicle model {model!r} of {named} is not in the catalogue: no energy of theirs is predicted; send "
-            f"{', '.join(most)} and {last} in their vehicle messages"
+            f"the vehicle model {model!r} of {named} is not in the catalogue: no energy of theirs is predicted; "
+            f"describe it with `socast vehicles new` and give the file with --vehicles, or send {', '.join(most)} and "
+            f"{last} in their vehicle messages"
         )
     return lines
 

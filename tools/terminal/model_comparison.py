@@ -15,6 +15,7 @@ from core.formatting import format_minus
 from core.models import LinearModel
 from core.wire.messages import Gain, ModelErrors, RideErrors
 from tools.terminal.rich_table import Column, make_table
+from tools.terminal.small_pictures import draw_course
 
 DEFAULT_MODEL: Final = "extended_physical"
 """The model if the command line names none."""
@@ -25,6 +26,8 @@ VERDICT_NOTE: Final = (
 """Explanation below the table."""
 WIDE: Final = 112
 """Width of a terminal from which tables have all their columns. [characters]"""
+COURSE: Final = 20
+"""Number of characters of the course of an error."""
 _NARROW: Final = (("rides", 5), ("MAE\nkWh", 6), ("better by\nkWh per ride", 22))
 _WIDE: Final = (
     ("rides", 5),
@@ -67,7 +70,33 @@ def load_models(names: Sequence[str] | None) -> list[LinearModel]:
     return [models.load(name) for name in names or [DEFAULT_MODEL]]
 
 
-def make_models_table(errors_of_models: Sequence[ModelErrors], *, wide: bool, by_vehicle_model: bool = False) -> Table:
+class ErrorCourses:
+    """Keep how the mean absolute error of each model changed from ride to ride."""
+
+    def __init__(self) -> None:
+        self._of: dict[str, list[float]] = {}
+        self._rides: dict[str, int] = {}
+
+    def add(self, errors_of_models: Sequence[ModelErrors]) -> None:
+        """Add the present errors of models, where a ride has ended since the last time."""
+        for model in errors_of_models:
+            rides, mae = model.overall.rides, model.overall.mae_kwh
+            if mae is not None and rides != self._rides.get(model.model):
+                self._rides[model.model] = rides
+                self._of.setdefault(model.model, []).append(mae)
+
+    def draw(self, model: str) -> str:
+        """Return the course of the error of a model, as a picture of `COURSE` characters at most."""
+        return draw_course(self._of.get(model, ()), COURSE)
+
+
+def make_models_table(
+    errors_of_models: Sequence[ModelErrors],
+    *,
+    wide: bool,
+    by_vehicle_model: bool = False,
+    courses: ErrorCourses | None = None,
+) -> Table:
     """Return a table of the errors of models, one row per model.
 
     Parameters
@@ -78,6 +107,8 @@ def make_models_table(errors_of_models: Sequence[ModelErrors], *, wide: bool, by
         Whether the table has all columns.
     by_vehicle_model : bool
         Whether the row of each model is followed by one row per vehicle model.
+    courses : ErrorCourses, optional
+        Courses of the errors; with them a wide table has a column of pictures.
 
     Returns
     -------
@@ -87,10 +118,12 @@ def make_models_table(errors_of_models: Sequence[ModelErrors], *, wide: bool, by
         Column("model", fixed=True, min_width=None if wide else 18),
         *(Column(head, number=True, fixed=True, min_width=width) for head, width in (_WIDE if wide else _NARROW)),
         Column("against\nfirst", fixed=True, min_width=8),
+        *((Column("MAE from\nride to ride", fixed=True, min_width=COURSE),) if wide and courses else ()),
     ]
     table = make_table(columns, "Models, over rides fit for training")
     for place, model in enumerate(errors_of_models, 1):
-        table.add_row(Text(f"{place} {model.model}"), *_cells(model.overall, wide=wide))
+        drawn = (courses.draw(model.model),) if wide and courses else ()
+        table.add_row(Text(f"{place} {model.model}"), *_cells(model.overall, wide=wide), *drawn)
         for errors in model.by_vehicle_model if by_vehicle_model else ():
             table.add_row(Text(f"    {errors.vehicle_model}"), *_cells(errors, wide=wide))
     return table

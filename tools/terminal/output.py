@@ -31,11 +31,13 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "findings": 1,
     "fit": 1,
     "history": 1,
+    "import": 1,
     "info": 1,
     "quality": 1,
     "replay": 1,
     "secure": 1,
     "tables": 1,
+    "vehicles": 1,
 }
 """Name -> format version of each JSON report.
 
@@ -52,6 +54,17 @@ def _load_effects(files: list[Path] | None) -> list[Path] | None:
 
         for file in files:
             effects.load_file(file)
+    return files
+
+
+def _load_vehicles(files: list[Path] | None) -> list[Path] | None:
+    """Add the cars of data sheets to the catalogue before the command starts."""
+    if files:
+        from core.vehicles import add_vehicles  # noqa: PLC0415 - most commands are given no file
+        from tools.terminal.vehicle_files import load_vehicle_file  # noqa: PLC0415 - ditto
+
+        for file in files:
+            add_vehicles(load_vehicle_file(file))
     return files
 
 
@@ -77,6 +90,16 @@ EffectFiles = Annotated[
     list[Path] | None,
     typer.Option(
         "--effects", metavar="FILE", help="Load this file of your own effects; may be repeated.", callback=_load_effects
+    ),
+]
+
+VehicleFiles = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--vehicles",
+        metavar="FILE",
+        help="Add the cars of this file of data sheets to the catalogue; may be repeated.",
+        callback=_load_vehicles,
     ),
 ]
 

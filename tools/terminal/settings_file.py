@@ -80,7 +80,7 @@ def read_settings(file: Path, command: Any) -> tuple[dict[str, Any], dict[str, s
         text = content.decode()
         settings = tomllib.loads(text)
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SettingsError(_explain(file, content, error)) from error
+        raise SettingsError(explain_toml(file, content, error)) from error
     options = list_settings(command)
     annotations = inspect.signature(command.callback).parameters
     values: dict[str, Any] = {}
@@ -91,7 +91,9 @@ def read_settings(file: Path, command: Any) -> tuple[dict[str, Any], dict[str, s
             raise SettingsError(f"{place}: {_refuse_name(key, value, list(options), command.name)}")
         name = options[key].name
         if wanted := _find_mistake(value, annotations[name].annotation):
-            raise SettingsError(f"{place}: {key} is {_shorten(value)}, must be {wanted}")
+            raise SettingsError(
+                f"{place}: --{key} is {_shorten(value)}, must be {wanted}; `socast {command.name} --help`"
+            )
         values[name], places[name] = value, place
     return values, places
 
@@ -125,7 +127,7 @@ def find_place(context: typer.Context, words: str) -> str:
     return name_place(context, list_settings(context.command).get(named[1])) if named else ""
 
 
-def _explain(file: Path, content: bytes, error: Exception) -> str:
+def explain_toml(file: Path, content: bytes, error: Exception) -> str:
     """Return what is wrong with a file that is not TOML."""
     if isinstance(error, UnicodeDecodeError):
         return f"{file} is not UTF-8 from byte {error.start} on; save it as UTF-8"
@@ -133,7 +135,8 @@ def _explain(file: Path, content: bytes, error: Exception) -> str:
     words, _, end = str(error).rpartition(" (at ")
     at = re.fullmatch(r"line (\d+), column (\d+)\)", end)
     place = f"line {at[1]}, column {at[2]}" if at else f"line {len(text.splitlines())}, at the end"
-    return f"{file}, {place}: not TOML: {words}; write NAME = VALUE"
+    wrong = _shorten(text.splitlines()[(int(at[1]) if at else 0) - 1].strip()) if text.strip() else ""
+    return f"{file}, {place}: {wrong} is not TOML: {words}; write NAME = VALUE, each name once, and text in quotes"
 
 
 def _find_line(text: str, key: str) -> int:

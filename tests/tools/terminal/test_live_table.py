@@ -9,6 +9,7 @@ from core.forecast.status import VehicleStatus
 from tests.support.fleet_days import DAY, DAYS, forecasts, plan, shift, trained_pipeline
 from tests.support.telemetry import START
 from tools.terminal.live_table import WARNED, make_fleet_table
+from tools.terminal.model_comparison import WIDE
 
 CAR = VehicleStatus("taxi-1", "kia-soul-ev-2015", None, 1.7e9, 64.0, 0.0, float("nan"), float("nan"), {})
 
@@ -16,7 +17,7 @@ CAR = VehicleStatus("taxi-1", "kia-soul-ev-2015", None, 1.7e9, 64.0, 0.0, float(
 def row(car, width=80):
     """Return the line of a car, as a terminal of some width shows it."""
     console = Console(file=io.StringIO(), width=width)
-    console.print(make_fleet_table([car], "Live", "", 20))
+    console.print(make_fleet_table([car], "Live", "", 20, wide=width >= WIDE))
     (line,) = [line for line in console.file.getvalue().splitlines() if line.split()[:1] == [car.vehicle_id]]
     return line
 
@@ -30,7 +31,8 @@ def test_car_that_risks_ending_below_reserve_is_marked(width, risk, mark):
 
 
 def test_unknown_charge_at_end_is_dash():
-    assert row(CAR).split() == ["taxi-1", "22:13:20", "64.0", "0.00", "–", "–", "–", "–"]
+    assert row(CAR, 112).split() == ["taxi-1", "22:13:20", "64.0", "0.00", "–", "–", "–", "–", "·" * 15 + "●" + "·" * 8]
+    assert row(CAR).split() == ["taxi-1", "64.0", "0.00", "–", "–", "–", "–", "·" * 7 + "●" + "·" * 4]
 
 
 def test_status_holds_newest_forecast_of_each_car():

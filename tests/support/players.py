@@ -1,0 +1,39 @@
+"""Players of the recorded shift."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import inf
+from pathlib import Path
+
+from core.pipeline import Pipeline
+from tests.support.paths import RECORDINGS
+from tests.support.zenoh_sessions import eventually
+from tools.workbench.fleet.board import Board
+from tools.workbench.fleet.player import Player
+
+SHIFT = RECORDINGS / "shift.mcap"
+
+
+@contextmanager
+def playing(*recordings: Path, speed: float = inf) -> Iterator[Player]:
+    """Give a player of recordings, by default of the shift, that waits for `play`."""
+    player = Player(list(recordings) or [SHIFT], lambda _: Pipeline(), Board())
+    player.set_speed(speed)
+    player.start()
+    try:
+        yield player
+    finally:
+        player.close()
+
+
+def wait_until_there(player: Player) -> None:
+    """Wait until a player has reached the goal of a seek, or the end of the recording."""
+    assert eventually(lambda: not (state := player.describe())["seeking"] and (state["at_end"] or not state["playing"]))
+
+
+def stand_in_the_middle(player: Player) -> None:
+    """Let a player stand in the middle of its recording, also when a page is opened."""
+    player._has_been_shown = True
+    player.set_speed(60.0)
+    player.seek((player.begin_ns + player.end_ns) / 2e9)
+    wait_until_there(player)

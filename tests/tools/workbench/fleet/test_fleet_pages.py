@@ -1,0 +1,243 @@
+"""The pages of the fleet in a real browser: replay, seek, table, map, car and questions."""
+
+import re
+
+import numpy as np
+import pytest
+
+from core.wire.messages import Finding, Message, encode
+from tests.support.browsers import NARROW, WIDE, Visit, find_serious_faults, open_browser
+from tests.support.players import playing, stand_in_the_middle
+from tests.support.workbench_pictures import DOCS, PICTURES, measure_difference, take_pictures
+from tests.support.workbenches import serve
+from tests.support.zenoh_sessions import eventually
+from tools.bench.workbench import BoardSource, make_fleet_messages
+from tools.workbench.fleet.board import Board
+from tools.workbench.jobs import Jobs
+from tools.workbench.json_routes import Workbench
+from tools.workbench.workspace import Workspace
+
+pytestmark = pytest.mark.long
+LARGEST_LOAD = 1_500_000
+LARGEST_DIFFERENCE = 0.05
+"""Mean difference of two pictures that another font makes."""
+PAGES = {"#/fleet": ".fleet-table tr.car", "#/car/taxi-001?km=18&min=25": ".answer .chip"}
+"""Address of a page, and an element that shows that it is complete."""
+
+LOOK = "document.querySelector('canvas.map').toDataURL()"
+"""Script that gives the picture of the map."""
+
+
+@pytest.fixture(scope="module")
+def player():
+    """Return a player that stands in the middle of the shift."""
+    with playing() as player:
+        stand_in_the_middle(player)
+        yield player
+
+
+@pytest.fixture(scope="module")
+def server(player):
+    with serve(Workbench(Workspace(), Jobs(), fleet=player)) as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with open_browser() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def pictures(browser, server, tmp_path_factory):
+    """Return the folder of fresh pictures of the pages."""
+    folder = tmp_path_factory.mktemp("pictures")
+    take_pictures(browser, server, folder)
+    return folder
+
+
+@pytest.fixture
+def visit(browser, server):
+    visit = Visit(browser, server)
+    yield visit
+    visit.close()
+    assert visit.strangers == []
+    assert visit.errors == []
+
+
+def test_first_load_is_small_and_from_this_host_only(visit):
+    visit.page.wait_for_selector(PAGES["#/fleet"])
+    sizes = visit.page.evaluate(
+        "[...performance.getEntriesByType('navigation'), ...performance.getEntriesByType('resource')]"
+        ".map((each) => each.transferSize)"
+    )
+    assert len(sizes) > 8
+    assert 20_000 < sum(sizes) < LARGEST_LOAD
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_pictures_of_the_documentation_show_the_present_pages(name, pictures):
+    assert measure_difference(pictures / name, DOCS / name) < LARGEST_DIFFERENCE, (
+        "renew with: python -m tests.support.workbench_pictures"
+    )
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pages_are_accessible_and_fit_every_width(browser, server, scheme):
+    visit = Visit(browser, server, WIDE, scheme)
+    for address, complete in PAGES.items():
+        visit.go(address)
+        visit.page.wait_for_selector(complete)
+        assert find_serious_faults(visit.page) == []
+        visit.page.set_viewport_size(NARROW)
+        visit.page.wait_for_function(f"() => document.scrollingElement.scrollWidth <= {NARROW['width']}")
+        assert find_serious_faults(visit.page) == []
+        visit.page.set_viewport_size(WIDE)
+    visit.close()
+    assert (visit.strangers, visit.errors) == ([], [])
+
+
+def test_player_seeks_and_plays_from_the_page(visit, player):
+    page = visit.page
+    page.wait_for_selector(PAGES["#/fleet"])
+    page.get_by_role("button", name="Play").click()
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Play").wait_for()
+    assert not player.describe()["playing"]
+    slider = page.get_by_label("Time of the recording")
+    slider.focus()
+    page.keyboard.press("Home")
+    assert eventually(lambda: player.describe()["time_s"] == pytest.approx(player.begin_ns * 1e-9, abs=1.0))
+    visit.wait("document.querySelectorAll('tr.car').length < 3")
+    page.get_by_label("Speed").select_option("max")
+    page.get_by_role("button", name="Play").click()
+    page.get_by_role("button", name="Play again").wait_for()
+    visit.wait("document.querySelectorAll('tr.car').length === 7")
+    player.pause()
+    stand_in_the_middle(player)
+    visit.wait("Math.abs(Number(document.querySelector('input[type=range]').value) - 500) < 2")
+
+
+def test_table_is_sorted_filtered_and_walked_by_keys(visit):
+    page = visit.page
+    page.wait_for_selector(PAGES["#/fleet"])
+    names = "[...document.querySelectorAll('tr.car')].map((line) => line.dataset.car)"
+    page.get_by_role("button", name="Charge %").click()
+    page.wait_for_selector("th[aria-sort=ascending][data-key=soc]")
+    charges = [
+        float(text)
+        for text in page.evaluate(
+            "[...document.querySelectorAll('tr.car td:nth-child(2)')].map((cell) => cell.textContent)"
+        )
+    ]
+    assert charges == sorted(charges)
+    page.locator(".fleet-frame").focus()
+    page.keyboard.press("ArrowDown")
+    page.wait_for_selector("tr.chosen")
+    first = page.evaluate(names)[0]
+    assert f"car={first}" in page.url
+    assert first in page.locator("p[aria-live]").text_content()
+    page.get_by_label("Filter by name").fill("003")
+    visit.wait("document.querySelectorAll('tr.car').length === 1")
+    assert "filter=003" in page.url
+    page.get_by_label("Filter by name").fill("horse")
+    page.get_by_text("No car matches").wait_for()
+    page.get_by_label("Filter by name").fill("")
+    page.locator(".fleet-frame").focus()
+    page.keyboard.press("Enter")
+    page.get_by_role("heading", name=first).wait_for()
+    page.go_back()
+    page.wait_for_selector(PAGES["#/fleet"])
+
+
+def test_map_answers_to_pointer_and_keys(visit):
+    page = visit.page
+    page.wait_for_selector(PAGES["#/fleet"])
+    canvas = page.locator("canvas.map")
+    visit.wait("document.querySelector('canvas.map').width > 300")
+    canvas.hover()
+    canvas.focus()
+    for act in (
+        lambda: page.keyboard.press("+"),
+        lambda: page.keyboard.press("ArrowLeft"),
+        lambda: page.mouse.wheel(0, -300),
+        page.get_by_role("button", name="Show the whole fleet").click,
+    ):
+        before = page.evaluate(LOOK)
+        act()
+        visit.wait(f"(before) => ({LOOK}) !== before", before)
+    page.locator("button[data-color=risk]").click()
+    page.wait_for_selector("button[data-color=risk][aria-pressed=true]")
+    assert "color=risk" in page.url
+
+
+def test_question_is_asked_by_a_form_and_kept_in_the_address(visit, player):
+    page = visit.page
+    visit.go("#/car/taxi-001")
+    page.get_by_label("Distance [km]").fill("18")
+    page.get_by_label("Duration [min]").fill("25")
+    page.get_by_role("button", name="Ask").click()
+    command = page.locator(".answer .command").text_content()
+    assert command == "socast ask taxi-001 --distance-km 18 --duration-s 1500"
+    assert "km=18" in page.url
+    answer = player.ask("taxi-001", {"distance_km": "18", "duration_s": "1500"})
+    assert f"reserve of {answer.reserve_soc_pct:g} %" in page.locator(".answer-line").text_content()
+    page.get_by_label("Distance [km]").fill("900")
+    page.get_by_role("button", name="Ask").click()
+    page.locator(".answer .bad").wait_for()
+    assert re.search(r"\d", page.locator(".answer .bad").text_content())
+
+
+def test_car_that_is_unknown_and_page_that_does_not_exist_say_so(browser, server):
+    visit = Visit(browser, server)
+    visit.go("#/car/horse")
+    visit.page.get_by_text("horse has sent nothing so far").wait_for()
+    visit.go("#/stable")
+    visit.page.get_by_text("There is no such page").wait_for()
+    visit.close()
+    assert visit.strangers == []
+
+
+def test_text_of_messages_is_shown_as_text(browser):
+    words = "<img src=x onerror=alert(1)> saves nothing"
+    finding = Finding("all", "aero_drag", 1.7e9, "sure", 0.95, [], "2026-01-01", None, None, *[None] * 5, words, [])
+    board = Board()
+    board.take([*make_fleet_messages(3, 0.0, np.random.default_rng(7)), Message("findings/all/a", encode(finding), 0)])
+    with serve(Workbench(Workspace(), Jobs(), fleet=BoardSource(board))) as server:
+        visit = Visit(browser, server)
+        visit.page.get_by_text(words).wait_for()
+        assert visit.page.locator("img").count() == 0
+        visit.close()
+    assert (visit.strangers, visit.errors) == ([], [])
+
+
+def test_page_of_another_origin_reaches_nothing(browser, server):
+    visit = Visit(browser, server)
+    reached = visit.page.context.browser.new_context()
+    page = reached.new_page()
+    page.goto(f"http://localhost:{server.port}/")
+    assert "no session" in page.text_content("body") or "another" in page.text_content("body")
+    script = """async (address) => {
+        const sent = fetch(address + "/api/session", {credentials: "include"});
+        const asked = await sent.then(() => "read", () => "refused");
+        const socket = await new Promise((done) => {
+            const opened = new WebSocket(address.replace("http", "ws") + "/fleet.socket");
+            opened.onopen = () => done("open");
+            opened.onerror = () => done("refused");
+        });
+        return [asked, socket];
+    }"""
+    blank = reached.new_page()
+    assert blank.evaluate(script, server.origin) == ["refused", "refused"]
+    reached.close()
+    visit.close()
+
+
+def test_workbench_without_a_fleet_says_how_to_get_one(browser):
+    with serve(Workbench(Workspace(), Jobs(), read_only=True)) as server:
+        visit = Visit(browser, server)
+        visit.page.get_by_text("No fleet to show").wait_for()
+        assert visit.page.get_by_text("read-only").is_visible()
+        assert find_serious_faults(visit.page) == []
+        visit.close()
+    assert (visit.strangers, visit.errors) == ([], [])

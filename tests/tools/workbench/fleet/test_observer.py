@@ -1,0 +1,73 @@
+"""The observer shows what cars send and a service publishes, passes questions on, and publishes nothing itself."""
+
+from contextlib import closing
+
+import pytest
+
+from core.errors import AskError
+from core.wire.messages import Forecast, Message, QualityCounts, Telemetry, encode
+from stream.zenoh_session import Connection, Node
+from stream.zenoh_sink import ZenohSink
+from tests.support.zenoh_sessions import eventually, live
+from tools.workbench.fleet.board import Board
+from tools.workbench.fleet.observer import Observer
+
+NOW = 1.7e9
+
+
+def make_messages(car):
+    sample = Telemetry(car, NOW, latitude_deg=45.5, longitude_deg=-73.6, speed_kmh=30.0)
+    energies = None, None, 61.5, 0.2, None, None, 0.01
+    forecast = Forecast(car, NOW, "r", "model/1", 1.0, 60.0, *energies, quality=QualityCounts(0, 0, 0, 0, 0))
+    return [
+        Message(f"fleet/{car}/telemetry", encode(sample), 0),
+        Message(f"fleet/{car}/forecast", encode(forecast), 0),
+    ]
+
+
+@pytest.fixture(scope="module")
+def observed():
+    """Run a service under a prefix, an observer of it, and a stranger that hears everything at the router."""
+    heard = []
+    with live(prefix="montreal") as (consumer, _, client):
+        endpoint = client.connection.connect[0]
+        with (
+            Node(Connection(connect=(endpoint,))) as stranger,
+            closing(Observer(Connection(connect=(endpoint,), mode="client", prefix="montreal"), Board())) as observer,
+        ):
+            stranger.session.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)))
+            observer.start()
+            sink = ZenohSink(client, "montreal/")
+
+            def is_seen():
+                sink.put([*make_messages("taxi-7"), *make_messages("taxi-8")])
+                return len(observer.board) == 2 and observer.board.get_values("taxi-8")["soc"] == 61.5
+
+            assert eventually(is_seen)
+            yield observer, consumer, heard
+            sink.close()
+
+
+def test_observer_shows_samples_and_forecasts_of_its_prefix(observed):
+    observer, _, _ = observed
+    values = observer.board.get_values("taxi-7")
+    assert (values["latitude"], values["soc"], values["risk"]) == (45.5, 61.5, 0.01)
+    state = observer.describe()
+    assert (state["mode"], state["time_s"], state["dropped"]) == ("live", NOW, 0)
+    assert state["received"] >= 4
+
+
+def test_question_goes_to_the_service(observed):
+    observer, consumer, _ = observed
+    outlook = observer.ask("taxi-7", {"distance_km": "18", "duration_s": "1500"})
+    assert (outlook.vehicle_id, outlook.asked.distance_km) == ("taxi-7", 18.0)
+    assert consumer.asked[-1][0] == "taxi-7"
+    with pytest.raises(AskError, match="distance_km is -1"):
+        observer.ask("taxi-7", {"distance_km": "-1", "duration_s": "60"})
+    assert observer.get_parts("taxi-7") is None
+
+
+def test_observer_publishes_nothing(observed):
+    observer, _, heard = observed
+    observer.ask("taxi-7", {})
+    assert {key.split("/")[-1] for key in heard} <= {"telemetry", "forecast"}

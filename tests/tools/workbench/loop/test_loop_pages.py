@@ -1,0 +1,187 @@
+"""The loop in a browser: rides, missing effect, fallen error, a refusal, and an effect of one's own."""
+
+import json
+
+import pytest
+
+from core import effects
+from tests.support.accessibility import list_violations
+from tests.support.browsers import NARROW, Visit, open_browser
+from tests.support.paths import ROOT
+from tests.support.workbenches import serve
+from tools.workbench.jobs import Jobs
+from tools.workbench.json_routes import Workbench
+from tools.workbench.workspace import Given, Workspace
+
+pytestmark = pytest.mark.long
+EFFECT = '''from socast import effect
+
+
+@effect(coefficient="force", unit="N", low=0, high=1000, source="nobody")
+def {name}(speed):
+    """Something that drags: P = F v."""
+    return {value}
+'''
+SLOW_MS = 120_000
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """A file of effects that the workbench was given; the library forgets it at the end."""
+    file = tmp_path_factory.mktemp("own") / "mine.py"
+    file.write_text(EFFECT.format(name="my_drag", value="speed"), encoding="utf-8")
+    effects.load_file(file)
+    yield file
+    for name in [name for name, path in effects.registry._brought_by.items() if path == file]:
+        del effects.registry._library[name], effects.registry._brought_by[name]
+
+
+@pytest.fixture(scope="module")
+def server(own):
+    """A workbench that reads the recording while the first page opens."""
+    workspace = Workspace(Given(data=(ROOT / "recordings/autumn.mcap",), effects=(own,)))
+    workbench = Workbench(workspace, Jobs())
+    workbench.jobs.start("reading the rides", workspace.open)
+    with serve(workbench) as served:
+        yield served
+    workbench.jobs.end()
+    workspace.close()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with open_browser() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def visit(browser, server):
+    """One window for all tests."""
+    opened = Visit(browser, server)
+    opened.page.set_default_timeout(SLOW_MS)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture(autouse=True)
+def _page_makes_no_error(visit):
+    """Check after each test that nothing went wrong in the page, and that it asked no other host."""
+    yield
+    assert visit.errors == []
+    assert visit.strangers == []
+
+
+def test_pages_lead_from_the_rides_to_the_fallen_error_and_back(visit):
+    page = visit.page
+    visit.go("#/rides")
+    page.get_by_text("137 rides of 5 cars").wait_for()
+    page.get_by_role("link", name="where the model fails", exact=True).click()
+    first = page.locator(".survey button").first
+    assert "Headwind" in first.inner_text()
+    page.get_by_role("link", name="what is missing", exact=True).click()
+    page.get_by_role("heading", name="Most probably missing: headwind").wait_for()
+    page.get_by_role("button", name="Add headwind").click()
+    step = page.get_by_role("region", name="Step")
+    step.get_by_role("heading", name="headwind was added").wait_for()
+    before, after = step.locator(".big-step").inner_text().split("kWh")[0].split("→")
+    assert float(after) < float(before)
+    step.get_by_role("button", name="Undo").click()
+    page.get_by_text("Undone: road_load-headwind is removed").wait_for()
+
+
+def test_refused_effect_says_why_and_stays_in_the_history(visit):
+    page = visit.page
+    visit.go("#/causes?effect=cornering")
+    page.get_by_role("button", name="Add cornering").click()
+    page.get_by_role("heading", name="cornering was refused").wait_for()
+    page.get_by_text("may be due to chance").first.wait_for()
+    visit.go("#/models")
+    page.get_by_role("region", name="Steps").get_by_text("refused", exact=True).wait_for()
+
+
+def test_ride_opens_by_keyboard_and_shows_where_it_diverges(visit):
+    page = visit.page
+    visit.go("#/rides?sort=error")
+    plot = page.get_by_role("group", name="Predicted against measured")
+    plot.focus()
+    plot.press("End")
+    assert "measured" in page.locator(".chart-tip").inner_text()
+    plot.press("Enter")
+    page.get_by_role("heading", name="Where prediction and measurement diverge").wait_for()
+    page.get_by_role("img", name="Map of the ride").wait_for()
+    assert page.get_by_role("group", name="Predicted power by term").count() == 1
+
+
+def test_navigation_keeps_the_chosen_model(visit):
+    page = visit.page
+    visit.go("#/rides?model=road_load")
+    page.get_by_text("137 rides of 5 cars").wait_for()
+    page.get_by_role("link", name="Models", exact=True).click()
+    page.wait_for_url("**#/models?model=road_load")
+
+
+def test_filter_is_in_the_address_and_counts_its_rides(visit):
+    page = visit.page
+    visit.go("#/rides?filter=ambient_c:..0")
+    page.get_by_role("button", name="Remove the filter Outside temperature").wait_for()
+    fewer = int(page.locator(".figures dd").first.inner_text())
+    assert fewer < 137
+    page.get_by_role("button", name="Remove the filter Outside temperature").click()
+    page.wait_for_function("() => document.querySelector('.figures dd').textContent === '137'")
+    assert "filter" not in page.url
+
+
+def test_drag_of_a_box_selects_rides(visit):
+    page = visit.page
+    visit.go("#/rides?sort=distance_km")
+    box = page.get_by_role("group", name="Predicted against measured").bounding_box()
+    page.mouse.move(box["x"] + 120, box["y"] + 60)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 320, box["y"] + 320)
+    page.mouse.up()
+    page.get_by_role("button", name="Remove the filter Measured energy").wait_for()
+    assert "measured_kwh" in page.url
+
+
+def test_own_effect_is_read_again_when_its_file_changes(visit, own):
+    page = visit.page
+    visit.go("#/causes?effect=my_drag")
+    own.write_text(EFFECT.format(name="my_drag", value="speed +"), encoding="utf-8")
+    page.get_by_text(f"{own}:7: not Python").wait_for()
+    assert page.locator(".source-lines .wrong").inner_text().split()[0] == "7"
+    own.write_text(EFFECT.format(name="my_other_drag", value="2.0 * speed"), encoding="utf-8")
+    page.get_by_role("region", name="Your own effects").get_by_role("link", name="my other drag").wait_for()
+    page.get_by_role("button", name="Show all").click()
+    page.get_by_role("button", name="my other drag").wait_for()
+
+
+def test_export_is_a_model_file(visit):
+    page = visit.page
+    visit.go("#/models?model=road_load")
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Export").click()
+    assert download.value.suggested_filename == "road_load.json"
+    assert json.loads(download.value.path().read_text(encoding="utf-8"))["recipe"] == "road_load"
+
+
+def test_command_that_does_the_same_is_shown(visit):
+    page = visit.page
+    visit.go("#/failures")
+    page.get_by_text("socast diagnose").wait_for(state="attached")
+    visit.go("#/causes?effect=payload")
+    page.get_by_text("socast effects show payload").wait_for(state="attached")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pages_are_accessible_and_fit_a_telephone(browser, server, scheme):
+    narrow = Visit(browser, server, NARROW, scheme)
+    page = narrow.page
+    page.set_default_timeout(SLOW_MS)
+    ready = {"rides": ".chart", "failures": ".shares", "causes": "#add", "models": ".node"}
+    for name, place in ready.items():
+        narrow.go(f"#/{name}")
+        page.locator(place).first.wait_for()
+        assert list_violations(page) == [], name
+        assert page.evaluate("() => document.documentElement.scrollWidth") == NARROW["width"], name
+    assert narrow.errors == []
+    narrow.close()

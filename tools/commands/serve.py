@@ -1,0 +1,130 @@
+"""`socast serve`: show the fleet and its models in a browser."""
+
+import logging
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from core.errors import SettingsError
+from core.pipeline import Pipeline
+from stream.mcap_reader import McapSource
+from stream.structured_log import log_lines
+from stream.zenoh_session import LOOPBACK, Connection
+from tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
+from tools.terminal.kernels import compile_kernels
+from tools.terminal.model_comparison import load_models
+from tools.terminal.recordings import refuse_duplicates
+from tools.workbench.fleet.board import Board
+from tools.workbench.fleet.observer import Observer
+from tools.workbench.fleet.player import Player
+from tools.workbench.fleet.source import FleetSource
+
+PORT = 8137
+"""Port of the workbench if the command line names none."""
+
+
+@insert_forecast_options
+def serve(
+    given: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[REC or TABLES]...", help="Recordings, or folders of tables.", show_default=False),
+    ] = None,
+    *,
+    options: ForecastOptions,
+    folder: Annotated[
+        Path | None,
+        typer.Option("--models", metavar="DIR", help="Folder in which the models are kept. Default: a temporary one."),
+    ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Show what a live service receives and publishes, instead of a replay.")
+    ] = False,
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(metavar="E", help=f"With --live: the router of the service; repeatable. [default: {LOOPBACK}]"),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="F.json5", help="With --live: Zenoh's own configuration, such as TLS.")
+    ] = None,
+    tiles: Annotated[
+        Path | None, typer.Option(metavar="F.pmtiles", help="Draw the raster tiles of this file beneath the fleet.")
+    ] = None,
+    port: Annotated[int, typer.Option(metavar="P", help="Port; 0 for any free one.", min=0, max=65535)] = PORT,
+    host: Annotated[str, typer.Option(metavar="H", help="Host at which to listen.")] = "127.0.0.1",
+    read_only: Annotated[
+        bool, typer.Option("--read-only", help="Refuse every request that changes something.")
+    ] = False,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Print the address only, and open no browser.")
+    ] = False,
+) -> None:
+    """Show the fleet and its models in a browser, on this machine.
+
+    The pages replay recordings, or show what a live service receives and publishes. They compare predictions with
+    measurements, show where the model fails, and add the effect that it lacks.
+
+    The printed address works for one browser, once. Ctrl-C stops the workbench.
+
+    Examples
+    --------
+    socast serve recordings/shift.mcap
+    socast serve recordings/autumn.mcap --model fitted.json --read-only --no-browser
+    socast serve --live --connect tcp/router.example:7447 --prefix montreal
+    """
+    try:
+        from tools.workbench.fleet.tiles import TileFile  # noqa: PLC0415 - an extra
+        from tools.workbench.jobs import Jobs  # noqa: PLC0415 - an extra
+        from tools.workbench.json_routes import Workbench  # noqa: PLC0415 - an extra
+        from tools.workbench.server import WorkbenchServer, make_announcer  # noqa: PLC0415 - an extra
+        from tools.workbench.workspace import Given, Workspace  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError as error:
+        raise SettingsError(
+            f"socast serve needs the package {error.name}; install it with: pip install 'socast[workbench]'"
+        ) from error
+    log_lines(level=logging.WARNING)
+    if (connect or config) and not live:
+        raise SettingsError("--connect and --config belong to --live: add it, or leave them out")
+    refuse_duplicates(given or [])
+    router = ", ".join(connect or [LOOPBACK]) if live else None
+    workspace = Workspace(Given(tuple(given or ()), tuple(options.models), tuple(options.effect_files), folder, router))
+    workbench = Workbench(workspace, Jobs(), read_only=read_only, tiles=TileFile(tiles) if tiles else None)
+    with ExitStack() as ending:
+        ending.callback(workspace.close)
+        ending.callback(workbench.jobs.end)
+        if live:
+            connection = Connection(tuple(connect or ()), mode="client", prefix=options.prefix, config=config)
+            workbench.fleet = _observe(connection)
+        elif workspace.recordings:
+            workbench.fleet = _replay(workspace.recordings, options)
+        if workbench.fleet is not None:
+            ending.callback(workbench.fleet.close)
+        server = WorkbenchServer(workbench, host, port, make_announcer(opens_browser=not no_browser))
+        workbench.jobs.start("reading the rides", workspace.open)
+        server.run()
+
+
+def _observe(connection: Connection) -> FleetSource:
+    """Return the running observer of a live service."""
+    observer = Observer(connection, Board())
+    observer.start()
+    return observer
+
+
+def _replay(recordings: list[Path], options: ForecastOptions) -> FleetSource:
+    """Return the running player of recordings."""
+    models = load_models(options.models)
+    compile_kernels(*models)
+    sources = [McapSource(path) for path in recordings]
+
+    def make(warm: bool) -> Pipeline:
+        return make_pipeline(options, models, replayed=sources, warm=warm)
+
+    words = ["socast", "replay", *map(str, recordings)]
+    words += [word for model in options.models for word in ("--model", model)]
+    words += [word for path in options.effect_files for word in ("--effects", str(path))]
+    words += [word for path in options.vehicle_files for word in ("--vehicles", str(path))]
+    words += [word for path in options.warm_up for word in ("--warm-up", str(path))]
+    player = Player(recordings, make, Board(), words)
+    player.start()
+    return player

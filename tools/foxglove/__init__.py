@@ -1,0 +1,1 @@
+"""Recordings for the viewer Foxglove: positions and warnings on topics of their own, and a layout."""

@@ -1,0 +1,94 @@
+"""The recording of a replay for Foxglove: the messages, the forecasts, and the topics for viewers."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from core.errors import RecordingError
+from core.wire.messages import Message, address
+from stream.closeable import Closeable
+from stream.mcap_writer import McapSink
+from stream.source import Source
+from tools.foxglove.layout import make_layout
+from tools.foxglove.schemas import SCHEMAS
+from tools.foxglove.topics import ViewerTopics
+
+
+class FoxgloveRecording(Closeable):
+    """Write what is replayed as it is, and beside it, for viewers only, forecasts, positions and warnings.
+
+    The readers of socast leave out what is for viewers, so that a replay of this recording equals one of the original.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    metadata : mapping of str to str
+        What made it, see `stream.recording_metadata.make_metadata`.
+    """
+
+    def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
+        self.path = path
+        self._sink = McapSink(path, metadata=metadata, viewer_schemas=SCHEMAS)
+        self._topics = ViewerTopics()
+        self._cars: dict[str, None] = {}
+
+    def record_source(self, source: Source) -> Iterator[list[Message]]:
+        """Yield the lists of a source, after they are recorded.
+
+        Parameters
+        ----------
+        source : Source
+            Messages that are replayed.
+
+        Yields
+        ------
+        list of Message
+        """
+        for messages in source:
+            self._sink.put(messages)
+            self._sink.put(self._topics.make_messages([each for each in messages if _is_input(each)]), for_viewers=True)
+            yield messages
+
+    def put(self, messages: Sequence[Message]) -> None:
+        """Record forecasts and errors of models for viewers.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Messages that the pipeline makes.
+        """
+        self._sink.put([*messages, *self._topics.make_messages(messages)], for_viewers=True)
+        for key in {message.key for message in messages}:
+            known = address(key)
+            if known and known.kind == "forecast":
+                self._cars[key.rpartition("/")[0]] = None
+
+    def close(self) -> None:
+        """Write the summary and close the file; a second call has no effect."""
+        self._sink.close()
+
+    def write_layout(self, path: Path) -> None:
+        """Write a layout that shows the cars of the recording.
+
+        Parameters
+        ----------
+        path : Path
+            JSON file for Foxglove.
+
+        Raises
+        ------
+        RecordingError
+            If the file cannot be written.
+        """
+        text = json.dumps(make_layout(sorted(self._cars)), indent=2) + "\n"
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be written: {error.strerror}; make room") from error
+
+
+def _is_input(message: Message) -> bool:
+    """Return whether a message is no forecast of an earlier run."""
+    known = address(message.key)
+    return known is not None and known.kind != "forecast"

@@ -1,0 +1,134 @@
+"""Turn telemetry, forecasts and findings into positions and warnings for Foxglove."""
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import msgspec
+
+from core.wire.messages import Finding, Forecast, Message, address
+from tools.commands.ask import HIGH_RISK, LOW_RISK
+from tools.foxglove.schemas import ERROR, INFO, LOCATION, LOG, WARNING, LocationFix, Log, Timestamp
+
+LATEST_S: Final = 2.0**32
+"""Unix time from which on a clock is not believed. [s]"""
+QUALITY_WORDS: Final = {
+    "repaired_time": (INFO, "samples with a repaired time stamp"),
+    "rejected_speed": (WARNING, "samples with a rejected speed"),
+    "duplicate": (INFO, "late or repeated samples"),
+    "gap": (WARNING, "gaps between samples"),
+    "out_of_range": (WARNING, "samples with a value out of range"),
+}
+"""Counter of `core.wire.messages.QualityCounts` -> level and words of its warning."""
+LEVEL_OF_STATUS: Final = {"proposed": INFO, "sure": WARNING, "gone": INFO}
+"""Status of a finding -> level of its warning."""
+_LOST: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
+
+
+class _Position(msgspec.Struct, gc=False):
+    """Hold the fields of a sample that a position needs."""
+
+    time_s: float
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    elevation_m: float | None = None
+
+
+_decode_positions = msgspec.json.Decoder(_Position | list[_Position]).decode
+_decode_forecast = msgspec.json.Decoder(Forecast).decode
+_decode_finding = msgspec.json.Decoder(Finding).decode
+
+
+class ViewerTopics:
+    """Make the messages of the topics for viewers.
+
+    The log of a car has a line when its risk to fall below the reserve enters another of the ranges of `socast ask`,
+    when a counter of faulty samples of a ride reaches 1, 10, 100 and so on, and for every finding about it.
+    """
+
+    def __init__(self) -> None:
+        self._level_of_risk: defaultdict[str, int] = defaultdict(lambda: INFO)
+        self._digits: dict[tuple[str, str], int] = {}
+
+    def make_messages(self, messages: Sequence[Message]) -> list[Message]:
+        """Return positions and warnings.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Telemetry, forecasts and findings; other messages and undecodable payloads give nothing.
+
+        Returns
+        -------
+        list of Message
+            Under `fleet/{vehicle}/location` and `fleet/{vehicle}/log` after the prefix of the key; the log of a finding
+            about several vehicles is under the name of their group. The times of receipt are those of the messages.
+        """
+        out: list[Message] = []
+        for key, payload, receipt_ns in messages:
+            known = address(key)
+            if known is None:
+                continue
+            fleet = key.rpartition("/")[0]
+            try:
+                if known.kind == "telemetry":
+                    fixes = _make_fixes(known.identity, payload)
+                    out += [Message(f"{fleet}/{LOCATION}", fix, receipt_ns) for fix in fixes]
+                elif known.kind == "forecast":
+                    lines = self._make_lines(known.identity, _decode_forecast(payload))
+                    out += [Message(f"{fleet}/{LOG}", line, receipt_ns) for line in lines]
+                elif known.kind == "finding":
+                    prefix = key.removesuffix(f"findings/{known.identity}")
+                    topic = f"{prefix}fleet/{known.identity.partition('/')[0]}/{LOG}"
+                    out.append(Message(topic, _make_finding_line(_decode_finding(payload)), receipt_ns))
+            except _LOST:
+                continue
+        return out
+
+    def _make_lines(self, car: str, forecast: Forecast) -> Iterator[bytes]:
+        """Yield the lines of the log that a forecast calls for."""
+        risk = forecast.reserve_risk
+        if risk is not None:
+            level = ERROR if risk > HIGH_RISK else WARNING if risk >= LOW_RISK else INFO
+            if level != self._level_of_risk[car]:
+                self._level_of_risk[car] = level
+                line = f"{car}: the risk to fall below the reserve before the shift ends is {100.0 * risk:.0f} %"
+                yield _encode_line(forecast.time_s, level, line, "reserve")
+        for cause, (level, words) in QUALITY_WORDS.items():
+            count = getattr(forecast.quality, cause)
+            digits = len(str(count)) if count else 0
+            if digits > self._digits.get((car, cause), 0):
+                line = f"{car}: {words} since the ride began: {count:,}"
+                yield _encode_line(forecast.time_s, level, line, "quality")
+            self._digits[car, cause] = digits
+
+
+def _make_fixes(car: str, payload: bytes) -> list[bytes]:
+    """Return the positions of a sample, or of a list of samples; none for an impossible position."""
+    samples = _decode_positions(payload)
+    return [
+        msgspec.json.encode(
+            LocationFix(_make_timestamp(each.time_s), car, latitude, longitude, each.elevation_m or 0.0)
+        )
+        for each in (samples if isinstance(samples, list) else [samples])
+        if (latitude := each.latitude_deg) is not None and (longitude := each.longitude_deg) is not None
+        if abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and (latitude or longitude)
+    ]
+
+
+def _make_finding_line(finding: Finding) -> bytes:
+    """Return the line of a finding."""
+    return _encode_line(finding.time_s, LEVEL_OF_STATUS[finding.status], finding.words, "finding")
+
+
+def _encode_line(time_s: float, level: int, words: str, name: str) -> bytes:
+    """Return a line of the log as JSON."""
+    return msgspec.json.encode(Log(_make_timestamp(time_s), level, words, name))
+
+
+def _make_timestamp(time_s: float) -> Timestamp:
+    """Return a Unix time as seconds and nanoseconds; 0 for a time that no clock shows."""
+    if not 0.0 <= time_s < LATEST_S:
+        return Timestamp(0, 0)
+    micros = round(time_s * 1e6)  # a float of Unix time resolves 0.25 µs
+    return Timestamp(micros // 1_000_000, micros % 1_000_000 * 1000)

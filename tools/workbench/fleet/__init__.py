@@ -1,0 +1,1 @@
+"""The records and binary frames of the pages about the fleet."""

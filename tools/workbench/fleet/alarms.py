@@ -1,0 +1,60 @@
+"""Alarms of a fleet: cars that may end below their reserve, cars that fell silent, and findings of the diagnosis."""
+
+from typing import Any, Final
+
+import numpy as np
+
+from tools.commands.ask import HIGH_RISK, LOW_RISK
+from tools.workbench.fleet.board import Board
+from tools.workbench.fleet.frames import SILENT_S
+
+MOST_ALARMS: Final = 50
+"""Largest number of alarms of a list, the most serious first."""
+
+
+def list_alarms(board: Board) -> dict[str, Any]:
+    """Return the alarms of a fleet as a JSON record.
+
+    Parameters
+    ----------
+    board : Board
+
+    Returns
+    -------
+    dict
+        `total`, the number of alarms, and `list`, the most serious ones first, each with `kind` (`reserve`, `silent`
+        or `finding`), `level` (`bad` or `warn`), `car` (None for a finding about no single car), `value` (risk [1],
+        silence in whole minutes, or probability) and `words`.
+    """
+    with board.lock:
+        risk = board.column("risk")
+        age = board.newest - board.column("time")
+        silent = (age > SILENT_S) & (board.column("riding") > 0.0)
+        names = board.vehicle_ids
+        rows = np.flatnonzero((risk >= LOW_RISK) & ~(age > SILENT_S))
+        alarms = [_describe_risk(names[row], float(risk[row])) for row in rows.tolist()]
+        alarms += [_describe_silence(names[row], float(age[row])) for row in np.flatnonzero(silent).tolist()]
+        alarms += [
+            _alarm("finding", "warn", each.who if each.who in board.models else None, each.probability, each.words)
+            for each in board.findings.values()
+            if each.status != "gone"
+        ]
+    alarms.sort(key=lambda each: (each["level"] != "bad", each["kind"], -each["value"]))
+    return {"total": len(alarms), "list": alarms[:MOST_ALARMS]}
+
+
+def _describe_risk(car: str, risk: float) -> dict[str, Any]:
+    """Return the alarm of a car that may fall below its reserve."""
+    level = "bad" if risk > HIGH_RISK else "warn"
+    return _alarm("reserve", level, car, round(risk, 2), "may fall below its reserve before its shift ends")
+
+
+def _describe_silence(car: str, age: float) -> dict[str, Any]:
+    """Return the alarm of a car that was silent during a ride."""
+    minutes = int(age // 60)
+    return _alarm("silent", "warn", car, minutes, "fell silent during a ride")
+
+
+def _alarm(kind: str, level: str, car: str | None, value: float, words: str) -> dict[str, Any]:
+    """Return an alarm as a JSON record."""
+    return {"kind": kind, "level": level, "car": car, "value": value, "words": words}

@@ -1,0 +1,310 @@
+"""The newest values of every car as columns, and the history of each car, from messages alone.
+
+A board takes the telemetry that cars send and the forecasts that `socast` publishes, whether a replay makes them or a
+live service does. It never computes a forecast.
+"""
+
+from array import array
+from collections.abc import Iterable, Sequence
+from math import isfinite, nan
+from threading import RLock
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from core.wire.messages import Finding, Forecast, Interval, Message, address
+from tools.workbench.fleet.density import TraceDensity, is_possible_fix
+
+COLUMNS: Final = (
+    *("time", "latitude", "longitude", "speed", "soc", "soc_sd", "range", "range_low", "range_high"),
+    *("end", "end_low", "end_high", "risk", "ride_km", "ride_s", "predicted", "measured", "faults"),
+    *("riding", "charging", "far_latitude", "far_longitude"),
+)
+"""Newest values of a car: Unix s, degrees, km/h, %, km, kWh, and numbers; NaN where unknown.
+
+The last two are a fix far from the one before it, which is believed once another one lies near it.
+"""
+NEAR_DEG: Final = 0.05
+"""Distance in latitude and longitude from which a fix is far from the one before it. [deg]"""
+_CAR: Final = np.dtype([(name, np.float64) for name in COLUMNS])
+_UNKNOWN: Final = np.array([(nan,) * len(COLUMNS)], _CAR)
+POINT: Final = ("soc", "end", "end_low", "end_high", "risk", "predicted", "measured", "ride")
+"""Values of a point of a history, beside its time; `ride` numbers the rides of the car."""
+MOST_POINTS: Final = 4000
+"""Largest number of points of a history; the older half is then dropped."""
+MOST_CARS: Final = 50_000
+"""Largest number of cars; later ones are not shown."""
+MOST_FINDINGS: Final = 200
+"""Largest number of findings that are kept, the newest."""
+
+
+class _Sample(msgspec.Struct):
+    """Hold the parts of a telemetry sample that a page shows."""
+
+    time_s: float
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    speed_kmh: float | None = None
+    soc_pct: float | None = None
+    charging: bool | None = None
+
+
+class _Vehicle(msgspec.Struct):
+    """Hold the model of a vehicle message."""
+
+    model: str
+
+
+class BoardState(NamedTuple):
+    """Hold what `Board.load` needs to return to an earlier state; histories only grow, so their lengths will do."""
+
+    vehicle_ids: list[str]
+    values: NDArray[np.void]
+    models: dict[str, str]
+    quality: dict[str, dict[str, int]]
+    ride_ids: dict[str, str | None]
+    lengths: list[int]
+    findings: dict[str, Finding]
+    rides: int
+
+
+class History:
+    """Hold the values of a car over time.
+
+    Attributes
+    ----------
+    dropped : int
+        Number of old points that were dropped.
+    """
+
+    def __init__(self) -> None:
+        self.time, self.values, self.dropped, self.ride = array("d"), array("f"), 0, 0
+
+    def __len__(self) -> int:
+        """Return the number of points since the beginning."""
+        return self.dropped + len(self.time)
+
+    def add(self, time: float, values: Sequence[float]) -> None:
+        """Append a point; one that does not follow the last in time is left out."""
+        if self.time and time <= self.time[-1]:
+            return
+        self.time.append(time)
+        self.values.extend(values)
+        if len(self.time) > MOST_POINTS:
+            half = MOST_POINTS // 2
+            self.dropped += half
+            del self.time[:half]
+            del self.values[: half * len(POINT)]
+
+    def truncate(self, length: int) -> None:
+        """Drop the points after a length since the beginning."""
+        kept = max(0, length - self.dropped)
+        del self.time[kept:]
+        del self.values[kept * len(POINT) :]
+        self.ride = int(self.values[-1]) if self.values else 0
+
+    def tabulate(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """Return the times, (n,), and the values, (n, len(POINT))."""
+        return np.array(self.time), np.array(self.values, np.float32).reshape(-1, len(POINT))
+
+
+class Board:
+    """Hold the newest values of every car.
+
+    Attributes
+    ----------
+    lock : RLock
+        Lock of everything below; a reader of several attributes holds it.
+    vehicle_ids : list of str
+        Cars in the order of their rows.
+    epoch : int
+        Number that changes when rows change their meaning, after a seek.
+    rides : list of dict
+        Rides that have ended, see `tools.terminal.live_table.make_ride_records`.
+    density : TraceDensity
+        Where the fleet has driven.
+    counts : dict of str to int
+        Number of messages taken, by kind.
+    """
+
+    def __init__(self) -> None:
+        self.lock = RLock()
+        self.vehicle_ids: list[str] = []
+        self.epoch = 0
+        self.rides: list[dict[str, Any]] = []
+        self.density = TraceDensity()
+        self.counts: dict[str, int] = {}
+        self.models: dict[str, str] = {}
+        self.quality: dict[str, dict[str, int]] = {}
+        self.findings: dict[str, Finding] = {}
+        self._ride_ids: dict[str, str | None] = {}
+        self._rows: dict[str, int] = {}
+        self._values = _UNKNOWN.repeat(64)
+        self._histories: list[History] = []
+        self._decode = {
+            "telemetry": msgspec.json.Decoder(_Sample | list[_Sample]).decode,
+            "forecast": msgspec.json.Decoder(Forecast).decode,
+            "vehicle": msgspec.json.Decoder(_Vehicle).decode,
+            "finding": msgspec.json.Decoder(Finding).decode,
+        }
+
+    def __len__(self) -> int:
+        """Return the number of cars."""
+        return len(self.vehicle_ids)
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """Return a view of a column, one value per car."""
+        return self._values[name][: len(self)]
+
+    @property
+    def newest(self) -> float:
+        """Newest time of any car, NaN without one. [Unix s]"""
+        time = self.column("time")
+        return float(np.nanmax(time)) if np.isfinite(time).any() else nan
+
+    def find(self, vehicle_id: str) -> int | None:
+        """Return the row of a car, None for one that has sent nothing."""
+        return self._rows.get(vehicle_id)
+
+    def get_values(self, vehicle_id: str) -> dict[str, float]:
+        """Return the newest values of a car by column."""
+        return dict(zip(COLUMNS, self._values[self._rows[vehicle_id]].item(), strict=True))
+
+    def get_ride(self, vehicle_id: str) -> str | None:
+        """Return the name of the ride in progress of a car."""
+        return self._ride_ids.get(vehicle_id)
+
+    def get_history(self, vehicle_id: str) -> History:
+        """Return the history of a car."""
+        return self._histories[self._rows[vehicle_id]]
+
+    def take(self, messages: Iterable[Message]) -> None:
+        """Take messages in their order; what is no message of the contract is counted and left out."""
+        with self.lock:
+            for key, payload, _ in messages:
+                where = address(key)
+                decode = self._decode.get(where.kind) if where else None
+                if where is None or decode is None:
+                    continue
+                try:
+                    value = decode(payload)
+                except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+                    self.counts["undecodable"] = self.counts.get("undecodable", 0) + 1
+                    continue
+                self.counts[where.kind] = self.counts.get(where.kind, 0) + 1
+                self._take_value(where.identity, value)
+
+    def _take_value(self, identity: str, value: Any) -> None:
+        """Take the content of a message about a vehicle."""
+        if isinstance(value, Finding):
+            self.findings.pop(identity, None)
+            self.findings[identity] = value
+            while len(self.findings) > MOST_FINDINGS:
+                del self.findings[next(iter(self.findings))]
+        elif isinstance(value, _Vehicle):
+            self.models[identity] = value.model
+        elif (row := self._find_row(identity)) is not None:
+            if isinstance(value, Forecast):
+                self._take_forecast(identity, row, value)
+            else:
+                for sample in value if isinstance(value, list) else [value]:
+                    self._take_sample(row, sample)
+
+    def _find_row(self, vehicle_id: str) -> int | None:
+        """Return the row of a car, a new one for a new car; None above `MOST_CARS`."""
+        row = self._rows.get(vehicle_id)
+        if row is None and len(self) < MOST_CARS:
+            row = self._rows[vehicle_id] = len(self)
+            self.vehicle_ids.append(vehicle_id)
+            self._histories.append(History())
+            if len(self) > len(self._values):
+                self._values = np.concatenate([self._values, _UNKNOWN.repeat(len(self._values))])
+        return row
+
+    def _take_sample(self, row: int, sample: _Sample) -> None:
+        """Take a sample of telemetry."""
+        car = self._values[row]
+        if sample.latitude_deg is not None and sample.longitude_deg is not None:
+            self._take_fix(car, sample.latitude_deg, sample.longitude_deg)
+        if sample.speed_kmh is not None:
+            car["speed"] = sample.speed_kmh
+        if sample.soc_pct is not None and not isfinite(car["soc_sd"]):  # until a forecast brings the filtered charge
+            car["soc"] = sample.soc_pct
+        car["charging"] = float(bool(sample.charging))
+        if not isfinite(car["time"]):
+            car["time"] = sample.time_s
+
+    def _take_fix(self, car: Any, latitude: float, longitude: float) -> None:
+        """Take a position, unless it is impossible or far from the one before it and from the last one that was."""
+        if not is_possible_fix(latitude, longitude):
+            return
+        is_near = [
+            not isfinite(car[y]) or (abs(latitude - car[y]) < NEAR_DEG and abs(longitude - car[x]) < NEAR_DEG)
+            for y, x in (("latitude", "longitude"), ("far_latitude", "far_longitude"))
+        ]
+        if is_near[0] or (is_near[1] and isfinite(car["far_latitude"])):
+            car["latitude"], car["longitude"] = latitude, longitude
+            car["far_latitude"] = car["far_longitude"] = nan
+            self.density.add(latitude, longitude)
+        else:
+            car["far_latitude"], car["far_longitude"] = latitude, longitude
+
+    def _take_forecast(self, vehicle_id: str, row: int, forecast: Forecast) -> None:
+        """Take a forecast, and add a point to the history."""
+        history, before = self._histories[row], self._ride_ids.get(vehicle_id)
+        self._ride_ids[vehicle_id] = forecast.ride_id
+        riding = forecast.ride_id is not None or forecast.ride_duration_s > 0.0
+        history.ride += forecast.ride_id != before
+        quality = msgspec.to_builtins(forecast.quality)
+        self.quality[vehicle_id] = quality
+        soc, end = _number(forecast.soc_pct), _bounds(forecast.soc_end_of_shift_pct)
+        predicted = _number(forecast.ride_energy_predicted_kwh)
+        measured = _number(forecast.ride_energy_measured_kwh)
+        risk = _number(forecast.reserve_risk)
+        car = self._values[row]
+        car["time"], car["soc"], car["soc_sd"] = forecast.time_s, soc, _number(forecast.soc_sd_pct)
+        car["range"], car["range_low"], car["range_high"] = _bounds(forecast.range_km)
+        car["end"], car["end_low"], car["end_high"] = end
+        car["risk"], car["predicted"], car["measured"] = risk, predicted, measured
+        car["ride_km"], car["ride_s"] = forecast.ride_distance_km, forecast.ride_duration_s
+        car["faults"], car["riding"] = sum(quality.values()), float(riding)
+        history.add(forecast.time_s, (soc, *end, risk, predicted, measured, history.ride))
+
+    def dump(self) -> BoardState:
+        """Return the state, to which `load` can return as long as the board lives."""
+        with self.lock:
+            return BoardState(
+                self.vehicle_ids.copy(),
+                self._values[: len(self)].copy(),
+                self.models.copy(),
+                self.quality.copy(),
+                self._ride_ids.copy(),
+                [len(history) for history in self._histories],
+                self.findings.copy(),
+                len(self.rides),
+            )
+
+    def load(self, state: BoardState) -> None:
+        """Return to an earlier state of this board."""
+        with self.lock:
+            self.vehicle_ids = state.vehicle_ids.copy()
+            self._rows = {name: row for row, name in enumerate(self.vehicle_ids)}
+            self._values = np.concatenate([state.values, _UNKNOWN.repeat(64)])
+            self.models, self.quality = state.models.copy(), state.quality.copy()
+            self._ride_ids, self.findings = state.ride_ids.copy(), state.findings.copy()
+            del self._histories[len(self) :], self.rides[state.rides :]
+            for history, length in zip(self._histories, state.lengths, strict=True):
+                history.truncate(length)
+            self.epoch += 1
+
+
+def _number(value: float | None) -> float:
+    """Return a value, NaN for None."""
+    return nan if value is None else value
+
+
+def _bounds(interval: Interval | None) -> tuple[float, float, float]:
+    """Return mean and percentiles of an interval, NaN where it is unknown."""
+    return (nan, nan, nan) if interval is None else (interval.mean, interval.p05, interval.p95)

@@ -1,0 +1,87 @@
+"""The JSON record of a car: newest values, history of its shift, outlook, energy by term, and its rides."""
+
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from core.errors import SocastError
+from core.forecast.soc_filter import SHIFT_GAP
+from tools.commands.ask import figures, verdict
+from tools.workbench.fleet.board import POINT, Board
+from tools.workbench.fleet.source import FleetSource
+from tools.workbench.json_routes import JsonRequest, NotFoundError, Workbench
+
+MOST_SHOWN: Final = 600
+"""Largest number of points of a history that a page receives; more are thinned out."""
+MOST_RIDES: Final = 50
+"""Largest number of rides of a car that a page receives, the newest."""
+RIDE_FIELDS: Final = ("distance_km", "duration_s", "gained_m", "lost_m")
+"""Fields of the ride of a question."""
+
+
+def get_fleet(workbench: Workbench) -> FleetSource:
+    """Return the source of the fleet.
+
+    Raises
+    ------
+    NotFoundError
+        If the command line gave none.
+    """
+    if workbench.fleet is None:
+        raise NotFoundError("no recording and no live service was given: start `socast serve` with one")
+    return workbench.fleet
+
+
+def describe_car(workbench: Workbench, request: JsonRequest) -> dict[str, Any]:
+    """Return the record of a car."""
+    vehicle_id = request.path["car"]
+    fleet = get_fleet(workbench)
+    board = fleet.board
+    with board.lock:
+        if board.find(vehicle_id) is None:
+            raise NotFoundError(f"no car {vehicle_id[:64]!r} has sent anything so far: choose one on the page Fleet")
+        record: dict[str, Any] = {
+            "car": vehicle_id,
+            "vehicle_model": board.models.get(vehicle_id),
+            "ride_id": board.get_ride(vehicle_id),
+            "newest_s": board.newest,
+            "values": board.get_values(vehicle_id),
+            "quality": board.quality.get(vehicle_id, {}),
+            "history": make_history(board, vehicle_id),
+            "rides": [ride for ride in board.rides if ride["vehicle_id"] == vehicle_id][-MOST_RIDES:],
+            "parts": fleet.get_parts(vehicle_id),
+        }
+    try:
+        record["outlook"] = fleet.ask(vehicle_id, {})
+    except SocastError as error:
+        record["outlook"], record["why_no_outlook"] = None, " ".join(str(error).split())
+    return record
+
+
+def make_history(board: Board, vehicle_id: str) -> dict[str, list[float]]:
+    """Return the history of a car since its last long silence, as columns."""
+    time, values = board.get_history(vehicle_id).tabulate()
+    breaks = np.flatnonzero(np.diff(time) > SHIFT_GAP)
+    begin = int(breaks[-1]) + 1 if len(breaks) else 0
+    time, values = time[begin:], values[begin:]
+    step = -(-len(time) // MOST_SHOWN) if len(time) else 1
+    chosen = np.arange(len(time) - 1, -1, -step)[::-1]  # the newest point is always one of them
+    columns = {name: np.round(values[chosen, i].astype(float), 3).tolist() for i, name in enumerate(POINT)}
+    return {"time": np.round(time[chosen], 1).tolist(), **columns}
+
+
+def answer_question(workbench: Workbench, request: JsonRequest) -> dict[str, Any]:
+    """Return the answer to the question whether a car can take a ride, as `socast ask` prints it."""
+    given = {name: request.parameters[name] for name in RIDE_FIELDS if request.parameters.get(name)}
+    vehicle_id = request.path["car"]
+    outlook = get_fleet(workbench).ask(vehicle_id, given)
+    word, sentence = verdict(outlook)
+    options = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in given.items())
+    return {
+        "word": word,
+        "sentence": sentence,
+        "figures": [{"name": name, "text": text} for name, text in figures(outlook)],
+        "outlook": msgspec.to_builtins(outlook),
+        "command": f"socast ask {vehicle_id} {options}".rstrip(),
+    }

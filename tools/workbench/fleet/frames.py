@@ -1,0 +1,107 @@
+"""Binary frames of the newest values of all cars: one encoding that all browsers share.
+
+A frame holds the number of cars, the epoch, a sequence number and the newest time, and then one column after another,
+each little-endian and quantised: the value of a car is its number times `scale`, unknown where the number is `missing`.
+The names of the columns are sent once as JSON. A frame never refers to an earlier one, so that a slow browser may skip
+any.
+"""
+
+import struct
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tools.workbench.fleet.board import Board
+
+HEAD: Final = struct.Struct("<IIQd")
+"""Number of cars, epoch, sequence number, and newest time of any car [Unix s]; 24 bytes."""
+SILENT_S: Final = 600.0
+"""Time without a sample after which a car is silent. [s]"""
+RIDING, CHARGING, SILENT = 1, 2, 4
+
+
+class FrameColumn(NamedTuple):
+    """Describe a column of a frame.
+
+    Parameters
+    ----------
+    name : str
+    dtype : str
+        `f4`, `u2`, `i2` or `u1`.
+    scale : float
+        Value of one unit of the number.
+    """
+
+    name: str
+    dtype: str
+    scale: float = 1.0
+
+    @property
+    def missing(self) -> int | None:
+        """Number that stands for an unknown value; None for floats, where NaN does."""
+        if self.dtype == "f4":
+            return None
+        return int(np.iinfo(self.dtype).min if self.dtype[0] == "i" else np.iinfo(self.dtype).max)
+
+    def quantise(self, values: NDArray[np.float64]) -> bytes:
+        """Return the numbers of a column as bytes; values beyond the range become its ends."""
+        missing = self.missing
+        if missing is None:
+            return values.astype("<f4").tobytes()
+        limits = np.iinfo(self.dtype)
+        low, high = (limits.min + 1, limits.max) if self.dtype[0] == "i" else (0, limits.max - 1)
+        known = np.isfinite(values)
+        number = np.clip(np.rint(np.where(known, values, 0.0) / self.scale), low, high)
+        return np.where(known, number, missing).astype(f"<{self.dtype}").tobytes()
+
+
+COLUMNS: Final = (
+    FrameColumn("latitude", "f4"),
+    FrameColumn("longitude", "f4"),
+    FrameColumn("age", "u2"),
+    FrameColumn("soc", "u2", 0.1),
+    FrameColumn("range", "u2", 0.1),
+    FrameColumn("ride_km", "u2", 0.01),
+    FrameColumn("predicted", "i2", 0.01),
+    FrameColumn("measured", "i2", 0.01),
+    FrameColumn("speed", "u1"),
+    FrameColumn("end", "u1", 0.5),
+    FrameColumn("end_low", "u1", 0.5),
+    FrameColumn("end_high", "u1", 0.5),
+    FrameColumn("risk", "u1", 0.005),
+    FrameColumn("faults", "u1"),
+    FrameColumn("flags", "u1"),
+)
+"""Columns of a frame, the widest first, so that each begins at a multiple of its width."""
+
+
+def describe_frames() -> dict[str, Any]:
+    """Return the columns of a frame as a JSON record."""
+    columns = [
+        {"name": each.name, "dtype": each.dtype, "scale": each.scale, "missing": each.missing} for each in COLUMNS
+    ]
+    return {"head": HEAD.size, "columns": columns, "flags": {"riding": RIDING, "charging": CHARGING, "silent": SILENT}}
+
+
+def encode_frame(board: Board, sequence: int) -> bytes:
+    """Return the newest values of all cars as a frame.
+
+    Parameters
+    ----------
+    board : Board
+    sequence : int
+        Number of the frame.
+
+    Returns
+    -------
+    bytes
+    """
+    with board.lock:
+        newest, age = board.newest, board.newest - board.column("time")
+        flags = RIDING * (board.column("riding") > 0.0) + CHARGING * (board.column("charging") > 0.0)
+        derived = {"age": age, "flags": flags + SILENT * (age > SILENT_S)}
+        parts = [
+            each.quantise(derived[each.name] if each.name in derived else board.column(each.name)) for each in COLUMNS
+        ]
+        return HEAD.pack(len(board), board.epoch, sequence, newest) + b"".join(parts)

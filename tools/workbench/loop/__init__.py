@@ -1,0 +1,1 @@
+"""The records of the pages about rides, errors, causes and models."""

@@ -1,0 +1,204 @@
+"""Records of the page about causes: the candidates with their probabilities, and the trial of an effect."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from core import effects
+from core.diagnose.add.add import AdditionTrial, force_addition
+from core.diagnose.partial_residual import compute_candidate_residual
+from core.errors import SocastError
+from core.evaluate.paper.results import to_json_values
+from tools.commands.add import try_effect
+from tools.commands.diagnose import parse_term
+from tools.commands.effects import find_topic, make_effect_record
+from tools.report.diagnosis.deviations import describe_deviation
+from tools.report.diagnosis.sentences import (
+    CAUSE_NAMES,
+    describe_missing_effect,
+    describe_next_step,
+    describe_remainder,
+    describe_verdict,
+    find_recommended,
+)
+from tools.workbench.loop.command_lines import add_command, diagnose_command, effect_command, live_command
+from tools.workbench.loop.model_tree import ModelNode
+from tools.workbench.loop.models import describe_model
+from tools.workbench.workspace import Report, Workspace
+
+
+def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the candidates of a diagnosis, the most probable first.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    node : ModelNode
+        The diagnosed model.
+    diagnosis : mapping
+        Result of the diagnosis, as JSON values.
+
+    Returns
+    -------
+    dict
+        `causes`, each with its probability, whether it is in the credible set, and for an effect its declaration and
+        how it was ranked; the `recommended` effect, None where it is in doubt; sentences; the entries of `missing`
+        effects and of `deviations` of cars, with the command that adds each.
+    """
+    ranked = {str(row["effect"]): row for row in diagnosis.get("candidates") or ()}
+    credible = set(diagnosis.get("credible_set") or ())
+    tried = {str(entry.get("effect")): entry for entry in node.model.history if entry.get("action") == "refused"}
+    causes = [
+        {
+            "name": str(cause["effect"]),
+            "probability": cause["probability"],
+            "credible": cause["effect"] in credible,
+            "words": CAUSE_NAMES.get(str(cause["effect"])),
+            "refused": tried.get(str(cause["effect"]), {}).get("reason"),
+            **_describe_candidate(str(cause["effect"]), ranked),
+        }
+        for cause in diagnosis.get("causes") or ()
+    ]
+    listed = {cause["name"] for cause in causes}
+    causes += [
+        {"name": name, "probability": None, "credible": False, "words": None, **_describe_candidate(name, ranked)}
+        for name in ranked
+        if name not in listed
+    ]
+    return {
+        "model": node.name,
+        "error": diagnosis["error"],
+        "causes": causes,
+        "recommended": find_recommended(diagnosis),
+        "verdict_sentences": describe_verdict(diagnosis),
+        "next": [line for line in describe_next_step(diagnosis) if not line.startswith("socast ")],
+        "remainder": describe_remainder(diagnosis),
+        "missing": [_describe_missing(workspace, node, one) for one in diagnosis.get("missing") or ()],
+        "deviations": [_describe_deviation(workspace, node, one) for one in diagnosis.get("deviations") or ()],
+        "held_out": diagnosis["data"]["held_out"],
+        "command": diagnose_command(workspace, node),
+    }
+
+
+def describe_effect(workspace: Workspace, node: ModelNode, name: str) -> dict[str, Any]:
+    """Return what an effect declares, its partial residual, and the commands that show and add it.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    node : ModelNode
+        Model beside which the effect is shown.
+    name : str
+        Name of an effect or of a variant.
+
+    Returns
+    -------
+    dict
+        `partial_residual` is None, with the reason in `undrawn`, where the data cannot show the effect.
+    """
+    effect = effects.get(name)
+    base = effects.get(effect.base)
+    record: dict[str, Any] = {
+        "effect": make_effect_record(effect, find_topic(effect)),
+        "about": " ".join(base.documentation.partition("\n\n")[2].split()),
+        "example": effect.in_words((effect.low + effect.high) / 2.0),
+        "command": effect_command(workspace, name),
+        "add_command": add_command(workspace, node, name),
+        "live_command": live_command(workspace, [node]),
+        "partial_residual": None,
+        "undrawn": "",
+    }
+    known = [one for one in (workspace.find_diagnosis(node) or {}).get("missing") or () if one["effect"] == effect.base]
+    if known:
+        return record | {"partial_residual": known[0]["partial_residual"] | {"variant": known[0]["variant"]}}
+    try:
+        drawn = compute_candidate_residual(*workspace.check_rides(node.model), node.model, effect.base)
+    except SocastError as error:
+        return record | {"undrawn": str(error)}
+    return record | {"partial_residual": to_json_values(drawn)}
+
+
+def add_to_model(
+    workspace: Workspace,
+    name: str,
+    effect: str,
+    *,
+    scopes: Sequence[str] = (),
+    force: bool = False,
+    report: Report = lambda *_: None,
+) -> dict[str, Any]:
+    """Add an effect to a model if it helps on rides to which it was not fitted, and return the step.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    name : str
+        Name of the model.
+    effect : str
+        Name of an effect or of a variant.
+    scopes : sequence of str
+        Where the effect holds.
+    force : bool
+        Whether to add the effect even if it does not help.
+    report : callable
+        Function that receives the progress.
+
+    Returns
+    -------
+    dict
+        `accepted`, `added` (also by force), the `trial`, the `model` after it, and the records of the model `before`
+        and `after`.
+    """
+    node = workspace.get_node(name)
+    rides, windows = workspace.check_rides(node.model)
+    report(0.0, "measuring the noise floor")
+    added: AdditionTrial = try_effect(node.model, effect, scopes, rides, windows, report=report)
+    if force and not added.trial["accepted"]:
+        added = force_addition(added)
+    after = workspace.models.insert_trial(node.name, added)
+    return {
+        "accepted": added.trial["accepted"],
+        "added": added.trial["action"] == "add",
+        "trial": to_json_values(added.trial),
+        "model": after.name,
+        "before": describe_model(workspace, node),
+        "after": describe_model(workspace, after),
+        "command": add_command(workspace, node, effect, scopes, force=force),
+        "live_command": live_command(workspace, [node, after]) if after.name != node.name else "",
+    }
+
+
+def _describe_candidate(name: str, ranked: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return how a candidate was ranked, and what its effect declares."""
+    row = ranked.get(name, {})
+    record: dict[str, Any] = {"status": row.get("status"), "gain": row.get("gain"), "q": row.get("q"), "effect": None}
+    if name in effects.get_library():
+        effect = effects.get(name)
+        record["effect"] = make_effect_record(effect, find_topic(effect))
+    return record
+
+
+def _describe_missing(workspace: Workspace, node: ModelNode, one: dict[str, Any]) -> dict[str, Any]:
+    """Return the entry of a missing effect, with its sentences and the command that adds it."""
+    name, scopes = parse_term(one)
+    return {
+        "name": name,
+        "effect": one["effect"],
+        "scopes": scopes,
+        "probability": one["probability"],
+        "gain": one["gain"],
+        "gain_ci95": one["gain_ci95"],
+        "coefficient": one["coefficient"],
+        "sentences": describe_missing_effect(one),
+        "equivalents": one["equivalents"],
+        "command": add_command(workspace, node, name, scopes),
+    }
+
+
+def _describe_deviation(workspace: Workspace, node: ModelNode, one: dict[str, Any]) -> dict[str, Any]:
+    """Return a car that deviates or changed in sentences, and the effect that a term can hold, if any."""
+    lines = [line.removeprefix("- ") for line in describe_deviation({**one, "command": None})]
+    record: dict[str, Any] = {"who": str(one["who"]), "sentences": lines, "name": None, "scopes": [], "command": None}
+    if not one["columns"]:
+        return record
+    name, scopes = parse_term(one)
+    return {**record, "name": name, "scopes": scopes, "command": add_command(workspace, node, name, scopes)}

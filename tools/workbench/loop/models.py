@@ -1,0 +1,138 @@
+"""Records of the page about models: the tree, the history of each, comparisons, and shadows in service."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from core.errors import SettingsError
+from core.evaluate.compare.models import compare_predictions
+from core.evaluate.paper.results import to_json_values
+from core.fit.recipes import RECIPES
+from core.models import ANY
+from core.pipeline import Pipeline
+from stream.source import merge_sources
+from tools.commands.fit import summary
+from tools.terminal.model_comparison import make_records
+from tools.terminal.recordings import open_recordings
+from tools.workbench.loop.command_lines import (
+    compare_command,
+    history_command,
+    list_fit_commands,
+    live_command,
+    replay_command,
+)
+from tools.workbench.loop.model_tree import ModelNode, read_model_file
+from tools.workbench.loop.rides import select_compared
+from tools.workbench.workspace import Report, Workspace
+
+
+def list_models(workspace: Workspace) -> dict[str, Any]:
+    """Return the tree of models, with the error of each on all rides."""
+    records = workspace.models.list_records()
+    for record in records:
+        record["mae_kwh"] = None
+    if records and workspace.is_ready:
+        compared = select_compared(workspace, workspace.models.list_nodes())
+        for record in records:
+            error = compared.predicted[record["name"]] - compared.measured
+            record["mae_kwh"] = float(abs(error).mean())
+    return {"models": records, "folder": str(workspace.models.folder), "temporary": workspace.is_temporary}
+
+
+def describe_model(workspace: Workspace, node: ModelNode) -> dict[str, Any]:
+    """Return the coefficients of a model with their intervals, its history, and its steps against the noise floor.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    node : ModelNode
+    """
+    from tools.report import history  # noqa: PLC0415 - figures take seconds to import
+
+    recipe = RECIPES.get(node.model.recipe)
+    fitted = to_json_values(summary(node.model, recipe.title if recipe else node.model.recipe))
+    commands = [history_command(node)]
+    return {
+        "name": node.name,
+        "parent": node.parent,
+        "file": str(node.file),
+        "version": node.model.version,
+        "origin": node.origin,
+        "title": fitted["title"],
+        "training": fitted["training"],
+        "coefficients": fitted["fits"].get(ANY, {}).get("coefficients", []),
+        "by_vehicle_model": {key: fit["coefficients"] for key, fit in fitted["fits"].items() if key != ANY},
+        "progress": history.describe_progress(node.model),
+        "steps": [_describe_step(entry) for entry in history.list_attempts(node.model)],
+        "commands": [*(list_fit_commands(workspace, node) if node.origin == "fitted" else []), *commands],
+    }
+
+
+def compare_two(workspace: Workspace, one: ModelNode, other: ModelNode) -> dict[str, Any]:
+    """Return the errors of two models on the same rides, and their difference.
+
+    Raises
+    ------
+    SettingsError
+        If both are the same model.
+    """
+    if one.name == other.name:
+        raise SettingsError(f"both models are {one.name}; choose two different ones")
+    result = to_json_values(compare_predictions(select_compared(workspace, [one, other])))
+    return {
+        "about": result["about"],
+        "models": {name: {**result["models"][name], "worst": None, "by": None} for name in (one.name, other.name)},
+        "difference": result["pairs"][0] if result["pairs"] else None,
+        "rides": result["rides"],
+        "coefficients": {node.name: describe_model(workspace, node)["coefficients"] for node in (one, other)},
+        "command": compare_command(workspace, [one, other]),
+        "live_command": live_command(workspace, [one, other]),
+    }
+
+
+def run_shadows(
+    workspace: Workspace, one: ModelNode, other: ModelNode, report: Report = lambda *_: None
+) -> dict[str, Any]:
+    """Return the errors that a model would have had as the shadow of another, on the given recordings.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    one : ModelNode
+        Model that makes the forecasts.
+    other : ModelNode
+        Its shadow.
+    report : callable
+        Function that receives the progress.
+
+    Raises
+    ------
+    SettingsError
+        If tables were given, which do not hold the messages of a service.
+    """
+    if not workspace.recorded:
+        raise SettingsError("a shadow runs on recordings, and tables were given; start the workbench with a recording")
+    sources = open_recordings(workspace.recordings)
+    blocks = max(sum(source.blocks for source in sources), 1)
+    pipeline = Pipeline(one.model, shadows=[other.model], keep_forecasts=False)
+    for messages in merge_sources(sources):
+        pipeline.take(messages)
+        report(sum(source.blocks_read for source in sources) / blocks, "replaying the recordings")
+    pipeline.finish()
+    return {
+        "names": [one.name, other.name],
+        "models": to_json_values(make_records(pipeline.shadows.errors())),
+        "command": replay_command(workspace, [one, other]),
+        "live_command": live_command(workspace, [one, other]),
+    }
+
+
+def export_model(node: ModelNode) -> dict[str, Any]:
+    """Return the name and the text of a model's file."""
+    return {"file": f"{node.name}.json", "text": read_model_file(node).decode()}
+
+
+def _describe_step(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return one attempt of the history of a model."""
+    names = ("action", "effect", "scope", "mae_before_kwh", "mae_after_kwh", "change_kwh", "noise_floor_kwh", "final")
+    more = ("words", "reason", "forced", "coefficient", "gain", "rides", "first_date", "last_date")
+    return {name: entry.get(name) for name in (*names, *more)}

@@ -1,0 +1,51 @@
+// Numbers, times and units as text. A dash stands for what is unknown.
+
+const MINUS = "\u2212";
+const NARROW = "\u202f";
+
+export function number(value, digits = 0) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  const text = Math.abs(value).toLocaleString("en-GB", { minimumFractionDigits: digits, maximumFractionDigits: digits });
+  return value < 0 && Number(text.replaceAll(",", "")) !== 0 ? MINUS + text : text;
+}
+
+export function quantity(value, unit, digits = 0) {
+  const text = number(value, digits);
+  return text === "–" ? text : `${text}${NARROW}${unit}`;
+}
+
+export function signed(value, digits = 0) {
+  const text = number(value, digits);
+  return value > 0 && text !== "–" ? `+${text}` : text;
+}
+
+export function interval(mean, low, high, unit, digits = 0) {
+  if (!Number.isFinite(mean)) return "–";
+  return `${quantity(mean, unit, digits)} (${number(low, digits)} to ${number(high, digits)})`;
+}
+
+// Time of day, UTC.
+export function clock(seconds, withSeconds = false) {
+  if (!Number.isFinite(seconds) || seconds === null) return "–";
+  return new Date(seconds * 1000).toISOString().slice(11, withSeconds ? 19 : 16);
+}
+
+export function day(seconds) {
+  if (!Number.isFinite(seconds) || seconds === null) return "–";
+  return new Date(seconds * 1000).toISOString().slice(0, 10);
+}
+
+export function duration(seconds) {
+  if (!Number.isFinite(seconds)) return "–";
+  const minutes = Math.round(seconds / 60);
+  if (seconds < 90) return `${Math.round(seconds)}${NARROW}s`;
+  if (minutes < 90) return `${minutes}${NARROW}min`;
+  return `${Math.floor(minutes / 60)}${NARROW}h ${String(minutes % 60).padStart(2, "0")}${NARROW}min`;
+}
+
+// A probability in percent, never as certainty.
+export function risk(share) {
+  if (share === null || share === undefined || !Number.isFinite(share)) return "–";
+  if (share < 0.01) return `<1${NARROW}%`;
+  return share > 0.99 ? `>99${NARROW}%` : `${Math.round(100 * share)}${NARROW}%`;
+}

@@ -1,0 +1,142 @@
+// The step that adding an effect takes: error before and after, the staircase, and the coefficients.
+
+import { chart } from "./chart.js";
+import { el } from "./dom.js";
+import { number, quantity, signed } from "./format.js";
+import { put } from "./loop.js";
+import { bare, estimate, plain } from "./scales.js";
+
+const HELD_OUT = [
+  ["of_effect", "held-out days, effect refitted"],
+  ["on_days", "held-out days, all refitted"],
+  ["on_vehicles", "held-out vehicles, all refitted"],
+  ["final", "final hold-out days"],
+];
+
+export const unitOf = (unit) => (unit === "1" ? "" : (unit ?? "").replaceAll("^2", "²").replaceAll("^3", "³").replaceAll("*", "·"));
+
+// A table of the errors before and after, on rides that the fit did not use.
+export function errorTable(trial) {
+  const rows = HELD_OUT.filter(([key]) => trial[key]).map(([key, words]) => {
+    const one = trial[key];
+    return el("tr", {},
+      el("th", { scope: "row" }, words),
+      el("td", { class: "number wide-only" }, number(one.rides)),
+      el("td", { class: "number" }, number(one.mae_before_kwh, 4)),
+      el("td", { class: "number" }, number(one.mae_after_kwh, 4)),
+      el("td", { class: "number" }, `${signed(one.change_kwh.value, 4)} ± ${number(one.change_kwh.ci95, 4)}`),
+      el("td", { class: "number" }, signed(-100 * one.fall, 1)));
+  });
+  const head = ["evaluated on", "rides", "before, kWh", "after, kWh", "change, kWh", "%"];
+  return el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Errors before and after" }, el("table", { class: "errors" },
+    el("caption", {}, "Mean absolute error of a ride"),
+    el("thead", {}, el("tr", {}, head.map((words, i) => el("th", { class: i ? `number ${i === 1 ? "wide-only" : ""}` : null, scope: "col" }, words)))),
+    el("tbody", {}, rows)));
+}
+
+// The error after each step of a history against the noise floor. Return the chart, or null without a step.
+export function staircase(host, steps) {
+  if (!steps.length) return null;
+  const names = ["start"];
+  const errors = [steps[0].mae_before_kwh];
+  const floors = [steps[0].noise_floor_kwh];
+  const refused = { x: [], y: [] };
+  steps.forEach((step, i) => {
+    const added = step.action === "add";
+    names.push(`${i + 1}. ${step.effect}`);
+    errors.push(added ? step.mae_after_kwh : errors.at(-1));
+    floors.push(step.noise_floor_kwh);
+    if (!added) {
+      refused.x.push(i + 1);
+      refused.y.push(step.mae_after_kwh);
+    }
+  });
+  const last = names.length;
+  const places = [...names.keys()];
+  const edges = [...places.map((i) => i - 0.5), last - 0.5];
+  const layers = [
+    { type: "stairs", x: edges, y: [...errors, errors.at(-1)], colour: "--blue", thick: 3.5, name: "error on held-out days" },
+    { type: "stairs", x: edges, y: [...floors, floors.at(-1)], colour: "--ink-soft", dash: "5 4", name: "measurement noise alone" },
+    { type: "means", x: places, y: errors, colour: "--blue", tell: (i) => [names[i], `error ${number(errors[i], 4)} kWh`, `measurement noise ${number(floors[i], 4)} kWh`] },
+  ];
+  if (refused.x.length) layers.push({ type: "means", x: refused.x, y: refused.y, colour: "--vermilion", open: () => true, name: "refused", tell: (i) => [names[refused.x[i]], "refused", `error it would give ${number(refused.y[i], 4)} kWh`] });
+  return chart(host, {
+    title: "Error of a ride after each step",
+    summary: `From ${number(errors[0], 4)} to ${number(errors.at(-1), 4)} kWh; measurement noise alone ${number(floors.at(-1), 4)} kWh.`,
+    height: 280,
+    x: { label: "Effect tried", names },
+    y: { label: "Mean absolute error", unit: "kWh", domain: [0, 1.15 * Math.max(...errors, ...refused.y)] },
+    layers,
+  });
+}
+
+// Coefficients of one or two models with their intervals.
+export function coefficients(host, models) {
+  const names = [...new Set(models.flatMap((model) => model.coefficients.map((each) => each.term)))];
+  const find = (model, name) => model.coefficients.find((each) => each.term === name);
+  const unit = (name) => unitOf(models.map((model) => find(model, name)?.unit).find(Boolean));
+  const show = (one) => {
+    if (!one) return "–";
+    return one.ci95 === null && one.low !== null ? `${plain(one.value)} (${plain(one.low)} to ${plain(one.high)})` : estimate(one.value, one.ci95);
+  };
+  const near = names.filter((name) => models.every((model) => Math.abs(find(model, name)?.value ?? 0) < 20));
+  const layers = models.map((model, m) => {
+    const own = near.map((name, i) => [find(model, name), i]).filter(([one]) => one);
+    const low = own.map(([one]) => one.low ?? one.value);
+    const high = own.map(([one]) => one.high ?? one.value);
+    const y = own.map(([, i]) => i + (models.length > 1 ? 0.32 * (m - 0.5) : 0));
+    const colour = m === models.length - 1 ? "--blue" : "--line-strong";
+    return [
+      { type: "means", across: true, x: low.map((v, i) => (v + high[i]) / 2), y, ci: low.map((v, i) => (high[i] - v) / 2), size: 0.1, colour },
+      { type: "means", x: own.map(([one]) => one.value), y, colour, open: () => m < models.length - 1, name: model.name, tell: (i) => [own[i][0].term, model.name, `${show(own[i][0])} ${unitOf(own[i][0].unit)}`] },
+    ];
+  }).flat();
+  const plot = el("div", {});
+  const ranges = (name) => models.map((model) => find(model, name)?.range).find(Boolean);
+  const table = el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Coefficients" }, el("table", {},
+    el("thead", {}, el("tr", {}, el("th", { scope: "col" }, "coefficient"), models.map((model) => el("th", { class: "number", scope: "col" }, model.name)), el("th", { class: "number wide-only", scope: "col" }, "plausible"))),
+    el("tbody", {}, names.map((name) => el("tr", {},
+      el("th", { scope: "row" }, `${name.replaceAll("_", " ")}${unit(name) ? ` [${unit(name)}]` : ""}`),
+      models.map((model) => {
+        const one = find(model, name);
+        return el("td", { class: `number ${one && !one.plausible ? "bad" : ""}` }, show(one), one && !one.plausible && " not plausible");
+      }),
+      el("td", { class: "number wide-only" }, ranges(name) ? `${bare(ranges(name)[0])} to ${bare(ranges(name)[1])}` : "–"))))));
+  put(host, plot, table);
+  return chart(plot, {
+    title: `Coefficients of ${models.map((model) => model.name).join(" and ")}`,
+    summary: "The table below has the values.",
+    height: 80 + 30 * near.length,
+    x: { label: "Coefficient with 95 % interval, in its unit" },
+    y: { label: "", names: near.map((name) => `${name.replaceAll("_", " ")}${unit(name) ? ` [${unit(name)}]` : ""}`) },
+    layers: [{ type: "rule", x: 0 }, ...layers],
+  });
+}
+
+// The result of a trial: whether it helps, why, and the pictures.
+export function drawStep(host, record, { actions, live }) {
+  const { trial } = record;
+  const helps = record.accepted;
+  const title = helps ? `${trial.effect} was added` : record.added ? `${trial.effect} was added by force` : `${trial.effect} was refused`;
+  const stairs = el("div", {});
+  const values = el("div", {});
+  const fall = -100 * (trial.of_effect?.fall ?? 0);
+  put(host, el("section", { class: "card stack step", "aria-label": "Step" },
+    el("div", { class: `verdict ${helps ? "good" : "bad"}`, role: "status" },
+      el("h2", {}, title),
+      el("p", {}, `${trial.reason.charAt(0).toUpperCase()}${trial.reason.slice(1)}.`),
+      record.added && el("p", {}, `${trial.words.charAt(0).toUpperCase()}${trial.words.slice(1)}.`)),
+    el("p", { class: "big-step" },
+      `${number(trial.mae_before_kwh, 4)} → ${quantity(trial.mae_after_kwh, "kWh", 4)}`,
+      el("span", { class: "soft small" }, `mean absolute error of a ride on held-out days, ${signed(fall, 1)}\u202f%; measurement noise alone ${quantity(trial.noise_floor_kwh, "kWh", 4)}`)),
+    el("div", { class: "row" }, actions),
+    (trial.warnings ?? []).map((line) => el("p", { class: "warn" }, line.replace(/^\*: /, ""))),
+    el("div", { class: "grid" },
+      el("div", { class: "span-5 stack" }, el("h3", {}, helps ? "The error falls towards the noise" : "Error after each step"), stairs),
+      el("div", { class: "span-7 stack" }, el("h3", {}, "On rides that the fit did not use"), errorTable(trial), el("p", { class: "note small" }, "± is half of the 95 % interval. The final hold-out days decide nothing."))),
+    record.added && el("div", {}, el("h3", {}, "Coefficients before and after"), values),
+    live));
+  const plots = [staircase(stairs, record.after.steps)];
+  if (record.added) plots.push(coefficients(values, [record.before, record.after]));
+  return plots.filter(Boolean);
+}
