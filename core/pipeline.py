@@ -1,7 +1,4 @@
-"""Run all steps from messages to forecasts and totals.
-
-Live operation, replay, training and tests run the same steps.
-"""
+"""Run all steps from messages to forecasts and totals, the same for live operation, replay, training and tests."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -28,6 +25,7 @@ from core.forecast.silent_cars import RestOfBatch, SilentCars, forget_lanes
 from core.forecast.soc_filter import SHIFT_GAP
 from core.forecast.status import VehicleStatus, build_statuses
 from core.forecast.tables import PublishedForecasts, tabulate_outlooks, tabulate_shifts
+from core.forecast.weather_forecasts import ForecastArrival
 from core.forecast.what_if import answer_query, withhold_charge
 from core.models import EXTENDED_PHYSICAL, Model
 from core.monitoring.shadow import ShadowModels
@@ -35,7 +33,7 @@ from core.settings import Limits, Settings, check_limits, checked
 from core.signals.signals import flag_ambient
 from core.signals.weather import Stations
 from core.snapshot import load_components, open_snapshot, seal_snapshot
-from core.totals.accumulator import Accumulator, Sums, Totals
+from core.totals.accumulator import Accumulator, Sums
 from core.totals.clean_rows import CleanRows, PowerOfEffect, sum_rows
 from core.totals.closed_rides import ClosedTotals
 from core.totals.context import RunContext
@@ -44,18 +42,15 @@ from core.totals.display_yield import DisplayYields
 from core.totals.run_counters import RunCounters
 from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
 from core.vehicles.fleet import Cars, ReplacedKind
-from core.wire.decoder import Decoder
+from core.wire.decoder import Decoder, Event, Refused
 from core.wire.duplicate_filter import DuplicateFilter
 from core.wire.message_order import MessageOrder, Piece, VehicleChange
 from core.wire.messages import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
 from core.wire.rides import RideDrivers
 
 BLOCK: Final = 4000
-"""Number of rows that pass through the steps at a time, so that their columns stay in the cache.
-
-It is not a power of two: columns at a multiple of 4 KiB from each other would evict each other from the cache, and the
-kernel would take twice the time.
-"""
+"""Number of rows that pass through the steps at a time, so that their columns stay in the cache; no power of two, at
+which columns would evict each other from the cache and the kernel would take twice the time."""
 STATEFUL: Final = (
     *("lanes", "cars", "duplicates", "decoder", "drivers", "plans", "day_rollover", "cleaner", "stations"),
     *("accumulator", "displays", "counters", "engine", "silent_cars"),
@@ -128,7 +123,7 @@ class Pipeline:
         self.effects = [effects.get(name) for name in of_model | of_shadows]
         self.limits, self.lanes, self.cars = check_limits(limits), Lanes(), Cars(limits)
         self.context = RunContext(self.lanes, self.cars, [each.name for each in self.effects], self.settings, model)
-        self.duplicates, self.decoder = DuplicateFilter(self.lanes), Decoder(self.lanes, limits)
+        self.duplicates, self.decoder = DuplicateFilter(self.lanes, limits), Decoder(self.lanes, limits)
         self.drivers, self.plans, self.day_rollover = RideDrivers(), NewestPlans(), DayRollover()
         self.cleaner = Cleaner(self.settings, elevation_map)
         self.stations, self.silent_cars = Stations(limits.stations), SilentCars()
@@ -146,14 +141,14 @@ class Pipeline:
         self._published: list[PublishedForecasts] = []
 
     def push(self, messages: Sequence[Message]) -> list[Message]:
-        """Take messages, and return the forecasts that have become due: `take` followed by `forecasts`."""
+        """Take messages, and return the forecasts that have become due: `take` and then `forecasts`."""
         self.take(messages)
         return self.forecasts()
 
     def take(self, messages: Sequence[Message], record: Callable[[Sequence[Message]], None] | None = None) -> None:
         """Take messages in the order of their arrival, without returning forecasts.
 
-        Messages that were delivered before are dropped. Event time alone decides which samples call for a forecast. The
+        Messages that were taken in before are dropped. Event time alone decides which samples call for a forecast. The
         same messages therefore give the same forecasts, to the bit, however they are cut into batches.
 
         Parameters
@@ -163,15 +158,22 @@ class Pipeline:
         record : callable, optional
             Function that receives the messages that are new, before anything else uses them.
         """
-        messages = self.duplicates.select_new(messages)
+        while messages:
+            new, count = self.duplicates.select_new(messages)
+            if again := self.duplicates.forget(self._use(new, record)):
+                self._use(again, record)
+            messages = messages[count:]
+
+    def _use(self, messages: Sequence[Message], record: Callable[[Sequence[Message]], None] | None) -> list[Refused]:
+        """Record new messages and run all steps on them; return which of them are refused."""
         if record is not None:
             record(messages)
         self._forget_ride_names()
-        batch, events = self.decoder.decode(messages)
+        batch, events = self.decoder.decode(messages, refusals := list[Refused]())
         events = self.day_rollover.add_updates(batch, events)
         order, piece = MessageOrder(batch.size, events), Piece(0, [], [], [])
-        for number, (row, lane, value) in enumerate(events):
-            place = order.of_event(number)
+        for number, event in enumerate(events):
+            (row, lane, value, _), place = event, order.of_event(number)
             self.silent_cars.hear([lane] if lane >= 0 else [], samples=False)
             if isinstance(value, Vehicle):
                 piece.changes.append(VehicleChange(row - piece.start, lane, value, place))
@@ -180,17 +182,17 @@ class Pipeline:
             elif isinstance(value, Plan):
                 self._take_plan(place, lane, value)
             elif isinstance(value, Weather):
-                piece.observations.append((row, value))
+                self._take_weather(place, event, value, piece, refusals)
             elif isinstance(value, DailyUpdate):  # it applies to every later row
                 piece = self._advance(batch, order, piece, row)
-                rest = RestOfBatch(batch, row, events, number + 1, order)
-                self._take_daily_update(place, value.midnight, rest)
+                self._take_daily_update(place, value.midnight, RestOfBatch(batch, row, events, number + 1, order))
         self._advance(batch, order, piece, batch.size)
         if self._pending.size >= BLOCK:
             self._update_forecasts(order.size)
         self._pending.end_batch(order.size)
         if self.deferred:
             self.deferred.end_batch(order.size)
+        return refusals
 
     def finish(self) -> list[Message]:
         """Close all rides, windows and running errors in progress at the end of the stream, and return no messages."""
@@ -227,9 +229,8 @@ class Pipeline:
                 self._pending.add_sums(sums, end - at)
                 if self._pending.size >= BLOCK:
                     self._update_forecasts(order.of_row(end))
-        self.decoder.refuse(
-            "weather", *filter(None, [self.stations.observe(value) for row, value in piece.observations if row == stop])
-        )
+        for value in [value for row, value in piece.observations if row == stop]:
+            self.stations.observe(value)
         return Piece(stop, [], [], [])
 
     def clean_up(
@@ -258,8 +259,7 @@ class Pipeline:
         place = np.arange(batch.size) if place is None else place
         capacity, lanes = self.cars.capacity.take(kind) * JOULES_PER_KWH, len(self.lanes)
         clean, ends = self.cleaner.clean_between(batch, lanes, place, ride_events, capacity)
-        sky, ignored = self.stations.sky_between(clean.time, clean.latitude, clean.longitude, observations)
-        self.decoder.refuse("weather", *ignored)
+        sky = self.stations.sky_between(clean.time, clean.latitude, clean.longitude, observations)
         clean = clean._replace(quality=flag_ambient(clean, sky))
         self.counters.count_samples(clean.quality)
         return CleanRows(clean, sky, kind, place, ends)
@@ -279,7 +279,7 @@ class Pipeline:
         """Count, evaluate and keep the rides and windows that have ended."""
         names: list[str | None] = []
         if len(sums.rides.lane):
-            names = self._ride_names(sums.rides)
+            names = self.decoder.rides.names(sums.rides.at_last("code").tolist())
             reasons = unfit_reason(sums.rides, self.context)
             self.counters.count_rides(sums.rides, reasons, self.context)
             if self.keep_forecasts or self.shadows:
@@ -306,7 +306,7 @@ class Pipeline:
         self._update_forecasts(place)
         pool = partial(self.deferred.add_daily_update, place) if self.deferred else self.displays.apply_daily_update
         pool(self.cars.of_lane)
-        self.engine.apply_daily_update()
+        self.engine.apply_daily_update(midnight)
         since = midnight - self.limits.silent_days * SECONDS_PER_DAY
         self.stations.forget_silent(since)
         kept = self.silent_cars.begin_day(midnight, since, self.closed.get_lanes())
@@ -318,7 +318,7 @@ class Pipeline:
         """Take the driver of a ride; return the code of its name, when it begins or ends, and whether it ends."""
         self.drivers.observe(ride, len(self.lanes))
         if self.keep_forecasts and ride.driver_id and ride.event == "start":
-            self._pending.add_dispatch(DriverNamed(place, lane, ride.driver_id))
+            self._pending.add_arrival(DriverNamed(place, lane, ride.driver_id))
         return self.decoder.rides.get(ride.ride_id, UNKNOWN_NAME), ride.time_s, ride.event == "end"
 
     def _take_plan(self, place: int, lane: int, plan: Plan) -> None:
@@ -327,7 +327,18 @@ class Pipeline:
             self.decoder.refuse("plan", cause)
         elif self.keep_forecasts:
             self.plans.accept(lane, plan)
-            self._pending.add_dispatch(PlanArrival(place, lane, plan))
+            self._pending.add_arrival(PlanArrival(place, lane, plan))
+
+    def _take_weather(self, place: int, event: Event, value: Weather, piece: Piece, refusals: list[Refused]) -> None:
+        """Take an observation or a forecast of a station, or refuse it and count why."""
+        stations = self.stations if value.issued_s is None else self.engine.weather
+        if (cause := stations.admit(value)) is not None:
+            self.decoder.refuse("weather", cause)
+            refusals.append(Refused(event.message))
+        elif value.issued_s is None:
+            piece.observations.append((event.row, value))
+        elif self.keep_forecasts:
+            self._pending.add_arrival(ForecastArrival(place, value))
 
     def forecasts(self, *, newest_only: bool = False) -> list[Message]:
         """Return the forecasts that have become due since the last call.
@@ -414,10 +425,7 @@ class Pipeline:
             "lost": int(self.decoder.losses.lost().sum()),
             "implausible_forecasts": dict(self._due.implausible),
             "undecodable": dict(self.decoder.rejected),
-            "samples": self.counters.samples_by_cause(),
-            "rides": self.counters.rides,
-            "unfit": dict(self.counters.unfit),
-            "unpredicted": dict(self.counters.unpredicted),
+            **self.counters.describe(),
             "unpredictable": dict(self.cars.unpredictable),
             "unknown_models": self.cars.group_unknown(self.context.vehicle_ids),
         } | self.cleaner.map_lookup.count_fixes()
@@ -429,13 +437,11 @@ class Pipeline:
         lanes = self.cleaner.lanes_heard()
         totals = self.displays.describe(self.accumulator.running(lanes), len(self.lanes))
         predicted = self.shadows.predictions(totals, self.context)
-        ends = self.engine.get_ends(lanes)
-        return build_statuses(totals, self._ride_names(totals), self.context, predicted, ends)
+        names = self.decoder.rides.names(totals.at_last("code").tolist())
+        return build_statuses(totals, names, self.context, predicted, self.engine.get_ends(lanes))
 
     def learn_from(self, earlier: "Pipeline") -> None:
-        """Take over the cars of another pipeline and what it has learned of them, but no ride or shift.
-
-        Call this method before the first message.
+        """Take over the cars of another pipeline and what it has learned, but no ride, before the first message.
 
         Parameters
         ----------
@@ -457,8 +463,8 @@ class Pipeline:
         """
         self._update_forecasts()
         state = {name: component.dump() for name, component in self._components().items()}
-        model, names = self.context.model_label, list(self.context.effects)
-        return seal_snapshot({"model": model, "effects": names, "state": state, "note": note})
+        about = {"model": self.context.model_label, "effects": list(self.context.effects)}
+        return seal_snapshot(about | {"state": state, "note": note})
 
     def restore(self, snapshot: bytes) -> Any:
         """Replace the state by one that `snapshot` returned, and return the note that was kept with it.
@@ -473,8 +479,7 @@ class Pipeline:
         Raises
         ------
         SocastError
-            If the bytes are not a snapshot, are one of another version or list of effects, or hold a state of another
-            form; the pipeline may then only take another state.
+            If the version, effects or form of the snapshot are others; the pipeline may then only take another state.
         """
         content = open_snapshot(snapshot, list(self.context.effects))
         load_components(self._components(), content)
@@ -482,8 +487,7 @@ class Pipeline:
 
     def _components(self) -> dict[str, Stateful]:
         """Return every component that has a state, in the order in which they must load."""
-        names = [*STATEFUL, *(["deferred"] if self.deferred else []), "shadows"]
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in (*STATEFUL, *["deferred"] * bool(self.deferred), "shadows")}
 
     def _forget_ride_names(self) -> None:
         """Forget the names of rides that have ended, once there are many."""
@@ -493,7 +497,3 @@ class Pipeline:
             if self.deferred is not None:  # rides that wait, and rides that the next row of their car will close
                 used += [self.deferred.ride_codes(), self.accumulator.ride_codes()]
             self.decoder.rides.keep(set(np.concatenate([self.cleaner.ride_codes(), *used]).tolist()))
-
-    def _ride_names(self, totals: Totals) -> list[str | None]:
-        """Return the names that loggers gave to rides."""
-        return self.decoder.rides.names(totals.at_last("code").tolist())

@@ -34,7 +34,7 @@ from core.totals.display_yield import LANE_YIELD
 from core.wire.sample_losses import SAMPLE_LOSS
 from core.wire.state_schema import Anything, ByName, Fault, Many, Maybe, Named, Number, Packed, Row, Schema, Sizes, Text
 
-SNAPSHOT: Final = 20
+SNAPSHOT: Final = 22
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 """Names of the fields in the arrays of a snapshot."""
@@ -114,6 +114,7 @@ class OpenTotals:
 _ANYTHING, _TEXT, _REAL, _UNIX = Anything(), Text(), Number(), Number(0.0, 4.3e9, unknown=False)
 _WHOLE: Final = 2.0**53
 _AMOUNT: Final = Number(0.0, 1e15, unknown=False)
+_KELVIN: Final = Number(100.0, 400.0, unknown=False)
 _COUNT, _LANE = Number(0, _WHOLE, whole=True), Number(0, "lanes", whole=True)
 _LATITUDE, _LONGITUDE = Number(-pi / 2, pi / 2, unknown=False), Number(-pi, pi, unknown=False)
 _COUNTS, _CODE, _INDEX = ByName(_COUNT), Number(-3.0, _WHOLE), Number(0.0, _WHOLE, unknown=False)
@@ -136,11 +137,12 @@ _SUMS: Final = Named(
     rides=_COUNT,
     idle_periods=_COUNT,
 )
-_BY_PACE, _BY_TEMPERATURE = _grid(len(PACES)), _grid(len(TEMPERATURES))
+_BY_PACE, _BY_TEMPERATURE = _grid(len(PACES)), Many(Number(unknown=False), count=len(TEMPERATURES))
 _TABLES: Final = Named(
     leg_energy_per_km=_grid(len(PACES), len(TEMPERATURES)),
     **dict.fromkeys(("climbed_per_km", "descended_per_km"), _BY_PACE),
     **dict.fromkeys(("climb_energy", "descent_energy", "start_energy", "mean_pause"), _REAL),
+    **dict.fromkeys(("driven_energy_per_km", "level_sd"), _REAL),
     **dict.fromkeys(("standing_power", "approach_energy", "ride_factor", "ride_power", "relative_sd"), _BY_TEMPERATURE),
     **dict.fromkeys(("idle_factor", "idle_power", "energy_per_km", "mean_power"), _BY_TEMPERATURE),
 )
@@ -169,7 +171,7 @@ _STATISTICS: Final = Row(
         _grid(4, HOURS),
         Many(Row(_AMOUNT, _REAL, _AMOUNT, _REAL, _REAL, _AMOUNT), count=2),
     ),
-    Many(Row(_LANE, Maybe(_COUNT), _REAL, _REAL, _REAL, Number(0, "kinds", whole=True), _REAL, _REAL, Number(0, 1))),
+    Many(Row(_LANE, Maybe(_COUNT), *4 * (_REAL,), Number(0, "kinds", whole=True), _REAL, _REAL, Number(0, 1))),
     Packed(LOG_FACTOR_PRIOR, by_lane="predicted", limits={"variance": Number(1e-9, 1e9)}),
     Packed(SHIFT_PATTERN, by_lane="predicted"),
     Packed("i8", count=3 * BASES, limits={"": _COUNT}),
@@ -186,7 +188,7 @@ _ERRORS: Final = Row(Packed(RIDE_SUMS, count=1), Row(_INDEX, _INDEX, *(_REAL for
 SCHEMAS: Final[dict[str, Schema]] = {
     "lanes": Many(Text(64), unique=True),
     "cars": Row(Many(ByName(_ANYTHING)), Many(Number(0, "kinds", whole=True)), _COUNTS),
-    "duplicates": Row(Packed("<u8"), Packed("<u8")),
+    "duplicates": Row(Number(1, whole=True), Packed("<u8"), Packed("<u8")),
     "decoder": Row(
         Row(Many(Row(_CODE, Maybe(_TEXT))), _COUNT),
         _COUNTS,
@@ -230,6 +232,7 @@ SCHEMAS: Final[dict[str, Schema]] = {
     "engine": Row(
         _STATISTICS,
         _PLANS,
+        Many(Row(_TEXT, Many(Row(_UNIX, _UNIX, _KELVIN)))),
         Row(
             Many(Row(_LANE, Packed(FORECAST_RECORDS, limits={"basis": Number(0, BASES - 1, unknown=False)}))),
             Packed("f8"),
@@ -305,7 +308,7 @@ def _measure_state(state: dict[str, Any]) -> dict[str, float]:
         "lanes": len(state["lanes"]),
         "heard": last,
         "summed": 0 if "deferred" in state else last,
-        "predicted": last if state["engine"][3] else 0,  # a pipeline may keep no forecasts
+        "predicted": last if state["engine"][-1] else 0,  # a pipeline may keep no forecasts
         "kinds": len(state["cars"][0]) + 1,
         "clocks": len(state["day_rollover"][3]) // CAR_CLOCK.itemsize,
         "models": len(state["displays"][1]),

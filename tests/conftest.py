@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from tests.support.browsers import REMEDY
 from tests.support.kernels import start_compiler, wait_for_compiler
 
 settings.register_profile("quick", max_examples=15, deadline=None, derandomize=True)
@@ -47,6 +48,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.get_closest_marker("long") is None)
 
 
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Say in one line that pages were not opened, and how to change that."""
+    if any(REMEDY in str(report.longrepr) for report in terminalreporter.stats.get("skipped", ())):
+        terminalreporter.write_line(REMEDY)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _write_to_the_cache_of_the_system() -> Iterator[None]:
     """Do not wait until files are on the disk: what tests read is in the cache of the operating system."""
@@ -71,6 +78,15 @@ def _restore_effects() -> Iterator[None]:
         if now != kept:
             now.clear()
             now.update(kept)
+
+
+@pytest.fixture(autouse=True)
+def _restore_vehicles() -> Iterator[None]:
+    """Remove the vehicle models that a test has added to the catalogue."""
+    from core.vehicles import catalogue  # noqa: PLC0415 - tests that start processes need no core
+
+    yield
+    catalogue._OWN.clear()
 
 
 @pytest.fixture

@@ -44,6 +44,7 @@ UsageError: Any = typer.BadParameter.__base__
 COMMANDS: Final = {
     "demo": Command("tools.commands.demo", "demo", "Show a recorded shift as if it were live, in under a minute."),
     "live": Command("tools.commands.live", "live", "Forecast and record cars that send telemetry over Zenoh."),
+    "serve": Command("tools.commands.serve", "serve", "Show the fleet and its models in a browser."),
     "ask": Command("tools.commands.ask", "ask_outlook", "Ask a live consumer whether a car can take a ride."),
     "replay": Command("tools.commands.replay", "replay", "Replay recordings through a model or to a router."),
     "info": Command("tools.commands.info", "info", "Show what recordings contain and what is lost."),
@@ -64,8 +65,11 @@ COMMANDS: Final = {
         "tools.commands.simulate", "simulate", "Simulate a fleet of electric taxis with faulty loggers."
     ),
     "import": Command(
-        "tools.commands.import_drives", "import_drives", "Convert a public data set of real drives to a recording."
+        "tools.commands.import_drives",
+        "import_drives",
+        "Convert files of your own, or public data sets, to a recording.",
     ),
+    "vehicles": Command("tools.commands.vehicles", "app", "List vehicle models, or describe cars of your own."),
     "secure": Command("tools.commands.secure", "app", "Make certificates and access control for a fleet."),
     "effects": Command("tools.commands.effects", "app", "List the physical effects of models, or check your own."),
 }

@@ -12,7 +12,7 @@ Each step is a module of its own:
 8. `partial_residual`, `residual_profile` and `error_steps` compute the data of the report's figures.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -73,6 +73,7 @@ def diagnose(
     places: bool = True,
     groups: Mapping[str, str] | None = None,
     seed: int = 0,
+    report: Callable[[float, str], None] = lambda *_: None,
 ) -> dict[str, Any]:
     """Return where a model fails, which effects it lacks, and what error remains.
 
@@ -96,6 +97,8 @@ def diagnose(
         Group of each vehicle, such as its depot; groups are compared like cars.
     seed : int
         Seed of the assignment of vehicle-days to folds and halves.
+    report : callable
+        Function that receives, before each step, the share of the work that is done, and the step in words.
 
     Returns
     -------
@@ -116,7 +119,8 @@ def diagnose(
         final = select_final_days(model.history, dates)
         held_out = tuple(sorted(set(final if leave_out is None else leave_out) & set(dates)))
         kept = drop_dates(rides, windows, held_out)
-        result = _diagnose(gather_windows(*kept, model), model, without, least_gain, groups, places=places, seed=seed)
+        seen = gather_windows(*kept, model)
+        result = _diagnose(seen, model, without, least_gain, groups, places=places, seed=seed, report=report)
     recorded = {date for entry in model.history for date in (entry.get("final") or {}).get("dates") or ()}
     result["data"]["held_out"] = {
         "dates": list(held_out),
@@ -136,25 +140,31 @@ def _diagnose(
     *,
     places: bool,
     seed: int,
+    report: Callable[[float, str], None],
 ) -> dict[str, Any]:
     """Return the result of `diagnose` for windows."""
     base, candidates = BaseProjection(seen, model), build_candidates(seen, model, without)
+    report(0.02, "locating the error")
     location = locate_error(seen, base)
     clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]
     selection = ForwardSelection(base, candidates, clusters, SelectionSettings(least_gain, MAX_EFFECTS, seed))
+    report(0.5, "ranking the effects")
     first = selection.rank()
     causes = selection.select_all()
     local: dict[str, list[dict[str, Any]]] = {"deviations": [], "cars": []}
     if places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES:
+        report(0.6, "comparing cars with each other and with their past")
         known = np.column_stack([np.empty((len(seen.measured), 0)), *(named.column for named in selection.selected)])
         local = diagnose_deviations(selection.base, model, known, without, groups)
     base = selection.base
     missing = selection.list_missing_effects()
+    report(0.8, "searching the remaining error")
     remains = residual_structure.measure_residual_structure(selection, missing)
     unknown = set(remains.signs) - {"better"}
     suggested = _suggest(base, selection, selection.compute_residual(selection.build_basis())) if unknown else None
     floor = compute_noise_floor(compute_noise_variance(seen.rides))
     verdict = missing[0].selected.effect if missing else None
+    report(0.9, "searching for slices")
     return {
         "model": {
             "name": model.name,

@@ -13,13 +13,21 @@ Larsen and McCleary, Technometrics 14 (1972) 781, DOI 10.1080/00401706.1972.1048
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
+from threadpoolctl import threadpool_limits
 
 from core import effects
 from core.batch import Floats, Ints
+from core.diagnose.add.holdout import drop_dates, select_final_days
 from core.diagnose.bin_means import average_in_bins, split_at_quantiles
+from core.diagnose.candidates import build_candidates
+from core.diagnose.dataset import gather_windows
 from core.diagnose.evidence import ClusterSums, compute_evidence
-from core.diagnose.forward_selection import ForwardSelection, MissingEffect
+from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect, SelectionSettings
+from core.diagnose.projection import BaseProjection
+from core.errors import ModelError
 from core.fit.ride_blocks import get_names, get_numbers
+from core.models import LinearModel
 
 BINS: Final = 12
 """Largest number of bins of a picture."""
@@ -91,6 +99,49 @@ def compute_partial_residual(selection: ForwardSelection, finding: MissingEffect
         **bin_rows(np.arange(len(rows)), BINS),
         "cars": sorted(cars, key=lambda each: str(each["car"])),
     }
+
+
+def compute_candidate_residual(
+    rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel, effect: str
+) -> dict[str, Any]:
+    """Return the partial residual of one candidate, tested alone beside a model, whether it is missing or not.
+
+    Parameters
+    ----------
+    rides, windows : DataFrame
+        The tables of the same rides. Those of the final hold-out are not used, as in a diagnosis.
+    model : LinearModel
+        The model.
+    effect : str
+        Name of an effect. Of its variants, the one that explains most on held-out days is shown.
+
+    Returns
+    -------
+    dict
+        As of `compute_partial_residual`, and the `variant`.
+
+    Raises
+    ------
+    EffectError
+        The effect is unknown.
+    ModelError
+        The effect is no candidate, or the model can reproduce it with its own terms.
+    """
+    name = effects.get(effect).base
+    with threadpool_limits(1):
+        final = select_final_days(model.history, get_names(rides, "date"))
+        seen = gather_windows(*drop_dates(rides, windows, final), model)
+        candidates = build_candidates(seen, model)
+        if name not in candidates.names:
+            raise ModelError(f"{name} is no candidate: it is {candidates.excluded.get(name, 'in the road load')}")
+        clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]
+        selection = ForwardSelection(BaseProjection(seen, model), candidates, clusters, SelectionSettings())
+        at = int(selection.rank().best[candidates.names.index(name)])
+        if at < 0:
+            raise ModelError(f"{name} is not identifiable: the model can reproduce it with its own terms")
+        selection.select(SelectedEffect(candidates, at, float("nan")))
+        finding = selection.list_missing_effects()[0]
+        return compute_partial_residual(selection, finding) | {"variant": candidates.variants[at]}
 
 
 def _list_cars(vehicle: Ints) -> list[int]:

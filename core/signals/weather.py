@@ -93,7 +93,7 @@ class _Observation(NamedTuple):
 
 
 _WATER, _SNOW = _Observation._fields.index("water"), _Observation._fields.index("snow")
-_PLAUSIBLE: Final = {
+PLAUSIBLE: Final = {
     "temperature_c": (-75.0, 65.0),
     "wind_speed_kmh": (0.0, 400.0),
     "wind_from_deg": (0.0, 360.0),
@@ -119,6 +119,7 @@ class Stations:
     def __init__(self, most: float = inf) -> None:
         self._most = most
         self._of: dict[str, int] = {}
+        self._accepted: set[str] = set()  # these, and those whose first observation comes soon
         self._times = np.zeros((0, KEPT + 1))
         self._counts = np.zeros(0, np.int64)
         self._values = np.zeros((0, KEPT + 1, len(Sky._fields)))
@@ -128,11 +129,8 @@ class Stations:
     def __len__(self) -> int:
         return len(self._of)
 
-    def observe(self, message: Weather) -> str | None:
-        """Take an observation, or return the cause for which it is ignored.
-
-        An observation replaces an earlier one of the same station and time. The newest message defines the position of
-        a station that moves.
+    def admit(self, message: Weather) -> str | None:
+        """Keep a place for the station of an observation, or return why the observation cannot be used.
 
         Parameters
         ----------
@@ -147,14 +145,28 @@ class Stations:
         place = np.radians(message.latitude_deg), np.radians(message.longitude_deg)
         if not (abs(place[0]) <= np.pi / 2 and abs(place[1]) <= np.pi and 0.0 <= message.time_s <= LATEST):
             return "out_of_range"
-        if message.station_id not in self._of and len(self._of) >= self._most:
+        if message.station_id not in self._accepted and len(self._accepted) >= self._most:
             return "too_many_stations"
+        self._accepted.add(message.station_id)
+        return None
+
+    def observe(self, message: Weather) -> None:
+        """Take an observation that was admitted.
+
+        An observation replaces an earlier one of the same station and time. The newest message defines the position of
+        a station that moves.
+
+        Parameters
+        ----------
+        message : Weather
+            Observation.
+        """
         station = self._find_row(message.station_id)
-        self._move(station, *map(float, place))
+        self._move(station, float(np.radians(message.latitude_deg)), float(np.radians(message.longitude_deg)))
         count, times, rows = int(self._counts[station]), self._times[station], self._values[station]
         at = int(np.searchsorted(times[:count], message.time_s))
         if at == 0 and count == KEPT:  # it is older than all observations that are kept
-            return None
+            return
         earlier = float(times[at - 1]) if at else message.time_s - _HOUR
         if at == count or times[at] != message.time_s:
             times[at + 1 : count + 1], rows[at + 1 : count + 1] = times[at:count].copy(), rows[at:count].copy()
@@ -164,7 +176,6 @@ class Stations:
         if count > KEPT:
             times[:KEPT], rows[:KEPT] = times[1:].copy(), rows[1:].copy()
         self._counts[station] = min(count, KEPT)
-        return None
 
     def sky(self, time: Floats, latitude: Floats, longitude: Floats) -> Sky:
         """Return the weather at positions and times.
@@ -194,7 +205,7 @@ class Stations:
 
     def sky_between(
         self, time: Floats, latitude: Floats, longitude: Floats, observations: Sequence[tuple[int, Weather]]
-    ) -> tuple[Sky, list[str]]:
+    ) -> Sky:
         """Return the weather at rows, while observations arrive between them.
 
         Parameters
@@ -208,20 +219,16 @@ class Stations:
         -------
         Sky of n rows
             Weather at each row.
-        list of str
-            Causes of the observations that are ignored, see `observe`.
         """
         if not observations:
-            return self.sky(time, latitude, longitude), []
+            return self.sky(time, latitude, longitude)
         parts, start = [], 0
-        ignored: list[str] = []
         for row, message in observations:
             parts.append(self.sky(time[start:row], latitude[start:row], longitude[start:row]))
             start = row
-            if (cause := self.observe(message)) is not None:
-                ignored.append(cause)
+            self.observe(message)
         parts.append(self.sky(time[start:], latitude[start:], longitude[start:]))
-        return Sky(*(np.concatenate(columns) for columns in zip(*parts, strict=True))), ignored
+        return Sky(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
     def forget_silent(self, time: float) -> None:
         """Forget the stations whose newest observation is older than a time. [Unix s]"""
@@ -233,10 +240,12 @@ class Stations:
             self._of = {names[old]: new for new, old in enumerate(left.tolist())}
             self._times, self._counts, self._values = self._times[left], self._counts[left], self._values[left]
             self._places, self._by_latitude = self._places[left], None
+            self._accepted = set(self._of)
 
     def _find_row(self, name: str) -> int:
         """Return the row of a station, a new one for a station not known so far."""
         station = self._of.setdefault(name, len(self._of))
+        self._accepted.add(name)
         if len(self._counts) < len(self._of):
             self._times, self._counts = grown(self._times, station + 1), grown(self._counts, station + 1)
             self._values, self._places = grown(self._values, station + 1), grown(self._places, station + 1)
@@ -362,7 +371,7 @@ def _lay(rows: Floats, first: int) -> None:
 
 def _observation(message: Weather, since: float) -> _Observation:
     """Return an observation in SI units, with zero depths on the road."""
-    known = {name: _plausible(message, name) for name in _PLAUSIBLE}
+    known = {name: _plausible(message, name) for name in PLAUSIBLE}
     wind, source = known["wind_speed_kmh"] * KMH, np.radians(known["wind_from_deg"])
     return _Observation(
         ambient=known["temperature_c"] + ZERO_CELSIUS,
@@ -379,5 +388,5 @@ def _observation(message: Weather, since: float) -> _Observation:
 
 def _plausible(message: Weather, name: str) -> float:
     """Return a field of an observation, NaN where it is unknown or implausible."""
-    value, (low, high) = getattr(message, name), _PLAUSIBLE[name]
+    value, (low, high) = getattr(message, name), PLAUSIBLE[name]
     return float(value) if value is not None and low <= value <= high else float("nan")

@@ -53,9 +53,15 @@ class RunCounters:
         self.unfit.update(reason for reason in unfit_reasons.tolist() if reason is not None)
         self.unpredicted.update(why for why in map(context.cars.unpredicted, kinds) if why is not None)
 
-    def samples_by_cause(self) -> dict[str, int]:
-        """Return how many samples have each quality bit."""
-        return dict(zip(CAUSES, self.samples.tolist(), strict=True))
+    def describe(self) -> dict[str, Any]:
+        """Return `samples` by quality bit, `rides`, and rides `unfit` and `unpredicted` by reason."""
+        samples = dict(zip(CAUSES, self.samples.tolist(), strict=True))
+        return {
+            "samples": samples,
+            "rides": self.rides,
+            "unfit": dict(self.unfit),
+            "unpredicted": dict(self.unpredicted),
+        }
 
     def dump(self) -> Any:
         """Return the state as plain lists."""

@@ -32,11 +32,28 @@ class Event(NamedTuple):
         Lane of its vehicle, -1 for a message that is not about a vehicle.
     value : Wire
         Decoded message.
+    message : Message
+        The message as it came; empty for an event that did not come as a message.
     """
 
     row: int
     lane: int
     value: Wire
+    message: Message = Message("", b"", 0)
+
+
+class Refused(NamedTuple):
+    """Hold a message that cannot be used, or of whose samples some cannot be used.
+
+    Parameters
+    ----------
+    message : Message
+    samples : tuple of bytes, optional
+        Samples of its list that cannot be used; None if that is the whole message.
+    """
+
+    message: Message
+    samples: tuple[Any, ...] | None = None
 
 
 _COLUMN_OF: Final = {"vehicle_id": "lane", "ride_id": "ride"} | {column.source: column.name for column in TELEMETRY}
@@ -90,13 +107,15 @@ class Decoder:
         self._several = msgspec.json.Decoder(list[msgspec.Raw])  # a gateway may send lists
         self._others = {kind: msgspec.json.Decoder(struct) for kind, struct in KINDS.items()}
 
-    def decode(self, messages: Sequence[Message]) -> tuple[Batch, list[Event]]:
+    def decode(self, messages: Sequence[Message], refusals: list[Refused] | None = None) -> tuple[Batch, list[Event]]:
         """Decode messages in their order.
 
         Parameters
         ----------
         messages : sequence of Message
             Keys with payloads, in the order of their arrival.
+        refusals : list of Refused, optional
+            It receives what cannot be decoded and what is of too many vehicles, but not what exceeds a rate.
 
         Returns
         -------
@@ -107,11 +126,12 @@ class Decoder:
         """
         tables: list[Floats] = []
         events: list[Event] = []
+        refusals = [] if refusals is None else refusals
         rows, received = 0, len(messages)
         messages = self._rates.select(messages)
         self._count_refused("rate_limited", received - len(messages))
         for start in range(0, len(messages), _BLOCK):
-            tables.append(self._decode_block(messages[start : start + _BLOCK], events, rows))
+            tables.append(self._decode_block(messages[start : start + _BLOCK], events, refusals, rows))
             rows += tables[-1].shape[1]
         self.received["telemetry"] += rows
         return _join_blocks(tables), events
@@ -134,21 +154,22 @@ class Decoder:
         self.received, self.rejected = Counter(received), Counter(rejected)
         self._lane_of_key.clear()
 
-    def refuse(self, kind: str, *causes: str) -> None:
-        """Count messages as rejected that had been counted as received.
+    def refuse(self, kind: str, cause: str) -> None:
+        """Count a message as rejected that had been counted as received.
 
         Parameters
         ----------
         kind : str
-            Kind of the messages, such as `weather`.
-        *causes : str
-            Cause of the rejection of each message.
+            Kind of the message, such as `weather`.
+        cause : str
+            Cause of the rejection.
         """
-        if causes:
-            self.received[kind] -= len(causes)
-            self.rejected.update(causes)
+        self.received[kind] -= 1
+        self.rejected[cause] += 1
 
-    def _decode_block(self, block: Sequence[Message], events: list[Event], rows: int) -> Floats:
+    def _decode_block(
+        self, block: Sequence[Message], events: list[Event], refusals: list[Refused], rows: int
+    ) -> Floats:
         """Decode a block, with a shortcut for the most frequent message: one valid sample of a known vehicle."""
         samples: list[Telemetry] = []
         lanes: list[int] = []
@@ -166,35 +187,37 @@ class Decoder:
                     samples.append(sample)
                     lanes.append(lane)
                     continue
-            self._decode_other(message, samples, lanes, events, rows)
+            refusal = self._decode_other(message, samples, lanes, events, rows)
+            if refusal is not None:
+                refusals.append(refusal)
         return self._make_table(_transpose(samples), lanes) if samples else np.empty((len(Batch._fields), 0))
 
     def _decode_other(
         self, message: Message, samples: list[Telemetry], lanes: list[int], events: list[Event], rows: int
-    ) -> None:
-        """Add the content of a message to the samples or events of its block, and count losses by cause."""
-        if len(message.key) > LONGEST_KEY:
-            self.rejected["too_long"] += 1
-            return
-        whose = address(message.key)
+    ) -> Refused | None:
+        """Add the content of a message to the samples or events of its block; count and return what is refused."""
+        whose = address(message.key) if len(message.key) <= LONGEST_KEY else None
         if whose is None:
-            self.rejected["unknown_key"] += 1
+            self.rejected["unknown_key" if len(message.key) <= LONGEST_KEY else "too_long"] += 1
         elif len(message.payload) > self._limits.payload_bytes:
             self.rejected["too_large"] += 1
         elif whose.kind == "telemetry":
-            good = self._decode_samples(message.payload, whose.identity)
+            good, bad = self._decode_samples(message.payload, whose.identity)
             if good and (lane := self._find_lane(whose.identity, len(good))) is not None:
                 if len(self._lane_of_key) >= _MOST_KEYS:  # strangers may make up prefixes
                     self._lane_of_key.clear()
                 self._lane_of_key[message.key] = lane
                 lanes += [lane] * len(good)
                 samples += good
+                return Refused(message, tuple(bad)) if bad else None
         else:
             value = self._decode_object(self._others[whose.kind], message.payload, whose.identity)
             lane = self._find_lane(whose.identity) if value is not None and whose.kind in OF_VEHICLES else -1
             if value is not None and lane is not None:
                 self.received[whose.kind] += 1
-                events.append(Event(rows + len(lanes), lane, value))
+                events.append(Event(rows + len(lanes), lane, value, message))
+                return None
+        return Refused(message)
 
     def _find_lane(self, name: str, number: int = 1) -> int | None:
         """Return the lane of a vehicle; count its messages and return None where there are too many vehicles."""
@@ -208,8 +231,8 @@ class Decoder:
         if number:
             self.rejected[cause] += number
 
-    def _decode_samples(self, payload: bytes, identity: str) -> list[Telemetry]:
-        """Return the valid samples of a payload, which holds one sample or a list of them."""
+    def _decode_samples(self, payload: bytes, identity: str) -> tuple[list[Telemetry], list[Any]]:
+        """Return the valid samples of a payload, which holds one sample or a list of them, and the others as bytes."""
         parts: list[Any]
         try:
             parts = self._several.decode(payload)
@@ -219,9 +242,10 @@ class Decoder:
             self.rejected["empty_list"] += 1
         if len(parts) > self._limits.list_samples:
             self.rejected["too_many_samples"] += len(parts)
-            return []
-        decoded = (self._decode_object(self._one, part, identity) for part in parts)
-        return [sample for sample in decoded if sample is not None]
+            return [], parts
+        decoded = [self._decode_object(self._one, part, identity) for part in parts]
+        bad = [part for part, sample in zip(parts, decoded, strict=True) if sample is None]
+        return [sample for sample in decoded if sample is not None], bad
 
     def _decode_object(self, decoder: msgspec.json.Decoder[Any], payload: Any, whose: str) -> Any:
         """Decode one object whose identity must match its key; count the cause and return None if it cannot be used."""

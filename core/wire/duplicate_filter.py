@@ -5,12 +5,14 @@ routers deliver it, and when recordings of one shift are merged. Sequence number
 apart, because a recording does not hold them. Every payload carries the time of its sender, so two messages with the
 same key and the same bytes are the same message.
 
-The filter remembers a 64-bit hash of each of the latest messages. Different messages have the same hash so rarely that
-a fleet of 1,000 cars loses one message in 3,000 years.
+The filter remembers a 64-bit hash of each of the latest messages that were taken in. It does not remember messages
+that cannot be decoded, and those of vehicles and stations beyond the limits, because strangers could fill the memory
+with them. Such a message is refused and counted whenever it comes. Different messages have the same hash so rarely
+that a fleet of 1,000 cars loses one message in 3,000 years.
 """
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -19,6 +21,8 @@ from numpy.typing import NDArray
 from xxhash import xxh3_64_intdigest
 
 from core.batch import Lanes
+from core.settings import Limits
+from core.wire.decoder import Refused
 from core.wire.messages import LONGEST_KEY, Message
 
 PER_VEHICLE: Final = 1280
@@ -30,17 +34,45 @@ Hashes = NDArray[np.uint64]
 _raw_list = msgspec.json.Decoder(list[msgspec.Raw])
 
 
+class _Part(NamedTuple):
+    """Hold messages with the samples of each, and which of these samples were new."""
+
+    messages: Sequence[Message]
+    samples: list[list[Any]] | None  # None if no message is a list
+    hashes: Hashes
+    is_new: NDArray[np.bool_]
+
+    def select(self, mask: NDArray[np.bool_]) -> Sequence[Message]:
+        """Return the messages with those samples that a mask names; the given sequence itself if it names all."""
+        if mask.all():
+            return self.messages
+        flags = iter(mask.tolist())
+        if self.samples is None:
+            return [message for message, is_named in zip(self.messages, flags, strict=True) if is_named]
+        out: list[Message] = []
+        for message, samples in zip(self.messages, self.samples, strict=True):
+            left = [sample for sample, is_named in zip(samples, flags, strict=False) if is_named]
+            if len(left) == len(samples):
+                out.append(message)
+            elif left:
+                out.append(message._replace(payload=b"[" + b",".join(left) + b"]"))
+        return out
+
+
 class DuplicateFilter:
     """Remember the latest messages of a fleet, and drop those that come again.
 
-    The memory has two halves for the whole fleet. New messages go to the new half. When it holds `PER_VEHICLE` messages
-    for each known vehicle, and at least `LEAST`, it becomes the old half, and what was the old half is forgotten. The
-    state does therefore not depend on which of two messages came first. A message takes 10 to 20 bytes.
+    The memory has two halves for the whole fleet. New messages go to the new half. When it is full, it becomes the old
+    half, and what was the old half is forgotten. A half is full with `PER_VEHICLE` messages for each vehicle that was
+    known when it began, and at least `LEAST`. The halves turn over between two messages, never within a list. The state
+    does therefore not depend on how messages are cut into batches. A message takes 10 to 20 bytes.
 
     Parameters
     ----------
     lanes : Lanes
         Vehicles of the fleet.
+    limits : Limits
+        A list that exceeds them is one message, as it will be refused as a whole.
 
     Attributes
     ----------
@@ -49,15 +81,19 @@ class DuplicateFilter:
         state, because the state must not depend on how often a message was delivered.
     """
 
-    def __init__(self, lanes: Lanes) -> None:
+    def __init__(self, lanes: Lanes, limits: Limits = Limits()) -> None:  # noqa: B008 - immutable
         self.dropped = 0
-        self._lanes = lanes
+        self._lanes, self._limits = lanes, limits
         self._seeds = _KeySeeds()
         self._new, self._old = (_make_table(np.empty(0, np.uint64), LEAST) for _ in range(2))
-        self._count = 0
+        self._count, self._most = 0, LEAST
+        self._part = _Part([], None, np.empty(0, np.uint64), np.empty(0, np.bool_))
 
-    def select_new(self, messages: Sequence[Message]) -> Sequence[Message]:
-        """Return the messages that were not delivered before, and remember them.
+    def select_new(self, messages: Sequence[Message]) -> tuple[Sequence[Message], int]:
+        """Return the messages that were not taken in before, and remember them.
+
+        Messages are taken up to the one at which the halves may turn over. Call `forget` with those that are refused
+        before you give the others.
 
         Parameters
         ----------
@@ -67,55 +103,107 @@ class DuplicateFilter:
         Returns
         -------
         sequence of Message
-            The given sequence itself if all of its messages are new.
+            New messages, with lists reduced to the samples that are new; the given sequence itself if all are new.
+        int
+            Number of given messages that were taken, at least one.
         """
+        self._turn_over_if_full()
+        room = self._most - self._count
         payloads = [message[1] for message in messages]
         if min(payloads, default=b"{") < b"{":  # a list begins with [, a sample with {
-            return self._select_new_samples(messages)
-        seeds = map(self._seeds.__getitem__, [message[0] for message in messages])
-        new = self._remember(np.fromiter(map(xxh3_64_intdigest, payloads, seeds), np.uint64, len(payloads)))
-        if new.all():
-            return messages
-        return [message for message, is_new in zip(messages, new.tolist(), strict=True) if is_new]
+            samples = self._split_lists(messages, room)
+            messages = messages[: len(samples)]
+            pairs = zip([self._seeds[message[0]] for message in messages], samples, strict=True)
+            hashes = np.array([xxh3_64_intdigest(each, seed) for seed, parts in pairs for each in parts], np.uint64)
+            self._part = _Part(messages, samples, hashes, self._remember(hashes))
+        else:
+            if len(messages) > room:
+                messages, payloads = messages[:room], payloads[:room]
+            seeds = map(self._seeds.__getitem__, [message[0] for message in messages])
+            hashes = np.fromiter(map(xxh3_64_intdigest, payloads, seeds), np.uint64, len(payloads))
+            self._part = _Part(messages, None, hashes, self._remember(hashes))
+        return self._part.select(self._part.is_new), len(messages)
 
-    def _select_new_samples(self, messages: Sequence[Message]) -> list[Message]:
-        """Return the messages that are new, with lists of samples reduced to those that are new."""
-        samples = [_split_list(key, payload) for key, payload, _ in messages]
-        pairs = zip([self._seeds[message.key] for message in messages], samples, strict=True)
-        hashes = [xxh3_64_intdigest(part, seed) for seed, parts in pairs for part in parts]
-        new = iter(self._remember(np.array(hashes, np.uint64)))
-        out: list[Message] = []
-        for message, parts in zip(messages, samples, strict=True):
-            left = [part for part, is_new in zip(parts, new, strict=False) if is_new]
-            if len(left) == len(parts):
-                out.append(message)
-            elif left:
-                out.append(message._replace(payload=b"[" + b",".join(left) + b"]"))
-        return out
+    def forget(self, refusals: Sequence[Refused]) -> Sequence[Message]:
+        """Forget refused messages, and return those that were dropped because they repeated one of them.
+
+        Parameters
+        ----------
+        refusals : sequence of Refused
+            What was refused of the messages that `select_new` returned last.
+
+        Returns
+        -------
+        sequence of Message
+            Repetitions among the messages that were given last. They are not remembered.
+        """
+        if not refusals:
+            return []
+        hashes = np.array([each for refusal in refusals for each in self._hash_refused(*refusal)], np.uint64)
+        self._count -= _forget(hashes, self._new)
+        part = self._part
+        repeated = ~part.is_new
+        if repeated.any():
+            repeated &= np.isin(part.hashes, hashes)
+        if not (count := int(np.count_nonzero(repeated))):
+            return []
+        self.dropped -= count
+        return part.select(repeated)
+
+    def _hash_refused(self, message: Message, samples: Sequence[Any] | None) -> list[int]:
+        """Return the hashes of the refused samples of a message, of all without samples."""
+        seed = self._seeds[message.key]
+        return [xxh3_64_intdigest(each, seed) for each in (self._split_list(message) if samples is None else samples)]
+
+    def _split_lists(self, messages: Sequence[Message], room: int) -> list[list[Any]]:
+        """Return the samples of messages, up to the message that fills the room."""
+        samples: list[list[Any]] = []
+        for message in messages:
+            samples.append(self._split_list(message))
+            room -= len(samples[-1])
+            if room <= 0:
+                break
+        return samples
+
+    def _split_list(self, message: Message) -> list[Any]:
+        """Return the samples of a message that is a list of telemetry, and the payload of any other message."""
+        key, payload, _ = message
+        if payload.lstrip()[:1] != b"[" or not key.endswith("/telemetry") or len(payload) > self._limits.payload_bytes:
+            return [payload]
+        try:
+            samples = _raw_list.decode(payload)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return [payload]
+        return samples if 0 < len(samples) <= self._limits.list_samples else [payload]
 
     def _remember(self, hashes: Hashes) -> NDArray[np.bool_]:
         """Remember hashes; return which of them were not remembered before."""
         is_new = np.empty(len(hashes), np.bool_)
-        most, done = max(LEAST, PER_VEHICLE * len(self._lanes)), 0
-        while done < len(hashes):
-            if self._count >= most:
-                self._old, self._new = self._new, _make_table(np.empty(0, np.uint64), LEAST)
-                self._count = 0
-            wanted = min(self._count + len(hashes) - done, most)
-            if 5 * wanted > 4 * len(self._new):  # it grows only as far as it is used
-                self._new = _make_table(self._new[self._new != 0], 2 * wanted)
-            taken, self._count = _remember(hashes[done:], self._new, self._old, self._count, most, is_new[done:])
-            done += taken
-        self.dropped += len(hashes) - int(np.count_nonzero(is_new))
+        wanted = self._count + len(hashes)
+        if 5 * wanted > 4 * len(self._new):  # it grows only as far as it is used
+            self._new = _make_table(self._new[self._new != 0], 2 * wanted)
+        count = _remember(hashes, self._new, self._old, is_new)
+        self._count += count
+        self.dropped += len(hashes) - count
         return is_new
 
+    def _turn_over_if_full(self) -> None:
+        """Begin a new half if the present one is full; an empty one has room for the vehicles that are known."""
+        if self._count >= self._most:
+            self._old, self._new = self._new, _make_table(np.empty(0, np.uint64), LEAST)
+            self._count = 0
+        if not self._count:
+            self._most = max(LEAST, PER_VEHICLE * len(self._lanes))
+
     def dump(self) -> Any:
-        """Return the hashes of both halves of the memory as bytes, each in ascending order."""
-        return [_list_hashes(half).astype("<u8").tobytes() for half in (self._new, self._old)]
+        """Return the room of the new half, and the hashes of both halves as bytes, each in ascending order."""
+        self._turn_over_if_full()
+        return [self._most, *(_list_hashes(half).astype("<u8").tobytes() for half in (self._new, self._old))]
 
     def load(self, state: Any) -> None:
         """Replace the remembered messages by those that `dump` returned."""
-        new, old = (np.frombuffer(half, "<u8").astype(np.uint64) for half in state)
+        self._most, *halves = state
+        new, old = (np.frombuffer(half, "<u8").astype(np.uint64) for half in halves)
         self._new, self._old = _make_table(new, LEAST), _make_table(old, LEAST)
         self._count = int(np.count_nonzero(self._new))
 
@@ -123,23 +211,13 @@ class DuplicateFilter:
 def _make_table(hashes: Hashes, room: int) -> Hashes:
     """Return a table of hashes with room for a number of them; a place that is zero is empty."""
     table = np.zeros(1 << (5 * max(room, len(hashes)) // 4).bit_length(), np.uint64)
-    _remember(hashes, table, np.zeros(1, np.uint64), 0, len(hashes) + 1, np.empty(len(hashes), np.bool_))
+    _remember(hashes, table, np.zeros(1, np.uint64), np.empty(len(hashes), np.bool_))
     return table
 
 
 def _list_hashes(table: Hashes) -> Hashes:
     """Return the hashes in a table in ascending order."""
     return np.sort(table[table != 0])
-
-
-def _split_list(key: str, payload: bytes) -> list[Any]:
-    """Return the samples of a payload that is a list of telemetry, and any other payload itself."""
-    if payload.lstrip()[:1] != b"[" or not key.endswith("/telemetry"):
-        return [payload]
-    try:
-        return _raw_list.decode(payload) or [payload]
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        return [payload]
 
 
 class _KeySeeds(dict[str, int]):
@@ -155,13 +233,12 @@ class _KeySeeds(dict[str, int]):
 
 
 @njit(cache=True)
-def _remember(hashes: Any, table: Any, other: Any, count: int, most: int, is_new: Any) -> tuple[int, int]:
+def _remember(hashes: Any, table: Any, other: Any, is_new: Any) -> int:
     """Remember those hashes in a table with linear probing that neither it nor another table holds.
 
-    `is_new` receives which hashes were not remembered before. The function stops when the table holds `most` hashes,
-    and returns how many hashes it took, and how many the table holds.
+    `is_new` receives which hashes were not remembered before. The function returns their number.
     """
-    one, none = np.uint64(1), np.uint64(0)
+    one, none, count = np.uint64(1), np.uint64(0), 0
     mask, other_mask = np.uint64(len(table) - 1), np.uint64(len(other) - 1)
     for i in range(len(hashes)):
         value = hashes[i] if hashes[i] != none else one
@@ -178,6 +255,27 @@ def _remember(hashes: Any, table: Any, other: Any, count: int, most: int, is_new
         if is_new[i]:
             table[at] = value
             count += 1
-            if count == most:
-                return i + 1, count
-    return len(hashes), count
+    return count
+
+
+@njit(cache=True)
+def _forget(hashes: Any, table: Any) -> int:
+    """Remove those hashes that a table with linear probing holds; return their number."""
+    one, none, count = np.uint64(1), np.uint64(0), 0
+    mask = np.uint64(len(table) - 1)
+    for i in range(len(hashes)):
+        value = hashes[i] if hashes[i] != none else one
+        hole = value & mask
+        while table[hole] != none and table[hole] != value:
+            hole = (hole + one) & mask
+        if table[hole] == none:
+            continue
+        count += 1
+        at = (hole + one) & mask
+        while table[at] != none:  # what was put behind it moves up, as far as its own place
+            if ((at - table[at]) & mask) >= ((at - hole) & mask):
+                table[hole] = table[at]
+                hole = at
+            at = (at + one) & mask
+        table[hole] = none
+    return count

@@ -142,10 +142,10 @@ class Plan(Wire):
 
 
 class Weather(Wire):
-    """Observation of a weather station: `weather/{station_id}`."""
+    """Observation of a weather station, or forecast for its place: `weather/{station_id}`."""
 
     station_id: Annotated[str, Meta(description="Identity of the station, as in the key.")]
-    time_s: Annotated[float, Meta(description="Time of the observation. [Unix s]")]
+    time_s: Annotated[float, Meta(description="Time of the observation, or for which a forecast is. [Unix s]")]
     latitude_deg: Annotated[float, Meta(description="Latitude of the station, WGS 84. [deg]")]
     longitude_deg: Annotated[float, Meta(description="Longitude of the station, WGS 84. [deg]")]
     temperature_c: Annotated[float | None, Meta(description="Air temperature. [degC]")] = None
@@ -159,6 +159,9 @@ class Weather(Wire):
     pressure_hpa: Annotated[float | None, Meta(description="Air pressure at sea level. [hPa]")] = None
     humidity_pct: Annotated[float | None, Meta(description="Relative humidity. [%]")] = None
     solar_w_m2: Annotated[float | None, Meta(description="Global horizontal irradiance. [W/m2]")] = None
+    issued_s: Annotated[
+        float | None, Meta(description="Time at which a forecast was issued; absent for an observation. [Unix s]")
+    ] = None
 
 
 class Interval(Wire, omit_defaults=False):

@@ -41,5 +41,11 @@ def test_alert_names_labels_that_its_metrics_have(rule):
     assert named <= known
 
 
+def test_guide_says_what_to_do_for_each_alert_and_no_other():
+    guide = (ROOT / "docs" / "guide" / "operate.md").read_text()
+    told = re.findall(r"^\| `(Socast\w+)` \| (\w+) \| .{20,} \|$", guide, re.MULTILINE)
+    assert told == [(rule["alert"], rule["labels"]["severity"]) for rule in RULES]
+
+
 def test_an_unknown_metric_would_be_found():
     assert list_metrics('sum by (a) (rate(x_total{cause="y"}[5m])) > 0.01 * z') == {"x_total", "z"}

@@ -1,6 +1,7 @@
 """Test that a state with a valid checksum and any content is refused in one line, or leads to plausible forecasts."""
 
 from hashlib import sha256
+from typing import Final
 
 import pytest
 
@@ -11,6 +12,8 @@ from tests.support.forged_states import COMPONENTS, forge, make_content, make_pi
 
 MUTATIONS = 12
 """Number of mutations of each part, chosen by a fixed seed."""
+FEWER: Final = {"engine": 5}
+"""The same of components with hundreds of parts."""
 
 
 @pytest.mark.parametrize("name", ["shift.mcap", "autumn.mcap"])
@@ -28,7 +31,7 @@ def test_every_component_has_a_schema():
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("component", COMPONENTS)
 def test_forged_part_of_a_state_is_refused_or_harmless(component):
-    refused, tried = forge(component, places=1, mutations=MUTATIONS)
+    refused, tried = forge(component, places=1, mutations=FEWER.get(component, MUTATIONS))
     assert refused > 0.3 * tried
 
 

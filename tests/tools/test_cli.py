@@ -26,6 +26,7 @@ from stream.loop import Tally
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
 from stream.recorder import list_recordings
+from stream.recording_metadata import find_version
 from stream.state_file import StateFile
 from stream.zenoh_session import find_free_port
 from tests.support.commands import SOCAST, called, refused
@@ -365,6 +366,8 @@ def test_live_ends_cleanly_on_signal_without_losing_messages(consumer, recording
     assert sum(line["event"] == "ride" for line in lines) == 9
     (kept,) = list_recordings(tmp_path / "kept")
     source = McapSource(kept)
+    model = f"{EXTENDED_PHYSICAL.name}/{EXTENDED_PHYSICAL.version}"
+    assert source.metadata == {"version": find_version(), "command": "live", "model": model}
     assert [m.payload for block in source for m in block] == list(dict.fromkeys(m.payload for m in shift()))
     assert not source.losses
 
@@ -432,15 +435,18 @@ def test_failure_to_save_state_is_logged_and_forecasts_continue(tmp_path, caplog
         checkpoints.save()
 
 
-def test_demo_shows_cars_and_then_rides(recording, tmp_path):
+def test_demo_shows_cars_and_ends_with_a_verdict(recording, tmp_path):
     out, err, code = called("demo", recording, "--seconds", "1", "--json", tmp_path / "demo.json")
     assert (code, err) == (0, "")
     called("replay", recording, "--json", tmp_path / "replay.json")
     demo, replay = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("demo", "replay"))
     assert demo["rides"] == replay["rides"]
     assert "SOC" in out
-    assert "9 rides of 3 cars" in out
-    assert "0 of the messages sent were not received" in out
+    assert "The shift, car by car" in out
+    assert "Energy: extended_physical is off by" in out
+    assert "0 messages missed" in " ".join(out.split())
+    assert demo["missed"] == 0
+    assert {car["vehicle_id"] for car in demo["cars"]} == {ride["vehicle_id"] for ride in demo["rides"]}
 
 
 def test_closed_pipe_gives_no_traceback(recording):

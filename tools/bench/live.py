@@ -11,8 +11,9 @@ from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from stream.latest_only_sink import LatestOnlySink
 from stream.loop import PUBLISH_S, Tally, run
-from stream.zenoh_pubsub import ZenohSink, ZenohSource
 from stream.zenoh_session import Connection, Node, find_free_port
+from stream.zenoh_sink import ZenohSink
+from stream.zenoh_source import ZenohSource
 from tools.bench.fleet import make_rounds, make_vehicles
 from tools.bench.measures import Measure, alternate_timings
 

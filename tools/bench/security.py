@@ -11,8 +11,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple
 
-from stream.zenoh_pubsub import ZenohSink
 from stream.zenoh_session import Connection, Node, find_free_port
+from stream.zenoh_sink import ZenohSink
 from tools.bench.fleet import make_rounds, make_vehicles, name_car
 from tools.bench.live import PATIENCE_S, WARM_UP, make_full_consumer
 from tools.bench.measures import Measure

@@ -1,8 +1,10 @@
 """Run `socast add`: add an effect to a model if it helps on rides to which it was not fitted."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
+import pandas as pd
 import typer
 
 from core import models
@@ -13,8 +15,17 @@ from core.diagnose.ranking import LEAST_GAIN
 from core.errors import ModelError
 from core.fit.measured_rows import join_tables
 from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
+from core.models import LinearModel
 from tools.commands.diagnose import LeastGain, read_files, read_tables
-from tools.terminal.output import EffectFiles, JsonFile, check_outputs, make_console, select_model_files, write_json
+from tools.terminal.output import (
+    EffectFiles,
+    JsonFile,
+    VehicleFiles,
+    check_outputs,
+    make_console,
+    select_model_files,
+    write_json,
+)
 
 
 def add_effect(
@@ -38,6 +49,7 @@ def add_effect(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Add the effect even if it does not help.")] = False,
     effects_file: EffectFiles = None,
+    vehicles: VehicleFiles = None,
     least_gain: LeastGain = LEAST_GAIN,
     json_file: JsonFile = None,
 ) -> None:
@@ -45,13 +57,11 @@ def add_effect(
     from tools.report import history  # noqa: PLC0415 - figures take seconds to import
 
     base = models.load(model)
-    columns = build_term_columns(effect, scope or ())
-    check_outputs([*read_files(data), *select_model_files([model]), *(effects_file or ())], out, json_file)
-    rides, windows = read_tables(data, base)
-    floor = compute_noise_floor(compute_noise_variance(gather_windows(rides, windows, base).rides))
-    added = add.add_effect(
-        base, effect, columns, join_tables(rides, windows), rides=rides, floor=floor, least=least_gain
+    build_term_columns(effect, scope or ())  # refuses a wrong scope before the rides are read
+    check_outputs(
+        [*read_files(data), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())], out, json_file
     )
+    added = try_effect(base, effect, scope or (), *read_tables(data, base), least=least_gain)
     write_json(json_file, "add", added.trial)
     console = make_console(json_file)
     history.print_trial(added.trial, console)
@@ -66,3 +76,40 @@ def add_effect(
     models.save(added.model, out)
     message = f"{out}: {base.name} with {effect}, version {added.model.version}; show its steps: socast history {out}"
     console.print(message, markup=False, highlight=False, soft_wrap=True)
+
+
+def try_effect(
+    model: LinearModel,
+    effect: str,
+    scopes: Sequence[str],
+    rides: pd.DataFrame,
+    windows: pd.DataFrame,
+    *,
+    least: float = LEAST_GAIN,
+    report: Callable[[float, str], None] = lambda *_: None,
+) -> add.AdditionTrial:
+    """Return the trial of an effect, with the noise floor of the rides.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Model to which the effect is added.
+    effect : str
+        Name of an effect or of a variant.
+    scopes : sequence of str
+        Where the effect holds, as after `--scope`.
+    rides, windows : DataFrame
+        The tables of the same rides.
+    least : float
+        Least gain of an accepted effect. [1]
+    report : callable
+        Function that receives the share of the work that is done and the step in words.
+
+    Returns
+    -------
+    AdditionTrial
+    """
+    columns = build_term_columns(effect, scopes)
+    floor = compute_noise_floor(compute_noise_variance(gather_windows(rides, windows, model).rides))
+    joined = join_tables(rides, windows)
+    return add.add_effect(model, effect, columns, joined, rides=rides, floor=floor, least=least, report=report)

@@ -24,6 +24,7 @@ from tools.terminal.output import (
     EffectFiles,
     HtmlFile,
     JsonFile,
+    VehicleFiles,
     check_outputs,
     select_model_files,
     show_report,
@@ -45,6 +46,7 @@ def compare_models(
         str | None, typer.Option(metavar="KEY", help="Show the trace of this ride instead, by ride_key or ride_id.")
     ] = None,
     effects_file: EffectFiles = None,
+    vehicles: VehicleFiles = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
@@ -61,7 +63,13 @@ def compare_models(
     """
     if ride is not None and against:
         raise SettingsError("--ride shows one ride of the first rides; leave out --against")
-    read = [*inputs(rides), *inputs(against or ()), *select_model_files(model), *(effects_file or ())]
+    read = [
+        *inputs(rides),
+        *inputs(against or ()),
+        *select_model_files(model),
+        *(effects_file or ()),
+        *(vehicles or ()),
+    ]
     check_outputs(read, json_file, html_file)
     chosen = named(model)
     if ride is not None:
@@ -70,7 +78,7 @@ def compare_models(
         table, read_windows = _read(rides, chosen)
         selected = select_rides(table, chosen)
         result = compare_predictions(selected)
-        _say_commands(result, _words(rides, effects_file or ()), dict(zip(chosen, model, strict=True)))
+        _say_commands(result, _words(rides, effects_file or (), vehicles or ()), dict(zip(chosen, model, strict=True)))
         if against:
             result["against"] = _against(selected, rides, against, chosen)
     result = to_json_values(result)
@@ -192,9 +200,10 @@ def _against(
     }
 
 
-def _words(rides: Sequence[Path], effect_files: Sequence[Path]) -> list[str]:
+def _words(rides: Sequence[Path], effect_files: Sequence[Path], vehicle_files: Sequence[Path]) -> list[str]:
     """Return the first words of a command that reads the same rides with the same effects."""
     brought = [word for path in effect_files for word in ("--effects", str(path))]
+    brought += [word for path in vehicle_files for word in ("--vehicles", str(path))]
     return ["socast", "compare", *map(str, rides), *brought]
 
 

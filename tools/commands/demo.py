@@ -1,54 +1,76 @@
 """`socast demo`: forecast a recorded shift over Zenoh, as in live operation, in less than a minute."""
 
 import logging
+import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
+from rich.console import Console
 
-from core import models
 from core.errors import SettingsError, SocastError
+from core.models import LinearModel
 from core.pipeline import Pipeline
+from core.settings import Settings
 from stream.latest_only_sink import LatestOnlySink
-from stream.loop import PUBLISH_S, Tally, run, stop_on_signals
+from stream.loop import PUBLISH_S, Tally, combine_watches, run, stop_on_signals
 from stream.mcap_reader import McapSource
 from stream.structured_log import log_lines
-from stream.zenoh_pubsub import ZenohSink, ZenohSource
 from stream.zenoh_session import Connection, Node
+from stream.zenoh_sink import ZenohSink
+from stream.zenoh_source import ZenohSource
 from tools.commands.info import describe_recording
-from tools.commands.live import combine_watches
+from tools.terminal.demo_verdict import (
+    compute_errors_pct,
+    list_next_commands,
+    make_car_records,
+    show_cars,
+    show_end,
+    write_verdict,
+)
 from tools.terminal.kernels import compile_kernels
-from tools.terminal.live_table import LiveTable, add_predictions, make_ride_records, show_rides
-from tools.terminal.model_comparison import DEFAULT_MODEL
-from tools.terminal.output import JsonFile, ModelName, check_outputs, make_console, write_json
+from tools.terminal.live_table import LiveTable, add_predictions, make_ride_records
+from tools.terminal.model_comparison import DEFAULT_MODEL, ModelNames, load_models
+from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from tools.terminal.shift_outcomes import ShiftOutcomes
+from tools.terminal.warm_up import learn_from_recordings
 
-SHIFT = Path(__file__).parents[2] / "recordings" / "shift.mcap"
+RECORDINGS: Final = Path(__file__).parents[2] / "recordings"
+SHIFT: Final = RECORDINGS / "shift.mcap"
 """The recording that is part of socast."""
-QUIET_S = 2.0
+HISTORY: Final = RECORDINGS / "history.mcap"
+"""Shifts of the same cars on the days before, from which the forecasts learn."""
+FITTED: Final = RECORDINGS / "fitted.json"
+"""Model fitted to them."""
+TUTORIAL: Final = RECORDINGS / "autumn.mcap"
+"""Recording with a hidden effect."""
+QUIET_S: Final = 2.0
 """Time without messages, after the publisher has ended, after which the demonstration stops. [s]"""
 
 
 def demo(
     recording: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             metavar="[REC]",
-            help="Recording to publish. [default: the shift that comes with socast]",
+            help="Recording to publish. [default: the shift that comes with socast, with its history]",
             show_default=False,
         ),
-    ] = SHIFT,
+    ] = None,
     seconds: Annotated[float, typer.Option(min=1.0, metavar="S", help="Duration of the demonstration.")] = 35.0,
-    model: ModelName = DEFAULT_MODEL,
+    model: ModelNames = None,
     json_file: JsonFile = None,
 ) -> None:
     """Show a recorded shift as if it were live.
 
     A router opens on loopback, another process publishes the recording through it faster than real time, and the live
-    consumer forecasts what arrives. The table at the end compares the prediction of each ride with the measured energy.
+    consumer forecasts what arrives. The end compares forecasts and models with what the cars measured, and names three
+    commands to go on with.
 
     Examples
     --------
@@ -56,34 +78,43 @@ def demo(
     socast demo my-shift.mcap --seconds 60 --model basic_physical
     """
     log_lines(level=logging.WARNING)
-    if recording == SHIFT and not SHIFT.exists():
-        raise SettingsError(f"{SHIFT} does not exist; give a recording: socast demo REC, made by `socast simulate`")
-    source_file = McapSource(recording)
-    check_outputs([recording], json_file)
+    own = recording is not None
+    shift = recording or SHIFT
+    if not own and (missing := [file for file in (SHIFT, HISTORY, FITTED) if not file.exists()]):
+        raise SettingsError(
+            f"{missing[0]} does not exist; give a recording: socast demo REC, made by `socast simulate`"
+        )
+    source_file = McapSource(shift)
+    check_outputs([shift], json_file)
     about = describe_recording(source_file)
     console = make_console(json_file)
-    chosen = models.load(model)
+    chosen = load_models(model or ([DEFAULT_MODEL] if own else [str(FITTED), DEFAULT_MODEL]))
 
     def report(compiled: int, total: int) -> None:
         words = f"compiling kernels, once after installation: {compiled} of {total}"
         console.print(words, style="dim", highlight=False)
 
-    compile_kernels(chosen, report=report)
+    compile_kernels(*chosen, report=report)
     speed = max(1.0, about["duration_s"] / seconds)
-    console.print(
-        f"{recording.name}: {about['messages']:,} messages of {len(about['vehicles'])} cars over "
-        f"{about['duration_s'] / 3600:.1f} h, published at {speed:.0f} times real time",
-        highlight=False,
-    )
-    pipeline = Pipeline(chosen)
+    pipeline = Pipeline(chosen[0], shadows=chosen[1:], keep_outlooks=True)
+    if not own and (earlier := learn_from_recordings(chosen[0], chosen[1:], Settings(), [HISTORY])):
+        pipeline.learn_from(earlier)
+    hours, cars = about["duration_s"] / 3600, len(about["vehicles"])
+    title = f"{shift.name}: {hours:.1f} h of {cars} cars, {speed:.0f} times real time"
+    missed = _run(pipeline, shift, about["messages"], speed, LiveTable(pipeline, title, console=console))
+    _show_results(console, pipeline, chosen, shift, missed, json_file)
+
+
+def _run(pipeline: Pipeline, shift: Path, messages: int, speed: float, table: LiveTable) -> int:
+    """Publish a recording in another process, receive it, and return the number of messages that were missed."""
     with stop_on_signals() as stop, Node(Connection(listen=("tcp/127.0.0.1:0",), mode="router")) as node:
         source = ZenohSource(node, stop)
-        command = [sys.executable, "-m", "socast", "replay", str(recording), "--connect", node.endpoints[0]]
+        command = [sys.executable, "-m", "socast", "replay", str(shift), "--connect", node.endpoints[0]]
         with (
             subprocess.Popen(  # noqa: S603 - our own command
                 [*command, "--speed", f"{speed:g}"], stderr=subprocess.PIPE, text=True
             ) as publisher,
-            LiveTable(pipeline, f"Live, {speed:.0f} times real time", console=console) as table,
+            table,
         ):
             try:
                 run(
@@ -91,17 +122,41 @@ def demo(
                     pipeline,
                     [LatestOnlySink(ZenohSink(node))],
                     publish_s=PUBLISH_S,
-                    watch=combine_watches(table, _stop_at_end(publisher, about["messages"], stop.set)),
+                    watch=combine_watches(table, _stop_at_end(publisher, messages, stop.set)),
                 )
             finally:
                 publisher.terminate()
             failure = (publisher.communicate()[1] or "").strip() if publisher.wait() not in {0, -15} else ""
     if failure:
         raise SocastError(f"the publisher failed: {failure.splitlines()[-1]}")
-    rides = add_predictions(pipeline.take_rides(), pipeline.shadows)
-    write_json(json_file, "demo", {"rides": make_ride_records(rides)})
-    show_rides(console, rides, pipeline.quality())
-    console.print(f"{source.missed:,} of the messages sent were not received", highlight=False)
+    return source.missed or 0
+
+
+def _show_results(
+    console: Console,
+    pipeline: Pipeline,
+    chosen: Sequence[LinearModel],
+    shift: Path,
+    missed: int,
+    json_file: Path | None,
+) -> None:
+    """Print how the cars fared, the verdict and the next commands."""
+    rides, outcomes = add_predictions(pipeline.take_rides(), pipeline.shadows), ShiftOutcomes(pipeline)
+    labels = [monitor.label for monitor in pipeline.shadows.monitors] or [chosen[0].name]
+    shifts = outcomes.records()
+    cars = make_car_records(rides, shifts, labels)
+    write_json(json_file, "demo", {"rides": make_ride_records(rides), "cars": cars, "missed": missed})
+    if cars:
+        show_cars(console, cars, labels)
+        verdict = write_verdict(
+            cars, compute_errors_pct(rides, labels), chosen[0], pipeline.quality() | {"missed": missed}
+        )
+    else:
+        verdict = ["Energy: no ride ended that is fit for training."]
+    paths = [Path(os.path.relpath(each)) for each in (shift, TUTORIAL, *((HISTORY,) if shift == SHIFT else ()))]
+    has_workbench = find_spec("uvicorn") is not None
+    commands = list_next_commands(*paths, has_workbench=has_workbench)
+    show_end(console, verdict, commands)
 
 
 def _stop_at_end(publisher: subprocess.Popen[str], messages: int, stop: Callable[[], None]) -> Callable[[Tally], None]:

@@ -1,7 +1,7 @@
 """Run `socast diagnose`: find where a model fails and why; with `--auto`, add effects until none is missing."""
 
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import Annotated, Any
@@ -34,6 +34,7 @@ from tools.terminal.output import (
     EffectFiles,
     HtmlFile,
     JsonFile,
+    VehicleFiles,
     check_outputs,
     make_console,
     select_model_files,
@@ -68,6 +69,7 @@ def diagnose_rides(
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
     effects_file: EffectFiles = None,
+    vehicles: VehicleFiles = None,
     suggest: Annotated[
         Path | None, typer.Option(metavar="FILE.py", help="Write the suggested effect, if any, to a file.")
     ] = None,
@@ -92,7 +94,7 @@ def diagnose_rides(
     _check_options(auto, out, groups, findings)
     first_day = _parse_date(since) if since else None
     loaded = models.load(model)
-    inputs = [*read_files(rides), *select_model_files([model]), *(effects_file or ())]
+    inputs = [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())]
     check_outputs(inputs, json_file, html_file, suggest, findings, out)
     earlier = read_findings(findings) if findings else []
     table, windows = read_tables(rides, loaded)
@@ -111,7 +113,7 @@ def diagnose_rides(
     else:
         of_vehicle = read_groups(groups) if groups else None
         result = _diagnose(loaded, table, windows, least_gain, of_vehicle)
-        insert_commands(result, model, rides, effects_file or ())
+        insert_commands(result, model, rides, effects_file or (), vehicles or ())
         if findings:
             after = _keep_findings(result, table, earlier, findings)
     write_json(json_file, "diagnose", result)
@@ -133,7 +135,7 @@ def list_lacking_effects(files: Sequence[Path], windows: pd.DataFrame) -> list[s
     return [name for name in from_files if f"{EFFECT_PREFIX}{name}" not in windows]
 
 
-def _check(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+def check_tables(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the tables, checked for every column that diagnosis reads.
 
     Raises
@@ -164,18 +166,42 @@ def read_tables(given: Sequence[Path], model: LinearModel) -> tuple[pd.DataFrame
     SettingsError
         There is no window table beside a ride table.
     ModelError
+        A table cannot be read, a column is missing, or the rides are of other vehicle models than the model.
+    """
+    return check_tables(model, *read_both_tables(given, model.effects))
+
+
+def read_both_tables(
+    given: Sequence[Path], wanted: Sequence[str] = (), report: Callable[[float], None] | None = None
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the ride and window tables, read from tables or made from recordings with every known effect.
+
+    Parameters
+    ----------
+    given : sequence of Path
+        Recordings, or folders of tables.
+    wanted : sequence of str
+        Further variants of effects that tables of recordings contain.
+    report : callable, optional
+        Function that receives the share of the recordings that was read. [1]
+
+    Raises
+    ------
+    SettingsError
+        There is no window table beside a ride table.
+    ModelError
         A table cannot be read.
     """
     files = inputs(given)
     if files[0].suffix == RECORDING:
-        return _check(model, *in_memory(files, [*model.effects, *effects.list_tabulated()]))
+        return in_memory(files, [*wanted, *effects.list_tabulated()], report)
     beside = [file.with_name(WINDOWS) for file in files]
     for file in beside:
         if not file.is_file():
             raise SettingsError(
                 f"{file.parent} holds no {WINDOWS}, which diagnosis needs: name a folder that `socast tables` made"
             )
-    return _check(model, read(files), read(beside))
+    return read(files), read(beside)
 
 
 def check_vehicles(model: LinearModel, rides: pd.DataFrame) -> None:
@@ -212,7 +238,11 @@ def select_since(rides: pd.DataFrame, windows: pd.DataFrame, first: date) -> tup
 
 
 def insert_commands(
-    result: dict[str, Any], model: str, data: Sequence[Path], effect_files: Sequence[Path] = ()
+    result: dict[str, Any],
+    model: str,
+    data: Sequence[Path],
+    effect_files: Sequence[Path] = (),
+    vehicle_files: Sequence[Path] = (),
 ) -> None:
     """Insert into the entry of each missing effect and deviation that a term can hold the command that adds it.
 
@@ -220,6 +250,7 @@ def insert_commands(
     """
     stem = model if model in BUILT_IN_MODELS else str(Path(model).with_suffix(""))
     own = [word for path in effect_files for word in ("--effects", str(path))]
+    own += [word for path in vehicle_files for word in ("--vehicles", str(path))]
     deviations = [entry for entry in result.get("deviations") or () if entry["columns"]]
     for entry in [*(result.get("missing") or ()), *deviations]:
         name, scopes = parse_term(entry)

@@ -40,7 +40,9 @@ def list_effects(_: EffectFiles = None, json_file: JsonFile = None) -> None:
         table.add_row(Text(topic, "bold"))
         for effect in effects_of_topic:
             _add(table, effect)
-    listed = [_plain(effect, topic) for topic, effects_of_topic in topics.items() for effect in effects_of_topic]
+    listed = [
+        make_effect_record(effect, topic) for topic, effects_of_topic in topics.items() for effect in effects_of_topic
+    ]
     write_json(json_file, "effects", {"effects": listed})
     make_console(json_file).print(table)
 
@@ -60,12 +62,8 @@ def show(
     socast effects show cold_rolling
     """
     effect = effects.get(name)
-    topic = next(
-        topic
-        for topic, effects_of_topic in effects.group_by_topic().items()
-        if effect.base in [e.name for e in effects_of_topic]
-    )
-    write_json(json_file, "effect", _plain(effect, topic))
+    topic = find_topic(effect)
+    write_json(json_file, "effect", make_effect_record(effect, topic))
     description = make_description([(name, Text(text)) for name, text in _list_properties(effect, topic) if text])
     make_console(json_file).print(description)
 
@@ -89,7 +87,7 @@ def check_file(
     table = _table()
     for effect in checked:
         _add(table, effect)
-    write_json(json_file, "effects", {"effects": [_plain(effect, file.name) for effect in checked]})
+    write_json(json_file, "effects", {"effects": [make_effect_record(effect, file.name) for effect in checked]})
     console = make_console(json_file)
     console.print(table)
     count = f"{len(checked)} effect{'s' if len(checked) > 1 else ''}"
@@ -195,7 +193,16 @@ def _tabulated(effect: Effect) -> list[str]:
     return [each.energy_name for each in (base, *base.variants)]
 
 
-def _plain(effect: Effect, topic: str) -> dict[str, Any]:
+def find_topic(effect: Effect) -> str:
+    """Return the topic of an effect: of the library, or the name of the user's file."""
+    return next(
+        topic
+        for topic, effects_of_topic in effects.group_by_topic().items()
+        if effect.base in [e.name for e in effects_of_topic]
+    )
+
+
+def make_effect_record(effect: Effect, topic: str) -> dict[str, Any]:
     """Return the declaration of an effect, for JSON."""
     return {
         "name": effect.name,

@@ -19,7 +19,7 @@ from core.fit.window_recipe import WindowRecipe
 from core.stats.splits import REPEATS
 from tools.commands.fit import Tables, ride_files
 from tools.commands.tables import WINDOWS
-from tools.terminal.output import HtmlFile, JsonFile, check_outputs, make_console, write_json
+from tools.terminal.output import HtmlFile, JsonFile, VehicleFiles, check_outputs, make_console, write_json
 from tools.terminal.table_files import KEY, read
 
 LEAST_REPEATS = 2
@@ -30,6 +30,7 @@ def evaluate_tables(
     tables: Tables,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
+    _: VehicleFiles = None,
     seed: Annotated[int, typer.Option(help="Seed of splits and draws; the same seed gives the same result.")] = 0,
     repeats: Annotated[int, typer.Option(help="Number of splits by ride.")] = REPEATS,
     recipes: Annotated[

@@ -29,6 +29,7 @@ from tools.terminal.output import (
     HtmlFile,
     JsonFile,
     ModelName,
+    VehicleFiles,
     check_outputs,
     select_model_files,
     show_report,
@@ -132,6 +133,7 @@ def evaluate_recordings(
     *,
     model: ModelName = DEFAULT_MODEL,
     effects_file: EffectFiles = None,
+    vehicles: VehicleFiles = None,
     settings: Settings,
     elevation: ElevationFiles = None,
     truth: Annotated[
@@ -161,6 +163,7 @@ def evaluate_recordings(
         *([truth] if truth else []),
         *select_model_files([model]),
         *(effects_file or ()),
+        *(vehicles or ()),
         *(elevation or ()),
     ]
     check_outputs(read, json_file, html_file)

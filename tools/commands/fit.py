@@ -40,6 +40,7 @@ Rides = Annotated[
     ),
 ]
 RECORDING = ".mcap"
+PARQUET = ".parquet"
 RECOMMENDED = "fitted_physical"
 """The recommended first recipe, because its coefficients are physical and it needs few rides."""
 
@@ -111,7 +112,7 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
     Raises
     ------
     SettingsError
-        If a file does not exist, is a recording or a window table, or is given twice.
+        If a file does not exist, is no Parquet file or a window table, or is given twice.
     """
     files = [path / RIDES if path.is_dir() else path for path in tables]
     for given, file in zip(tables, files, strict=True):
@@ -124,6 +125,8 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
         if not file.is_file():
             lacks = f"holds no {RIDES}" if given.is_dir() else "does not exist"
             raise SettingsError(f"{given} {lacks}; name a folder that `socast tables` made, or a Parquet file of rides")
+        if file.suffix != PARQUET:
+            raise SettingsError(f"{given} is neither a recording (*{RECORDING}) nor a Parquet file of rides")
         if is_window_table(file):
             raise SettingsError(f"{given} is a window table; give the folder, or {RIDES}")
     refuse_duplicates(files)

@@ -1,9 +1,9 @@
-"""`socast import`: convert public data sets of real drives to recordings that `replay` and `tables` read."""
+"""`socast import`: convert tables of one's own, and public data sets, to recordings that `replay` and `tables` read."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import typer
@@ -12,12 +12,17 @@ from rich.progress import track
 
 from core.errors import ImportFileError, SettingsError
 from stream.mcap_writer import McapSink
+from stream.recording_metadata import make_metadata
 from tools.importers.data_sets import DATA_SETS, DataSet, get_data_set
 from tools.importers.drive import Drive, ReadOptions, make_messages, sort_drives
 from tools.importers.published import list_files
 from tools.importers.synthetic_shifts import START_SOC, SyntheticShift, concatenate_drives, make_plans
+from tools.terminal.output import HtmlFile, VehicleFiles
+from tools.terminal.table_import import TABLE_KINDS, import_tables
 
 Step = TypeVar("Step")
+PERIOD_S = 3.0
+"""Default time between two samples. [s]"""
 BLOCK = 4096
 """Number of messages written at a time."""
 
@@ -27,20 +32,34 @@ def import_drives(
     data_set: Annotated[
         str,
         typer.Argument(
-            metavar="DATA_SET",
-            help="ved (Vehicle Energy Dataset, electric cars, Ann Arbor), bmw-i3 (BMW i3, Munich, 10 Hz; needs "
+            metavar="SOURCE",
+            help="csv or parquet (files of your own, read with --map), or a public data set: ved (Vehicle Energy "
+            "Dataset, electric cars, Ann Arbor), bmw-i3 (BMW i3, Munich, 10 Hz; needs "
             "Overview.xlsx beside the files) or twizy (Renault Twizy, Rabat, 1 Hz; no voltage and current).",
         ),
     ],
-    paths: Annotated[
-        list[Path], typer.Argument(metavar="PATHS", help="Files as published, plain or .gz, or folders of them.")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="Recording to write.")],
+    paths: Annotated[list[Path], typer.Argument(metavar="PATHS", help="Files, plain or .gz, or folders of them.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.mcap", help="Recording to write.")] = None,
+    map_file: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="MAP.toml", help="Which column of csv or parquet is what, in which unit."),
+    ] = None,
+    guess: Annotated[
+        bool, typer.Option("--guess", help="Write a first MAP.toml from names, units, ranges and physics.")
+    ] = False,
+    html_file: HtmlFile = None,
+    _: VehicleFiles = None,
+    vehicle_model: Annotated[
+        str | None,
+        typer.Option(metavar="KEY", help="Vehicle model of cars for which MAP.toml names none."),
+    ] = None,
     vehicle: Annotated[
         list[int] | None,
         typer.Option(metavar="VEHID", help="Car of ved to read; may be repeated. Default: all electric cars."),
     ] = None,
-    period: Annotated[float, typer.Option(min=0.1, max=60.0, help="Seconds between two samples, approximately.")] = 3.0,
+    period: Annotated[
+        float, typer.Option(min=0.1, max=60.0, help="Seconds between two samples, approximately.")
+    ] = PERIOD_S,
     shift_hours: Annotated[
         float | None,
         typer.Option(
@@ -57,11 +76,27 @@ def import_drives(
     ] = None,
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Skip and name files that cannot be read.")] = False,
 ) -> None:
-    """Convert a public data set of real drives to a recording.
+    """Convert files of your own, or a public data set of real drives, to a recording.
 
-    Example: socast import bmw-i3 downloads/ --out i3.mcap
+    Examples
+    --------
+    socast import csv drives/ --guess --map cars.toml
+    socast import csv drives/ --map cars.toml --out cars.mcap --html cars.html
+    socast import bmw-i3 downloads/ --out i3.mcap
     """
+    if data_set in TABLE_KINDS:
+        changed = {"--vehicle": vehicle, "--shift-hours": shift_hours, "--time-zone": time_zone, "--skip-bad": skip_bad}
+        if wrong := [option for option, value in changed.items() if value]:
+            raise SettingsError(f"{wrong[0]} applies to public data sets only; leave it out, and write the map instead")
+        import_tables(data_set, paths, map_file, out, vehicle_model, guess=guess, html_file=html_file)
+        return
     chosen = get_data_set(data_set)
+    if guess or any(option is not None for option in (map_file, html_file, vehicle_model)):
+        raise SettingsError(
+            f"--map, --guess, --html and --vehicle-model apply to csv and parquet only; leave them out for {data_set}"
+        )
+    if out is None:
+        raise SettingsError("--out is missing; name the recording to write, such as drives.mcap")
     vehicles = tuple(vehicle or ())
     if vehicles and data_set != "ved":
         raise SettingsError(f"--vehicle is {vehicles[0]}, but {data_set} holds one car; leave --vehicle out")
@@ -74,7 +109,10 @@ def import_drives(
         raise ImportFileError(
             f"{paths[0]}: column 'VehId' has no {cars} in the files given; 10, 455 and 541 are electric"
         )
-    write_recording(drives, out, period, shift_hours)
+    values = {"data_set": data_set, "vehicle": vehicles, "period": period, "time_zone": time_zone}
+    usual = {"vehicle": (), "period": PERIOD_S, "time_zone": None}
+    changes = {name: value for name, value in values.items() if value != usual.get(name)}
+    write_recording(drives, out, period, shift_hours, changes)
 
 
 def collect_drives(
@@ -126,7 +164,13 @@ def collect_drives(
     return sort_drives(drives)
 
 
-def write_recording(drives: Sequence[Drive], out: Path, period: float, shift_hours: float | None = None) -> None:
+def write_recording(
+    drives: Sequence[Drive],
+    out: Path,
+    period: float,
+    shift_hours: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> None:
     """Write drives as a recording and print a summary of it.
 
     Parameters
@@ -139,6 +183,8 @@ def write_recording(drives: Sequence[Drive], out: Path, period: float, shift_hou
         Time between two samples. [s]
     shift_hours : float, optional
         Length of the synthetic shifts into which the rides of each car are concatenated; None keeps the rides. [h]
+    settings : mapping of str to object, optional
+        Settings of the import for the metadata of the recording.
     """
     console = Console()
     for note in (note for drive in drives for note in drive.notes):
@@ -149,7 +195,8 @@ def write_recording(drives: Sequence[Drive], out: Path, period: float, shift_hou
         drives = [drive for shift in shifts for drive in shift.drives]
     planned = [plan for shift in shifts for plan in make_plans(shift)]
     recording = sorted([*make_messages(drives, period), *planned], key=attrgetter("receipt_ns"))
-    with McapSink(out) as sink:
+    chosen = dict(settings or {}) | ({} if shift_hours is None else {"shift_hours": shift_hours})
+    with McapSink(out, metadata=make_metadata("import", settings=chosen)) as sink:
         for start in _show_progress(range(0, len(recording), BLOCK), "writing"):
             sink.put(recording[start : start + BLOCK])
     cars = len({drive.vehicle_id for drive in drives})

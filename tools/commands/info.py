@@ -1,7 +1,7 @@
 """`socast info`: show what recordings contain."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from operator import itemgetter
 from pathlib import Path
@@ -59,7 +59,9 @@ def describe_recording(source: McapSource, step: Callable[[], None] = lambda: No
     -------
     dict
         `path`, `bytes`, `chunks`, `messages`, `begin`, `end` (ISO 8601, None for an empty recording), `duration_s`,
-        `vehicles`, `stations`, `kinds`, `topics` (`messages` and `schema` each) and `losses`.
+        `vehicles`, `stations`, `kinds`, `topics` (`messages` and `schema` each), `viewer_topics` (likewise; their
+        messages are for viewers, and no command reads them), `metadata` (what wrote the recording; empty if the file
+        does not say) and `losses`.
     """
     counts: Counter[str] = Counter()
     first = last = None
@@ -88,11 +90,24 @@ def describe_recording(source: McapSource, step: Callable[[], None] = lambda: No
         "vehicles": sorted(named["vehicle"]),
         "stations": sorted(named["weather"]),
         "kinds": dict(kinds),
-        "topics": {
-            topic: {"messages": counts[topic], "schema": source.schemas.get(topic, "")} for topic in sorted(counts)
-        },
+        "topics": _describe_topics(source, counts),
+        "viewer_topics": _describe_topics(source, source.viewer_messages),
+        "metadata": source.metadata,
         "losses": source.losses.lines(),
     }
+
+
+def _describe_topics(source: McapSource, counts: Mapping[str, int]) -> dict[str, dict[str, Any]]:
+    """Return the number of messages and the schema of each topic."""
+    return {topic: {"messages": counts[topic], "schema": source.schemas.get(topic, "")} for topic in sorted(counts)}
+
+
+def _describe_metadata(metadata: Mapping[str, str]) -> str:
+    """Return a line that says what wrote a recording, without control characters."""
+    others = "; ".join(f"{name} {text}" for name, text in metadata.items() if name not in {"version", "command"})
+    wrote = f"written by socast {metadata.get('version', '')} {metadata.get('command', '')}".strip()
+    line = f"{wrote}; {others}" if others else wrote
+    return "".join(each if each.isprintable() else "?" for each in line)
 
 
 def _format_time(time_ns: int | None) -> str | None:
@@ -111,6 +126,13 @@ def _show(console: Console, content: dict[str, Any]) -> None:
         highlight=False,
         soft_wrap=True,
     )
+    if content["metadata"]:
+        console.print(_describe_metadata(content["metadata"]), markup=False, highlight=False, soft_wrap=True)
+    if for_viewers := content["viewer_topics"].values():
+        count = sum(about["messages"] for about in for_viewers)
+        schemas = ", ".join(sorted({about["schema"] for about in for_viewers}))
+        line = f"for viewers, read by no command: {count:,} messages on {len(for_viewers):,} topics ({schemas})"
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
     table = make_table([Column("topic"), Column("messages", number=True), Column("schema")])
     for topic, about in list(content["topics"].items())[:MOST_TOPICS]:
         table.add_row(escape(topic), f"{about['messages']:,}", escape(about["schema"]) or "none")

@@ -16,10 +16,16 @@ from stream.loop import stop_on_signals
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
 from stream.source import Source, merge_sources, pace_source, stop_source
-from stream.zenoh_pubsub import ZenohSink
 from stream.zenoh_session import Connection, Node, parse_prefix
+from stream.zenoh_sink import ZenohSink
+from tools.foxglove.recording import FoxgloveRecording
 from tools.terminal.elevation_option import warn_outside
-from tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
+from tools.terminal.forecast_options import (
+    ForecastOptions,
+    describe_forecasts,
+    insert_forecast_options,
+    make_pipeline,
+)
 from tools.terminal.forecast_run import run_forecasts
 from tools.terminal.live_table import add_predictions, make_ride_records, show_rides
 from tools.terminal.model_comparison import load_models, make_records, show_models
@@ -52,8 +58,17 @@ def replay(
         float, typer.Option(metavar="S", help="Shorten silences of the recording to this time.")
     ] = inf,
     out: Annotated[
-        Path | None, typer.Option(metavar="F.mcap", help="Record the forecasts, and the errors of several models.")
+        Path | None,
+        typer.Option("--out", "-o", metavar="F.mcap", help="Record the forecasts, and the errors of several models."),
     ] = None,
+    foxglove: Annotated[
+        bool,
+        typer.Option(
+            "--foxglove",
+            help="Let --out also hold the replayed messages, and positions and warnings for the viewer Foxglove; write "
+            "its layout F.layout.json.",
+        ),
+    ] = False,
     json_file: JsonFile = None,
 ) -> None:
     """Replay recordings, merged in time order, through a model or to a router.
@@ -63,23 +78,38 @@ def replay(
 
     With --connect or --config the recordings are published, and the listeners at the router make the forecasts.
 
+    With --foxglove the file of --out replays like the original: socast reads nothing that was added for the viewer.
+
     Examples
     --------
     socast replay recordings/shift.mcap
+    socast replay recordings/shift.mcap --out viewed.mcap --foxglove
     socast replay today.mcap --warm-up december.mcap --model fitted.json --json rides.json
     socast replay recordings/shift.mcap --connect tcp/127.0.0.1:7447 --speed 60
     """
-    local = (in_process, out, json_file, options.models, options.effect_files, options.warm_up, options.elevation)
+    local = (
+        in_process,
+        out,
+        foxglove,
+        json_file,
+        options.models,
+        options.effect_files,
+        options.warm_up,
+        options.elevation,
+    )
     publishes = bool(connect or config)
     if publishes and (any(local) or options.settings != Settings()):
         raise SettingsError(
             f"{'--connect' if connect else '--config'} only publishes and makes no forecasts; leave out --in-process, "
-            "--out, --json, --model, --effects, --warm-up, --elevation and the settings of cleaning"
+            "--out, --foxglove, --json, --model, --effects, --warm-up, --elevation and the settings of cleaning"
         )
+    if foxglove and out is None:
+        raise SettingsError("--foxglove adds to what --out records: give --out F.mcap too")
+    layout = out.with_suffix(".layout.json") if out and foxglove else None
     prefix = parse_prefix(options.prefix)
     rate = parse_speed(pace or ("1" if publishes else "max"))
     sources = open_recordings(recordings)
-    check_outputs([*recordings, *options.files], out, json_file)
+    check_outputs([*recordings, *options.files], out, json_file, layout)
     with stop_on_signals() as stop:
         source = stop_source(pace_source(merge_sources(sources), rate, longest_gap_s=longest_gap), stop)
         if publishes:
@@ -87,7 +117,7 @@ def replay(
             with Node(joined) as node:
                 _publish(source, ZenohSink(node, prefix), sources, stop, connect or f"the router of {config}")
         else:
-            _forecast(source, sources, rate, options, out, json_file)
+            _forecast(source, sources, rate, options, out, layout, json_file)
     warn_of_losses(sources)
 
 
@@ -97,13 +127,20 @@ def _forecast(
     rate: float,
     options: ForecastOptions,
     out: Path | None,
+    layout: Path | None,
     json_file: Path | None,
 ) -> None:
     """Pass recordings through the models, write the report and print it."""
     models = load_models(options.models)
     pipeline = make_pipeline(options, models, replayed=sources, keep_outlooks=True)
     outcomes = ShiftOutcomes(pipeline)
-    run_forecasts(pipeline, sources, source, rate, [McapSink(out)] if out else [], outcomes)
+    metadata = describe_forecasts("replay", options, models)
+    viewed = FoxgloveRecording(out, metadata) if out and layout else None
+    if viewed and layout:
+        run_forecasts(pipeline, sources, viewed.record_source(source), rate, [viewed], outcomes)
+        viewed.write_layout(layout)
+    else:
+        run_forecasts(pipeline, sources, source, rate, [McapSink(out, metadata=metadata)] if out else [], outcomes)
     quality = pipeline.quality()
     refuse_unusable(sources, sum(quality["received"].values()))
     rides = add_predictions(pipeline.take_rides(), pipeline.shadows)
@@ -117,6 +154,8 @@ def _forecast(
     if errors:
         show_models(console, errors, models, rides)
     show_outcomes(console, result["shifts"])
+    if layout:
+        console.print(f"layout for Foxglove in {layout}", markup=False, highlight=False, soft_wrap=True)
     warn_outside(quality)
 
 

@@ -11,6 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from core.errors import SettingsError
 from stream.mcap_writer import McapSink
+from stream.recording_metadata import list_changed_settings, make_metadata
 from tools.simulator.bent_shapes import BENT
 from tools.simulator.conditions import CONDITION_NAMES, parse_conditions
 from tools.simulator.fleet import count_shifts
@@ -204,7 +205,8 @@ def write_simulation(simulation: Simulation, out: Path) -> Truth:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         bar = progress.add_task("driving shifts", total=count_shifts(simulation))
         messages = simulate_messages(simulation, truth, lambda shifts: progress.advance(bar, shifts))
-        with McapSink(out) as sink:
+        metadata = make_metadata("simulate", settings=list_changed_settings(simulation, Simulation()))
+        with McapSink(out, metadata=metadata) as sink:
             while block := list(islice(messages, BLOCK)):
                 sink.put(block)
                 truth.messages += len(block)

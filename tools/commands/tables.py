@@ -24,6 +24,7 @@ from tools.terminal.output import (
     EffectFiles,
     JsonFile,
     ModelName,
+    VehicleFiles,
     check_outputs,
     make_console,
     select_model_files,
@@ -90,6 +91,7 @@ def tables(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for rides.parquet, windows.parquet, quality.json.")],
     model: ModelName = DEFAULT_MODEL,
     effects_file: EffectFiles = None,
+    vehicles: VehicleFiles = None,
     settings: Settings,
     elevation: ElevationFiles = None,
     json_file: JsonFile = None,
@@ -112,7 +114,7 @@ def tables(
     )
     sources = open_recordings(recordings)
     folder = _folder(out)
-    read = [*recordings, *select_model_files([model]), *(effects_file or ()), *(elevation or ())]
+    read = [*recordings, *select_model_files([model]), *(effects_file or ()), *(vehicles or ()), *(elevation or ())]
     check_outputs(read, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)
     rides, windows = ParquetTable(folder / RIDES), ParquetTable(folder / WINDOWS)
     kept: list[pd.DataFrame] = []
@@ -147,7 +149,10 @@ def _folder(path: Path) -> Path:
 
 
 def tabulate(
-    sources: Sequence[McapSource], pipeline: Pipeline, take: Callable[[pd.DataFrame, pd.DataFrame], None]
+    sources: Sequence[McapSource],
+    pipeline: Pipeline,
+    take: Callable[[pd.DataFrame, pd.DataFrame], None],
+    report: Callable[[float], None] | None = None,
 ) -> None:
     """Make ride and window tables of recordings, with a progress bar.
 
@@ -160,6 +165,8 @@ def tabulate(
     take : callable
         Function that receives the ended rides and their windows. It is called for every `ROW_GROUP` rides and at the
         end.
+    report : callable, optional
+        Function that receives the share of the recordings that was read, in place of the progress bar. [1]
 
     Raises
     ------
@@ -167,10 +174,13 @@ def tabulate(
         If the recordings hold no message of the wire contract.
     """
     taken = 0
-    with show_progress(sources) as step:
+    blocks = max(sum(source.blocks for source in sources), 1)
+    with show_progress(sources, shown=report is None) as step:
         for messages in merge_sources(sources):
             pipeline.take(messages)
             step()
+            if report:
+                report(sum(source.blocks_read for source in sources) / blocks)
             if (ended := pipeline.quality()["rides"]) - taken >= ROW_GROUP:
                 taken = ended
                 take(pipeline.take_rides(), pipeline.take_windows())
@@ -179,7 +189,9 @@ def tabulate(
         take(pipeline.take_rides(), pipeline.take_windows())
 
 
-def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.DataFrame, pd.DataFrame]:
+def in_memory(
+    recordings: Sequence[Path], wanted: Sequence[str], report: Callable[[float], None] | None = None
+) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride table and the window table of recordings, and print warnings about data that could not be read.
 
     Parameters
@@ -188,6 +200,8 @@ def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.Dat
         The recordings.
     wanted : sequence of str
         Names of the effects that the tables contain in addition to the default ones.
+    report : callable, optional
+        As of `tabulate`.
 
     Returns
     -------
@@ -196,7 +210,7 @@ def in_memory(recordings: Sequence[Path], wanted: Sequence[str]) -> tuple[pd.Dat
     pipeline = Pipeline(also=wanted, keep_forecasts=False, two_sided=True)
     sources = open_recordings(recordings)
     parts: list[tuple[pd.DataFrame, pd.DataFrame]] = []
-    tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)))
+    tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)), report)
     warn_of_losses(sources)
     rides, windows = (pd.concat(tables, ignore_index=True) for tables in zip(*parts, strict=True))
     return rides, windows

@@ -106,6 +106,8 @@ class Conditions:
         Nominal capacities, assigned in turn and announced by the cars. [kWh]
     newcomers : Newcomers
         Cars and drivers that join.
+    weather_forecasts : bool
+        The stations also publish forecasts of the temperature, see `weather.make_forecasts`.
     """
 
     spells: tuple[Spell, ...] = ()
@@ -121,6 +123,7 @@ class Conditions:
     aged_packs: float = 0.0
     battery_sizes: tuple[float, ...] = ()
     newcomers: Newcomers = NO_NEWCOMERS
+    weather_forecasts: bool = False
 
     def __post_init__(self) -> None:
         """Raise an error for a value out of bounds."""

@@ -24,7 +24,7 @@ from tools.simulator.settings import NIGHT, UTC_OFFSET, Simulation
 from tools.simulator.shift import Orders, Shift, draw_orders, make_shift, stop_shift
 from tools.simulator.trace import Trace, make_trace
 from tools.simulator.truth import Truth
-from tools.simulator.weather import Sky, make_observations, make_sky
+from tools.simulator.weather import Sky, make_forecasts, make_observations, make_sky
 
 PILOT: Final = 240
 """Largest number of shifts, evenly spread, that are driven to calibrate hidden effects."""
@@ -114,7 +114,7 @@ def simulate(
 
 
 def merge_weather(fleet: Iterator[Message], simulation: Simulation, sky: Sky) -> Iterator[Message]:
-    """Merge the observations of the stations into the messages of a fleet.
+    """Merge the observations and forecasts of the stations into the messages of a fleet.
 
     Parameters
     ----------
@@ -131,7 +131,11 @@ def merge_weather(fleet: Iterator[Message], simulation: Simulation, sky: Sky) ->
         In order of receipt, from the hour before the first message of the fleet to its last message.
     """
     opening = next(fleet)
-    weather = iter(make_observations(sky, opening.receipt_ns / 1e9, float(sky.time[-1]), simulation.seed))
+    begin, end = opening.receipt_ns / 1e9, float(sky.time[-1])
+    published = make_observations(sky, begin, end, simulation.seed)
+    if simulation.conditions.weather_forecasts:
+        published += make_forecasts(sky, begin, end, simulation.seed)
+    weather = iter(sorted(published, key=attrgetter("receipt_ns")))
     waiting = next(weather, None)
     for message in _chain(opening, fleet):
         while waiting is not None and waiting.receipt_ns <= message.receipt_ns:

@@ -60,6 +60,7 @@ FLEETS: Final[Mapping[str, Simulation]] = MappingProxyType(
     {
         "autumn": _AUTUMN,
         "autumn-heat": _with(_AUTUMN, spells=(HEAT_WAVE,)),
+        "autumn-forecast": _with(_AUTUMN, weather_forecasts=True),
         "autumn-short": _SHORT,
         "autumn-faults": _with(
             _SHORT,

@@ -23,6 +23,16 @@ ONSET: Final = 6 * HOUR
 """Time over which a spell begins, before its first day, and ends. [s]"""
 LIMITS: Final = (-42.0, 44.0)
 """Coldest and warmest temperature of a spell. [°C]"""
+ISSUE_HOURS: Final = 6
+"""Hours between two forecasts, from midnight UTC on. [h]"""
+FORECAST_HOURS: Final = 24
+"""Hours ahead of a forecast. [h]"""
+FORECAST_DELAY: Final = 1800.0
+"""Time after which a forecast that was issued is received. [s]"""
+FORECAST_SD: Final = (0.7, 1.8)
+"""Standard deviation of the error of a forecast temperature, now and a day ahead. [K]"""
+FORECAST_KEEP: Final = 0.9
+"""Correlation of the errors of two hours of a forecast that follow each other. [1]"""
 STATIONS: Final = (("mctavish", 45.5047, -73.5790), ("yul", 45.4706, -73.7408), ("yhu", 45.5175, -73.4169))
 """Name, latitude and longitude of each station that publishes observations. [deg]"""
 
@@ -204,6 +214,40 @@ def make_observations(sky: Sky, begin: float, end: float, seed: int) -> list[Mes
         for station, error, delay in zip(STATIONS, errors, delays, strict=True):
             messages.append(_observation(sky, index, station, error, float(delay)))
     return sorted(messages, key=lambda message: message.receipt_ns)
+
+
+def make_forecasts(sky: Sky, begin: float, end: float, seed: int) -> list[Message]:
+    """Return the forecasts of the temperature that the stations publish in a period, in order of receipt.
+
+    Parameters
+    ----------
+    sky : Sky
+        The weather.
+    begin, end : float
+        Begin and end of the period, Unix time. [s]
+    seed : int
+        Seed of the errors.
+
+    Returns
+    -------
+    list of Message
+        Every `ISSUE_HOURS` one forecast of each hour of the next day. All stations have the same error, which grows
+        with the time ahead.
+    """
+    rng, messages = np.random.default_rng([seed, 3]), []
+    lead = np.arange(FORECAST_HOURS + 1)
+    sd = np.interp(lead, [0.0, FORECAST_HOURS], FORECAST_SD)
+    for first in np.flatnonzero(sky.time % (ISSUE_HOURS * HOUR) == 0.0).tolist():
+        issued, errors = float(sky.time[first]), sd * draw_autoregressive(rng, len(lead), FORECAST_KEEP)
+        if not begin - 2 * ISSUE_HOURS * HOUR < issued <= end:
+            continue
+        receipt_ns = int(max(issued + FORECAST_DELAY, begin) * 1e9)
+        for time, truth, error in zip(sky.time[first:], sky.temperature[first:], errors, strict=False):
+            celsius = round(float(truth + error), 1)
+            for name, latitude, longitude in STATIONS:
+                ahead = Weather(name, float(time), latitude, longitude, temperature_c=celsius, issued_s=issued)
+                messages.append(Message(f"weather/{name}", encode(ahead), receipt_ns))
+    return messages
 
 
 def _observation(sky: Sky, i: int, station: tuple[str, float, float], error: Floats, delay: float) -> Message:

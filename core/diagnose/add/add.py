@@ -14,7 +14,7 @@ With many dates, every fifth date is a final hold-out. The decision does not use
 error once. Evaluate on the final hold-out once; do not tune on it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import isnan
 from typing import Any, Final, NamedTuple
 
@@ -101,6 +101,7 @@ def add_effect(
     floor: float | None = None,
     seed: int = 0,
     least: float = LEAST_GAIN,
+    report: Callable[[float, str], None] = lambda *_: None,
 ) -> AdditionTrial:
     """Return a model with one more effect, and the trial of this effect.
 
@@ -124,6 +125,8 @@ def add_effect(
         Seed of the folds.
     least : float
         Least gain of an accepted effect, as a share of the squared error. [1]
+    report : callable
+        Function that receives, before each step, the share of the work that is done, and the step in words.
 
     Returns
     -------
@@ -143,8 +146,10 @@ def add_effect(
     data = group_rows_by_ride(_select_rows(model, term, joined, rides), rides)
     active = _find_active_rides(declared, term, data)
     addition = _split_terms(model, term)
+    report(0.05, "fitting without and with the effect")
     pair = _refit(model, addition, data, seed)
-    results, by_condition = _evaluate(addition, data, _choose_final_days(model, data, active), seed, declared.sign)
+    final = _choose_final_days(model, data, active)
+    results, by_condition = _evaluate(addition, data, final, seed, declared.sign, report)
     results["noise_floor_kwh"] = compute_noise_floor(get_numbers(data.table, "noise")) if floor is None else floor
     results |= _decide(results, least)
     grown = _name_model(pair.after, model, data)
@@ -164,6 +169,7 @@ def add_effect(
     )
     grown = msgspec.structs.replace(grown, history=(*model.history, entry))
     if rides is not None:
+        report(0.9, "calibrating the interval of the model")
         grown = add_interval(grown, rides)
     warnings = [
         f"{key}: {line}" for key, value in pair.coefficients.items() if (line := warn_if_implausible(declared, value))
@@ -283,15 +289,26 @@ def _describe_coefficients(declared: Effect, pair: RefittedPair) -> dict[str, An
 
 
 def _evaluate(
-    addition: TermAddition, data: RideRows, final: tuple[str, ...], seed: int, sign: int
+    addition: TermAddition,
+    data: RideRows,
+    final: tuple[str, ...],
+    seed: int,
+    sign: int,
+    report: Callable[[float, str], None],
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the results of the trial, and the comparison by conditions."""
     development = data.only(~_are_on_days(data, final))
     folds = split_into_day_folds(development, seed)
+    report(0.15, "evaluating the effect on held-out days")
     predictions = predict_with_effects_held_out(addition, development.rows, [fold[development.ride] for fold in folds])
     before, after = map(development.by_ride, predictions)
     of_effect = compare_errors(development.table, before, after)
     evidence = assess_addition(addition, development.rows, sign=sign, seed=seed)
+    report(0.3, "refitting all terms and evaluating on held-out days")
+    on_days = compare_errors(development.table, *predict_held_out(addition, development, folds))
+    report(0.6, "refitting all terms and evaluating on held-out vehicles")
+    on_vehicles = _compare_on_vehicles(addition, development, seed)
+    report(0.8, "evaluating on the final hold-out days")
     results = {
         "rides": len(data.table),
         "windows": len(data.rows),
@@ -302,8 +319,8 @@ def _evaluate(
         "p": evidence.p,
         **{key: of_effect[key] for key in ("mae_before_kwh", "mae_after_kwh", "change_kwh")},
         "of_effect": of_effect,
-        "on_days": compare_errors(development.table, *predict_held_out(addition, development, folds)),
-        "on_vehicles": _compare_on_vehicles(addition, development, seed),
+        "on_days": on_days,
+        "on_vehicles": on_vehicles,
         "final": _compare_on_final_days(addition, data, final) if final else None,
     }
     return results, compare_by_condition(development.table, before, after)

@@ -332,7 +332,7 @@ def describe_divergence(
         if place["share"] > 1.0:
             sentence += (
                 f"it predicts {abs(place['error_kwh']):.3f} kWh {side} in the {where}; "
-                f"the rest of the ride compensates all but {abs(total):.3f} kWh"
+                f"the rest of the ride compensates {abs(place['error_kwh']) - abs(total):.3f} kWh"
             )
         else:
             sentence += f"{abs(place['error_kwh']):.3f} of {abs(total):.3f} kWh {side} come in the {where}"

@@ -128,7 +128,7 @@ def test_value_out_of_range_is_unknown():
 @pytest.mark.parametrize("place", [(1e308, 0.0), (0.0, 1e308), (91.0, 0.0), (0.0, 400.0)])
 def test_observation_with_impossible_position_is_rejected_and_counted(place):
     stations = Stations()
-    assert stations.observe(station("lost", place=place, temperature_c=1.0)) == "out_of_range"
+    assert stations.admit(station("lost", place=place, temperature_c=1.0)) == "out_of_range"
     pipeline, _ = ran([observed(place=place), observed()])
     assert pipeline.quality()["received"]["weather"] == 1
     assert pipeline.quality()["undecodable"] == {"out_of_range": 1}

@@ -347,7 +347,7 @@ def test_commands_of_a_finding_add_its_effect_and_run_it_as_a_shadow(here, capsy
         started.extend(given)
         raise SettingsError("the models are loaded")
 
-    monkeypatch.setattr("tools.commands.live.compile_kernels", end)
+    monkeypatch.setattr("tools.terminal.live_service.compile_kernels", end)
     assert "the models are loaded" in refused(capsys, *shadowing)
     assert [len(model.terms) for model in started] == [len(started[0].terms), len(started[0].terms) + 1]
 

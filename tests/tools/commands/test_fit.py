@@ -153,6 +153,9 @@ def test_missing_table_or_unknown_recipe_is_refused_in_one_line(folder, table, t
     assert "recipe 'hybird' is unknown: did you mean hybrid" in message
     assert "does not exist; name a folder" in refused(capsys, "fit", tmp_path / "no", "--recipe", "hybrid", "-o", out)
     assert "holds no rides.parquet" in refused(capsys, "fit", tmp_path, "--recipe", "hybrid", "-o", out)
+    other = tmp_path / "shift.truth.json"
+    other.write_text("{}", encoding="utf-8")
+    assert "neither a recording (*.mcap) nor" in refused(capsys, "fit", other, "--recipe", "hybrid", "-o", out)
     (tmp_path / "text.parquet").write_text("distance_km\n")
     message = refused(capsys, "fit", tmp_path / "text.parquet", "--recipe", "hybrid", "-o", out)
     assert "text.parquet: no ride table" in message

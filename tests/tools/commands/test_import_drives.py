@@ -1,6 +1,7 @@
 """`socast import` converts one or several files, and reports each error in one line."""
 
 import gzip
+import json
 from itertools import pairwise, permutations
 
 import hypothesis.strategies as st
@@ -125,6 +126,14 @@ def test_garbage_raises_import_file_errors_only(tmp_path_factory, garbage):
                 data_set.read_drives(path, data_set.defaults)
 
 
+def test_recording_says_which_data_set_and_settings_made_it(tmp_path):
+    result = run_import("ved", write_good_file(tmp_path, "ved"), "--out", tmp_path / "x.mcap", "--period", 1)
+    assert result.exit_code == 0, result.output
+    about = McapSource(tmp_path / "x.mcap").metadata
+    assert about["command"] == "import"
+    assert json.loads(about["settings"]) == {"data_set": "ved", "period": 1.0}
+
+
 @pytest.mark.parametrize(
     ("row", "column"),
     [
@@ -182,7 +191,7 @@ def test_vehicle_option_is_rejected_for_data_sets_of_one_car(tmp_path):
 def test_unknown_data_set_is_an_error(tmp_path):
     result = run_import("lunch", tmp_path, "--out", tmp_path / "x.mcap")
     assert isinstance(result.exception, SettingsError)
-    assert "choose from ved, bmw-i3, twizy" in str(result.exception)
+    assert "choose from csv, parquet, ved, bmw-i3, twizy" in str(result.exception)
 
 
 def test_ride_in_two_files_is_an_error(tmp_path):

@@ -20,11 +20,11 @@ from tests.support.live_consumers import consumers, logged
 from tests.support.paths import ROOT
 from tests.support.recorded_shift import make_two_days
 from tests.support.zenoh_sessions import eventually
-from tools.commands import live
 from tools.commands.fit import inputs
-from tools.commands.live import make_nightly_diagnosis
+from tools.terminal import night_watch
 from tools.terminal.diagnosis_process import DiagnosisProcess
 from tools.terminal.forecast_options import ForecastOptions
+from tools.terminal.night_watch import make_nightly_diagnosis
 
 pytestmark = pytest.mark.long
 
@@ -110,7 +110,7 @@ TOO_FEW = "rides with measured energy to diagnose, and it takes 20: give more ri
 def test_night_that_fails_is_one_line_of_the_log_and_the_next_night_tries_again(
     tmp_path, caplog, monkeypatch, job, spoil, reason
 ):
-    monkeypatch.setattr(live, "DiagnosisProcess", job)
+    monkeypatch.setattr(night_watch, "DiagnosisProcess", job)
     monkeypatch.setattr(logging.getLogger("socast"), "propagate", True)
     caplog.set_level(logging.INFO, "socast")
     (tmp_path / "kept").mkdir()
@@ -118,7 +118,7 @@ def test_night_that_fails_is_one_line_of_the_log_and_the_next_night_tries_again(
     with McapSink(tmp_path / "kept" / "1.mcap") as sink:
         sink.put(make_two_days()[:60])
     models.save(models.load("extended_physical"), tmp_path / "base.json")
-    options = ForecastOptions([str(tmp_path / "base.json")], (), Settings(), "", (), ())
+    options = ForecastOptions([str(tmp_path / "base.json")], (), (), Settings(), "", (), ())
     fleet = SimpleNamespace(day_rollover=SimpleNamespace(midnight=86_400.0))
     found = tmp_path / "found" / "findings.json"
     nightly = make_nightly_diagnosis(options, fleet, MemorySink(), tmp_path / "kept", found)

@@ -100,7 +100,7 @@ def test_remaining_error_is_compared_with_noise_floor(mae, structure, stated):
 @pytest.mark.parametrize(
     ("first", "structure", "advice"),
     [
-        ("none", False, "Most probably, no effect is missing (58 %). More rides would tell."),
+        ("none", False, "Most probably, no effect is missing (58 %). More rides would decide it."),
         (UNKNOWN, False, "no pattern shows what does. Record more rides before you write an effect."),
         (UNKNOWN, True, "The cause is probably not in the library. Write an effect of your own"),
     ],
@@ -113,9 +113,11 @@ def test_advice_agrees_with_the_probable_cause(first, structure, advice):
 
 def test_doubtful_effect_is_not_recommended():
     result = make_diagnosis()
+    assert sentences.find_recommended(result) == result["verdict"]
     first = next(one for one in result["missing"] if one["effect"] == result["verdict"])
     first["coefficient"]["plausible"] = False
     first["gain_ci95"] = [-0.1, 0.3]
+    assert sentences.find_recommended(result) is None
     text = printed(result)
     assert f"Do not rely on {first['effect']} yet: its coefficient is not plausible and its gain" in text
     assert f"Add {first['effect']}," not in text

@@ -114,12 +114,23 @@ class TestStream:
         simulate_command(
             out=out, vehicles=2, start="2018-01-16T12:00", shift_hours=0.5, seed=3, hidden=["headwind:0.05"]
         )
+        source = McapSource(out)
+        assert source.metadata["command"] == "simulate"
+        assert json.loads(source.metadata["settings"]) == {
+            "vehicles": 2,
+            "start": "2018-01-16T12:00:00Z",
+            "shift_hours": 0.5,
+            "seed": 3,
+            "hidden": [["headwind", 0.05]],
+        }
         truth = json.loads((tmp_path / "small.truth.json").read_text())
-        messages = [message for block in McapSource(out) for message in block]
+        messages = [message for block in source for message in block]
         again = Simulation(vehicles=2, start=WINTER, shift_hours=0.5, seed=3, hidden=(Hidden("headwind", 0.05),))
         assert messages == list(simulate(again))
         assert truth["total"]["messages"] == len(messages)
         assert truth["simulation"]["hidden"] == {"headwind": 0.05}
+        write_simulation(again, tmp_path / "again.mcap")
+        assert (tmp_path / "again.mcap").read_bytes() == out.read_bytes()
         assert "headwind" in capsys.readouterr().out
 
     def test_wrong_settings_write_no_file(self, tmp_path):

@@ -313,12 +313,18 @@ def describe_suggestion(result: Result, file: str | None = None) -> list[str]:
     return [f"A term that fits the remaining error: {formula}", where]
 
 
+def find_recommended(result: Result) -> str | None:
+    """Return the effect to add; None where no effect is missing, or where it is in doubt."""
+    chosen = result.get("verdict")
+    return str(chosen) if chosen and not _list_doubts(_find_verdict(result)) else None
+
+
 def describe_next_step(result: Result) -> list[str]:
     """Return what to do next, with the command where there is one."""
     chosen = result.get("verdict")
     if not chosen:
         return [_advise_without_effect(result)]
-    first: Mapping[str, Any] = next((m for m in result.get("missing") or () if m.get("effect") == chosen), {})
+    first = _find_verdict(result)
     doubts = _list_doubts(first)
     if doubts:
         lines = [f"Do not rely on {chosen} yet: {' and '.join(doubts)}. Record more rides. To try it all the same:"]
@@ -341,8 +347,14 @@ def _advise_without_effect(result: Result) -> str:
     first: Mapping[str, Any] = next(iter(result.get("causes") or ()), {})
     chance = get_number(first.get("probability"))
     if first.get("effect") == NONE and chance is not None and chance < LEAST_SURE:
-        return f"Most probably, no effect is missing ({format_percent(chance, 0)}). More rides would tell."
+        return f"Most probably, no effect is missing ({format_percent(chance, 0)}). More rides would decide it."
     return "These rides show no missing effect."
+
+
+def _find_verdict(result: Result) -> Mapping[str, Any]:
+    """Return the entry of the missing effect that the verdict names."""
+    chosen = result.get("verdict")
+    return next((one for one in result.get("missing") or () if one.get("effect") == chosen), {})
 
 
 def _list_doubts(one: Mapping[str, Any]) -> list[str]:

@@ -1,0 +1,40 @@
+"""`socast info` shows what wrote a recording."""
+
+import json
+
+from stream.mcap_writer import McapSink
+from stream.recording_metadata import find_version, make_metadata
+from tests.support.commands import called
+from tests.support.mcap_recordings import make_telemetry
+from tests.support.paths import ROOT
+
+
+def write_with_metadata(path, metadata):
+    """Write a recording of three samples and return its path."""
+    with McapSink(path, metadata=metadata) as sink:
+        sink.put(make_telemetry(3))
+    return path
+
+
+def test_info_shows_what_wrote_the_recording(tmp_path):
+    metadata = make_metadata("simulate", prefix="montreal", settings={"seed": 7})
+    out, _, code = called("info", write_with_metadata(tmp_path / "r.mcap", metadata), "--json", tmp_path / "info.json")
+    assert code == 0
+    assert f'written by socast {find_version()} simulate; prefix montreal; settings {{"seed":7}}' in out
+    (about,) = json.loads((tmp_path / "info.json").read_text())["recordings"]
+    assert about["metadata"] == {"version": find_version()} | metadata
+
+
+def test_info_prints_no_control_characters_of_metadata(tmp_path):
+    out, _, _ = called("info", write_with_metadata(tmp_path / "r.mcap", {"command": "live\x1b[2J\nlie"}))
+    assert "live?[2J?lie" in out
+    assert "\x1b" not in out
+
+
+def test_info_says_nothing_where_the_recording_does_not(tmp_path):
+    out, _, code = called("info", ROOT / "recordings" / "shift.mcap", "--json", tmp_path / "info.json")
+    assert code == 0
+    assert "written by" not in out
+    (about,) = json.loads((tmp_path / "info.json").read_text())["recordings"]
+    assert about["metadata"] == {}
+    assert about["viewer_topics"] == {}
