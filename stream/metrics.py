@@ -7,6 +7,7 @@ and reads nothing else. A scrape therefore never waits for the loop, nor the loo
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.metadata import version
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 from core.errors import SettingsError
@@ -233,6 +234,7 @@ def make_registry(
     is_ready: Callable[[], bool],
     get_loop_age: Callable[[], float],
     now: Callable[[], float] = time.time,
+    shard: str = "",
 ) -> "CollectorRegistry":
     """Return the registry of the metrics of the service and of its process.
 
@@ -246,6 +248,8 @@ def make_registry(
         Function that returns the time since the loop moved. [s]
     now : callable
         Function that returns the present time. [Unix s]
+    shard : str
+        Shard of the service, such as `2/4`, which becomes a label of each metric; empty without shards.
 
     Returns
     -------
@@ -264,7 +268,7 @@ def make_registry(
         ) from error
     registry = CollectorRegistry()
     ProcessCollector(registry=registry)
-    registry.register(_ServiceCollector(get_snapshot, is_ready, get_loop_age, now))
+    registry.register(_ServiceCollector(get_snapshot, is_ready, get_loop_age, now, shard))
     return registry
 
 
@@ -277,20 +281,24 @@ class _ServiceCollector:
         is_ready: Callable[[], bool],
         get_loop_age: Callable[[], float],
         now: Callable[[], float],
+        shard: str,
     ) -> None:
+        self._shard = {"shard": shard} if shard else {}
         self._get_snapshot, self._is_ready, self._get_loop_age, self._now = get_snapshot, is_ready, get_loop_age, now
 
     def collect(self) -> Iterator["Metric"]:
         """Yield the metric families."""
-        yield _make_gauge(BUILD, "Version of socast.", 1.0, {"version": version("socast")})
-        yield _make_gauge(READY, "1 where the service is ready.", float(self._is_ready()))
-        yield _make_gauge(LOOP_AGE, "Time since the loop moved.", self._get_loop_age())
+        yield _make_gauge(BUILD, "Version of socast.", 1.0, {"version": version("socast")} | self._shard)
+        yield _make_gauge(READY, "1 where the service is ready.", float(self._is_ready()), self._shard)
+        yield _make_gauge(LOOP_AGE, "Time since the loop moved.", self._get_loop_age(), self._shard)
         snapshot = self._get_snapshot()
         if snapshot is not None:
-            yield from make_families(snapshot, self._now())
+            yield from make_families(snapshot, self._now(), self._shard)
 
 
-def make_families(snapshot: ServiceSnapshot, now: float) -> Iterable["Metric"]:
+def make_families(
+    snapshot: ServiceSnapshot, now: float, shard: Mapping[str, str] = MappingProxyType({})
+) -> Iterable["Metric"]:
     """Yield the metric families of a snapshot.
 
     Parameters
@@ -298,6 +306,8 @@ def make_families(snapshot: ServiceSnapshot, now: float) -> Iterable["Metric"]:
     snapshot : ServiceSnapshot
     now : float
         Present time. [Unix s]
+    shard : mapping of str to str
+        Labels that every metric has.
 
     Yields
     ------
@@ -314,15 +324,17 @@ def make_families(snapshot: ServiceSnapshot, now: float) -> Iterable["Metric"]:
         if values is None:
             continue
         family: Any = CounterMetricFamily if row.kind == "counter" else GaugeMetricFamily
-        made = family(row.name, row.meaning, labels=row.labels)
+        made = family(row.name, row.meaning, labels=(*row.labels, *shard))
         for of_labels, value in (values if isinstance(values, Mapping) else {(): values}).items():
-            made.add_metric(of_labels, float(value))
+            made.add_metric((*of_labels, *shard.values()), float(value))
         yield made
     running, buckets = 0, []
     for limit, count in zip((*map(str, LAG_BUCKETS), "+Inf"), snapshot.lag.counts, strict=True):
         running += count
         buckets.append((limit, running))
-    yield HistogramMetricFamily(LAG, LAG_MEANING, buckets=buckets, sum_value=snapshot.lag.total)
+    lag = HistogramMetricFamily(LAG, LAG_MEANING, labels=list(shard))
+    lag.add_metric(list(shard.values()), buckets, snapshot.lag.total)
+    yield lag
 
 
 def _make_gauge(name: str, meaning: str, value: float, labels: Mapping[str, str] | None = None) -> "Metric":

@@ -20,6 +20,8 @@ class ServiceMonitor(Closeable):
     ----------
     address : str, optional
         Where to serve metrics, as `stream.health.parse_http_address` reads it; None serves none.
+    shard : str
+        Shard of the service, such as `2/4`; empty without shards.
 
     Attributes
     ----------
@@ -31,7 +33,7 @@ class ServiceMonitor(Closeable):
         If the address is wrong or busy, or prometheus-client is not installed.
     """
 
-    def __init__(self, address: str | None = None) -> None:
+    def __init__(self, address: str | None = None, shard: str = "") -> None:
         self._status, self._notifier = ServiceStatus(), SystemdNotifier.from_environment()
         self._watch: ServiceWatch | None = None
         self.server: HealthServer | None = None
@@ -40,7 +42,7 @@ class ServiceMonitor(Closeable):
             if address is not None:
                 status = self._status
                 registry = make_registry(
-                    lambda: status.snapshot, lambda: not status.find_obstacle(), status.get_loop_age
+                    lambda: status.snapshot, lambda: not status.find_obstacle(), status.get_loop_age, shard=shard
                 )
                 self.server = closing.enter_context(HealthServer(parse_http_address(address), status, registry))
             self._closing = closing.pop_all()

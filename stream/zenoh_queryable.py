@@ -16,6 +16,7 @@ The module allows for this observed behaviour of zenoh 1.10:
 
 import logging
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from queue import SimpleQueue
 from threading import Thread
@@ -95,7 +96,7 @@ class ZenohQuery:
 
 
 class ZenohQueryable(Closeable):
-    """Receive queries for `{prefix}fleet/*/outlook` and send their answers.
+    """Receive queries for `{prefix}fleet/*/outlook`, or those of its shard, and send their answers.
 
     Parameters
     ----------
@@ -111,8 +112,10 @@ class ZenohQueryable(Closeable):
     def __init__(self, node: Node) -> None:
         self.unsent = 0
         self._prefix = node.prefix
-        channel: Any = handlers.RingChannel(WAITING)
-        self._queryable: Any = node.session.declare_queryable(f"{node.prefix}fleet/*/outlook", channel)
+        self._queryables: list[Any] = [
+            node.session.declare_queryable(f"{cars}/outlook", handlers.RingChannel(WAITING))
+            for cars in node.list_answered()
+        ]
         self._outgoing: SimpleQueue[tuple[Any, Callable[[], None]] | None] = SimpleQueue()
         self._closed = False
         self._thread = Thread(target=self._work, name="answers", daemon=True)
@@ -121,11 +124,10 @@ class ZenohQueryable(Closeable):
     def pending(self) -> list[ZenohQuery]:
         """Return at most `WAITING` waiting queries, the oldest first."""
         out: list[ZenohQuery] = []
-        try:
-            while len(out) < WAITING and (query := self._queryable.handler.try_recv()) is not None:
-                out.append(ZenohQuery(query, self._prefix, self._leave))
-        except zenoh.ZError:
-            pass  # closed
+        for queryable in self._queryables:
+            with suppress(zenoh.ZError):  # closed
+                while len(out) < WAITING and (query := queryable.handler.try_recv()) is not None:
+                    out.append(ZenohQuery(query, self._prefix, self._leave))
         return out
 
     def close(self) -> None:
@@ -133,7 +135,8 @@ class ZenohQueryable(Closeable):
         if self._closed:
             return
         self._closed = True
-        self._queryable.undeclare()
+        for queryable in self._queryables:
+            queryable.undeclare()
         self._outgoing.put(None)
         self._thread.join(CLOSE_S)
 

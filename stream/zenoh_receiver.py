@@ -19,7 +19,7 @@ The module allows for this observed behaviour of zenoh 1.10:
 import logging
 import time
 from contextlib import suppress
-from itertools import compress, islice, repeat
+from itertools import chain, compress, islice, repeat
 from typing import Any, Final, NamedTuple
 
 import zenoh
@@ -42,15 +42,20 @@ HOLD_BYTES: Final = 1 << 26
 """Size of live samples and answers that may wait for further answers of caches; more end the wait. [B]"""
 WATCH_S: Final = 1.0
 """Time between two checks of the number of connected routers. [s]"""
-_SPACES: Final = "weather", "fleet"
-"""Key spaces in the order in which the receiver subscribes to them and drains them.
-
-A weather observation then does not come after the samples that it applies to. A node that detects the subscription to
-the fleet can rely on the subscription to the weather.
-"""
 _MOST_KEYS, _LONGEST_KEY = 100_000, 512  # that are remembered as text
 _NAP_S: Final = 0.0002, 0.01  # shortest and longest wait for more samples; a busy channel is full after 0.001 s
 _log = logging.getLogger("socast.zenoh")
+
+
+def list_spaces(node: Node) -> list[str]:
+    """Return the key expressions to subscribe to, in the order in which the receiver subscribes and drains them.
+
+    A weather observation then does not come after the samples that it applies to. A node that detects the subscription
+    to the fleet can rely on the subscription to the weather. Every shard receives all weather.
+    """
+    shard = node.connection.shard
+    cars = [f"{node.prefix}fleet/**"] if shard is None else [f"{each}/**" for each in node.list_cars()]
+    return [f"{node.prefix}weather/**", *cars]
 
 
 class Received(NamedTuple):
@@ -134,7 +139,8 @@ class ZenohReceiver:
         self._session = node.session
         self._own = str(node.session.zid())
         self._routers = len(node.session.info.routers_zid())
-        self._subscribers = [_subscribe(node, f"{node.prefix}{space}/**") for space in _SPACES]
+        spaces = list_spaces(node)
+        self._subscribers = [_subscribe(node, keys) for keys in spaces]
         self._receivers = [subscriber.handler.try_recv for subscriber in self._subscribers]
         self._block = BLOCK
         self._nap_s = 0.0
@@ -144,7 +150,7 @@ class ZenohReceiver:
         self._answers: list[Any] = []
         self._held_bytes = 0
         if node.connection.recovery:
-            self._history = CacheHistory(node, [f"{node.prefix}{space}/**" for space in _SPACES])
+            self._history = CacheHistory(node, spaces)
             self._misses = [each.sample_miss_listener(handlers.FifoChannel(CHANNEL)) for each in self._subscribers]
 
     def receive(self, *, stopping: bool) -> Received:
@@ -160,7 +166,7 @@ class ZenohReceiver:
         """
         if self._nap_s:
             time.sleep(self._nap_s)
-        samples = self._receive(CHANNEL, self._block)
+        samples = self._receive(self._block)
         self._nap_s = 0.0 if stopping else adapt_nap(self._nap_s, len(samples) / self._block)
         messages, recovered = self._order(samples, stopping=stopping)
         self._count_misses()
@@ -191,7 +197,7 @@ class ZenohReceiver:
         self.end()
         rest = merge_samples([*self._held, *self._answers])
         self._held, self._answers = [], []
-        while part := self._receive(CHANNEL, CHANNEL):
+        while part := self._receive(CHANNEL):
             rest += part
         return sum([bool(self._keys[each.key_expr]) for each in rest])
 
@@ -226,7 +232,7 @@ class ZenohReceiver:
             while samples and self._held_bytes < HOLD_BYTES:
                 self._held += samples
                 self._held_bytes += sum([len(sample.payload) for sample in samples])
-                samples = self._receive(CHANNEL, self._block)
+                samples = self._receive(self._block)
             self._held += samples
         if not self.is_catching_up:
             self._held_bytes = 0
@@ -242,12 +248,12 @@ class ZenohReceiver:
             if (key := self._keys[each.key_expr])
         ]
 
-    def _receive(self, *limits: int) -> list[Any]:
-        """Return queued samples, at most a number of each space."""
+    def _receive(self, most: int) -> list[Any]:
+        """Return queued samples: all weather, and at most a number of each space of the fleet."""
         out: list[Any] = []
-        for receive, most in zip(self._receivers, limits, strict=True):
+        for receive, limit in zip(self._receivers, chain([CHANNEL], repeat(most)), strict=False):
             with suppress(zenoh.ZError):  # the subscription has ended; what came before stays in the list
-                out.extend(islice(iter(receive, None), most))
+                out.extend(islice(iter(receive, None), limit))
         return out
 
     def _watch_routers(self) -> None:

@@ -24,6 +24,7 @@ import msgspec
 import zenoh
 
 from core.errors import SettingsError, read_input
+from core.wire.shard import Shard
 from stream.closeable import Closeable
 from stream.link_check import explain_failure
 
@@ -77,6 +78,8 @@ class Connection:
         file, or Zenoh's, 10 s.
     largest_bytes : float, optional
         Size of a payload above which the session drops it on arrival, uncounted, unless the file limits sizes. [B]
+    shard : Shard, optional
+        Share of the fleet to subscribe to; all of it without a shard.
     """
 
     connect: tuple[str, ...] = ()
@@ -87,6 +90,7 @@ class Connection:
     recovery: bool = True
     lease_s: float | None = None
     largest_bytes: float | None = None
+    shard: Shard | None = None
 
 
 class Node(Closeable):
@@ -123,6 +127,21 @@ class Node(Closeable):
                 ) from error
             raise SettingsError(f"Zenoh cannot be joined: {_explain(config, connection, error)}") from error
         _warn_if_open(config)
+
+    def list_cars(self) -> list[str]:
+        """Return the key expressions of the cars to subscribe to, such as `montreal/fleet/*`; they do not overlap."""
+        shard = self.connection.shard
+        if shard is None:
+            return [f"{self.prefix}fleet/*"]
+        return [
+            f"{self.prefix}fleet/{end}" if shard.by == "name" else f"{self.prefix}{end}/fleet/*"
+            for end in shard.list_ends()
+        ]
+
+    def list_answered(self) -> list[str]:
+        """Return the key expressions of the cars to answer for; of all cars where chunks divide the fleet."""
+        shard = self.connection.shard
+        return [f"{self.prefix}fleet/*"] if shard is None or shard.by == "chunk" else self.list_cars()
 
     def close(self) -> None:
         """Close the session."""

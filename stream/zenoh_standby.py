@@ -1,6 +1,7 @@
 """Hot standby: several consumers take everything in, and one of them publishes.
 
 Each consumer holds a Zenoh liveliness token `{prefix}socast/consumers/{ticket}-{zid}` and watches those of the others.
+The consumers of a shard have a space of their own, `{prefix}socast/consumers/2-of-4/`, and elect one of them.
 Its ticket is one above the highest that it has seen. The consumer with the lowest token is the active one; it
 publishes and answers queries. The rule needs no system clock, and a consumer that joins later never takes over from one
 that is there.
@@ -160,7 +161,9 @@ class Standby(Closeable):
 
     def __init__(self, node: Node) -> None:
         self.failure = ""
-        self._session, self._space = node.session, f"{node.prefix}socast/consumers/"
+        shard = node.connection.shard
+        self._session = node.session
+        self._space = f"{node.prefix}socast/consumers/" + (f"{shard.chunk}/" if shard else "")
         channel: Any = handlers.FifoChannel(_WAITING)
         self._token: Any = None
         self._tokens: Any = self._session.liveliness().declare_subscriber(f"{self._space}*", channel, history=True)

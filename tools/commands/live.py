@@ -7,6 +7,7 @@ import typer
 
 from core.errors import SettingsError
 from core.settings import Limits
+from core.wire.shard import By, parse_shard
 from stream.loop import REPORT_S
 from stream.structured_log import log_lines
 from stream.zenoh_session import Connection
@@ -52,6 +53,13 @@ def live(
         bool,
         typer.Option("--standby", help="Publish only while no other consumer with --standby does; needs --connect."),
     ] = False,
+    shard: Annotated[
+        str | None,
+        typer.Option(metavar="I/N", help="Serve only this share of the cars, such as 2/4; the others need a consumer."),
+    ] = None,
+    shard_by: Annotated[
+        By, typer.Option(metavar="WHAT", help="Divide by the end of the cars' name, or of the chunk before `fleet`.")
+    ] = "name",
     settings_file: SettingsFile = None,  # noqa: ARG001 - its values arrive as those of the other options
 ) -> None:
     """Listen to cars over Zenoh, publish a forecast for each, and answer questions about their shifts.
@@ -73,8 +81,13 @@ def live(
     socast live --model fitted.json --record kept --watch findings.json
     socast live --state fleet.state --record kept --metrics 9464
     socast live --settings deploy/socast.toml
+    socast live --connect tcp/router.example:7447 --shard 2/4 --state shard-2.state --record shard-2
     """
     log_lines(as_json=json_log)
+    if shard is None and shard_by != "name":
+        raise SettingsError("--shard-by says how --shard divides the fleet: give --shard I/N too")
+    of_fleet = None if shard is None else parse_shard(shard, shard_by)
     if metrics_per_car and metrics is None:
         raise SettingsError("--metrics-per-car adds to what --metrics serves: give --metrics ADDRESS too")
-    serve(LiveOptions(connection, options, limits, recording, state, watch, report, metrics, metrics_per_car, standby))
+    kept = connection, options, limits, recording, state, watch
+    serve(LiveOptions(*kept, report, metrics, metrics_per_car, standby, of_fleet))

@@ -15,6 +15,7 @@ from core.models import LinearModel
 from core.pipeline import Pipeline
 from core.settings import LIVE_KEY_RATE, Limits
 from core.wire.messages import Message
+from core.wire.shard import Shard
 from stream.checkpoints import Checkpoints
 from stream.idle_keys import IdleKeys
 from stream.latest_only_sink import LatestOnlySink
@@ -69,6 +70,8 @@ class LiveOptions:
         Whether to serve metrics of each vehicle.
     standby : bool
         Whether to publish only while no other consumer does.
+    shard : Shard, optional
+        Share of the fleet to serve; all of it without a shard.
     """
 
     connection: Connection
@@ -81,6 +84,7 @@ class LiveOptions:
     metrics: str | None = None
     metrics_per_car: bool = False
     standby: bool = False
+    shard: Shard | None = None
 
 
 @dataclass(frozen=True)
@@ -162,7 +166,7 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
     check_watch(options.forecast, options.recording.folder, options.watch)
     connection = _make_connection(options)
     models = load_models(options.forecast.models)
-    monitor = ending.enter_context(ServiceMonitor(options.metrics))
+    monitor = ending.enter_context(ServiceMonitor(options.metrics, str(options.shard or "")))
     storage = _open_storage(options, models, ending)
     monitor.begin("compiling kernels")
     compile_kernels(*models)
@@ -233,6 +237,8 @@ def stop_service(parts: ServiceParts) -> None:
 def _make_connection(options: LiveOptions) -> Connection:
     """Return the connection; refuse --standby without a router of its own."""
     given = options.connection
+    if options.shard and options.shard.count > 1 and not (given.connect or given.config):
+        raise SettingsError("--shard needs a router that all consumers join: give --connect or --config")
     if options.standby and not (given.connect or given.config):
         raise SettingsError("--standby needs a router that outlives the consumers: give --connect or --config")
     return replace(
@@ -240,6 +246,7 @@ def _make_connection(options: LiveOptions) -> Connection:
         prefix=options.forecast.prefix,
         lease_s=LEASE_S if options.standby else None,
         largest_bytes=UNCOUNTED * options.limits.payload_bytes,
+        shard=options.shard,
     )
 
 
@@ -316,6 +323,8 @@ def _log_start(node: Node, pipeline: Pipeline, models: Sequence[LinearModel], mo
     """Log where the service listens and what it runs."""
     endpoints = ",".join(node.endpoints or node.connection.connect)
     beside = {"shadows": ",".join(shadow.name for shadow in models[1:])} if models[1:] else {}
+    if shard := node.connection.shard:
+        beside |= {"shard": str(shard), "by": shard.by}
     if elevation := pipeline.cleaner.map_lookup.identity:
         beside |= {"elevation_map": elevation}
     if monitor.server:

@@ -1,0 +1,88 @@
+"""Consumers that divide a fleet: what each receives and answers over real Zenoh, and whom it elects."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from threading import Event, Thread
+
+import msgspec
+import pytest
+
+from core.errors import AskError
+from core.wire.messages import Message, Outlook
+from core.wire.shard import By, Shard
+from stream.loop import run
+from stream.query_service import QueryService
+from stream.zenoh_queryable import ZenohQueryable, query_outlook
+from stream.zenoh_session import Connection, Node
+from stream.zenoh_sink import ZenohSink
+from stream.zenoh_source import ZenohSource
+from stream.zenoh_standby import Standby
+from tests.support.commands import refused
+from tests.support.zenoh_sessions import Consumer, eventually, router
+
+
+@contextmanager
+def shard_consumer(endpoint: str, shard: Shard) -> Iterator[Consumer]:
+    """Run a consumer of a shard in a thread."""
+    stop, consumer = Event(), Consumer()
+    with Node(Connection(connect=(endpoint,), prefix="city", shard=shard)) as node, ZenohQueryable(node) as queries:
+        service = QueryService(queries, consumer)
+        thread = Thread(target=run, args=(ZenohSource(node, stop), consumer), kwargs={"watch": service})
+        thread.start()
+        try:
+            yield consumer
+        finally:
+            stop.set()
+            thread.join(20)
+
+
+@pytest.mark.parametrize("by", ["name", "chunk"])
+def test_shards_receive_their_cars_and_all_weather_and_answer_for_their_cars(by: By):
+    names = ["taxi-7", "taxi-07", "van_1", "bus.", "x", "Z", "4", "-"]
+    before = {name: f"{number}/" if by == "chunk" else "" for number, name in enumerate(names)}
+    cars = [Message(f"city/{before[name]}fleet/{name}/telemetry", name.encode(), 0) for name in names]
+    weather = Message("city/weather/yul", b"{}", 0)
+    with ExitStack() as ending:
+        node, endpoint = ending.enter_context(router(prefix="city"))
+        shards = [Shard(index, 3, by) for index in (1, 2, 3)]
+        consumers = [ending.enter_context(shard_consumer(endpoint, shard)) for shard in shards]
+        sink = ZenohSink(node)
+        ending.callback(sink.close)
+        sink.put([weather, *cars])
+        for shard, consumer in zip(shards, consumers, strict=True):
+            deciding = {name: before[name].strip("/") or name for name in names}
+            mine = {car.key for name, car in zip(names, cars, strict=True) if shard.has(deciding[name])}
+            assert eventually(lambda c=consumer, m=mine: {each.key for each in c.taken} == {weather.key, *m})
+        answer = query_outlook(node, "taxi-7", {})
+        assert msgspec.json.decode(answer, type=Outlook).vehicle_id == "taxi-7"
+        asked = sum(bool(consumer.asked) for consumer in consumers)
+        assert asked == (1 if by == "name" else 3)
+        with pytest.raises(AskError, match="is not known"):
+            query_outlook(node, "taxi-8", {})
+
+
+def test_each_shard_elects_one_of_its_own_consumers():
+    with ExitStack() as ending:
+        _, endpoint = ending.enter_context(router())
+
+        def join(shard: Shard | None) -> Standby:
+            node = ending.enter_context(Node(Connection(connect=(endpoint,), shard=shard)))
+            return ending.enter_context(Standby(node))
+
+        active = [join(shard) for shard in (Shard(1, 2), Shard(2, 2), None)]
+        assert eventually(lambda: all(each.is_active for each in active))
+        waiting = join(Shard(2, 2))
+        assert eventually(lambda: waiting.election.token)
+        assert not waiting.is_active
+        active[1].close()
+        assert eventually(lambda: waiting.is_active)
+        assert active[0].is_active
+        assert active[2].is_active
+
+
+def test_a_shard_needs_a_router_that_all_join(capsys):
+    assert "give --connect or --config" in refused(capsys, "live", "--shard", "1/2")
+
+
+def test_what_divides_the_fleet_needs_a_shard(capsys):
+    assert "give --shard I/N too" in refused(capsys, "live", "--shard-by", "chunk")
