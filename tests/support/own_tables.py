@@ -12,6 +12,7 @@ from stream.mcap_reader import McapSource
 
 START: Final = 1714572000.0
 """1 May 2024, 14:00 UTC. [Unix s]"""
+KM_PER_MILE: Final = 1.609344
 CAPACITY_KWH: Final = 40.0
 MASS_KG: Final = 1600.0
 
@@ -133,6 +134,165 @@ def geotab(folder: Path) -> list[Path]:
     pd.DataFrame(log).to_csv(folder / "LogRecord.csv", index=False)
     status.to_csv(folder / "StatusData.csv", index=False)
     return [folder / "LogRecord.csv", folder / "StatusData.csv"]
+
+
+def teslafi(path: Path) -> Path:
+    """Write a month of TeslaFi: miles and mph, whole kW, and no speed while the car is parked.
+
+    Times are local, here those of UTC.
+    """
+    d = make_drive()
+    odometer = (12000 + d["distance"] / 1000) / KM_PER_MILE
+    columns = {
+        "data_id": np.arange(len(d["time"])),
+        "Date": d["stamp"].strftime("%Y-%m-%d %H:%M:%S"),
+        "vehicle_id": 1111,
+        "state": "online",
+        "battery_level": d["soc"].round().astype(int),
+        "charging_state": "Disconnected",
+        "longitude": d["longitude"].round(6),
+        "latitude": d["latitude"].round(6),
+        "speed": (d["speed"] * 3.6 / KM_PER_MILE).round(2),
+        "shift_state": "D",
+        "outside_temp": 12.0,
+        "odometer": odometer.round(6),
+        "power": (d["power"] / 1000).round().astype(int),
+        "driveNumber": 12,
+        "charge_current_request": 32,
+    }
+    pd.DataFrame(columns).to_csv(path, index=False, encoding="utf-8-sig")
+    return path
+
+
+def leafspy(path: Path) -> Path:
+    """Write a log of LeafSpy Pro: charge in millionths, positions in degrees and minutes, outside air in Fahrenheit."""
+    d = make_drive()
+    columns = {
+        "Date/Time": d["stamp"].strftime("%m/%d/%Y %H:%M:%S"),
+        "Lat": [_to_minutes(each) for each in d["latitude"]],
+        "Long": [_to_minutes(each) for each in d["longitude"]],
+        "Elv": 30,
+        "Speed": (d["speed"] * 3.6).round(1),
+        "Gids": (d["soc"] * 3).round().astype(int),
+        "SOC": (d["soc"] * 1e4).round().astype(int),
+        "Pack Volts": 360.0,
+        "Pack Amps": (d["power"] / 360).round(3),
+        "Pack T1 F": 68.0,
+        "Pack T1 C": 20.0,
+        "CP1": 3750,
+        "12v Bat Amps": 1.5,
+        "VIN": "SJNFAAZE0U6000000",
+        "Odo(km)": (12000 + d["distance"] / 1000).round(2),
+        "Ambient": 53.6,
+        "epoch time": d["time"].astype(int),
+        "Power SW": 1,
+    }
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return path
+
+
+def torque(path: Path) -> Path:
+    """Write a trip of Torque Pro: spaces in the header, which comes a second time, and `-` for unknown values."""
+    d = make_drive()
+    columns = {
+        "GPS Time": d["stamp"].strftime("%a %b %d %H:%M:%S GMT %Y"),
+        " Device Time": d["stamp"].strftime("%d-%b-%Y %H:%M:%S.%f").str[:-3],
+        " Longitude": d["longitude"].round(6),
+        " Latitude": d["latitude"].round(6),
+        "GPS Speed (Meters/second)": d["speed"].round(2),
+        " Altitude": "-",
+        "Speed (OBD)(km/h)": (d["speed"] * 3.6).round(2),
+        "Ambient air temp(°C)": 12,
+        "HV Battery Current(A)": (d["power"] / 360).round(2),
+        "HV Battery Voltage(V)": 360.0,
+        "HV SOC(%)": d["soc"].round(1),
+    }
+    lines = pd.DataFrame(columns).to_csv(index=False).splitlines(keepends=True)
+    path.write_text("".join([*lines[:600], lines[0], *lines[600:]]), encoding="utf-8")
+    return path
+
+
+def car_scanner(path: Path) -> Path:
+    """Write a recording of Car Scanner with a column per sensor: each row holds one reading, at a time of day."""
+    readings = _list_readings()
+    names = {"speed": "Vehicle speed (km/h)", "voltage": "Battery DC Voltage (V)", "current": "Battery DC Current (A)"}
+    names |= {"soc": "State of charge (%)", "ambient": "Ambient temperature (℃)", "oil": "OBD Module Voltage (V)"}
+    frame = pd.DataFrame({"time": pd.to_datetime(readings["time"], unit="s").dt.strftime("%H:%M:%S.%f").str[:-3]})
+    for signal, name in names.items():
+        frame[name] = readings["value"].where(readings["signal"] == signal)
+    frame.to_csv(path, index=False)
+    return path
+
+
+def car_scanner_long(path: Path) -> Path:
+    """Write a recording of Car Scanner with a row per reading, in seconds since midnight."""
+    readings = _list_readings()
+    names = {"speed": "Vehicle speed", "voltage": "[BMS] HV Battery voltage", "current": "[BMS] HV Battery Current"}
+    names |= {"soc": "[BMS] HV State of charge", "ambient": "Ambient air temperature", "oil": "Oil"}
+    seconds = readings["time"] - readings["time"].iloc[0] // 86400 * 86400
+    lines = ['"SECONDS";"PID";"VALUE";"UNITS"']
+    for second, signal, value in zip(seconds, readings["signal"], readings["value"], strict=True):
+        lines.append(f'"{second:.6f}";"{names[signal]}";"{value}";"?"')
+    path.write_text("\r\n".join(lines) + "\r\n", encoding="utf-8")
+    return path
+
+
+def vss(path: Path) -> Path:
+    """Write signals of COVESA VSS by their names: current and power are positive into the battery, power in W."""
+    d = make_drive()
+    battery = "Vehicle.Powertrain.TractionBattery"
+    columns = {
+        "timestamp": d["stamp"].strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "Vehicle.Speed": (d["speed"] * 3.6).round(2),
+        "Vehicle.TraveledDistance": (12000 + d["distance"] / 1000).round(3),
+        f"{battery}.StateOfCharge.Displayed": d["soc"].round(1),
+        f"{battery}.CurrentVoltage": 360.0,
+        f"{battery}.CurrentCurrent": (-d["power"] / 360).round(2),
+        f"{battery}.CurrentPower": (-d["power"]).round(),
+        "Vehicle.Exterior.AirTemperature": 12.0,
+    }
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return path
+
+
+def tesla_fleet_telemetry(path: Path) -> Path:
+    """Write fields of Tesla Fleet Telemetry, each in a row of its own when it changes, at the latest after 120 s."""
+    readings = _list_readings()
+    scale = {"speed": 1 / KM_PER_MILE}
+    names = {"speed": "VehicleSpeed", "voltage": "PackVoltage", "current": "PackCurrent", "soc": "Soc"}
+    names |= {"ambient": "OutsideTemp"}
+    changed = (readings.groupby("signal")["value"].diff() != 0) | (readings["time"] % 120 < 2)
+    kept = readings[changed & readings["signal"].isin(names)]
+    stamps = pd.to_datetime(kept["time"], unit="s").dt.strftime("%Y-%m-%dT%H:%M:%S.%f").str[:-3] + "Z"
+    frame = pd.DataFrame({"created_at": stamps, "vin": "5YJ3000000NEXUS01"})
+    for signal, name in names.items():
+        frame[name] = (kept["value"] * scale.get(signal, 1.0)).where(kept["signal"] == signal)
+    frame.to_csv(path, index=False)
+    return path
+
+
+def _list_readings() -> pd.DataFrame:
+    """Return readings of single sensors one after another, five in two seconds."""
+    d = make_drive()
+    signals = {
+        "speed": (d["speed"] * 3.6).round(2),
+        "voltage": np.full(len(d["time"]), 360.0),
+        "current": (d["power"] / 360).round(3),
+        "soc": d["soc"].round(2),
+        "ambient": np.full(len(d["time"]), 12.0),
+        "oil": np.full(len(d["time"]), 14.4),
+    }
+    parts = [
+        pd.DataFrame({"time": d["time"] + 0.05 * place, "signal": signal, "value": values})
+        for place, (signal, values) in enumerate(signals.items())
+    ]
+    return pd.concat(parts).sort_values("time", kind="stable", ignore_index=True)
+
+
+def _to_minutes(degrees: float) -> str:
+    """Return a position in degrees and minutes."""
+    whole, minutes = divmod(abs(float(degrees)) * 60, 60)
+    return f"{'-' if degrees < 0 else ''}{whole:.0f} {minutes:.5f}"
 
 
 def read_samples(path: Path) -> list[Telemetry]:

@@ -17,8 +17,9 @@ from tools.importers.data_sets import DATA_SETS, DataSet, get_data_set
 from tools.importers.drive import Drive, ReadOptions, make_messages, sort_drives
 from tools.importers.published import list_files
 from tools.importers.synthetic_shifts import START_SOC, SyntheticShift, concatenate_drives, make_plans
+from tools.importers.table.presets import load_presets
 from tools.terminal.output import HtmlFile, VehicleFiles
-from tools.terminal.table_import import TABLE_KINDS, import_tables
+from tools.terminal.table_import import TABLE_KINDS, TableImport, import_tables
 
 Step = TypeVar("Step")
 PERIOD_S = 3.0
@@ -45,8 +46,14 @@ def import_drives(
         typer.Option("--map", metavar="MAP.toml", help="Which column of csv or parquet is what, in which unit."),
     ] = None,
     guess: Annotated[
-        bool, typer.Option("--guess", help="Write a first MAP.toml from names, units, ranges and physics.")
+        bool, typer.Option("--guess", help="Write a first MAP.toml from presets, names, units, ranges and physics.")
     ] = False,
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help=f"Read csv or parquet as the export of a product: {', '.join(load_presets())}."
+        ),
+    ] = None,
     html_file: HtmlFile = None,
     _: VehicleFiles = None,
     vehicle_model: Annotated[
@@ -58,8 +65,14 @@ def import_drives(
         typer.Option(metavar="VEHID", help="Car of ved to read; may be repeated. Default: all electric cars."),
     ] = None,
     period: Annotated[
-        float, typer.Option(min=0.1, max=60.0, help="Seconds between two samples, approximately.")
-    ] = PERIOD_S,
+        float | None,
+        typer.Option(
+            min=0.1,
+            max=60.0,
+            help=f"Seconds between two samples, approximately. Default: {PERIOD_S:g} for public data sets, as the rows "
+            "come or [rows] of MAP.toml says for csv and parquet.",
+        ),
+    ] = None,
     shift_hours: Annotated[
         float | None,
         typer.Option(
@@ -81,6 +94,7 @@ def import_drives(
     Examples
     --------
     socast import csv drives/ --guess --map cars.toml
+    socast import csv positions.csv --preset teslamate --out tesla.mcap
     socast import csv drives/ --map cars.toml --out cars.mcap --html cars.html
     socast import bmw-i3 downloads/ --out i3.mcap
     """
@@ -88,12 +102,13 @@ def import_drives(
         changed = {"--vehicle": vehicle, "--shift-hours": shift_hours, "--time-zone": time_zone, "--skip-bad": skip_bad}
         if wrong := [option for option, value in changed.items() if value]:
             raise SettingsError(f"{wrong[0]} applies to public data sets only; leave it out, and write the map instead")
-        import_tables(data_set, paths, map_file, out, vehicle_model, guess=guess, html_file=html_file)
+        import_tables(data_set, paths, TableImport(map_file, out, html_file, guess, preset, vehicle_model, period))
         return
     chosen = get_data_set(data_set)
-    if guess or any(option is not None for option in (map_file, html_file, vehicle_model)):
+    if guess or any(option is not None for option in (map_file, html_file, vehicle_model, preset)):
         raise SettingsError(
-            f"--map, --guess, --html and --vehicle-model apply to csv and parquet only; leave them out for {data_set}"
+            "--map, --guess, --preset, --html and --vehicle-model apply to csv and parquet only; "
+            f"leave them out for {data_set}"
         )
     if out is None:
         raise SettingsError("--out is missing; name the recording to write, such as drives.mcap")
@@ -109,6 +124,7 @@ def import_drives(
         raise ImportFileError(
             f"{paths[0]}: column 'VehId' has no {cars} in the files given; 10, 455 and 541 are electric"
         )
+    period = PERIOD_S if period is None else period
     values = {"data_set": data_set, "vehicle": vehicles, "period": period, "time_zone": time_zone}
     usual = {"vehicle": (), "period": PERIOD_S, "time_zone": None}
     changes = {name: value for name, value in values.items() if value != usual.get(name)}

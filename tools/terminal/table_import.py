@@ -1,15 +1,18 @@
 """Run `socast import csv` and `socast import parquet`: guess a map, convert with it, and show what was found."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 from rich.console import Console
 
 from core.errors import ImportFileError, SettingsError
-from tools.importers.table.column_map import FileFormat, read_map
+from tools.importers.table.column_map import FileFormat, parse_map, read_map
 from tools.importers.table.conversion import convert_tables, open_tables
 from tools.importers.table.guess import guess_map
 from tools.importers.table.import_summary import print_summary
-from tools.importers.table.map_text import make_guess_table, write_map_text
+from tools.importers.table.map_text import describe_preset, make_guess_table, write_map_text
+from tools.importers.table.presets import Preset, get_preset
+from tools.importers.table.sampling import Sampling, find_holds
 from tools.importers.table.table_file import KINDS, list_tables, open_table
 from tools.terminal.output import check_outputs, make_console
 
@@ -17,16 +20,33 @@ TABLE_KINDS = tuple(KINDS)
 """Kinds of tables that `socast import` reads with a map."""
 
 
-def import_tables(
-    kind: str,
-    paths: list[Path],
-    map_file: Path | None,
-    out: Path | None,
-    vehicle_model: str | None,
-    *,
-    guess: bool,
-    html_file: Path | None,
-) -> None:
+class TableImport(NamedTuple):
+    """Hold the options of an import of tables.
+
+    Parameters
+    ----------
+    map_file, out, html_file : Path, optional
+        The map, the recording (None only guesses) and a page with a picture of what agrees.
+    guess : bool
+        Whether to write the map first.
+    preset : str, optional
+        Name of the export that the tables are.
+    vehicle_model : str, optional
+        Vehicle model of cars for which the map names none.
+    period : float, optional
+        Time between two samples; None is that of the map. [s]
+    """
+
+    map_file: Path | None
+    out: Path | None
+    html_file: Path | None
+    guess: bool
+    preset: str | None
+    vehicle_model: str | None
+    period: float | None
+
+
+def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
     """Guess a map of tables, or convert tables with a map, or both.
 
     Parameters
@@ -35,16 +55,8 @@ def import_tables(
         `csv` or `parquet`.
     paths : list of Path
         Files and folders.
-    map_file : Path, optional
-        The map.
-    out : Path, optional
-        The recording; None only guesses.
-    vehicle_model : str, optional
-        Vehicle model of cars for which the map names none.
-    guess : bool
-        Whether to write the map first.
-    html_file : Path, optional
-        Page with a picture of what agrees.
+    options : TableImport
+        The options.
 
     Raises
     ------
@@ -53,52 +65,75 @@ def import_tables(
     ImportFileError
         If a file or the map cannot be read.
     """
-    if map_file is None:
+    map_file, out = options.map_file, options.out
+    preset = None if options.preset is None else get_preset(options.preset)
+    guesses = options.guess or preset is not None
+    _check_options(kind, options, guesses)
+    files = list_tables(paths, kind)
+    console = make_console()
+    content = _guess(kind, files, map_file, preset, console) if guesses else None
+    if out is None:
+        return
+    check_outputs([*files, *([map_file] if map_file else [])], out, options.html_file)
+    columns = read_map(map_file) if map_file else parse_map(content or b"", Path(f"the map of {files[0]}"))
+    if columns.vehicle.model is None:
+        columns = columns._replace(vehicle=columns.vehicle._replace(model=options.vehicle_model))
+    if options.period is not None:
+        holds = columns.sampling.holds if columns.sampling else find_holds()
+        columns = columns._replace(sampling=Sampling(options.period, holds))
+    tables = open_tables(files, kind, columns)
+    summary = convert_tables(tables, columns, out, _list_settings(kind, options))
+    print_summary(summary, console)
+    if options.html_file is not None:
+        from tools.report.imported import write  # noqa: PLC0415 - figures take seconds to import
+
+        write(summary, options.html_file)
+        console.print(f"report in {options.html_file}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _check_options(kind: str, options: TableImport, guesses: bool) -> None:
+    """Refuse options that do not fit each other."""
+    if options.map_file is None and not (guesses and options.out):
         raise SettingsError(
             f"--map is missing; name a map, or write a first one: socast import {kind} ... --guess --map MAP.toml"
         )
-    if out is None and not guess:
+    if options.out is None and not guesses:
         raise SettingsError("--out is missing; name the recording to write, or use --guess to write a map only")
-    if html_file is not None and out is None:
+    if options.html_file is not None and options.out is None:
         raise SettingsError("--html is given without --out; the page shows an import, so name a recording too")
-    files = list_tables(paths, kind)
-    console = make_console()
-    if guess:
-        _write_guess(kind, files, map_file, console)
-    if out is None:
-        return
-    check_outputs([*files, map_file], out, html_file)
-    columns = read_map(map_file)
-    if columns.vehicle.model is None:
-        columns = columns._replace(vehicle=columns.vehicle._replace(model=vehicle_model))
-    tables = open_tables(files, kind, columns)
-    summary = convert_tables(tables, columns, out, _list_settings(kind, map_file, vehicle_model))
-    print_summary(summary, console)
-    if html_file is not None:
-        from tools.report.imported import write  # noqa: PLC0415 - figures take seconds to import
-
-        write(summary, html_file)
-        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)
 
 
-def _list_settings(kind: str, map_file: Path, vehicle_model: str | None) -> dict[str, str]:
+def _list_settings(kind: str, options: TableImport) -> dict[str, str]:
     """Return the settings of the import for the metadata of the recording."""
-    chosen = {} if vehicle_model is None else {"vehicle_model": vehicle_model}
-    return {"kind": kind, "map": map_file.name} | chosen
+    chosen = {
+        "map": options.map_file and options.map_file.name,
+        "preset": options.preset,
+        "vehicle_model": options.vehicle_model,
+        "period": options.period,
+    }
+    return {"kind": kind} | {name: str(value) for name, value in chosen.items() if value is not None}
 
 
-def _write_guess(kind: str, files: list[Path], map_file: Path, console: Console) -> None:
-    """Write a first map and show what was decided."""
-    if map_file.exists():
+def _guess(kind: str, files: list[Path], map_file: Path | None, preset: Preset | None, console: Console) -> bytes:
+    """Return a first map, written where a file is named, and show what was decided."""
+    if map_file is not None and map_file.exists():
         raise SettingsError(
-            f"{map_file} is there already and would be overwritten; name another file or leave --guess out"
+            f"{map_file} is there already and would be overwritten; name another file, or leave --guess and --preset "
+            "out to import with it"
         )
     check_outputs(files, map_file)
     tables = [open_table(file, kind, FileFormat()) for file in files]
-    guessed = guess_map(tables)
+    guessed = guess_map(tables, preset)
+    content = write_map_text(guessed, tables[0]).encode()
+    if line := describe_preset(guessed):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.print(make_guess_table(guessed))
+    if map_file is None:
+        console.print("the map is not kept; --map MAP.toml keeps it, so that you can correct it", markup=False)
+        return content
     try:
-        map_file.write_text(write_map_text(guessed, tables[0]), encoding="utf-8")
+        map_file.write_bytes(content)
     except OSError as error:
         raise ImportFileError(f"{map_file} cannot be written: {error.strerror}; name another file") from error
-    console.print(make_guess_table(guessed))
     console.print(f"map in {map_file}: check it, then import with --map {map_file}", markup=False, soft_wrap=True)
+    return content

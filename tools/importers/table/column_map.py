@@ -13,6 +13,14 @@ from typing import Any, Final, NamedTuple
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from core.errors import ImportFileError, SettingsError, read_input
+from tools.importers.table.sampling import (
+    HOLD,
+    LONGEST_HOLD,
+    LONGEST_PERIOD,
+    SHORTEST_PERIOD,
+    Sampling,
+    find_holds,
+)
 from tools.importers.table.units import FIELD_UNITS, POWER, Conversion, find_conversion
 from tools.terminal.settings_file import explain_toml
 
@@ -34,13 +42,28 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
         "models": dict,
         "nominal_voltage_v": (int, float),
     },
-    "time": {"column": (str, list), "unit": str, "format": str, "zone": str, "origin": str},
+    "time": {
+        "column": (str, list),
+        "unit": str,
+        "format": str,
+        "zone": str,
+        "origin": str,
+        "day_from_file_name": bool,
+    },
     "ride": {"column": str, "from_file_name": bool, "gap_s": (int, float)},
+    "rows": {"period_s": (int, float), "hold_s": (int, float)},
     "long": {"name": str, "value": str},
     "fields": {},
 }
 """Table of a map -> its keys and their types."""
-_FIELD_KEYS: Final = {"column": str, "signal": str, "unit": str, "sign": int, "true": list}
+_FIELD_KEYS: Final = {
+    "column": str,
+    "signal": str,
+    "unit": str,
+    "sign": int,
+    "true": list,
+    "hold_s": (int, float),
+}
 _TYPE_WORDS: Final = {
     str: "text in quotes",
     bool: "true or false",
@@ -74,6 +97,8 @@ class TimeSource(NamedTuple):
         Time zone of a time without one.
     origin : float
         Unix time of the number 0. [s]
+    day_from_file_name : bool
+        Whether the table holds times of day, and the name of its file the day.
     """
 
     columns: tuple[str, ...]
@@ -81,6 +106,7 @@ class TimeSource(NamedTuple):
     form: str | None
     zone: tzinfo
     origin: float
+    day_from_file_name: bool = False
 
 
 class VehicleSource(NamedTuple):
@@ -126,6 +152,8 @@ class ColumnMap(NamedTuple):
         Columns of the name and of the value of a signal, where each row holds one signal.
     fields : mapping of str to FieldSource
         By the names of `FIELD_UNITS`.
+    sampling : Sampling, optional
+        How rows that carry only part of the fields become samples; None sends each row as it is.
     """
 
     path: Path
@@ -135,6 +163,7 @@ class ColumnMap(NamedTuple):
     ride: RideSource
     long: tuple[str, str] | None
     fields: Mapping[str, FieldSource]
+    sampling: Sampling | None = None
 
     def list_required_columns(self) -> list[str]:
         """Return the columns that every file must have."""
@@ -165,6 +194,24 @@ def read_map(path: Path) -> ColumnMap:
         raise ImportFileError(
             f"{path} cannot be read: {error.strerror}; write a first map with --guess --map {path}"
         ) from error
+    return parse_map(content, path)
+
+
+def parse_map(content: bytes, path: Path) -> ColumnMap:
+    """Return the checked map of a text.
+
+    Parameters
+    ----------
+    content : bytes
+        TOML.
+    path : Path
+        Name of the map, for messages.
+
+    Raises
+    ------
+    ImportFileError
+        If the text holds a mistake.
+    """
     try:
         text = content.decode("utf-8-sig")
         tables = tomllib.loads(text)
@@ -198,7 +245,14 @@ class _MapReader:
         if any(each.signal for each in fields.values()) and long is None:
             raise ImportFileError(f"{self.path}: a field has a signal, but [long] is missing; name its columns there")
         return ColumnMap(
-            self.path, self.read_file(), self.read_time(), self.read_vehicle(), self.read_ride(), long, fields
+            self.path,
+            self.read_file(),
+            self.read_time(),
+            self.read_vehicle(),
+            self.read_ride(),
+            long,
+            fields,
+            self.read_rows(),
         )
 
     def refuse(self, keys: tuple[str, ...], words: str) -> ImportFileError:
@@ -253,8 +307,13 @@ class _MapReader:
         if unit is not None and "format" in table:
             raise self.refuse(("time", "format"), "a time has a unit or a format; leave one of them out")
         zone = self.find_zone(table.get("zone", "UTC"))
+        of_name = table.get("day_from_file_name", False)
+        if of_name and "origin" in table:
+            raise self.refuse(
+                ("time", "origin"), "a day comes from origin or from the file name; leave one of them out"
+            )
         return TimeSource(
-            names, TIME_UNITS.get(unit) if unit else None, table.get("format"), zone, self.find_origin(zone)
+            names, TIME_UNITS.get(unit) if unit else None, table.get("format"), zone, self.find_origin(zone), of_name
         )
 
     def find_zone(self, name: str) -> ZoneInfo:
@@ -310,6 +369,31 @@ class _MapReader:
         if gap is not None and not 1 <= gap <= 86400:
             raise self.refuse(("ride", "gap_s"), f"gap_s is {gap:g}, must be from 1 to 86400 s")
         return RideSource(table.get("column"), table.get("from_file_name", False), gap)
+
+    def read_rows(self) -> Sampling | None:
+        """Return how rows become samples, None where each row is one as it is."""
+        table = self.tables.get("rows", {})
+        period = table.get("period_s")
+        if period is not None and not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
+            raise self.refuse(
+                ("rows", "period_s"),
+                f"period_s is {period:g}, must be from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s",
+            )
+        own = {
+            name: self.read_hold(each["hold_s"], ("fields", name, "hold_s"))
+            for name, each in self.tables.get("fields", {}).items()
+            if "hold_s" in each
+        }
+        if not table and not own:
+            return None
+        usual = self.read_hold(table["hold_s"], ("rows", "hold_s")) if "hold_s" in table else HOLD
+        return Sampling(period, find_holds(usual) | own)
+
+    def read_hold(self, hold: float, where: tuple[str, ...]) -> float:
+        """Return the age up to which a value stays known. [s]"""
+        if not 0 <= hold <= LONGEST_HOLD:
+            raise self.refuse(where, f"hold_s is {hold:g}, must be from 0 to {LONGEST_HOLD:g} s")
+        return float(hold)
 
     def read_field(self, name: str, table: Any) -> FieldSource:
         """Return the source of a field."""

@@ -15,6 +15,7 @@ from tools.importers.table.column_map import ColumnMap
 from tools.importers.table.import_summary import ImportSummary
 from tools.importers.table.row_messages import RowMessages, join_signals
 from tools.importers.table.row_reader import RowReader
+from tools.importers.table.sampling import sample_rows
 from tools.importers.table.table_file import TableFile, open_table
 from tools.importers.table.time_sort import sort_rows
 
@@ -79,10 +80,9 @@ def convert_tables(
     messages = RowMessages(columns, reader)
     try:
         with McapSink(out, metadata=make_metadata("import", settings=settings or {})) as sink:
-            for rows in sort_rows(_read_limited(reader, tables), out.resolve().parent):
-                joined = join_signals(rows) if columns.long else rows
-                sums.add(joined)
-                sink.put(messages.make(joined))
+            for rows in _sample(sort_rows(_read_limited(reader, tables), out.resolve().parent), columns):
+                sums.add(rows)
+                sink.put(messages.make(rows))
     except ImportFileError:
         out.unlink()
         raise
@@ -118,6 +118,13 @@ def _read_limited(reader: RowReader, tables: Sequence[TableFile]) -> Iterator[np
                 "check the column of [vehicle], or import the files in parts"
             )
         yield block
+
+
+def _sample(blocks: Iterator[np.ndarray], columns: ColumnMap) -> Iterator[np.ndarray]:
+    """Yield sorted rows as they are sent."""
+    if columns.long or columns.sampling:
+        blocks = map(join_signals, blocks)
+    return blocks if columns.sampling is None else sample_rows(blocks, columns.sampling)
 
 
 def _list_notes(tables: Sequence[TableFile], columns: ColumnMap) -> list[str]:

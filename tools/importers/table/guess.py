@@ -1,33 +1,32 @@
-"""Guess a first map of a table from names, units, ranges and physics, and say why."""
+"""Guess a first map of a table from presets, names, units, ranges and physics, and say why."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 
 from core.errors import ImportFileError
 from tools.importers.table.column_map import (
     NOMINAL_VOLTAGE,
     TIME_UNITS,
     ColumnMap,
-    FieldSource,
     FileFormat,
     RideSource,
     TimeSource,
     VehicleSource,
 )
-from tools.importers.table.guess_names import RIDE, SIGNAL, TIME, VALUE, VEHICLE, NamedColumn, guess_name
-from tools.importers.table.guess_time import GuessedTime, guess_time
-from tools.importers.table.guess_values import guess_values
+from tools.importers.table.guess_rows import GuessedRows, guess_rows
+from tools.importers.table.guess_sources import Blocks, Sources, choose_sources
+from tools.importers.table.guess_time import GuessedTime
+from tools.importers.table.guess_values import KnownUnit, guess_values
+from tools.importers.table.presets import Preset, find_preset
 from tools.importers.table.row_messages import join_signals
 from tools.importers.table.row_reader import RowReader
+from tools.importers.table.sampling import Sampling, find_holds, sample_rows
 from tools.importers.table.table_file import Block, TableFile
-from tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
 
 MOST_FILES: Final = 8
 """Files from whose first blocks a map is guessed."""
@@ -44,6 +43,7 @@ class GuessedField(NamedTuple):
     unit: str | None
     sign: int
     reasons: tuple[str, ...]
+    true: tuple[str, ...] = ()
 
 
 class GuessedMap(NamedTuple):
@@ -61,6 +61,10 @@ class GuessedMap(NamedTuple):
     fields : sequence of GuessedField
     left_out : sequence of (str, str)
         Columns that are not read, with the reason.
+    rows : GuessedRows, optional
+        How rows that carry only part of the fields become samples.
+    preset : Preset, optional
+        The export that the tables are.
     """
 
     time: GuessedTime
@@ -70,55 +74,66 @@ class GuessedMap(NamedTuple):
     long: tuple[str, str] | None
     fields: Sequence[GuessedField]
     left_out: Sequence[tuple[str, str]]
+    rows: GuessedRows | None
+    preset: Preset | None
 
 
-def guess_map(tables: Sequence[TableFile]) -> GuessedMap:
+def guess_map(tables: Sequence[TableFile], preset: Preset | None = None) -> GuessedMap:
     """Guess the map of tables.
 
     Parameters
     ----------
     tables : sequence of TableFile
         Files of one form.
+    preset : Preset, optional
+        The export that they are; None finds it by the columns.
 
     Raises
     ------
     ImportFileError
-        If no column is a time, or none is a field of the wire contract.
+        If the tables are no such export, no column is a time, or none is a field of the wire contract.
     """
     tables = tables[:MOST_FILES]
     names = list(dict.fromkeys(name for table in tables for name in table.names))
+    listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+    if preset is not None and not preset.fits(names):
+        raise ImportFileError(
+            f"{tables[0].path}: lacks {', '.join(preset.list_missing(names)) or 'the columns'} of {preset.title}; it "
+            f"has {listed}; leave --preset out and use --guess"
+        )
+    preset = preset or find_preset(names)
     blocks = [(table, block) for table in tables if (block := _read_first_block(table)) is not None]
     if not blocks:
         raise ImportFileError(f"{tables[0].path}: has a header and no rows; name another file")
-    named = [found for name in names if (found := guess_name(name)) is not None]
-    roles: dict[str, list[NamedColumn]] = {}
-    for each in named:
-        roles.setdefault(each.role, []).append(each)
-    long = _find_long(roles, blocks)
-    signals = _name_signals(long, blocks) if long else []
-    chosen, left_out = _choose(roles, signals, long, blocks)
-    left_out += [(name, "its name says nothing") for name in names if not any(name == each.name for each in named)]
-    if TIME not in roles:
+    sources = choose_sources(names, blocks, preset)
+    if sources.time is None:
         raise ImportFileError(
-            f"{tables[0].path}: no column looks like a time; it has {', '.join(names[:12])}; write a map by hand"
+            f"{tables[0].path}: no column looks like a time; it has {listed}; write a map by hand, with the column "
+            "in [time]"
         )
-    if not chosen:
-        raise ImportFileError(f"{tables[0].path}: no column looks like speed, charge or power; write a map by hand")
-    time = guess_time(roles[TIME], [(table, block) for table, block in blocks])
-    vehicle, ride = (roles[role][0].name if role in roles else None for role in (VEHICLE, RIDE))
-    fields = _guess_units(chosen, time, vehicle, long, blocks)
+    if not sources.fields:
+        raise ImportFileError(
+            f"{tables[0].path}: no column looks like speed, charge or power; it has {listed}; write a map by hand, "
+            "with the columns in [fields]"
+        )
+    rows, sampling = _read_rows(sources, sources.time, blocks)
+    known = {each.field: KnownUnit(each.unit, each.sign, each.reason) for each in sources.fields}
+    units = guess_values(rows, known)
+    fields = [
+        GuessedField(each.field, each.column, each.signal, *units[each.field], each.true) for each in sources.fields
+    ]
+    is_per_file = sources.vehicle is None and len(tables) > 1 and sources.ride is not None
     return GuessedMap(
-        time, vehicle, ride, vehicle is None and len(tables) > 1 and ride is not None, long, fields, left_out
+        sources.time,
+        sources.vehicle,
+        sources.ride,
+        is_per_file,
+        sources.long,
+        fields,
+        sources.left_out,
+        sampling,
+        preset,
     )
-
-
-class _Chosen(NamedTuple):
-    """Hold the column or signal that a field is read from, and the unit that its name gives."""
-
-    field: str
-    column: str | None
-    signal: str | None
-    unit: str | None
 
 
 def _read_first_block(table: TableFile) -> Block | None:
@@ -128,96 +143,36 @@ def _read_first_block(table: TableFile) -> Block | None:
     )
 
 
-def _find_long(
-    roles: Mapping[str, list[NamedColumn]], blocks: Sequence[tuple[TableFile, Block]]
-) -> tuple[str, str] | None:
-    """Return the columns of the long form, if the table has it."""
-    for signal in roles.get(SIGNAL, ()):
-        for value in roles.get(VALUE, ()):
-            if _name_signals((signal.name, value.name), blocks):
-                return signal.name, value.name
-    return None
-
-
-def _name_signals(long: tuple[str, str], blocks: Sequence[tuple[TableFile, Block]]) -> list[NamedColumn]:
-    """Return the signals of the long form whose names are fields."""
-    words: dict[str, None] = {}
-    for _, block in blocks:
-        if long[0] in block:
-            found = pc.unique(pc.utf8_trim_whitespace(pc.cast(block[long[0]], pa.string()))).to_pylist()
-            words |= dict.fromkeys(word for word in found if word)
-    return [each for word in words if (each := guess_name(word)) is not None and each.role in FIELD_UNITS]
-
-
-def _choose(
-    roles: Mapping[str, list[NamedColumn]],
-    signals: Sequence[NamedColumn],
-    long: tuple[str, str] | None,
-    blocks: Sequence[tuple[TableFile, Block]],
-) -> tuple[list[_Chosen], list[tuple[str, str]]]:
-    """Return one source per field, and the columns that another one of the same field replaces."""
-    chosen, left_out = [], []
-    for field in FIELD_UNITS:
-        columns = [each for each in roles.get(field, ()) if long is None or each.name not in long]
-        filled = sorted(columns, key=lambda each: -_count_known(each.name, blocks))
-        of_signals = [each for each in signals if each.role == field]
-        if filled and _count_known(filled[0].name, blocks):
-            chosen.append(_Chosen(field, filled[0].name, None, filled[0].unit))
-            left_out += [(each.name, f"'{filled[0].name}' holds more of {field}") for each in filled[1:]]
-        elif of_signals:
-            chosen.append(_Chosen(field, None, of_signals[0].name, of_signals[0].unit))
-            left_out += [(each.name, f"'{of_signals[0].name}' comes first") for each in of_signals[1:]]
-        else:
-            left_out += [(each.name, "it is empty") for each in filled]
-    return chosen, left_out
-
-
-def _count_known(name: str, blocks: Sequence[tuple[TableFile, Block]]) -> int:
-    """Return the number of cells of a column that hold something."""
-    return sum(len(block[name]) - block[name].null_count for _, block in blocks if name in block)
-
-
-def _guess_units(
-    chosen: Sequence[_Chosen],
-    time: GuessedTime,
-    vehicle: str | None,
-    long: tuple[str, str] | None,
-    blocks: Sequence[tuple[TableFile, Block]],
-) -> list[GuessedField]:
-    """Return the fields with the units and signs that names, ranges and physics suggest."""
-    sources = {each.field: _to_source(each) for each in chosen}
-    car = VehicleSource(vehicle, None, "", None, {}, NOMINAL_VOLTAGE)
-    provisional = ColumnMap(Path("guess"), FileFormat(), _to_time_source(time), car, RideSource(), long, sources)
+def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.ndarray, GuessedRows | None]:
+    """Return the rows as samples in the order of time, and how rows become samples."""
+    car = VehicleSource(sources.vehicle, None, "", None, {}, NOMINAL_VOLTAGE)
+    provisional = ColumnMap(
+        Path("guess"),
+        FileFormat(),
+        _to_time_source(time),
+        car,
+        RideSource(),
+        sources.long,
+        {each.field: each.to_field_source() for each in sources.fields},
+    )
     reader = RowReader(provisional)
-    parts = [
-        reader.convert(table, block)
-        for table, block in blocks
-        if set(provisional.list_required_columns()) <= block.keys()
-    ]
-    rows = np.concatenate(parts)
-    rows = rows[np.lexsort((rows["vehicle"], rows["time"]))]
-    units = guess_values(join_signals(rows) if long else rows, {each.field: each.unit for each in chosen})
-    return [
-        GuessedField(
-            each.field,
-            each.column,
-            each.signal,
-            units[each.field].unit,
-            units[each.field].sign,
-            units[each.field].reasons,
+    needed = set(provisional.list_required_columns())
+    rows = np.concatenate([reader.convert(table, block) for table, block in blocks if needed <= block.keys()])
+    if not len(rows):
+        found = ", ".join(f"{count:,} with {cause}" for cause, count in reader.causes.most_common())
+        raise ImportFileError(
+            f"{blocks[0][0].path}: none of its first {reader.rows:,} rows can be read ({found}); write a map by hand"
         )
-        for each in chosen
-    ]
-
-
-def _to_source(each: _Chosen) -> FieldSource:
-    """Return a source whose values keep the unit of the contract where the name gives none."""
-    unit = each.unit if each.unit is not None else FIELD_UNITS[each.field]
-    conversion = find_conversion(unit, each.field) if unit else Conversion(1.0)
-    return FieldSource(each.column, each.signal, conversion, frozenset())
+    rows = join_signals(rows[np.lexsort((rows["vehicle"], rows["time"]))])
+    sampling = guess_rows(rows)
+    if sampling is not None:
+        parts = list(sample_rows([rows], Sampling(sampling.period, find_holds(sampling.hold))))
+        rows = np.concatenate(parts)
+    return rows, sampling
 
 
 def _to_time_source(time: GuessedTime) -> TimeSource:
     """Return the clock for the provisional reading."""
     unit = TIME_UNITS[time.unit] if time.unit else None
-    return TimeSource(time.columns, unit, time.form, ZoneInfo("UTC"), 1.7e9 if time.needs_origin else 0.0)
+    origin = 1.7e9 if time.needs_origin else 0.0
+    return TimeSource(time.columns, unit, time.form, ZoneInfo("UTC"), origin, time.day_from_file_name)

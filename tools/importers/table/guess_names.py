@@ -12,11 +12,12 @@ SIGNAL: Final = "signal"
 VALUE: Final = "value"
 
 _NOT_THE_PACK: Final = (
-    r"\b(12 ?v|aux|auxiliary|cells?|charger|ac|grid|motor|engine|fan|phase|max|min|limit|device|wheel|heater|hvac)\b"
+    r"\b(12 ?v|aux|auxiliary|cells?|charger|ac|grid|motor|engine|fan|phase|max|min|limit|limitation|device|wheel|heater"
+    r"|hvac|maf|ptc|obd|module)\b"
 )
 _TIME_NAMES: Final = (
-    r"^(time|date|datetime|date time|time ?stamp|utc|epoch|unix|unix time|ts|elapsed( time)?|recorded at"
-    r"|m time utc)$"
+    r"^(time|date|datetime|date time|time ?stamp|utc|epoch|unix|unix time|ts|elapsed( time)?"
+    r"|(recorded|created|received|logged) at|m time utc)$"
     r"|\b(timestamp|date time)$"
 )
 _AMBIENT: Final = (
@@ -37,7 +38,7 @@ _RULES: Final = (
         r"\b(max|min|cell|inlet)\b",
     ),
     ("ambient_c", _AMBIENT, r"\b(cabin|inside|conditioning)\b"),
-    ("hvac_w", _HVAC, r"\b(no power|on|state)\b"),
+    ("hvac_w", _HVAC, r"\b(no power|on|state|set|fan)\b|temp"),
     ("battery_voltage_v", r"\b(voltage|volts?)\b", _NOT_THE_PACK),
     (POWER, r"\bpower\b", rf"{_NOT_THE_PACK}|\bno power\b"),
     ("soc_pct", r"\b(soc|state of charge|battery level|charge level)\b", r"\b(usable|limit|target|max|min)\b"),

@@ -40,6 +40,8 @@ class GuessedTime(NamedTuple):
         Whether the numbers count from a time that the file does not state.
     reason : str
         Why.
+    day_from_file_name : bool
+        Whether the table holds times of day, and the name of its file the day.
     """
 
     columns: tuple[str, ...]
@@ -48,6 +50,7 @@ class GuessedTime(NamedTuple):
     has_zone: bool
     needs_origin: bool
     reason: str
+    day_from_file_name: bool = False
 
 
 def guess_time(candidates: Sequence[NamedColumn], blocks: Sequence[tuple[TableFile, Block]]) -> GuessedTime:

@@ -23,6 +23,14 @@ _COMPARISONS: Final = (
 """Field, the sum that its distance is compared with, and the field whose unit must be known for it."""
 
 
+class KnownUnit(NamedTuple):
+    """Hold what is known of a field before its values are seen: unit and sign, None where unknown, and the source."""
+
+    unit: str | None
+    sign: int | None = None
+    source: str = ""
+
+
 class GuessedUnit(NamedTuple):
     """Hold unit and sign of a field with the reasons for them."""
 
@@ -31,15 +39,15 @@ class GuessedUnit(NamedTuple):
     reasons: tuple[str, ...]
 
 
-def guess_values(rows: np.ndarray, units: Mapping[str, str | None]) -> dict[str, GuessedUnit]:
+def guess_values(rows: np.ndarray, known: Mapping[str, KnownUnit]) -> dict[str, GuessedUnit]:
     """Return unit and sign of each field.
 
     Parameters
     ----------
     rows : structured array
-        Rows in the order of time. A field whose name gives no unit is as it stands in the file.
-    units : mapping of str to str or None
-        Unit that the name of each field gives.
+        Rows in the order of time. A field whose unit is not known is as it stands in the file.
+    known : mapping of str to KnownUnit
+        What is known of each field before its values are seen.
 
     Returns
     -------
@@ -47,18 +55,20 @@ def guess_values(rows: np.ndarray, units: Mapping[str, str | None]) -> dict[str,
     """
     rows = rows.copy()
     found: dict[str, GuessedUnit] = {}
+    units = {field: each.unit for field, each in known.items()}
     settled = {field for field, unit in units.items() if unit is not None}
-    for field, unit in units.items():
-        if unit is not None:
-            found[field] = GuessedUnit(unit, 1, (f"unit in the name: {unit}",))
+    for field, (unit, _, source) in known.items():
+        if unit is not None or not FIELD_UNITS[field]:
+            reason = source or (f"unit in the name: {unit}" if unit else "")
+            found[field] = GuessedUnit(unit, 1, (reason,) if reason else ())
             continue
         guessed, reason = _guess_by_range(field, rows)
         if guessed == "m" and field == "odometer_km":
             settled.add(field)
         found[field] = GuessedUnit(guessed, 1, (reason,) if reason else ())
         rows[field] = _convert(field, guessed, rows[field])
-    for field, measured, known in _COMPARISONS:
-        if field not in units or field in settled or (known is not None and known not in settled):
+    for field, measured, beside in _COMPARISONS:
+        if field not in units or field in settled or (beside is not None and beside not in settled):
             continue
         unit = _guess_by_distance(field, measured, rows)
         if unit is not None:
@@ -66,7 +76,7 @@ def guess_values(rows: np.ndarray, units: Mapping[str, str | None]) -> dict[str,
             found[field] = GuessedUnit(unit, 1, (f"{unit}, because distances agree with {by}",))
             rows[field] = _convert(field, unit, rows[field])
             settled.add(field)
-    return found | _guess_signs(rows, found)
+    return found | _guess_signs(rows, found, {field: each.sign for field, each in known.items()})
 
 
 def _convert(field: str, unit: str | None, values: Floats) -> Floats:
@@ -123,7 +133,9 @@ def _guess_by_distance(field: str, measured: str, rows: np.ndarray) -> str | Non
     return best if abs(np.log(wanted / factors[best])) < NEAR else None
 
 
-def _guess_signs(rows: np.ndarray, found: Mapping[str, GuessedUnit]) -> dict[str, GuessedUnit]:
+def _guess_signs(
+    rows: np.ndarray, found: Mapping[str, GuessedUnit], signs: Mapping[str, int | None]
+) -> dict[str, GuessedUnit]:
     """Return the current and the power that are turned because acceleration would charge the battery."""
     turned = {}
     pairs = (("battery_current_a", "battery_voltage_v"), (POWER, POWER))
@@ -132,23 +144,25 @@ def _guess_signs(rows: np.ndarray, found: Mapping[str, GuessedUnit]) -> dict[str
             continue
         names = [name for name in rows.dtype.names or () if name in {"time", "vehicle", "speed_kmh", field, beside}]
         total = _sum(rows[names])
-        mass = fit_mass(total)
-        sign, reason = _judge_sign(mass, total)
-        known = found[field]
-        turned[field] = known._replace(sign=sign, reasons=(*known.reasons, reason))
+        given = signs[field] or 1
+        sign, reason = _judge_sign(fit_mass(total), total, is_given=signs[field] is not None)
+        turned[field] = found[field]._replace(sign=sign * given, reasons=(*found[field].reasons, reason))
     return turned
 
 
-def _judge_sign(mass: float | None, total: Mapping[str, float]) -> tuple[int, str]:
-    """Return the sign of a power and the reason."""
+def _judge_sign(mass: float | None, total: Mapping[str, float], *, is_given: bool) -> tuple[int, str]:
+    """Return by what a power is multiplied so that driving discharges, and the reason."""
+    turned = "turned against the preset: with its sign, " if is_given else "turned: as it stands, "
     if mass is not None and abs(mass) > 100.0:
         if mass < 0:
-            return -1, "turned: as it stands, acceleration would charge the battery"
+            return -1, f"{turned}acceleration would charge the battery"
         return 1, "sign: acceleration discharges the battery"
     if total["distance"] > 1000.0:
         if total["energy"] < 0:
-            return -1, "turned: as it stands, driving would charge the battery"
+            return -1, f"{turned}driving would charge the battery"
         return 1, "sign: driving discharges the battery"
+    if is_given:
+        return 1, "sign of the preset: too little driving to check"
     return 1, "sign: too little driving to check; positive must mean discharging"
 
 

@@ -25,10 +25,17 @@ def write_map_text(guessed: GuessedMap, table: TableFile) -> str:
     table : TableFile
         First file, whose form is written down where it is not the usual one.
     """
-    lines = ["# A first map, guessed from names, units, ranges and physics. Check it, then import with it.", ""]
+    lines = _write_head(guessed)
     lines += _write_file(table) + _write_vehicle(guessed, table) + _write_time(guessed) + _write_ride(guessed)
     if guessed.long:
         lines += ["[long]", f"name = {_quote(guessed.long[0])}", f"value = {_quote(guessed.long[1])}", ""]
+    if guessed.rows:
+        lines += [
+            f"[rows]   # {guessed.rows.reason}",
+            f"period_s = {guessed.rows.period:g}   # time between samples",
+            f"hold_s = {guessed.rows.hold:g}   # age up to which a value stays known",
+            "",
+        ]
     lines.append("[fields]")
     lines += [_write_field(each) for each in guessed.fields]
     if guessed.left_out:
@@ -44,10 +51,32 @@ def make_guess_table(guessed: GuessedMap) -> Table:
     _add(table, "time", " + ".join(time.columns), time.unit or time.form or "", time.reason + _describe_zone(guessed))
     _add(table, "vehicle", guessed.vehicle or "", "", "by its name" if guessed.vehicle else _describe_vehicle(guessed))
     _add(table, "ride", guessed.ride or "", "", "by its name" if guessed.ride else f"gaps of {GAP:g} s")
+    if guessed.rows:
+        _add(table, "rows", "", f"every {guessed.rows.period:g} s", guessed.rows.reason)
     for each in guessed.fields:
         unit = f"{each.unit or ''}{', turned' if each.sign < 0 else ''}"
         _add(table, each.field, each.column or each.signal or "", unit, "; ".join(each.reasons))
     return table
+
+
+def describe_preset(guessed: GuessedMap) -> str:
+    """Return a line that says which preset fits, empty where none does."""
+    if guessed.preset is None:
+        return ""
+    edit = f"; correct {guessed.preset.edit}" if guessed.preset.edit else ""
+    return f"preset {guessed.preset.name}: the columns are those of {guessed.preset.title}{edit}"
+
+
+def _write_head(guessed: GuessedMap) -> list[str]:
+    """Return the comments above the map."""
+    if guessed.preset is None:
+        return ["# A first map, guessed from names, units, ranges and physics. Check it, then import with it.", ""]
+    about = guessed.preset
+    lines = [
+        f"# Map of {about.title} (preset {about.name}). Check it, then import with it.",
+        f"# Form: {about.source}.",
+    ]
+    return [*lines, *([f"# Correct {about.edit}."] if about.edit else []), ""]
 
 
 def _add(table: Table, *cells: str) -> None:
@@ -93,6 +122,8 @@ def _write_time(guessed: GuessedMap) -> list[str]:
         lines.append(f"unit = {_quote(time.unit)}")
     if time.form:
         lines.append(f"format = {_quote(time.form)}")
+    if time.day_from_file_name:
+        lines.append("day_from_file_name = true   # the file holds times of day; its name holds the day")
     if time.needs_origin:
         lines += ['origin = "2000-01-01T00:00:00"   # time of the number 0: correct it', 'zone = "UTC"']
     elif not time.has_zone:
@@ -112,6 +143,8 @@ def _write_field(each: GuessedField) -> str:
     parts = [where]
     if each.unit is not None and FIELD_UNITS[each.field]:
         parts.append(f"unit = {_quote(each.unit)}")
+    if each.true:
+        parts.append(f"true = [{', '.join(map(_quote, each.true))}]")
     if each.sign < 0 or each.field in {"battery_current_a", POWER}:
         parts.append(f"sign = {each.sign}")
     comment = f"   # {'; '.join(each.reasons)}" if each.reasons else ""

@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.wire.messages import LONGEST_TEXT, join_chunks
-from tools.importers.table.column_map import ColumnMap, FieldSource, TimeSource
+from tools.importers.table.cells import to_bools, to_numbers
+from tools.importers.table.column_map import ColumnMap, FieldSource
+from tools.importers.table.row_times import TimeReader
 from tools.importers.table.table_file import WRONG_WIDTH, Block, TableFile
 
 Bools = NDArray[np.bool_]
 
 NO_TIME: Final = "no time"
 UNREADABLE_TIME: Final = "a time that cannot be read"
-AMBIGUOUS_TIME: Final = "a local time that the change of the clock repeats or skips"
+AMBIGUOUS_TIME: Final = "a local time that the change of the clock repeats or skips (set zone in [time] if it is UTC)"
 IMPLAUSIBLE_TIME: Final = "a time before 2000 or after 2100"
 NO_VEHICLE: Final = "no vehicle"
 NO_VALUE: Final = "no value in any field of the map"
@@ -33,8 +35,8 @@ TRUE: Final = frozenset({"true", "1", "1.0", "yes", "y", "on", "t", "charging", 
 FALSE: Final = frozenset({"false", "0", "0.0", "no", "n", "off", "f", "done", "stopped", "disconnected", "nein", "non"})
 _WHOLE: Final = re.compile(r"^(\d+)\.0$")
 """A whole number, as programs export it from a column with empty cells."""
-_NUMBER: Final = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
-_OFFSET: Final = r"(Z|[+-]\d\d:?(\d\d)?)$"
+_MINUTES: Final = r"^[+-]?\d{1,3}[ °]+\d{1,2}(\.\d*)?['′]?$"
+"""A position in degrees and minutes, such as `45 30.25`."""
 
 
 class RowReader:
@@ -69,6 +71,7 @@ class RowReader:
             [("time", "f8"), ("vehicle", "i4"), ("ride", "i4"), *((name, "f8") for name in columns.fields)]
         )
         self._places: dict[str, dict[str, int]] = {"vehicle": {}, "ride": {}}
+        self._times = TimeReader(columns.time)
 
     def read(self, tables: Sequence[TableFile]) -> Iterator[np.ndarray]:
         """Yield rows as structured arrays, one per block of a file, in the order of the files."""
@@ -83,8 +86,9 @@ class RowReader:
         self.rows += count
         rows = np.zeros(count, self.dtype)
         keep = np.ones(count, bool)
-        rows["time"] = self._read_time(table, block, keep)
-        rows["vehicle"] = self._read_vehicles(table, block, keep)
+        rows["vehicle"] = vehicles = self._read_vehicles(block, table, count)
+        rows["time"] = self._read_time(table, block, vehicles, keep)
+        self._drop(keep, vehicles < 0, NO_VEHICLE)
         rows["ride"] = self._read_rides(table, block, count)
         has_value = np.zeros(count, bool)
         for name, source in self.map.fields.items():
@@ -100,36 +104,22 @@ class RowReader:
             self.causes[cause] += number
             keep &= ~wrong
 
-    def _read_time(self, table: TableFile, block: Block, keep: Bools) -> Floats:
+    def _read_time(self, table: TableFile, block: Block, vehicles: Ints, keep: Bools) -> Floats:
         """Return the Unix time of each row. [s]"""
-        source = self.map.time
-        cells = [block[name] for name in source.columns]
-        missing = np.logical_or.reduce([_to_bools(pc.is_null(each)) for each in cells])
-        self._drop(keep, missing, NO_TIME)
-        ambiguous = np.zeros(len(keep), bool)
-        if source.unit_s is not None:
-            numbers, _ = _to_numbers(cells[0], table.decimal)
-            times = source.origin + numbers * source.unit_s
-        elif pa.types.is_timestamp(cells[0].type):
-            times, ambiguous = _to_unix(cells[0].to_pandas(), source)
-        else:
-            texts = [pc.utf8_trim_whitespace(pc.cast(each, pa.string())) for each in cells]
-            joined = texts[0] if len(texts) == 1 else pc.binary_join_element_wise(*texts, " ")
-            times, ambiguous = _parse_times(joined, source)
-        self._drop(keep, ambiguous, AMBIGUOUS_TIME)
-        self._drop(keep, ~np.isfinite(times), UNREADABLE_TIME)
+        found = self._times.read(table, block, vehicles)
+        self._drop(keep, found.missing, NO_TIME)
+        self._drop(keep, found.unclear, AMBIGUOUS_TIME)
+        self._drop(keep, ~np.isfinite(found.times), UNREADABLE_TIME)
         with np.errstate(invalid="ignore"):
-            self._drop(keep, (times < FIRST_TIME) | (times >= LAST_TIME), IMPLAUSIBLE_TIME)
-        return times
+            self._drop(keep, (found.times < FIRST_TIME) | (found.times >= LAST_TIME), IMPLAUSIBLE_TIME)
+        return found.times
 
-    def _read_vehicles(self, table: TableFile, block: Block, keep: Bools) -> Ints:
-        """Return the place of each row's vehicle in `vehicles`."""
+    def _read_vehicles(self, block: Block, table: TableFile, count: int) -> Ints:
+        """Return the place of each row's vehicle in `vehicles`, -1 where it has none."""
         source = self.map.vehicle
         if source.column is None:
-            return np.full(len(keep), self._place("vehicle", source.prefix + (source.name or table.stem)), "i4")
-        places = self._places_of("vehicle", block[source.column], source.prefix)
-        self._drop(keep, places < 0, NO_VEHICLE)
-        return places
+            return np.full(count, self._place("vehicle", source.prefix + (source.name or table.stem)), "i4")
+        return self._places_of("vehicle", block[source.column], source.prefix)
 
     def _read_rides(self, table: TableFile, block: Block, count: int) -> Ints:
         """Return the place of each row's ride in `rides`, -1 between rides."""
@@ -167,7 +157,9 @@ class RowReader:
             names = pc.utf8_trim_whitespace(pc.cast(block[self.map.long[0]], pa.string()))
             chosen = pc.fill_null(pc.equal(names, source.signal), False)
             cells = pc.if_else(chosen, cells, pa.scalar(None, cells.type))
-        read = _to_flags(cells, source.true) if name == "charging" else _to_numbers(cells, table.decimal)
+        if name in {"latitude_deg", "longitude_deg"}:
+            cells = _to_degrees(cells, table.decimal)
+        read = _to_flags(cells, source.true) if name == "charging" else to_numbers(cells, table.decimal)
         values, wrong = read
         if len(wrong):
             label = source.signal or column
@@ -180,38 +172,30 @@ class RowReader:
         return self.map.long[1] if self.map.long else ""
 
 
-def _to_bools(array: pa.Array) -> Bools:
-    """Return an array of pyarrow as numpy."""
-    flags: Bools = array.to_numpy(zero_copy_only=False).astype(bool)
-    return flags
-
-
-def _to_numbers(cells: pa.Array, decimal: str) -> tuple[Floats, pa.Array]:
-    """Return cells as numbers, NaN where unknown, and those cells that are no numbers."""
-    if pa.types.is_dictionary(cells.type):
-        cells = cells.cast(cells.type.value_type)
-    if not (pa.types.is_string(cells.type) or pa.types.is_large_string(cells.type)):
-        numbers = pc.cast(cells, pa.float64(), safe=False)
-        return numbers.to_numpy(zero_copy_only=False).astype("f8"), cells.slice(0, 0)
-    texts = pc.utf8_trim_whitespace(cells)
-    if decimal == ",":
-        texts = pc.replace_substring(texts, ",", ".")
-    is_number = pc.match_substring_regex(texts, _NUMBER)
-    wrong = cells.filter(pc.fill_null(pc.invert(is_number), False))
-    numbers = pc.cast(pc.if_else(is_number, texts, pa.scalar(None, texts.type)), pa.float64())
-    return numbers.to_numpy(zero_copy_only=False).astype("f8"), wrong
+def _to_degrees(cells: pa.Array, decimal: str) -> pa.Array:
+    """Return positions in degrees and minutes as texts in degrees; all other cells as they are."""
+    if not pa.types.is_string(cells.type):
+        return cells
+    texts = pc.utf8_trim_whitespace(pc.replace_substring(cells, decimal, "."))
+    in_minutes = pc.fill_null(pc.match_substring_regex(texts, _MINUTES), False)
+    if not pc.any(in_minutes).as_py():
+        return cells
+    parts = texts.filter(in_minutes).to_pandas().str.extract(r"^([+-]?)(\d+)[ °]+([\d.]+)")
+    degrees = parts[1].astype(float) + parts[2].astype(float) / 60.0
+    signed = np.where(parts[0] == "-", -degrees, degrees).astype(str)
+    return pc.replace_with_mask(cells, in_minutes, pa.array(np.char.replace(signed, ".", decimal), cells.type))
 
 
 def _to_flags(cells: pa.Array, true: frozenset[str]) -> tuple[Floats, pa.Array]:
     """Return cells as 1 for true and 0 for false, NaN where unknown, and those cells that are neither."""
     if pa.types.is_floating(cells.type) or pa.types.is_integer(cells.type):
-        values, wrong = _to_numbers(cells, ".")
+        values, wrong = to_numbers(cells, ".")
         return np.where(np.isnan(values), np.nan, (values > 0).astype("f8")), wrong
     coded = pc.dictionary_encode(pc.cast(cells, pa.string()))
     words = [str(word).strip().lower() for word in coded.dictionary.to_pylist()]
     flags = np.array([*(_to_flag(word, true) for word in words), np.nan])
     values = flags[pc.fill_null(coded.indices, len(words)).to_numpy(zero_copy_only=False)]
-    return values, cells.filter(pa.array(np.isnan(values) & _to_bools(pc.is_valid(cells))))
+    return values, cells.filter(pa.array(np.isnan(values) & to_bools(pc.is_valid(cells))))
 
 
 def _to_flag(word: str, true: frozenset[str]) -> float:
@@ -222,35 +206,3 @@ def _to_flag(word: str, true: frozenset[str]) -> float:
     if word in TRUE or word in FALSE:
         return float(word in TRUE)
     return float(number > 0) if np.isfinite(number) else np.nan
-
-
-def _parse_times(texts: pa.Array, source: TimeSource) -> tuple[Floats, Bools]:
-    """Return the Unix times of texts [s], NaN where unreadable, and which of them the change of the clock repeats."""
-    series: Any = texts.to_pandas()
-    form = source.form or "ISO8601"
-    with_offset = _to_bools(pc.fill_null(pc.match_substring_regex(texts, _OFFSET), False))
-    if source.form is None:  # a date alone ends like an offset
-        with_offset &= _to_bools(pc.fill_null(pc.greater(pc.utf8_length(texts), 10), False))
-    times, ambiguous = np.full(len(series), np.nan), np.zeros(len(series), bool)
-    if with_offset.any():
-        parsed = pd.to_datetime(series[with_offset], format=form, errors="coerce", utc=True)
-        times[with_offset] = _to_seconds(parsed.dt.tz_localize(None))
-    if not with_offset.all():
-        plain = pd.to_datetime(series[~with_offset], format=form, errors="coerce")
-        times[~with_offset], ambiguous[~with_offset] = _to_unix(plain, source)
-    return times, ambiguous
-
-
-def _to_unix(stamps: Any, source: TimeSource) -> tuple[Floats, Bools]:
-    """Return the Unix times of dates [s], and which of them the change of the clock repeats or skips."""
-    if stamps.dt.tz is not None:
-        return _to_seconds(stamps.dt.tz_convert("UTC").dt.tz_localize(None)), np.zeros(len(stamps), bool)
-    local = stamps.dt.tz_localize(source.zone, ambiguous="NaT", nonexistent="NaT")
-    unclear = (local.isna() & stamps.notna()).to_numpy()
-    return _to_seconds(local.dt.tz_convert("UTC").dt.tz_localize(None)), unclear
-
-
-def _to_seconds(stamps: Any) -> Floats:
-    """Return dates in UTC as Unix times, NaN where unknown. [s]"""
-    values = stamps.to_numpy().astype("datetime64[us]")
-    return np.where(np.isnat(values), np.nan, values.astype("i8") / 1e6)

@@ -102,4 +102,4 @@ def test_table_without_time_is_refused_in_one_line(tmp_path):
 
 def test_columns_that_are_not_read_are_listed_with_the_reason(tmp_path):
     found = guess_map([open_table(abrp(tmp_path / "a.csv"), "csv", FileFormat())])
-    assert dict(found.left_out) == {"is_dcfc": "its name says nothing"}
+    assert dict(found.left_out) == {"is_dcfc": "the preset does not read it"}

@@ -1,0 +1,191 @@
+"""Choose the columns or signals that fields of a map are read from: those of a preset first, then by their names."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from tools.importers.table.column_map import FieldSource
+from tools.importers.table.guess_names import RIDE, SIGNAL, TIME, VALUE, VEHICLE, NamedColumn, guess_name
+from tools.importers.table.guess_time import GuessedTime, guess_time
+from tools.importers.table.presets import Preset
+from tools.importers.table.table_file import Block, TableFile
+from tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
+
+Blocks = Sequence[tuple[TableFile, Block]]
+
+
+class Source(NamedTuple):
+    """Hold the column or signal that a field is read from, and what is known of it before its values are seen."""
+
+    field: str
+    column: str | None
+    signal: str | None
+    unit: str | None
+    sign: int | None = None
+    true: tuple[str, ...] = ()
+    reason: str = ""
+
+    def to_field_source(self) -> FieldSource:
+        """Return a source whose values keep the unit of the contract where the unit is not known."""
+        unit = self.unit if self.unit is not None else FIELD_UNITS[self.field]
+        factor, offset = find_conversion(unit, self.field) if unit else Conversion(1.0)
+        sign = self.sign or 1
+        return FieldSource(self.column, self.signal, Conversion(sign * factor, sign * offset), frozenset(self.true))
+
+
+class Sources(NamedTuple):
+    """Hold what was chosen.
+
+    Parameters
+    ----------
+    time : GuessedTime, optional
+        None where no column is a time.
+    vehicle, ride : str, optional
+        Columns of the car and the ride.
+    long : tuple of (str, str), optional
+        Columns of the name and of the value of a signal.
+    fields : list of Source
+        One for each field.
+    left_out : list of (str, str)
+        Columns that are not read, with the reason.
+    """
+
+    time: GuessedTime | None
+    vehicle: str | None
+    ride: str | None
+    long: tuple[str, str] | None
+    fields: list[Source]
+    left_out: list[tuple[str, str]]
+
+
+def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) -> Sources:
+    """Return the columns and signals to read.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Columns of the tables.
+    blocks : sequence of (TableFile, Block)
+        First rows of the tables.
+    preset : Preset, optional
+        The export that the tables are.
+    """
+    by_name = preset is None or preset.rest
+    named = [found for name in names if (found := guess_name(name)) is not None]
+    roles: dict[str, list[NamedColumn]] = {}
+    for each in named:
+        roles.setdefault(each.role, []).append(each)
+    long = _find_long(names, roles, blocks, preset)
+    words = _list_signals(long[0], blocks) if long else []
+    fields = _choose_of_preset(preset, names, words, blocks) if preset else []
+    left_out: list[tuple[str, str]] = []
+    if by_name:
+        taken = {each.field for each in fields}
+        chosen, left_out = _choose_by_name(roles, words, long, blocks)
+        fields += [each for each in chosen if each.field not in taken]
+    time = (_find_time_of_preset(preset, blocks) if preset else None) or (
+        guess_time(roles[TIME], blocks) if TIME in roles else None
+    )
+    vehicle, ride = (
+        _find_filled([*given, *(each.name for each in roles.get(role, ()) if by_name or role == VEHICLE)], blocks)
+        for role, given in ((VEHICLE, preset.vehicle if preset else ()), (RIDE, preset.ride if preset else ()))
+    )
+    read = {each.column for each in fields} | {vehicle, ride, *(long or ()), *(time.columns if time else ())}
+    left_out = [(name, why) for name, why in left_out if name not in read]
+    unread = "its name says nothing" if by_name else "the preset does not read it"
+    known = read | ({each.name for each in named} if by_name else set())
+    left_out += [(name, unread) for name in names if name not in known]
+    return Sources(time, vehicle, ride, long, fields, left_out)
+
+
+def count_known(name: str, blocks: Blocks) -> int:
+    """Return the number of cells of a column that hold something."""
+    return sum(len(block[name]) - block[name].null_count for _, block in blocks if name in block)
+
+
+def _find_filled(names: Sequence[str], blocks: Blocks) -> str | None:
+    """Return the first of some columns that holds something."""
+    return next((name for name in names if count_known(name, blocks)), None)
+
+
+def _find_time_of_preset(preset: Preset, blocks: Blocks) -> GuessedTime | None:
+    """Return the clock of a preset, None where it is guessed."""
+    for time in preset.times:
+        if not count_known(time.column, blocks):
+            continue
+        found = GuessedTime((time.column,), time.unit, time.form, True, False, f"preset {preset.name}")
+        if time.unit is None and time.form is None:
+            column = NamedColumn(time.column, TIME, None)
+            found = guess_time([column], blocks)
+        return found._replace(
+            has_zone=time.zone == "UTC" or (found.has_zone and time.form is None and not time.day_from_file_name),
+            day_from_file_name=time.day_from_file_name,
+        )
+    return None
+
+
+def _choose_of_preset(preset: Preset, names: Sequence[str], words: Sequence[str], blocks: Blocks) -> list[Source]:
+    """Return the sources of a preset that the tables have, filled ones before empty ones."""
+    chosen = []
+    for field, places in preset.fields.items():
+        there = [each for each in places if each.column in names or each.signal in words]
+        filled = [each for each in there if each.signal is not None or count_known(each.column or "", blocks)]
+        if filled:
+            column, signal, unit, sign, true = filled[0]
+            chosen.append(Source(field, column, signal, unit, sign, true, f"preset {preset.name}"))
+    return chosen
+
+
+def _find_long(
+    names: Sequence[str], roles: Mapping[str, list[NamedColumn]], blocks: Blocks, preset: Preset | None
+) -> tuple[str, str] | None:
+    """Return the columns of the long form, if the table has it."""
+    given = preset.long if preset else ()
+    if pair := next((pair for pair in given if set(pair) <= set(names)), None):
+        return pair
+    if preset and not preset.rest:
+        return None
+    for signal in roles.get(SIGNAL, ()):
+        for value in roles.get(VALUE, ()):
+            if any(_is_field(word) for word in _list_signals(signal.name, blocks)):
+                return signal.name, value.name
+    return None
+
+
+def _is_field(word: str) -> bool:
+    """Return whether the name of a signal is that of a field."""
+    found = guess_name(word)
+    return found is not None and found.role in FIELD_UNITS
+
+
+def _list_signals(column: str, blocks: Blocks) -> list[str]:
+    """Return the names of signals of the long form."""
+    words: dict[str, None] = {}
+    for _, block in blocks:
+        if column in block:
+            found = pc.unique(pc.utf8_trim_whitespace(pc.cast(block[column], pa.string()))).to_pylist()
+            words |= dict.fromkeys(word for word in found if word)
+    return list(words)
+
+
+def _choose_by_name(
+    roles: Mapping[str, list[NamedColumn]], words: Sequence[str], long: tuple[str, str] | None, blocks: Blocks
+) -> tuple[list[Source], list[tuple[str, str]]]:
+    """Return one source per field, and the columns that another one of the same field replaces."""
+    chosen, left_out = [], []
+    signals = [each for word in words if (each := guess_name(word)) is not None]
+    for field in FIELD_UNITS:
+        columns = [each for each in roles.get(field, ()) if long is None or each.name not in long]
+        filled = sorted(columns, key=lambda each: -count_known(each.name, blocks))
+        of_signals = [each for each in signals if each.role == field]
+        if filled and count_known(filled[0].name, blocks):
+            chosen.append(Source(field, filled[0].name, None, filled[0].unit))
+            left_out += [(each.name, f"'{filled[0].name}' holds more of {field}") for each in filled[1:]]
+        elif of_signals:
+            chosen.append(Source(field, None, of_signals[0].name, of_signals[0].unit))
+            left_out += [(each.name, f"'{of_signals[0].name}' comes first") for each in of_signals[1:]]
+        else:
+            left_out += [(each.name, "it is empty") for each in filled]
+    return chosen, left_out

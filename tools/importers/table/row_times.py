@@ -1,0 +1,180 @@
+"""Read the clock of a table: the Unix times of its rows, also in the hour that a clock repeats."""
+
+import re
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from core.batch import Floats, Ints
+from core.columns import SECONDS_PER_DAY
+from core.errors import ImportFileError
+from tools.importers.table.cells import Bools, to_bools, to_numbers
+from tools.importers.table.column_map import TimeSource
+from tools.importers.table.table_file import Block, TableFile
+
+NEIGHBOUR: Final = 600.0
+"""Longest time from a row of the repeated hour to the row beside it that shows which of both hours it is. [s]"""
+DAY_IN_NAME: Final = re.compile(r"(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
+"""Year, month and day in the name of a file."""
+_OFFSET: Final = r"(Z|[+-]\d\d:?(\d\d)?)$"
+
+
+class RowTimes(NamedTuple):
+    """Hold the times of rows.
+
+    Parameters
+    ----------
+    times : (n,) float64
+        Unix time, NaN where unknown. [s]
+    missing, unclear : (n,) bool
+        Rows without a time, and rows with a local time that the change of the clock repeats or skips.
+    """
+
+    times: Floats
+    missing: Bools
+    unclear: Bools
+
+
+class TimeReader:
+    """Read the times of tables block by block.
+
+    Parameters
+    ----------
+    source : TimeSource
+        The clock.
+    """
+
+    def __init__(self, source: TimeSource) -> None:
+        self.source = source
+        self._path: Path | None = None
+        self._last: dict[int, float] = {}
+        self._days = 0
+        self._last_of_file = np.nan
+
+    def read(self, table: TableFile, block: Block, vehicles: Ints) -> RowTimes:
+        """Return the times of the rows of a block.
+
+        Parameters
+        ----------
+        table : TableFile
+            File of the block.
+        block : mapping of str to array
+            Rows in the order of the file, after those of the calls before.
+        vehicles : (n,) int
+            Place of each row's vehicle.
+        """
+        if self._path != table.path:
+            self._path, self._last, self._days, self._last_of_file = table.path, {}, 0, np.nan
+        cells = [block[name] for name in self.source.columns]
+        missing: Bools = np.logical_or.reduce([to_bools(pc.is_null(each)) for each in cells])
+        day = find_day(table.path) if self.source.day_from_file_name else None
+        unclear = np.zeros(len(missing), bool)
+        if self.source.unit_s is not None:
+            numbers, _ = to_numbers(cells[0], table.decimal)
+            origin = self.source.origin if day is None else pd.Timestamp(day, tz=self.source.zone).timestamp()
+            times = origin + numbers * self.source.unit_s
+        elif pa.types.is_timestamp(cells[0].type):
+            times, unclear = self._localize(cells[0].to_pandas(), vehicles)
+        else:
+            texts = [pc.utf8_trim_whitespace(pc.cast(each, pa.string())) for each in cells]
+            joined = texts[0] if len(texts) == 1 else pc.binary_join_element_wise(*texts, " ")
+            times, unclear = self._parse(joined, vehicles, day)
+        return RowTimes(times if day is None else self._add_days(times), missing, unclear)
+
+    def _parse(self, texts: pa.Array, vehicles: Ints, day: str | None) -> tuple[Floats, Bools]:
+        """Return the Unix times of texts [s], NaN where unreadable, and which of them are unclear."""
+        series: Any = texts.to_pandas()
+        form = self.source.form or "ISO8601"
+        with_offset = to_bools(pc.fill_null(pc.match_substring_regex(texts, _OFFSET), False))
+        if self.source.form is None:  # a date alone ends like an offset
+            with_offset &= to_bools(pc.fill_null(pc.greater(pc.utf8_length(texts), 10), False))
+        if day is not None:
+            series = day + " " + series
+            form = form if self.source.form is None else f"%Y-%m-%d {form}"
+        times, unclear = np.full(len(series), np.nan), np.zeros(len(series), bool)
+        if with_offset.any():
+            parsed = pd.to_datetime(series[with_offset], format=form, errors="coerce", utc=True)
+            times[with_offset] = _to_seconds(parsed.dt.tz_localize(None))
+        if not with_offset.all():
+            plain = pd.to_datetime(series[~with_offset], format=form, errors="coerce")
+            times[~with_offset], unclear[~with_offset] = self._localize(plain, vehicles[~with_offset])
+        return times, unclear
+
+    def _localize(self, stamps: Any, vehicles: Ints) -> tuple[Floats, Bools]:
+        """Return the Unix times of dates [s], and which of them are unclear."""
+        if stamps.dt.tz is not None:
+            return _to_seconds(stamps.dt.tz_convert("UTC").dt.tz_localize(None)), np.zeros(len(stamps), bool)
+        times = self._to_unix(stamps, "NaT")
+        unclear: Bools = np.isnan(times) & stamps.notna().to_numpy()
+        if unclear.any():
+            both = [self._to_unix(stamps, np.full(len(stamps), summer)) for summer in (True, False)]
+            unclear = self._place_repeated(times, np.column_stack(both), vehicles, unclear)
+        for vehicle in np.unique(vehicles).tolist():
+            known = times[(vehicles == vehicle) & np.isfinite(times)]
+            if len(known):
+                self._last[vehicle] = float(known[-1])
+        return times, unclear
+
+    def _to_unix(self, stamps: Any, ambiguous: Any) -> Floats:
+        """Return the Unix times of local times, NaN where they are skipped, or repeated and not decided. [s]"""
+        local = stamps.dt.tz_localize(self.source.zone, ambiguous=ambiguous, nonexistent="NaT")
+        return _to_seconds(local.dt.tz_convert("UTC").dt.tz_localize(None))
+
+    def _place_repeated(self, times: Floats, both: Floats, vehicles: Ints, unclear: Bools) -> Bools:
+        """Set the times of rows in the repeated hour by the rows beside them, and return which remain unclear."""
+        for direction in (1, -1):
+            last = dict(self._last) if direction == 1 else {}
+            for row in np.arange(len(times))[::direction].tolist():
+                vehicle = int(vehicles[row])
+                if unclear[row] and vehicle in last:
+                    for each in both[row, ::direction].tolist():
+                        if 0 <= direction * (each - last[vehicle]) <= NEIGHBOUR:
+                            times[row] = each
+                            break
+                if np.isfinite(times[row]):
+                    last[vehicle] = float(times[row])
+        return unclear & np.isnan(times)
+
+    def _add_days(self, times: Floats) -> Floats:
+        """Return times of which those after midnight are on the next day."""
+        known = np.flatnonzero(np.isfinite(times))
+        if not len(known):
+            return times
+        steps = np.diff(times[known], prepend=self._last_of_file)
+        days = self._days + np.cumsum(steps < -SECONDS_PER_DAY / 2)
+        self._days, self._last_of_file = int(days[-1]), float(times[known[-1]])
+        times = times.copy()
+        times[known] += days * SECONDS_PER_DAY
+        return times
+
+
+def find_day(path: Path) -> str:
+    """Return the day that the name of a file holds, such as `2024-05-01`.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    ImportFileError
+        If its name holds none.
+    """
+    found = DAY_IN_NAME.search(path.name)
+    if not found:
+        raise ImportFileError(
+            f"{path}: its name holds no day such as 2024-05-01, which day_from_file_name needs; "
+            "rename the file, or set origin in [time]"
+        )
+    return "-".join(found.groups())
+
+
+def _to_seconds(stamps: Any) -> Floats:
+    """Return dates in UTC as Unix times, NaN where unknown. [s]"""
+    values = stamps.to_numpy().astype("datetime64[us]")
+    return np.where(np.isnat(values), np.nan, values.astype("i8") / 1e6)

@@ -1,0 +1,239 @@
+"""Make samples of rows that carry only part of the fields: values stay known for a time, and rows join to a period."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+
+from core.batch import Floats
+from tools.importers.table.units import POWER
+
+HOLD: Final = 30.0
+"""Age up to which a value that changes fast stays known. [s]"""
+VOLTAGE_HOLDS: Final = 10.0
+"""Ratio of the age up to which a voltage stays known, which changes little, to that of a current. [1]"""
+SLOW_HOLD: Final = 1800.0
+"""Age up to which a temperature, the number of occupants or the state of charging stays known. [s]"""
+LONGEST_HOLD: Final = 86400.0
+"""Largest age that a map may state. [s]"""
+SHORTEST_PERIOD: Final = 0.1
+"""Shortest period of samples. [s]"""
+LONGEST_PERIOD: Final = 60.0
+"""Longest period of samples. [s]"""
+AVERAGED: Final = ("speed_kmh", "battery_voltage_v", "battery_current_a", POWER, "hvac_w")
+"""Fields of which a sample holds the mean over its period; of all others it holds the latest value."""
+SLOW: Final = ("battery_temperature_c", "ambient_c", "occupants", "charging")
+"""Fields that change slowly."""
+NOT_HELD: Final = ("latitude_deg", "longitude_deg", "elevation_m", "odometer_km", "soc_pct")
+"""Fields that are sent only where a row has them: a value of before would say that the car stood still."""
+_KEYS: Final = ("time", "vehicle", "ride")
+_VOLTAGE: Final = "battery_voltage_v"
+_CURRENT: Final = "battery_current_a"
+_Series = tuple[Floats, Floats]
+
+
+class Sampling(NamedTuple):
+    """Describe how rows become samples.
+
+    Parameters
+    ----------
+    period : float, optional
+        Time between two samples; None keeps the times of the rows. [s]
+    holds : mapping of str to float
+        Age of each field up to which its value stays known. [s]
+    """
+
+    period: float | None
+    holds: Mapping[str, float]
+
+
+def find_holds(usual: float = HOLD) -> dict[str, float]:
+    """Return the age of each field up to which its value stays known. [s]
+
+    Parameters
+    ----------
+    usual : float
+        Age for fields that change fast. [s]
+    """
+    fast = dict.fromkeys(AVERAGED, usual) | {_VOLTAGE: min(VOLTAGE_HOLDS * usual, LONGEST_HOLD)}
+    return fast | dict.fromkeys(SLOW, max(usual, SLOW_HOLD)) | dict.fromkeys(NOT_HELD, 0.0)
+
+
+def sample_rows(blocks: Iterable[np.ndarray], sampling: Sampling) -> Iterator[np.ndarray]:
+    """Yield the samples of rows in the order of time.
+
+    Parameters
+    ----------
+    blocks : iterable of structured arrays
+        Rows in the order of time, those of one car and time joined.
+    sampling : Sampling
+        How rows become samples.
+
+    Yields
+    ------
+    structured array
+        Samples. Where the division into blocks lies does not change them.
+    """
+    sampler = _Sampler(sampling)
+    for rows in blocks:
+        if len(samples := sampler.take(rows)):
+            yield samples
+    if len(samples := sampler.finish()):
+        yield samples
+
+
+class _Sampler:
+    """Hold what the next rows need of those before."""
+
+    def __init__(self, sampling: Sampling) -> None:
+        self.period, self.holds = sampling
+        self._waiting: np.ndarray | None = None
+        self._known: dict[int, dict[str, tuple[float, float]]] = {}
+
+    def take(self, rows: np.ndarray) -> np.ndarray:
+        """Return the samples that no later row changes."""
+        if not len(rows):
+            return rows
+        if self._waiting is not None:
+            rows = np.concatenate([self._waiting, rows])
+        end = len(rows)
+        if self.period is not None:
+            end = int(np.searchsorted(rows["time"], np.floor(rows["time"][-1] / self.period) * self.period, "left"))
+        self._waiting = rows[end:].copy() if end < len(rows) else None
+        return self._convert(rows[:end])
+
+    def finish(self) -> np.ndarray:
+        """Return the samples of the rows that waited."""
+        waiting, self._waiting = self._waiting, None
+        return np.zeros(0) if waiting is None else self._convert(waiting)
+
+    def _convert(self, rows: np.ndarray) -> np.ndarray:
+        """Return the samples of whole periods."""
+        parts = [
+            self._convert_car(vehicle, rows[rows["vehicle"] == vehicle])
+            for vehicle in np.unique(rows["vehicle"]).tolist()
+        ]
+        if not parts:
+            return rows
+        samples = np.concatenate(parts)
+        return samples[np.lexsort((samples["vehicle"], samples["time"]))]
+
+    def _convert_car(self, vehicle: int, rows: np.ndarray) -> np.ndarray:
+        """Return the samples of one car."""
+        if self.period is None:
+            samples, starts, ends = rows.copy(), rows["time"], rows["time"]
+        else:
+            ticks = np.floor(rows["time"] / self.period)
+            last = np.append(np.diff(ticks) > 0, True)
+            samples = rows[last].copy()
+            starts = ticks[last] * self.period
+            ends = starts + self.period
+            samples["time"] = starts + self.period / 2
+        before = self._known.setdefault(vehicle, {})
+        series = {name: _prepend(before.get(name), rows, name) for name in rows.dtype.names or () if name not in _KEYS}
+        for name, (times, values) in series.items():
+            samples[name] = self._sample(name, times, values, starts, ends)
+            if len(times):
+                before[name] = (float(times[-1]), float(values[-1]))
+        if self.period is not None and {_VOLTAGE, _CURRENT} <= series.keys():
+            samples[_CURRENT] = self._sample_current(series, samples[_VOLTAGE], samples[_CURRENT], starts, ends)
+        return samples
+
+    def _sample_current(
+        self, series: Mapping[str, _Series], voltage: Floats, current: Floats, starts: Floats, ends: Floats
+    ) -> Floats:
+        """Return the current that gives the mean power at the mean voltage."""
+        times, amperes = series[_CURRENT]
+        volts = find_latest(*series[_VOLTAGE], times, self.holds[_VOLTAGE])
+        at = np.isfinite(volts)
+        power = self._sample(_CURRENT, times[at], (amperes * volts)[at], starts, ends)
+        return np.divide(power, voltage, out=current.copy(), where=np.isfinite(power) & (voltage > 0))
+
+    def _sample(self, name: str, times: Floats, values: Floats, starts: Floats, ends: Floats) -> Floats:
+        """Return the values of a field in periods."""
+        hold = self.holds[name]
+        if self.period is None:
+            return find_latest(times, values, ends, hold)
+        latest = find_latest(times, values, ends, max(hold, self.period), "left")
+        if name not in AVERAGED:
+            return latest
+        return compute_held_means(times, values, starts, ends, max(hold, self.period), latest)
+
+
+def _prepend(before: tuple[float, float] | None, rows: np.ndarray, name: str) -> _Series:
+    """Return times and values of a field where it is known, after the last one of before."""
+    at = np.isfinite(rows[name])
+    times, values = rows["time"][at], rows[name][at]
+    if before is None:
+        return times, values
+    return np.append(before[0], times), np.append(before[1], values)
+
+
+def find_latest(
+    times: Floats, values: Floats, at: Floats, hold: float, side: Literal["left", "right"] = "right"
+) -> Floats:
+    """Return the latest value of a quantity at each moment, NaN where it is older than a limit.
+
+    Parameters
+    ----------
+    times : (n,) float64
+        Times at which the value is known, ascending. [s]
+    values : (n,) float64
+        Known values.
+    at : (m,) float64
+        Moments. [s]
+    hold : float
+        Largest age. [s]
+    side : {"left", "right"}
+        Whether a value known at the moment itself counts (`right`).
+
+    Returns
+    -------
+    (m,) float64
+    """
+    if not len(times):
+        return np.full(len(at), np.nan)
+    latest = np.searchsorted(times, at, side) - 1
+    is_known = (latest >= 0) & (at - times[latest] <= hold)
+    return np.where(is_known, values[latest], np.nan)
+
+
+def compute_held_means(
+    times: Floats, values: Floats, starts: Floats, ends: Floats, hold: float, otherwise: Floats
+) -> Floats:
+    """Return the means of a quantity over periods; each value counts until the next one, at most for a time.
+
+    Parameters
+    ----------
+    times : (n,) float64
+        Times at which the value is known, ascending. [s]
+    values : (n,) float64
+        Known values.
+    starts, ends : (m,) float64
+        Periods. [s]
+    hold : float
+        Longest time for which a value counts. [s]
+    otherwise : (m,) float64
+        Returned for periods in which no value counts.
+
+    Returns
+    -------
+    (m,) float64
+
+    Examples
+    --------
+    >>> times, values = np.array([0.0, 3.0]), np.array([10.0, 20.0])
+    >>> compute_held_means(times, values, np.array([2.0, 4.0]), np.array([4.0, 6.0]), 2.0, np.full(2, np.nan)).tolist()
+    [20.0, 20.0]
+    """
+    if not len(times):
+        return otherwise
+    until = np.minimum(np.append(times[1:], np.inf), times + hold)
+    length = until - times
+    breaks = np.column_stack((times, until)).ravel()
+    known = np.concatenate(([0.0], np.cumsum(np.column_stack((length, np.zeros(len(times)))).ravel())))[:-1]
+    amount = np.column_stack((values * length, np.zeros(len(times)))).ravel()
+    integral = np.concatenate(([0.0], np.cumsum(amount)))[:-1]
+    span = np.interp(ends, breaks, known) - np.interp(starts, breaks, known)
+    total = np.interp(ends, breaks, integral) - np.interp(starts, breaks, integral)
+    return np.divide(total, span, out=otherwise.copy(), where=span > 1e-6)
