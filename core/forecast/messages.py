@@ -2,9 +2,11 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import repeat
 from math import isnan
 from typing import Final
 
+import msgspec
 import numpy as np
 from msgspec import UNSET, UnsetType
 
@@ -15,7 +17,7 @@ from core.forecast.plausibility import find_implausible
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
 from core.totals.measured_energy import measure_energy
-from core.wire.messages import Forecast, Interval, Message, NextCharge, QualityCounts, encode
+from core.wire.messages import Forecast, Interval, Message, NextCharge, QualityCounts
 
 _COUNTED: Final = {
     name: [CAUSES.index(flag.name.lower()) for flag in Quality if flag in bits and flag.name]
@@ -66,47 +68,45 @@ def build_forecasts(
     -------
     list of Message
     """
-    names, version = context.vehicle_ids, context.model_label
+    names = context.vehicle_ids
     riding = running.ride >= 0
     predicted = np.where(riding, rows.predicted, np.nan)
     measured = np.where(riding, measure_energy(running, context.cars).energy, np.nan)
     withheld = find_implausible(running, rows, predicted, measured, context.cars)
     implausible.update(cause for cause in withheld if cause)
-    counts = [QualityCounts(*row) for row in zip(*count_quality(running).values(), strict=True)]
-    soc, soc_sd, risk = (100.0 * rows.soc).tolist(), (100.0 * rows.soc_sd).tolist(), rows.risk.tolist()
-    range_km = _list_intervals(rows.range_km, rows.range_km_p05, rows.range_km_p95)
-    end = _list_intervals(100.0 * rows.end_soc, 100.0 * rows.end_soc_p05, 100.0 * rows.end_soc_p95)
-    charges = _list_charges(rows)
-    time = running.at_last("time").tolist()
-    distance = np.where(riding, running.amount("distance") * 1e-3, 0.0).tolist()
-    duration = np.where(riding, running.amount("duration"), 0.0).tolist()
-    out = []
-    for i, lane in enumerate(running.lane.tolist()):
-        if withheld[i] is not None:
-            continue
-        forecast = Forecast(
-            vehicle_id=names[lane],
-            time_s=time[i],
-            ride_id=ride_names[i] if riding[i] else None,
-            model=version,
-            ride_distance_km=distance[i],
-            ride_duration_s=duration[i],
-            ride_energy_predicted_kwh=none_if_nan(float(predicted[i])),
-            ride_energy_measured_kwh=none_if_nan(float(measured[i])),
-            soc_pct=none_if_nan(soc[i]),
-            soc_sd_pct=none_if_nan(soc_sd[i]),
-            range_km=range_km[i],
-            soc_end_of_shift_pct=end[i],
-            reserve_risk=none_if_nan(risk[i]),
-            quality=counts[i],
-            next_charge=charges[i],
-        )
-        out.append(Message(f"{prefix}fleet/{names[lane]}/forecast", encode(forecast), int(time[i] * 1e9)))
-    return out
+    soc_end = _list_intervals(100.0 * rows.end_soc, 100.0 * rows.end_soc_p05, 100.0 * rows.end_soc_p95)
+    lanes, time = running.lane.tolist(), running.at_last("time").tolist()
+    vehicle_ids = [names[lane] for lane in lanes]
+    forecasts = map(
+        Forecast,  # its fields in their order; NaN is encoded as null
+        vehicle_ids,
+        time,
+        [name if is_riding else None for name, is_riding in zip(ride_names, riding.tolist(), strict=True)],
+        repeat(context.model_label),
+        np.where(riding, running.amount("distance") * 1e-3, 0.0).tolist(),
+        np.where(riding, running.amount("duration"), 0.0).tolist(),
+        predicted.tolist(),
+        measured.tolist(),
+        (100.0 * rows.soc).tolist(),
+        (100.0 * rows.soc_sd).tolist(),
+        _list_intervals(rows.range_km, rows.range_km_p05, rows.range_km_p95),
+        soc_end,
+        rows.risk.tolist(),
+        map(QualityCounts, *count_quality(running).values()),
+        _list_charges(rows),
+    )
+    encode = msgspec.json.Encoder().encode
+    return [
+        Message(f"{prefix}fleet/{vehicle_id}/forecast", encode(forecast), int(time_s * 1e9))
+        for vehicle_id, time_s, forecast, cause in zip(vehicle_ids, time, forecasts, withheld, strict=True)
+        if cause is None
+    ]
 
 
 def _list_charges(rows: ForecastRows) -> list[NextCharge | UnsetType]:
     """Return the forecasts of the next planned charges, UNSET where none is ahead."""
+    if np.isnan(rows.charge_soc).all():
+        return [UNSET] * len(rows.charge_soc)
     intervals = _list_intervals(100.0 * rows.charge_soc, 100.0 * rows.charge_soc_p05, 100.0 * rows.charge_soc_p95)
     parts = zip(rows.charge_time.tolist(), intervals, rows.charge_risk.tolist(), strict=True)
     return [UNSET if soc is None else NextCharge(when, soc, none_if_nan(risk)) for when, soc, risk in parts]
@@ -114,5 +114,10 @@ def _list_charges(rows: ForecastRows) -> list[NextCharge | UnsetType]:
 
 def _list_intervals(mean: Floats, low: Floats, high: Floats) -> list[Interval | None]:
     """Return intervals, None where the quantity is unknown."""
-    rows = zip(mean.tolist(), low.tolist(), high.tolist(), strict=True)
-    return [None if isnan(m) or isnan(a) or isnan(b) else Interval(m, a, b) for m, a, b in rows]
+    unknown = np.isnan(mean) | np.isnan(low) | np.isnan(high)
+    if unknown.all():
+        return [None] * len(mean)
+    intervals: list[Interval | None] = list(map(Interval, mean.tolist(), low.tolist(), high.tolist()))
+    for at in np.flatnonzero(unknown).tolist():
+        intervals[at] = None
+    return intervals

@@ -7,14 +7,17 @@ fractions of one.
 import struct
 from collections import Counter
 from collections.abc import Sequence
+from itertools import repeat
+from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
 
 from core.batch import Batch, Floats, Ints, Lanes
-from core.columns import KMH, TELEMETRY, ZERO_CELSIUS
+from core.columns import KMH, ZERO_CELSIUS
 from core.settings import Limits
+from core.wire.json_scanner import POSITION, JsonScanner, ScannedSamples
 from core.wire.messages import KINDS, LONGEST_KEY, OF_VEHICLES, Message, Telemetry, Wire, address, identity
 from core.wire.rate_limit import RateLimit
 from core.wire.rides import RideNames
@@ -56,9 +59,6 @@ class Refused(NamedTuple):
     samples: tuple[Any, ...] | None = None
 
 
-_COLUMN_OF: Final = {"vehicle_id": "lane", "ride_id": "ride"} | {column.source: column.name for column in TELEMETRY}
-_POSITION: Final = {field: Batch._fields.index(column) for field, column in _COLUMN_OF.items()}
-"""Telemetry field -> its column among those of a batch."""
 _BLOCK: Final = 512
 _MOST_KEYS: Final = 1 << 20
 _LOST = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
@@ -103,6 +103,7 @@ class Decoder:
         self.losses = SampleLosses(lanes)
         self.rides = RideNames()
         self._lane_of_key: dict[str, int] = {}
+        self._scanner, self._generation = JsonScanner(lanes), self.rides.generation
         self._one = msgspec.json.Decoder(Telemetry)
         self._several = msgspec.json.Decoder(list[msgspec.Raw])  # a gateway may send lists
         self._others = {kind: msgspec.json.Decoder(struct) for kind, struct in KINDS.items()}
@@ -127,6 +128,9 @@ class Decoder:
         tables: list[Floats] = []
         events: list[Event] = []
         refusals = [] if refusals is None else refusals
+        if self._generation != self.rides.generation:
+            self._generation = self.rides.generation
+            self._scanner.forget_rides()
         rows, received = 0, len(messages)
         messages = self._rates.select(messages)
         self._count_refused("rate_limited", received - len(messages))
@@ -139,6 +143,7 @@ class Decoder:
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
         self._lane_of_key.clear()
+        self._scanner.forget()
         self.losses.keep(lanes)
 
     def dump(self) -> Any:
@@ -153,6 +158,7 @@ class Decoder:
         self.losses.load(losses)
         self.received, self.rejected = Counter(received), Counter(rejected)
         self._lane_of_key.clear()
+        self._scanner.forget()
 
     def refuse(self, kind: str, cause: str) -> None:
         """Count a message as rejected that had been counted as received.
@@ -170,27 +176,53 @@ class Decoder:
     def _decode_block(
         self, block: Sequence[Message], events: list[Event], refusals: list[Refused], rows: int
     ) -> Floats:
-        """Decode a block, with a shortcut for the most frequent message: one valid sample of a known vehicle."""
+        """Decode a block: the scanner takes the usual samples of known vehicles, the others are decoded one by one."""
+        payloads = [message[1] for message in block]
+        lanes_of_keys = map(self._lane_of_key.get, [message[0] for message in block], repeat(-1))
+        scan = self._scanner.scan(payloads, np.fromiter(lanes_of_keys, np.int64, len(block)))
+        odd = np.flatnonzero(~scan.is_scanned).tolist()
         samples: list[Telemetry] = []
         lanes: list[int] = []
-        decode, lane_of, names = self._one.decode, self._lane_of_key.get, self.lanes.names
-        most = self._limits.payload_bytes
-        for message in block:
-            key, payload, _ = message
-            lane = lane_of(key)
-            if lane is not None and len(payload) <= most:
-                try:
-                    sample = decode(payload)
-                except _LOST:
-                    sample = None
-                if sample is not None and sample.vehicle_id == names[lane]:
-                    samples.append(sample)
-                    lanes.append(lane)
-                    continue
-            refusal = self._decode_other(message, samples, lanes, events, rows)
-            if refusal is not None:
-                refusals.append(refusal)
-        return self._make_table(_transpose(samples), lanes) if samples else np.empty((len(Batch._fields), 0))
+        places: list[int] = []
+        for number, at in enumerate(odd):
+            if not self._decode_sample(block[at], samples, lanes):
+                scanned = at - number
+                refusal = self._decode_other(block[at], samples, lanes, events, rows + scanned)
+                if refusal is not None:
+                    refusals.append(refusal)
+            places += [at] * (len(samples) - len(places))
+        self._number_rides(scan, places, samples)
+        if not odd:
+            return scan.table
+        taken = np.flatnonzero(scan.is_scanned)
+        order = np.argsort(np.concatenate([taken, np.array(places, np.int64)]), kind="stable")
+        return np.concatenate([scan.table[:, taken], self._make_table(samples, lanes)], axis=1)[:, order]
+
+    def _number_rides(self, scan: ScannedSamples, places: list[int], samples: list[Telemetry]) -> None:
+        """Give a code to each new name of a ride in the order of messages, and write those of scanned samples."""
+        if not (pending := scan.list_pending()):
+            return
+        others = zip(places, [sample.ride_id for sample in samples], strict=True)
+        for _, name in sorted([*pending, *others], key=itemgetter(0)):
+            _ = self.rides[name]  # a new name receives the next code
+        for at, name in pending:
+            scan.table[POSITION["ride_id"], at] = self.rides[name]
+            self._scanner.remember_ride(int(scan.table[POSITION["vehicle_id"], at]), name, self.rides[name])
+
+    def _decode_sample(self, message: Message, samples: list[Telemetry], lanes: list[int]) -> bool:
+        """Add a message to the samples of its block if it is one valid sample of a known vehicle."""
+        lane = self._lane_of_key.get(message.key)
+        if lane is None or len(message.payload) > self._limits.payload_bytes:
+            return False
+        try:
+            sample = self._one.decode(message.payload)
+        except _LOST:
+            return False
+        if sample.vehicle_id != self.lanes.names[lane]:
+            return False
+        samples.append(sample)
+        lanes.append(lane)
+        return True
 
     def _decode_other(
         self, message: Message, samples: list[Telemetry], lanes: list[int], events: list[Event], rows: int
@@ -261,17 +293,17 @@ class Decoder:
             self.rejected["key_mismatch"] += 1
         return None
 
-    def _make_table(self, fields: list[tuple[Any, ...]], lanes: list[int]) -> Floats:
-        """Return the fields of a block as rows of floats, in wire units."""
+    def _make_table(self, samples: list[Telemetry], lanes: list[int]) -> Floats:
+        """Return samples as rows of floats, in wire units."""
         names = self.rides
         table = np.empty((len(Batch._fields), len(lanes)))
-        for field, values in zip(Telemetry.__struct_fields__, fields, strict=True):
+        for field, values in zip(Telemetry.__struct_fields__, _transpose(samples), strict=bool(samples)):
             if field == "vehicle_id":
-                table[_POSITION[field]] = lanes
+                table[POSITION[field]] = lanes
             elif field == "ride_id":
-                table[_POSITION[field]] = [names[name] for name in values]
+                table[POSITION[field]] = [names[name] for name in values]
             else:
-                table[_POSITION[field]] = _prepare_column(values)
+                table[POSITION[field]] = _prepare_column(values)
         return table
 
 
@@ -293,10 +325,10 @@ def _join_blocks(tables: list[Floats]) -> Batch:
 
 
 _SCALES: Final = {
-    _POSITION["latitude_deg"]: np.pi / 180,
-    _POSITION["longitude_deg"]: np.pi / 180,
-    _POSITION["speed_kmh"]: KMH,
-    _POSITION["odometer_km"]: 1000.0,
-    _POSITION["soc_pct"]: 0.01,
+    POSITION["latitude_deg"]: np.pi / 180,
+    POSITION["longitude_deg"]: np.pi / 180,
+    POSITION["speed_kmh"]: KMH,
+    POSITION["odometer_km"]: 1000.0,
+    POSITION["soc_pct"]: 0.01,
 }
-_OFFSETS: Final = {_POSITION["battery_temperature_c"]: ZERO_CELSIUS, _POSITION["ambient_c"]: ZERO_CELSIUS}
+_OFFSETS: Final = {POSITION["battery_temperature_c"]: ZERO_CELSIUS, POSITION["ambient_c"]: ZERO_CELSIUS}

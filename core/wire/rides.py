@@ -18,11 +18,17 @@ class RideNames(dict[Any, float]):
     """Assign a code to each ride name, and return the name of a code.
 
     Indexing with a name that has no code yet assigns the next one. None maps to `NO_RIDE`.
+
+    Attributes
+    ----------
+    generation : int
+        Number of times that names were forgotten or loaded; codes hold as long as it is the same.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self._opened = 0
+        self.generation = 0
         self._assign({})
 
     def __missing__(self, name: str) -> float:
@@ -54,6 +60,7 @@ class RideNames(dict[Any, float]):
 
     def _assign(self, names: dict[float, str | None]) -> None:
         """Replace all names by those of a mapping from codes."""
+        self.generation += 1
         self.clear()
         self[None] = NO_RIDE
         self.update({name: code for code, name in names.items()})

@@ -1,0 +1,311 @@
+"""Scan samples in JSON to columns without an object per sample, as far as their form is the usual one.
+
+The scanner takes a sample only if its result is certain to be that of `msgspec`: an object of known fields, each once,
+with plain strings, and with numbers whose digits a float holds exactly. Everything else it leaves to the decoder: other
+fields, escapes, exponents, numbers of more digits, and everything that is no valid sample.
+
+Notes
+-----
+A number of digits `m` with `k` digits after the point is `m / 10^k`. Both are exact if `m` is at most 2^53 and `k` at
+most 22, so that their quotient is rounded once, as the number itself (Clinger 1990, doi:10.1145/93542.93557).
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from core.batch import NO_RIDE, Batch, Floats, Ints, Lanes, grown
+from core.columns import TELEMETRY
+from core.wire.messages import LONGEST_TEXT, Telemetry
+
+COLUMN_OF: Final = {"vehicle_id": "lane", "ride_id": "ride"} | {column.source: column.name for column in TELEMETRY}
+POSITION: Final = {field: Batch._fields.index(column) for field, column in COLUMN_OF.items()}
+"""Telemetry field -> its column among those of a batch."""
+LONGEST: Final = 4096
+"""Largest sample that is scanned. [B]"""
+NAME: Final = 64
+"""Size of the names of vehicles, and of the names of rides that are remembered. [B]"""
+PENDING: Final = -2.0
+"""Ride code of a scanned sample whose ride has another name than that of the sample before it of its car."""
+
+_FIELDS: Final = Telemetry.__struct_fields__
+_FIELD_SIZE: Final = 24
+_POWERS: Final = np.array([float(10**k) for k in range(19)])
+
+
+class ScannedSamples(NamedTuple):
+    """Hold the scanned samples of a block of messages.
+
+    Parameters
+    ----------
+    table : (columns, n) float
+        Samples in wire units, as columns of a `Batch`; undefined where a message could not be scanned.
+    is_scanned : (n,) bool
+        Whether the message is a sample that was scanned.
+    text : (size,) uint8
+        Payloads one after another.
+    rides : (n, 2) int
+        Begin and end of the name of the ride in `text`, where the code of the ride is `PENDING`.
+    """
+
+    table: Floats
+    is_scanned: NDArray[np.bool_]
+    text: NDArray[np.uint8]
+    rides: Ints
+
+    def list_pending(self) -> list[tuple[int, str]]:
+        """Return the number of each message whose ride has no code yet, with the name of its ride."""
+        at = np.flatnonzero(self.is_scanned & (self.table[POSITION["ride_id"]] == PENDING)).tolist()
+        return [(i, self.text[slice(*self.rides[i])].tobytes().decode()) for i in at]
+
+
+class JsonScanner:
+    """Scan the usual samples of known vehicles.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        Vehicles of the fleet.
+    """
+
+    def __init__(self, lanes: Lanes) -> None:
+        self._lanes = lanes
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the names of vehicles and rides, because lanes have moved."""
+        self._known = 0
+        self._names = np.zeros((0, NAME), np.uint8)
+        self._rides = np.zeros((0, NAME), np.uint8)
+        self._ride_sizes, self._ride_codes = np.zeros(0, np.int64), np.zeros(0)
+
+    def forget_rides(self) -> None:
+        """Forget the names of rides, because their codes may be given to others."""
+        self._ride_sizes[:] = -1
+
+    def scan(self, payloads: Sequence[bytes], lanes: Ints) -> ScannedSamples:
+        """Scan the messages of a block.
+
+        Parameters
+        ----------
+        payloads : sequence of bytes
+            Payloads of n messages.
+        lanes : (n,) int
+            Lanes of the vehicles of their keys; -1 for a message that is not to be scanned.
+        """
+        self._learn_names()
+        sizes = np.fromiter(map(len, payloads), np.int64, len(payloads))
+        if sizes.max(initial=0) > LONGEST:
+            payloads = [payload if len(payload) <= LONGEST else b"" for payload in payloads]
+            sizes[sizes > LONGEST] = 0
+        text = np.frombuffer(b"\0".join(payloads) + bytes(1 + _FIELD_SIZE), np.uint8)
+        words = np.ndarray(len(text) - 7, "<u8", text, strides=(1,))  # the eight bytes from each place on
+        starts = np.zeros(len(payloads) + 1, np.int64)
+        np.cumsum(sizes + 1, out=starts[1:])
+        table = np.empty((len(Batch._fields), len(payloads)))
+        is_scanned, rides = np.empty(len(payloads), np.bool_), np.empty((len(payloads), 2), np.int64)
+        _scan(
+            text, words, starts, lanes, self._names, self._rides, self._ride_sizes, self._ride_codes,
+            table, is_scanned, rides,
+        )  # fmt: skip
+        return ScannedSamples(table, is_scanned, text, rides)
+
+    def remember_ride(self, lane: int, name: str, code: float) -> None:
+        """Remember the ride of the newest sample of a vehicle, so that the next samples of the ride have its code."""
+        text = name.encode()
+        if len(text) <= NAME:
+            self._rides[lane, : len(text)] = np.frombuffer(text, np.uint8)
+            self._ride_sizes[lane], self._ride_codes[lane] = len(text), code
+
+    def _learn_names(self) -> None:
+        """Make room for the vehicles that are new."""
+        known, count = self._known, len(self._lanes)
+        if known == count:
+            return
+        self._names, self._rides = grown(self._names, count), grown(self._rides, count)
+        self._ride_sizes, self._ride_codes = grown(self._ride_sizes, count, -1), grown(self._ride_codes, count)
+        fresh = [name.encode(errors="replace") for name in self._lanes.names[known:count]]
+        self._names[known:count] = np.array(fresh, f"S{NAME}").view(np.uint8).reshape(-1, NAME)
+        self._known = count
+
+
+def _spell_fields() -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+    """Return the names of the fields, with the quote after them, as words of eight bytes, and masks of these words."""
+    texts = [name.encode() + b'"' for name in _FIELDS]
+    spelled = [np.array(each, f"S{_FIELD_SIZE}") for each in (texts, [b"\xff" * len(text) for text in texts])]
+    names, masks = (each.view("<u8").reshape(len(texts), -1) for each in spelled)
+    return names, masks
+
+
+_FLOAT, _COUNT, _FLAG, _CAR, _RIDE = range(5)
+_FORM_OF: Final = {"vehicle_id": _CAR, "ride_id": _RIDE, "charging": _FLAG, "seq": _COUNT, "occupants": _COUNT}
+_FIELD_NAMES, _FIELD_MASKS = _spell_fields()
+_FIELD_SIZES: Final = np.array([len(name) for name in _FIELDS])
+_FORMS: Final = np.array([_FORM_OF.get(name, _FLOAT) for name in _FIELDS])
+_PLACES: Final = np.array([POSITION[name] for name in _FIELDS])
+_REQUIRED: Final = (1 << _FIELDS.index("vehicle_id")) | (1 << _FIELDS.index("time_s"))
+_QUOTE, _COMMA, _MINUS, _POINT, _ZERO, _NINE, _COLON = (ord(each) for each in '",-.09:')
+_OPEN, _CLOSE, _BACKSLASH, _BLANK, _TAB, _FEED, _RETURN = (ord(each) for each in "{}\\ \t\n\r")
+_N: Final = ord("n")
+_NULL, _TRUE, _FALSE = (np.frombuffer(word, np.uint8) for word in (b"null", b"true", b"false"))
+_MOST_DIGITS: Final = 18
+_EXACT: Final = 2**53
+_COUNT_OF_FIELDS: Final = len(_FIELDS)
+_CAR_PLACE, _RIDE_PLACE = POSITION["vehicle_id"], POSITION["ride_id"]
+
+
+@njit(error_model="numpy", inline="always")
+def _skip(text: Any, at: int) -> int:
+    """Return the place of the next byte that is no white space."""
+    while text[at] <= _BLANK and (text[at] in (_BLANK, _TAB, _FEED, _RETURN)):
+        at += 1
+    return at
+
+
+@njit(error_model="numpy", inline="always")
+def _is_word(text: Any, at: int, word: Any) -> bool:
+    """Return whether a word stands at a place."""
+    for k in range(len(word)):  # noqa: SIM110 - numba has no all() of a generator
+        if text[at + k] != word[k]:
+            return False
+    return True
+
+
+@njit(error_model="numpy", inline="always")
+def _find_field(words: Any, at: int, first: int) -> int:
+    """Return the field whose name and quote stand at a place, -1 for none; `first` is the most likely one."""
+    first_word, second, third = words[at], words[at + 8], words[at + 16]
+    for k in range(first, first + _COUNT_OF_FIELDS):
+        field = k if k < _COUNT_OF_FIELDS else k - _COUNT_OF_FIELDS
+        name, mask = _FIELD_NAMES[field], _FIELD_MASKS[field]
+        if first_word & mask[0] == name[0] and second & mask[1] == name[1] and third & mask[2] == name[2]:
+            return field
+    return -1
+
+
+@njit(error_model="numpy", inline="always")
+def _scan_number(text: Any, at: int, is_count: bool) -> tuple[int, float]:
+    """Return the end of a number and its value; an end of -1 if the value is not certain."""
+    is_negative = text[at] == _MINUS
+    if is_negative:
+        at += 1
+    begin, digits = at, 0
+    while _ZERO <= text[at] <= _NINE and at - begin < _MOST_DIGITS:
+        digits = 10 * digits + text[at] - _ZERO
+        at += 1
+    if at == begin or (text[begin] == _ZERO and at - begin > 1):
+        return -1, 0.0
+    if text[at] != _POINT:
+        is_odd = digits > _EXACT or (is_negative and (is_count or digits == 0))
+        return (-1 if is_odd else at), (-float(digits) if is_negative else float(digits))
+    at += 1
+    point = at
+    while _ZERO <= text[at] <= _NINE and at - begin <= _MOST_DIGITS:
+        digits = 10 * digits + text[at] - _ZERO
+        at += 1
+    if is_count or at == point or digits > _EXACT:
+        return -1, 0.0
+    value = float(digits) / _POWERS[at - point]
+    return at, (-value if is_negative else value)
+
+
+@njit(error_model="numpy", inline="always")
+def _scan_car(text: Any, at: int, names: Any, lane: int) -> int:
+    """Return the end of a string that is the name of the vehicle, -1 for any other value."""
+    if text[at] != _QUOTE:
+        return -1
+    at, k = at + 1, 0
+    while k < NAME and names[lane, k] != 0 and text[at + k] == names[lane, k]:
+        k += 1
+    return at + k + 1 if text[at + k] == _QUOTE and (k == NAME or names[lane, k] == 0) else -1
+
+
+@njit(error_model="numpy", inline="always")
+def _scan_text(text: Any, at: int) -> int:
+    """Return the end of a plain string of ASCII that is not too long, -1 for any other value."""
+    if text[at] != _QUOTE:
+        return -1
+    at += 1
+    begin = at
+    while text[at] >= _BLANK and text[at] < 128 and text[at] not in (_QUOTE, _BACKSLASH):
+        at += 1
+    return at + 1 if text[at] == _QUOTE and at - begin <= LONGEST_TEXT else -1
+
+
+@njit(error_model="numpy", inline="always")
+def _scan_flag(text: Any, at: int) -> tuple[int, float]:
+    """Return the end of a truth value and its number; an end of -1 for any other value."""
+    if _is_word(text, at, _FALSE):
+        return at + 5, 0.0
+    return (at + 4, 1.0) if _is_word(text, at, _TRUE) else (-1, 0.0)
+
+
+@njit(error_model="numpy", inline="always")
+def _is_ride(text: Any, at: int, rides: Any, lane: int, size: int) -> bool:
+    """Return whether a name is that of the ride of the last sample of a vehicle."""
+    for k in range(size):  # noqa: SIM110 - numba has no all() of a generator
+        if text[at + k] != rides[lane, k]:
+            return False
+    return True
+
+
+@njit(error_model="numpy")
+def _scan_sample(
+    text: Any, words: Any, at: int, stop: int, lane: int, cars: Any, rides: Any, ride_sizes: Any, ride_codes: Any,
+    table: Any, spans: Any, i: int,
+) -> bool:  # fmt: skip
+    """Scan a message to the column `i` of a table; return whether all of it is certain."""
+    seen, field, end, value = 0, -1, 0, 0.0
+    at = _skip(text, at)
+    while text[at] == (_COMMA if seen else _OPEN):
+        at = _skip(text, at + 1)
+        field = _find_field(words, at + 1, field + 1) if text[at] == _QUOTE else -1
+        if field < 0 or seen >> field & 1:
+            return False
+        seen |= 1 << field
+        at = _skip(text, at + _FIELD_SIZES[field] + 2)
+        if text[at] != _COLON:
+            return False
+        at = _skip(text, at + 1)
+        form, value = _FORMS[field], np.nan
+        if text[at] == _N:
+            end = at + 4 if _is_word(text, at, _NULL) and not _REQUIRED >> field & 1 else -1
+        elif form <= _COUNT:
+            end, value = _scan_number(text, at, form == _COUNT)
+        elif form == _FLAG:
+            end, value = _scan_flag(text, at)
+        elif form == _CAR:
+            end = _scan_car(text, at, cars, lane)
+        else:
+            end, size = _scan_text(text, at), ride_sizes[lane]
+            is_same = end - at - 2 == size and _is_ride(text, at + 1, rides, lane, size)
+            value = ride_codes[lane] if is_same else PENDING
+            spans[i, 0], spans[i, 1] = at + 1, end - 1
+        if end < 0:
+            return False
+        if not np.isnan(value):
+            table[_PLACES[field], i] = value
+        at = _skip(text, end)
+    return text[at] == _CLOSE and _skip(text, at + 1) == stop and seen & _REQUIRED == _REQUIRED
+
+
+@njit(cache=True, error_model="numpy")
+def _scan(
+    text: Any, words: Any, starts: Any, lanes: Any, cars: Any, rides: Any, ride_sizes: Any, ride_codes: Any,
+    table: Any, is_scanned: Any, spans: Any,
+) -> None:  # fmt: skip
+    """Scan messages to the columns of a table."""
+    for i in range(len(lanes)):
+        lane = lanes[i]
+        is_scanned[i] = False
+        if lane >= 0:
+            for k in range(len(table)):
+                table[k, i] = np.nan
+            table[_CAR_PLACE, i] = lane
+            table[_RIDE_PLACE, i] = NO_RIDE
+            is_scanned[i] = _scan_sample(
+                text, words, starts[i], starts[i + 1] - 1, lane, cars, rides, ride_sizes, ride_codes, table, spans, i
+            )

@@ -1,0 +1,112 @@
+"""Test that the scanner of usual samples changes no result: it decodes as `msgspec` does, to the bit, or not at all."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.batch import Lanes
+from core.wire.decoder import Decoder
+from core.wire.json_scanner import JsonScanner
+from core.wire.messages import Message, Telemetry, encode
+
+CARS = "a", "taxi-7", "x" * 64
+FIELDS = Telemetry.__struct_fields__
+USUAL = {
+    "vehicle_id": '"a"', "time_s": "1767600000.125", "ride_id": '"r-1"', "seq": "7", "latitude_deg": "45.5",
+    "longitude_deg": "-73.612345", "elevation_m": "40", "speed_kmh": "0", "odometer_km": "12345.6", "soc_pct": "55.5",
+    "battery_voltage_v": "360.0", "battery_current_a": "-20.5", "battery_temperature_c": "-0.0", "ambient_c": "-8.0",
+    "hvac_w": "500", "occupants": "2", "charging": "false",
+}  # fmt: skip
+ODD = (
+    *("null", "true", "false", "nul", "NaN", "-Infinity", "[]", "{}", '""', '"a"', '"r-2"', '"r\\u002d1"', '"é"', '"x'),
+    *("0", "-0", "-0.0", "00", "01", "1.", ".5", "+1", "-", "1e2", "1E-2", "1e400", "-1e400", "1e-400", "5e-324"),
+    *("9007199254740992", "9007199254740993", "9007199254740993.0", "18446744073709551616", "1" * 400, "-5", "1.0"),
+    *("0.1234567890123456789", "123456789012345678", "1234567890123456789", f"0.{0:017}1", f"0.{0:030}1"),
+    *("1767600000.1234567", "0.30000000000000004", "900719925474099.1", "9.007199254740993", "2.5 ", " 2.5", "2 .5"),
+    f'"{"y" * 256}"', f'"{"y" * 257}"', f'"{"z" * 64}"', f'"{"z" * 65}"', '"\x00"', '"\t"', '"\x7f"', '"\\""',
+)  # fmt: skip
+BLANKS = st.sampled_from(["", "", "", " ", "\n", "\t\r ", "\x0b", "\x00"])
+
+
+@st.composite
+def payloads(draw):
+    """Draw the bytes of a sample that is more or less usual."""
+    fields = draw(st.lists(st.sampled_from([*FIELDS, *FIELDS, "unknown", "time_s\\u0000", "TIME_S"]), max_size=20))
+    values = [(name, draw(st.sampled_from([USUAL.get(name, "1"), USUAL.get(name, "1"), *ODD]))) for name in fields]
+    car = json.dumps(draw(st.sampled_from([*CARS, "b"])))
+    members = [("vehicle_id", car), ("time_s", draw(st.sampled_from(["1.5", "1767600000.125"]))), *values]
+    members = draw(st.permutations(members)) if draw(st.booleans()) else members
+    blank = draw(BLANKS)
+    text = ",".join(f'{blank}"{name}"{blank}:{value}' for name, value in members)
+    whole = f"{draw(BLANKS)}{{{text}{blank}}}{draw(BLANKS)}".encode()
+    shape = draw(st.sampled_from(["whole"] * 8 + ["cut", "list", "other byte"]))
+    if shape == "list":
+        return b"[" + whole + b"," + whole + b"]"
+    at = draw(st.integers(0, len(whole) - 1))
+    if shape == "other byte":
+        return whole[:at] + bytes([draw(st.integers(0, 255))]) + whole[at + 1 :]
+    return whole[:at] if shape == "cut" else whole
+
+
+class BlindScanner(JsonScanner):
+    """Scan nothing."""
+
+    def scan(self, payloads, lanes):
+        return super().scan(payloads, np.full_like(lanes, -1))
+
+
+def decode_all(scanner, lists):
+    """Decode lists of messages with a kind of scanner; return all that the decoder gave and its state."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("core.wire.decoder.JsonScanner", scanner)
+        decoder = Decoder(Lanes())
+    out = []
+    for messages in lists:
+        batch, events = decoder.decode(messages, refusals := [])
+        out.append(([column.tobytes() for column in batch], events, refusals))
+        if len(decoder.rides) > 3:
+            decoder.rides.keep(set(batch.ride[-1:].tolist()))
+    return out, decoder.dump(), decoder.lanes.dump()
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.lists(st.tuples(st.sampled_from(CARS), payloads()), max_size=8), max_size=4))
+def test_scanner_gives_the_same_bits_and_counts_as_msgspec(lists):
+    known = [Message(f"fleet/{car}/telemetry", encode(Telemetry(car, 1.0)), 0) for car in CARS]
+    drawn = [[Message(f"fleet/{car}/telemetry", payload, 0) for car, payload in each] for each in lists]
+    assert decode_all(JsonScanner, [known, *drawn]) == decode_all(BlindScanner, [known, *drawn])
+
+
+def test_numbers_of_up_to_15_digits_are_scanned_to_the_bit():
+    rng = np.random.default_rng(5)
+    decoder = Decoder(Lanes())
+    decoder.decode([Message("fleet/a/telemetry", b'{"vehicle_id":"a","time_s":1}', 0)])
+    values = rng.integers(-(10**15), 10**15, 5000) / 10.0 ** rng.integers(0, 12, 5000)
+    texts = [f"{value:.{places}f}" for value, places in zip(values, rng.integers(0, 9, 5000), strict=True)]
+    texts = [text for text in texts if sum(map(str.isdigit, text)) <= 15 and float(text)]
+    payloads = [b'{"vehicle_id":"a","time_s":1,"elevation_m":%s}' % text.encode() for text in texts]
+    scan = JsonScanner(decoder.lanes).scan(payloads, np.zeros(len(texts), np.int64))
+    assert scan.is_scanned.all()
+    batch, _ = decoder.decode([Message("fleet/a/telemetry", payload, 0) for payload in payloads])
+    assert batch.elevation.tolist() == [float(text) for text in texts]
+
+
+def test_usual_samples_of_known_vehicles_are_scanned():
+    lanes = Lanes(["a"])
+    payloads = [encode(Telemetry("a", 3.0 * i, ride_id="r", speed_kmh=12.3)) for i in range(5)]
+    payloads.append(json.dumps({"vehicle_id": "a", "time_s": 15.25, "charging": True, "seq": None}).encode())
+    scan = JsonScanner(lanes).scan(payloads, np.zeros(6, np.int64))
+    assert scan.is_scanned.all()
+    assert scan.list_pending() == [(i, "r") for i in range(5)]
+
+
+def test_ride_of_the_sample_before_needs_no_name_until_codes_change():
+    decoder = Decoder(Lanes())
+    for ride in "xy":
+        decoder.decode([Message("fleet/a/telemetry", encode(Telemetry("a", 1.0, ride_id=ride)), 0)] * 2)
+    decoder.rides.keep(set())
+    batch, _ = decoder.decode([Message("fleet/a/telemetry", encode(Telemetry("a", 2.0, ride_id="y")), 0)])
+    assert decoder.rides.names(batch.ride.tolist()) == ["y"]
