@@ -121,11 +121,63 @@ def test_rows_that_cannot_be_read_are_counted_by_cause_and_others_kept(tmp_path)
     assert (summary.cells, summary.examples) == (Counter({"speed": 1}), {"speed": "fast"})
 
 
-def test_hour_that_the_change_of_the_clock_repeats_is_counted(tmp_path):
-    times = ["2024-10-27 01:59:00", "2024-10-27 02:30:00", "2024-10-27 03:00:00", "2024-03-31 02:30:00"]
+def read_hours(tmp_path, times):
+    """Return hours and minutes in UTC of local times in Berlin, and what was counted."""
     samples, summary = run(tmp_path, "\n".join(["t,speed", *(f"{t},1" for t in times)]), time="zone = 'Europe/Berlin'")
-    assert [datetime.fromtimestamp(s.time_s, UTC).hour for s in samples] == [23, 2]
-    assert summary.causes == Counter({AMBIGUOUS_TIME: 2})
+    return [datetime.fromtimestamp(s.time_s, UTC).strftime("%H:%M") for s in samples], summary.causes
+
+
+def test_hour_that_the_change_of_the_clock_repeats_is_placed_by_the_rows_beside_it(tmp_path):
+    hours = ["01:55", "02:00", "02:05", *(f"02:{m}" for m in range(10, 60, 5))]
+    again = ["02:00", "02:05", *(f"02:{m}" for m in range(10, 60, 5)), "03:00"]
+    found, causes = read_hours(tmp_path, [f"2024-10-27 {hour}:00" for hour in hours + again])
+    assert found == ["23:55", *(f"{h:02}:{m:02}" for h in (0, 1) for m in range(0, 60, 5)), "02:00"]
+    assert not causes
+
+
+def test_rows_of_the_second_repeated_hour_are_placed_by_those_after_it(tmp_path):
+    found, causes = read_hours(tmp_path, [f"2024-10-27 {hour}" for hour in ("02:50", "02:55", "03:00", "03:05")])
+    assert (found, causes) == (["01:50", "01:55", "02:00", "02:05"], Counter())
+
+
+def test_repeated_hour_without_rows_beside_it_and_skipped_hour_are_counted(tmp_path):
+    times = ["2024-10-27 01:45:00", "2024-10-27 02:30:00", "2024-10-27 03:00:00", "2024-03-31 02:30:00"]
+    found, causes = read_hours(tmp_path, times)
+    assert found == ["23:45", "02:00"]
+    assert causes == Counter({AMBIGUOUS_TIME: 2})
+
+
+def test_time_of_day_takes_the_day_from_the_file_name_and_passes_midnight(tmp_path):
+    file = tmp_path / "drive_2024-05-01.csv"
+    file.write_text("t,speed\n23:59:58.5,1\n23:59:59.5,2\n00:00:00.5,3\n")
+    samples, _ = run(tmp_path, [file], time="format = '%H:%M:%S.%f'\nday_from_file_name = true")
+    assert [s.time_s - NOON for s in samples] == [43198.5, 43199.5, 43200.5]
+    file.write_text("t,speed\n86398,1\n1,3\n")
+    samples, _ = run(tmp_path, [file], time="unit = 's'\nday_from_file_name = true\nzone = 'Europe/Berlin'")
+    assert [s.time_s - NOON for s in samples] == [35998, 36001]
+    other = tmp_path / "drive.csv"
+    other.write_text("t,speed\n1,3\n")
+    assert "its name holds no day" in refused(tmp_path, [other], time="unit = 's'\nday_from_file_name = true")
+
+
+def test_positions_in_degrees_and_minutes_are_read(tmp_path):
+    content = "t,speed,lat,lon\n2024-05-01T12:00Z,1,9 54.5,-84 6\n2024-05-01T12:01Z,1,9.5,-84.25\n"
+    fields = 'latitude_deg = { column = "lat" }\nlongitude_deg = { column = "lon" }'
+    samples, _ = run(tmp_path, content, fields=fields)
+    assert [s.latitude_deg for s in samples] == pytest.approx([9.9083333, 9.5])
+    assert [s.longitude_deg for s in samples] == pytest.approx([-84.1, -84.25])
+
+
+def test_rows_table_holds_values_and_sets_the_period(tmp_path):
+    content = "t,speed,i\n" + "".join(
+        f"{1714564800 + s},{'' if s % 2 else 36},{5 if s % 2 else ''}\n" for s in range(60)
+    )
+    fields = 'battery_current_a = { column = "i", hold_s = 3 }'
+    samples, summary = run(tmp_path, content, time="unit = 's'", more="[rows]\nperiod_s = 2", fields=fields)
+    assert (len(samples), summary.samples, summary.rows) == (30, 30, 60)
+    assert {(s.speed_kmh, s.battery_current_a) for s in samples} == {(36.0, 5.0)}
+    samples, _ = run(tmp_path, content, time="unit = 's'", more="[rows]\nhold_s = 0.5")
+    assert [s.speed_kmh for s in samples[:3]] == [36.0, 36.0, 36.0]
 
 
 def test_decimal_comma_that_is_not_declared_is_named_with_its_remedy(tmp_path):
