@@ -45,5 +45,5 @@ def drive_one_shift(start=WINTER, hours=2.0, seed=5, phenomena=ALL_PHENOMENA, mo
     rng = np.random.default_rng([seed, 1])
     ambient = float(sky.temperature[24])
     shift = make_shift("r", start.timestamp(), draw_orders(hours, rng), car, ambient, NO_FAULTS, rng)
-    trace = make_trace(shift, sky)
+    trace = make_trace(shift, sky, hills=phenomena.hills)
     return shift, trace, car, physics.integrate_states(trace, car, shift.soc, phenomena)

@@ -23,7 +23,7 @@ from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from core.models.plausibility import describe_implausible, get_plausible_ranges, is_within, list_implausible
 from core.vehicles import AccessoryCurve
 from tools.commands.tables import RIDES, WINDOWS
-from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
 from tools.terminal.recordings import refuse_duplicates
 from tools.terminal.rich_table import Column, make_table
 from tools.terminal.table_files import is_window_table, read
@@ -66,6 +66,7 @@ def fit(
         ),
     ] = None,
     json_file: JsonFile = None,
+    _: VehicleFiles = None,
 ) -> None:
     """Fit a model to ride tables: one fit for each vehicle model, and one over all rides for any other.
 

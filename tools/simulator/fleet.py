@@ -263,12 +263,14 @@ def drive_shift(simulation: Simulation, member: FleetCar, number: int, sky: Sky)
     wanted = simulation.conditions
     if wanted.aged_packs:  # of which dispatch knows
         orders = orders._replace(estimate_factor=orders.estimate_factor / (1.0 - car.wear))
-    orders = orders._replace(waits=wanted.waits, no_shows=wanted.no_shows, plan_spread=wanted.plan_spread)
+    orders = orders._replace(
+        waits=wanted.waits, no_shows=wanted.no_shows, plan_spread=wanted.plan_spread, hills=simulation.phenomena.hills
+    )
     ambient = float(np.interp(begin, sky.time, sky.temperature))
     if simulation.charging == NIGHT:
         orders = orders._replace(charge_below=-np.inf)
     shift = make_shift(f"{member.name}-{number:03d}", begin, orders, car, ambient, simulation.faults, rng)
-    trace = make_trace(shift, sky)
+    trace = make_trace(shift, sky, hills=orders.hills)
     driven = DrivenShift(
         shift, EffectInputs(trace, physics.integrate_states(trace, car, shift.soc, simulation.phenomena), car)
     )

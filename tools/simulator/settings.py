@@ -30,8 +30,8 @@ class Phenomena(NamedTuple):
     """Switch refinements of the physics on and off.
 
     Without any of them the physics has rolling resistance, climbing, drag, inertia of the kerb mass, a constant
-    efficiency of the powertrain, and electronics. `PLAIN_PHENOMENA` adds `climate`, which then heats or cools for the
-    steady state at the outside temperature.
+    efficiency of the powertrain, and electronics. `PLAIN_PHENOMENA` adds `hills`, and `climate`, which then heats or
+    cools for the steady state at the outside temperature.
     """
 
     speed_rolling: bool = True
@@ -82,12 +82,14 @@ class Phenomena(NamedTuple):
     """Older batteries have less capacity and more resistance."""
     climate: bool = True
     """The cabin is heated and cooled."""
+    hills: bool = True
+    """Streets follow the hills; without them the land is flat."""
     foreign: bool = False
     """Cabin, heater, cold tyres and battery follow the other laws of `foreign_physics`; this needs `cabin_warmup`."""
 
 
 ALL_PHENOMENA: Final = Phenomena()
-PLAIN_PHENOMENA: Final = Phenomena(*[False] * len(Phenomena._fields))._replace(climate=True)
+PLAIN_PHENOMENA: Final = Phenomena(*[False] * len(Phenomena._fields))._replace(climate=True, hills=True)
 
 
 @dataclass(frozen=True)

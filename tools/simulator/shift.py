@@ -53,6 +53,8 @@ class Orders(NamedTuple):
         Consumption that dispatch estimates, divided by its estimate for a plain car. [1]
     waits, no_shows, plan_spread : float
         As in `conditions.Conditions`.
+    hills : bool
+        Whether streets follow the hills.
     """
 
     driver_id: str
@@ -69,6 +71,7 @@ class Orders(NamedTuple):
     waits: float = 0.0
     no_shows: float = 0.0
     plan_spread: float = 0.0
+    hills: bool = True
 
 
 class Trip(NamedTuple):
@@ -334,7 +337,7 @@ def make_shift(
         metres = _carry(builder, len(trips), car, orders, wanted, traffic, rng)
         if rng.uniform() < faults.errand:
             builder.stand(float(rng.uniform(3300, 5400)), len(trips), 1)
-        planned = _plan(builder, first, place, metres, rng)
+        planned = _plan(builder, first, place, metres, orders.hills, rng)
         if orders.plan_spread > 0.0:
             planned = _misjudge(planned, orders.plan_spread, common, rng)
         trips.append(Trip(f"{name}-{len(trips):02d}", driver, first, builder.steps, planned))
@@ -435,11 +438,17 @@ def _charge(
 
 
 def _plan(
-    builder: _TimelineBuilder, first: int, place: tuple[float, float], driven: float, rng: np.random.Generator
+    builder: _TimelineBuilder,
+    first: int,
+    place: tuple[float, float],
+    driven: float,
+    hills: bool,
+    rng: np.random.Generator,
 ) -> Leg:
     """Return the plan of dispatch for the ride that was just driven."""
-    heights = [float(compute_elevation(*to_plane(np.array([u]), np.array([v])))[0]) for u, v in (place, builder.place)]
-    rise, undulation = heights[1] - heights[0], 0.004 * driven
+    ends = [to_plane(np.array([u]), np.array([v])) for u, v in (place, builder.place)]
+    heights = [float(compute_elevation(x, y, hills=hills)[0]) for x, y in ends]
+    rise, undulation = heights[1] - heights[0], 0.004 * driven * hills
     return Leg(
         distance_km=round(driven / 1000 * float(rng.normal(1.0, 0.04)), 2),
         duration_s=round((builder.steps - first) * STEP * float(rng.lognormal(0.0, 0.12))),

@@ -83,7 +83,7 @@ class Trace(NamedTuple):
     tunnel: Floats
 
 
-def make_trace(shift: Shift, sky: Sky) -> Trace:
+def make_trace(shift: Shift, sky: Sky, *, hills: bool = True) -> Trace:
     """Return the surroundings of a shift.
 
     Parameters
@@ -92,6 +92,8 @@ def make_trace(shift: Shift, sky: Sky) -> Trace:
         The shift.
     sky : Sky
         The weather.
+    hills : bool
+        Whether streets follow the hills.
 
     Returns
     -------
@@ -101,7 +103,7 @@ def make_trace(shift: Shift, sky: Sky) -> Trace:
     n = len(timeline.u)
     time: Floats = shift.time + STEP * np.arange(1, n + 1, dtype=float)
     x, y = to_plane(timeline.u, timeline.v)
-    elevation = compute_elevation(x, y)
+    elevation = compute_elevation(x, y, hills=hills)
     air = sky.at(time)
     ambient = air.temperature - 0.0065 * (elevation - 30.0)
     inside = is_in_tunnel(timeline.u, timeline.v, timeline.heading)

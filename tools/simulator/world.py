@@ -15,6 +15,8 @@ from core.columns import EARTH_RADIUS, KMH
 ORIGIN: Final = (45.505, -73.595)
 """Latitude and longitude of the centre. [deg]"""
 TURN: Final = pi / 6
+LOWLAND: Final = 32.0
+"""Elevation of the plain. [m]"""
 BLOCK: Final = (140.0, 220.0)
 """Distance between streets along u and along v. [m]"""
 EXTENT: Final = (11_000.0, 7_000.0)
@@ -81,21 +83,25 @@ class Route(NamedTuple):
         return float(self.along[-1])
 
 
-def compute_elevation(x: Floats, y: Floats) -> Floats:
+def compute_elevation(x: Floats, y: Floats, *, hills: bool = True) -> Floats:
     """Return the elevation of the ground. [m]
 
     Parameters
     ----------
     x, y : (n,) float
         Position east and north of the centre. [m]
+    hills : bool
+        Whether there are hills; without them the ground is as high everywhere.
 
     Returns
     -------
     (n,) float
     """
+    if not hills:
+        return np.full(np.shape(x), LOWLAND)
     hill = 165.0 * np.exp(-(x * x + 1.3 * y * y) / (2 * 1300.0**2))
     rolling = 9.0 * np.sin(x / 1100.0 + 0.4) * np.cos(y / 1500.0) + 3.0 * np.sin(x / 420.0) * np.cos(y / 380.0 + 1.0)
-    return 32.0 + hill + rolling - 0.0012 * y
+    return LOWLAND + hill + rolling - 0.0012 * y
 
 
 def to_plane(u: Floats, v: Floats) -> tuple[Floats, Floats]:

@@ -27,7 +27,7 @@ _HVAC: Final = r"\b(hvac|climate|heating|heater|air ?con|air conditioning)\b.*\b
 _NO_STATE: Final = r"\b(power|rate|current|voltage|kwh|energy|time|mode|dcfc|type)\b"
 _RULES: Final = (
     (TIME, _TIME_NAMES, ""),
-    (VEHICLE, r"^(vehicle|car|vin|device|asset|plate|unit)( (id|name|number))?$|^(veh|vehicle|car|device)id$", ""),
+    (VEHICLE, r"^(vehicle|veh|car|vin|device|asset|plate|unit)( (id|name|number))?$|^(veh|vehicle|car|device)id$", ""),
     (RIDE, r"^(drive|trip|ride|journey|session)( (id|number))?$|^(trip|drive|ride)id$", ""),
     ("latitude_deg", r"\b(lat|latitude)\b", ""),
     ("longitude_deg", r"\b(lon|lng|long|longitude)\b", ""),
@@ -41,7 +41,7 @@ _RULES: Final = (
     ("hvac_w", _HVAC, r"\b(no power|on|state|set|fan)\b|temp"),
     ("battery_voltage_v", r"\b(voltage|volts?)\b", _NOT_THE_PACK),
     (POWER, r"\bpower\b", rf"{_NOT_THE_PACK}|\bno power\b"),
-    ("soc_pct", r"\b(soc|state of charge|battery level|charge level)\b", r"\b(usable|limit|target|max|min)\b"),
+    ("soc_pct", r"\b(soc|so c|state of charge|battery level|charge level)\b", r"\b(usable|limit|target|max|min)\b"),
     ("battery_current_a", r"\b(current|amps|amperes?)\b", rf"{_NOT_THE_PACK}|\blocation\b"),
     ("odometer_km", r"\b(odo|odometer|mileage|traveled distance|total distance)\b", r"\btrip\b"),
     ("speed_kmh", r"\b(speed|velocity)\b", r"\b(wind|fan|motor|engine|limit|posted|average|max|rpm)\b"),

@@ -1,6 +1,7 @@
 """Read CSV and Parquet files as blocks of columns, in bounded memory."""
 
 import csv
+import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -191,7 +192,8 @@ def _one_line(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ImportFileError(f"{path} cannot be read: {error.strerror or error}; name an existing file") from error
+        reason = os.strerror(error.errno) if error.errno else error
+        raise ImportFileError(f"{path} cannot be read: {reason}; name an existing file") from error
     except (pa.ArrowException, UnicodeDecodeError) as error:
         raise ImportFileError(f"{path} is damaged or of another form: {error}; export it again") from error
 

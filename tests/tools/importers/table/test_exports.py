@@ -10,6 +10,7 @@ import pytest
 from tests.support import own_tables
 from tests.support.commands import called
 from tests.support.own_tables import make_drive, read_samples
+from tests.support.paths import ROOT
 from tools.importers.table.presets import load_presets
 from tools.importers.table.units import FIELD_UNITS, convertible
 
@@ -162,3 +163,9 @@ def test_guessed_map_never_overwrites_a_map(tmp_path):
     _, errors, code = called("import", "csv", file, "--guess", "--map", tmp_path / "map.toml")
     assert (code, (tmp_path / "map.toml").read_text()) == (2, "mine")
     assert "is there already" in errors
+
+
+def test_guide_lists_every_preset():
+    guide = (ROOT / "docs" / "guide" / "import.md").read_text(encoding="utf-8")
+    for preset in load_presets().values():
+        assert f"| `{preset.name}` | {preset.title} | {preset.how} |" in guide
