@@ -258,7 +258,7 @@ class Pipeline:
         """
         place = np.arange(batch.size) if place is None else place
         capacity, lanes = self.cars.capacity.take(kind) * JOULES_PER_KWH, len(self.lanes)
-        clean, ends = self.cleaner.clean_between(batch, lanes, place, ride_events, capacity)
+        clean, ends = self.cleaner.clean_between(batch, lanes, place, ride_events, capacity, self.cars.period.take(kind))
         sky = self.stations.sky_between(clean.time, clean.latitude, clean.longitude, observations)
         clean = clean._replace(quality=flag_ambient(clean, sky))
         self.counters.count_samples(clean.quality)

@@ -35,7 +35,9 @@ Remaining error, for a period of 3 s and Gaussian errors of the stamps with stan
 - The mean delay of the stamps is not observable and remains, and so does the error of the first stamp.
 
 A period other than the nominal one is followed from the first samples where there is a counter, to within 0.4 periods
-and soon better. Without a counter it is found after ten samples. Neither loses any time.
+and soon better. Without a counter it is found after ten samples. Neither loses any time. A car may also announce its
+period, in its vehicle message, and that its logger has none: such a logger sends a sample when a value has changed. Its
+stamps are then used as they are, as long as they increase.
 
 References
 ----------
@@ -54,6 +56,7 @@ from core.columns import SECONDS_PER_DAY
 FIELDS: Final = (
     "samples",  # number of accepted samples; zero for a new lane
     "time",  # repaired time of the last accepted sample [s]
+    "nominal",  # period that the car announced, or else that of the settings; 0 for a logger without one [s]
     "period",  # estimated time between samples [s]
     "stamp",  # stamp of the last accepted sample [s]
     "seq",  # counter of the last accepted sample
@@ -61,6 +64,7 @@ FIELDS: Final = (
     "spread",  # running median of the absolute error of stamps [s]
     "interval",  # running median of the intervals between stamps [s]
     "intervals",  # number of intervals in it
+    "latest",  # the latest of them [s]
     "misfit",  # error of the last misfitting stamp [s]
     "misfits",  # number of successive misfitting stamps that agree
     "late_stamp",  # stamp of the last rejected sample [s]
@@ -106,6 +110,8 @@ LEAP: Final = 200.0
 """Longest gap that is accepted without confirmation by a second stamp. [periods]"""
 PAUSE: Final = 400.0 * SECONDS_PER_DAY
 """The same for the first sample after a power cycle, whose counter is low. [s]"""
+LONGEST_SILENCE: Final = 60.0
+"""Time for which a logger without a period may send nothing because nothing has changed. [s]"""
 UNUSED: Final = -1.0
 """The `dt` of a rejected sample."""
 
@@ -118,10 +124,18 @@ def start_clock(state: Any, stamp: float, seq: float, period: float) -> tuple[fl
     state.samples = 1.0
     state.time = state.stamp = stamp
     state.seq = seq
-    state.period = state.interval = period
-    state.spread = 3.0 * LEAST_SPREAD * period
-    state.memory = FIRST_MEMORY
+    set_period(state, period)
     return 0.0, 0
+
+
+@njit(cache=False)
+def set_period(state: Any, nominal: float) -> None:
+    """Begin to estimate the period from the nominal one, 0 for a logger without a period."""
+    state.nominal = nominal
+    state.period = state.interval = nominal if nominal > 0.0 else LONGEST_SILENCE
+    state.intervals = state.latest = state.misfits = 0.0
+    state.spread = 3.0 * LEAST_SPREAD * state.period
+    state.memory = FIRST_MEMORY
 
 
 @njit(cache=False)
@@ -137,12 +151,16 @@ def observe_interval(state: Any, stamp: float, count: float, slipped: bool) -> N
     """Update the median interval of the stamps, and change the period if it differs from that.
 
     A clock of nearly the right period slips by a whole period now and then. The filter cannot detect that, but the
-    median can.
+    median can. At first, two equal intervals replace a median that is far from them.
     """
     interval = (stamp - state.stamp) / count
     if interval <= 0.0:
         return
     state.intervals += 1.0
+    is_same = abs(interval - state.latest) <= 0.1 * interval
+    if state.intervals < LOCK and is_same and abs(interval - state.interval) > 0.5 * state.interval:
+        state.interval = interval
+    state.latest = interval
     step = max(0.01, 1.0 / state.intervals) * state.interval
     state.interval += min(step, max(-step, interval - state.interval))
     if state.intervals < LOCK:
@@ -231,7 +249,7 @@ def reject_or_reset(state: Any, stamp: float, seq: float, count: float, counted:
     state.late_seq = seq
     if state.late_run < (AGREE_BACK if counted == 0.0 else AGREE_LATE):
         return UNUSED, LATE
-    dt = state.late_run * state.period
+    dt = state.late_run * state.period if state.nominal > 0.0 else 0.0
     state.late_run = state.misfits = state.hole_start = state.hole_end = 0.0
     state.memory = SETTLED_MEMORY
     state.time = state.stamp = stamp
@@ -301,6 +319,22 @@ def count_periods_by_seq(state: Any, elapsed: float, counted: float) -> tuple[fl
 
 
 @njit(cache=False)
+def take_stamp(state: Any, stamp: float, seq: float, counted: float) -> tuple[float, int]:
+    """Advance the clock of a logger without a period to a stamp; return the time that passed and quality bits."""
+    dt = stamp - state.time
+    if isnan(dt):
+        return UNUSED, REPAIRED_TIME
+    count = -1.0 if dt < 0.0 else dt / state.period
+    if is_stray(state, stamp, count, LEAP):
+        return reject_or_reset(state, stamp, seq, count, counted)
+    state.late_run = 0.0
+    state.samples += 1.0
+    state.time = state.stamp = stamp
+    state.seq = seq
+    return dt, GAP if dt > 1.5 * state.period else 0
+
+
+@njit(cache=False)
 def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: float) -> tuple[float, int]:
     """Advance the clock of a lane by a sample.
 
@@ -313,7 +347,7 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
     same : bool
         Whether the content of the sample equals that of the one before it.
     period : float
-        Nominal period. [s]
+        Nominal period; 0 for a logger without one. [s]
 
     Returns
     -------
@@ -324,11 +358,15 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
     """
     if state.samples == 0.0:
         return start_clock(state, stamp, seq, period)
+    if state.nominal != period:
+        set_period(state, period)
     counter = not isnan(seq) and not isnan(state.seq)
     counted = seq - state.seq if counter else 0.0
     elapsed = (stamp - state.time) / state.period
     if is_repeat(state, stamp, seq, elapsed, same):
         return UNUSED, DUPLICATE
+    if period == 0.0:
+        return take_stamp(state, stamp, seq, counted)
     bits = SEQUENCE if counter and counted == 0.0 else 0
     anew = False
     if isnan(stamp) or stamp == state.stamp:  # an unchanged stamp carries no information

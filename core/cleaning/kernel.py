@@ -2,7 +2,7 @@
 
 The kernel is causal: the output of a row depends on that row and on the state of its lane. Any chunking of the input
 therefore gives bitwise the same output. Its parts are the files `clock.py`, `motion.py`, `elevation.py`, `meters.py`,
-`segmentation.py` and `fleet_clock.py`, each with the fields of the state that it keeps. This file composes them.
+`repetition.py`, `segmentation.py` and `fleet_clock.py`, each with the fields of the state that it keeps. This file composes them.
 Between two rows, a ride may end by a message of dispatch, or because the other cars show that its car is silent.
 
 In all of them `state` is the record of the lane (`STATE`), `row` the record of the sample, whose raw values are named
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from core import batch, columns
 from core.batch import Batch, Floats, Ints, grown, take_lanes
-from core.cleaning import clock, elevation, fleet_clock, meters, motion, quality, segmentation
+from core.cleaning import clock, elevation, fleet_clock, meters, motion, quality, repetition, segmentation
 from core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
 from core.cleaning.fleet_clock import FLEET_CLOCK, RIDE_END, new_fleet_clock
 from core.cleaning.quality import Quality
@@ -28,8 +28,6 @@ from core.compiled_cache import watch_sources
 from core.settings import Settings
 
 _OWN_FIELDS: Final = (
-    *(f"last_{name}" for name in ("latitude", "longitude", "speed", "current", "soc")),  # by which to find duplicates
-    *(f"fix_{name}" for name in ("latitude", "longitude", "elevation")),  # of the last accepted row, as reported
     "battery_temperature",
     "occupants",
 )
@@ -48,7 +46,7 @@ def _dtype() -> np.dtype[np.void]:
     """Return the layout of a lane's state: one stretch of memory, so that a sample touches few cache lines."""
     parts = (
         *(*clock.FIELDS, *motion.FIELDS, *elevation.FIELDS, *segmentation.FIELDS),
-        *(*fleet_clock.FIELDS, *meters.FIELDS, *_OWN_FIELDS),
+        *(*fleet_clock.FIELDS, *meters.FIELDS, *repetition.FIELDS, *_OWN_FIELDS),
     )
     return np.dtype([(part, "f8") if isinstance(part, str) else (part[0], "f8", (part[1],)) for part in parts])
 
@@ -173,10 +171,10 @@ class Clean(NamedTuple):
 
 _INPUTS: Final = (
     *(f"raw_{name}" for name in Batch._fields),
-    "raw_capacity",
+    *("raw_capacity", "raw_period"),
     *(f"map_{name}" for name in Ground._fields),
 )
-"""Columns of a sample, the capacity of its car, and the ground under it: the first fields of `_ROW`."""
+"""Columns of a sample, the capacity and period of its car, and the ground under it: the first fields of `_ROW`."""
 _ROW: Final = np.dtype([(name, "f8") for name in (*_INPUTS, *Clean._fields)])
 """One row of the kernel: its inputs, then the columns of its result."""
 _RAW: Final = len(_INPUTS)
@@ -229,12 +227,18 @@ class Cleaner:
         self.state = new_lane_state(0)
         self.fleet_clock = new_fleet_clock()
 
-    def clean(self, batch: Batch, lanes: int, capacity: Floats | float = nan) -> Clean:
+    def clean(self, batch: Batch, lanes: int, capacity: Floats | float = nan, period: Floats | float = nan) -> Clean:
         """Clean a batch without messages of dispatch, see `clean_between`."""
-        return self.clean_between(batch, lanes, np.arange(batch.size), NO_RIDE_EVENTS, capacity)[0]
+        return self.clean_between(batch, lanes, np.arange(batch.size), NO_RIDE_EVENTS, capacity, period)[0]
 
     def clean_between(
-        self, batch: Batch, lanes: int, place: Ints, ride_events: NDArray[np.void], capacity: Floats | float = nan
+        self,
+        batch: Batch,
+        lanes: int,
+        place: Ints,
+        ride_events: NDArray[np.void],
+        capacity: Floats | float,
+        period: Floats | float,
     ) -> tuple[Clean, NDArray[np.void]]:
         """Clean a batch, with the messages of dispatch between its rows, and advance the state of its lanes.
 
@@ -250,6 +254,8 @@ class Cleaner:
             Beginnings and ends of rides from dispatch, in the order of their arrival.
         capacity : (n,) float or float
             Capacity to which the state of charge refers; where it is unknown (NaN), it is not compared with V·I. [J]
+        period : (n,) float or float
+            Period that the car has announced, 0 for a logger without one, NaN for that of the settings. [s]
 
         Returns
         -------
@@ -262,9 +268,9 @@ class Cleaner:
             self.state = grown(self.state, lanes, new_lane_state(1)[0])
         out = np.empty((len(Clean._fields), batch.size))
         row = np.zeros(1, _ROW)
-        samples = np.empty((len(batch) + 1, batch.size))
-        np.stack(batch, out=samples[:-1])
-        samples[-1] = capacity
+        samples = np.empty((len(batch) + 2, batch.size))
+        np.stack(batch, out=samples[:-2])
+        samples[-2:] = np.broadcast_to(capacity, batch.size), np.broadcast_to(period, batch.size)
         found = self.map_lookup.find_ground(batch)
         ground = np.stack(found) if found else np.empty((0, batch.size))
         ends = np.empty(batch.size + lanes + len(ride_events), RIDE_END)
@@ -329,8 +335,8 @@ def clean_rows(
 
     Parameters
     ----------
-    samples : (fields of Batch + 1, n) float64
-        The batch, and the capacities of the cars.
+    samples : (fields of Batch + 2, n) float64
+        The batch, and the capacities and periods of the cars.
     ground : (fields of Ground, n) or (0, n) float64
         The ground under the samples; no rows without a map.
     states : (lanes,) STATE
@@ -397,8 +403,9 @@ def take_ride_events(states: Any, ride_events: Any, event: int, row: int, ends: 
 @njit(cache=False)
 def clean_row(state: Any, row: Any, settings: Any) -> float:
     """Clean one row; return the time since the sample before it, `clock.UNUSED` for a rejected one. [s]"""
-    repeated = repeats_fix(state, row)
-    dt, bits = clock.advance_clock(state, row.raw_stamp, row.raw_seq, repeats_content(state, row), settings.period)
+    repeated = repetition.repeats_fix(state, row)
+    period = settings.period if isnan(row.raw_period) else row.raw_period
+    dt, bits = clock.advance_clock(state, row.raw_stamp, row.raw_seq, repetition.repeats_content(state, row), period)
     row.quality += bits
     row.lane = row.raw_lane
     if dt == clock.UNUSED:
@@ -461,30 +468,6 @@ def find_uncovered_time(state: Any, bits: int, dt: float, settings: Any) -> floa
 
 
 @njit(cache=False)
-def repeats_fix(state: Any, row: Any) -> bool:
-    """Return whether a row repeats the position and elevation of the last accepted row.
-
-    A receiver without reception, as in a tunnel, reports its last fix again.
-    """
-    same = row.raw_latitude == state.fix_latitude and row.raw_longitude == state.fix_longitude
-    return same and row.raw_elevation == state.fix_elevation
-
-
-@njit(cache=False)
-def repeats_content(state: Any, row: Any) -> bool:
-    """Return whether a row has the content of the row before it in its lane, and keep its content."""
-    same = state.samples > 0.0
-    same &= row.raw_latitude == state.last_latitude or (isnan(row.raw_latitude) and isnan(state.last_latitude))
-    same &= row.raw_longitude == state.last_longitude or (isnan(row.raw_longitude) and isnan(state.last_longitude))
-    same &= row.raw_speed == state.last_speed or (isnan(row.raw_speed) and isnan(state.last_speed))
-    same &= row.raw_current == state.last_current or (isnan(row.raw_current) and isnan(state.last_current))
-    same &= row.raw_soc == state.last_soc or (isnan(row.raw_soc) and isnan(state.last_soc))
-    state.last_latitude, state.last_longitude, state.last_speed = row.raw_latitude, row.raw_longitude, row.raw_speed
-    state.last_current, state.last_soc = row.raw_current, row.raw_soc
-    return same
-
-
-@njit(cache=False)
 def begins_stop(state: Any) -> bool:
     """Return whether a stop begins with this sample, with hysteresis between two speeds."""
     if state.smooth > motion.MOVING:
@@ -495,4 +478,6 @@ def begins_stop(state: Any) -> bool:
     return False
 
 
-watch_sources(clean_rows, batch, clock, columns, elevation, fleet_clock, meters, motion, quality, segmentation)
+watch_sources(
+    clean_rows, batch, clock, columns, elevation, fleet_clock, meters, motion, quality, repetition, segmentation
+)

@@ -9,7 +9,7 @@ exactly zero while the car drives. The state of charge is frozen where it stays 
 quanta by V·I. It jumps where it changes by more than the car can have used, or by much more than V·I measured.
 """
 
-from math import isnan, nan
+from math import exp, isnan, nan, tanh
 from typing import Any, Final
 
 from numba import njit
@@ -43,7 +43,11 @@ SOC_FROZEN: Final = int(Quality.SOC_FROZEN)
 POWER_MISSING: Final = int(Quality.POWER_MISSING)
 POWER_FROZEN: Final = int(Quality.POWER_FROZEN)
 LONGEST_TRAPEZOID: Final = 10.5
-"""Longest step over which power is interpolated. [periods]"""
+"""Longest step over which power is interpolated, unless that of a slow logger is longer. [periods]"""
+CORRELATION_TIME: Final = 3.3118
+"""Time in which the power of a driving car forgets what it was. [s]
+
+Chosen so that the variance of the energy of steps of 3 s is what it was on simulated rides: (dP dt)^2 / 8."""
 
 FROZEN_TIME: Final = 30.0
 """Time for which an unchanged current is normal: loggers refresh it every second to every few seconds. [s]"""
@@ -80,8 +84,9 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Integrate the measured power over the step, and estimate the variance of the integral.
 
     The energy is the trapezoid of voltage times current. Let the power change by dP between two samples. The integral
-    has the variance (dP dt)^2 / 12 if the power wanders like a Brownian bridge, and (dP dt)^2 / 2 if it is noise.
-    The factor 1/8 holds for driving: it was chosen on simulated rides and covers those of other seeds.
+    has the variance (dP dt)^2 / 12 if the power wanders like a Brownian bridge, and (dP dt)^2 / 2 if it is noise; see
+    `find_variance_factor` for what lies between. A logger without a period has sent nothing because the power stayed
+    what it was, so its power is held.
     """
     power = row.raw_voltage * row.raw_current
     if isnan(power):
@@ -91,12 +96,27 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
         if is_power_frozen(state, row, dt):
             row.quality += POWER_FROZEN
             power = nan
-        elif dt <= LONGEST_TRAPEZOID * settings.period:
+        elif dt <= max(LONGEST_TRAPEZOID * settings.period, 1.5 * state.period):
             before = power if isnan(state.power) else state.power
-            row.energy = 0.5 * (power + before) * dt
-            row.energy_variance = ((power - before) * dt) ** 2 / 8.0
+            row.energy = (0.5 * (power + before) if state.nominal > 0.0 else before) * dt
+            unknown = dt if state.nominal > 0.0 else min(dt, settings.period)  # the power changed at the end of the step
+            row.energy_variance = find_variance_factor(unknown) * ((power - before) * unknown) ** 2
             row.metered = dt
     state.power = power
+
+
+@njit(cache=False)
+def find_variance_factor(dt: float) -> float:
+    """Return the variance of the energy of a step over the square of its change of power times its duration. [1]
+
+    Let the power be an Ornstein-Uhlenbeck process with the correlation time T, and a = dt/T. The trapezoids over many
+    steps then have the error variance s^2 dt^2 (coth(a/2) - 2/a) per step, with s^2 the variance of the power, and
+    the mean square of dP is 2 s^2 (1 - exp(-a)). For shorter steps than 3 s, the factor of 3 s covers the noise of meters.
+    """
+    if dt <= 3.0:
+        return 0.125
+    a = dt / CORRELATION_TIME
+    return (1.0 / tanh(0.5 * a) - 2.0 / a) / (2.0 * (1.0 - exp(-a)))
 
 
 @njit(cache=False)

@@ -86,7 +86,9 @@ NULL_ISLAND: Final = 1e-4
 LONGEST_HOLD: Final = 20.0
 """Longest time for which a speed is held or interpolated. [periods]"""
 HOLE: Final = 3.5
-"""Longest step that is not a hole. [periods]"""
+"""Longest step that is not a hole. [periods]
+
+A longer step is a hole for slow loggers too: odometer and fixes then show its distance better than two speeds do."""
 ROUGH_WINDOW: Final = 3
 """Least number of samples in the moving average of rough speeds: between two fixes, or beside an implausible change."""
 HARDEST: Final = 6.0
@@ -240,9 +242,8 @@ def smooth_speed(state: Any, speed: float, window: int, restart: bool) -> float:
 
 
 @njit(cache=False)
-def update_smooth_speed(state: Any, speed: float, dt: float, gap: bool, settings: Any) -> None:
+def update_smooth_speed(state: Any, speed: float, dt: float, restart: bool, settings: Any) -> None:
     """Update the smoothed speed by an accepted one; average for some samples where a speed is rough."""
-    restart = gap or state.speed_age > HOLE * settings.period
     if not restart and state.place > 0.0 and abs(speed - state.smooth) > HARDEST * dt:
         state.rough = ROUGH_WINDOW
     window = settings.window
@@ -254,13 +255,20 @@ def update_smooth_speed(state: Any, speed: float, dt: float, gap: bool, settings
 
 
 @njit(cache=False)
-def integrate_speed(state: Any, speed: float, dt: float, fixed: bool, witnessed: bool, period: float) -> float:
+def find_hole(state: Any, settings: Any) -> float:
+    """Return the longest step that is not a hole in the speed; a logger without a period is silent at one speed. [s]"""
+    return HOLE * settings.period if state.nominal > 0.0 else 1.5 * state.period
+
+
+@njit(cache=False)
+def integrate_speed(
+    state: Any, speed: float, dt: float, fixed: bool, witnessed: bool, gap: bool, period: float
+) -> float:
     """Return the distance of a step from the speed alone, and note a hole in the speed. [m]
 
     A missing speed is replaced by the last one, for a shorter time where fix or odometer will show the distance.
     """
     state.speed_age += dt
-    gap = dt > HOLE * period
     if isnan(speed) or gap:
         state.fix_hole = state.odometer_hole = 1.0
     if gap and witnessed:
@@ -269,7 +277,8 @@ def integrate_speed(state: Any, speed: float, dt: float, fixed: bool, witnessed:
         held = not fixed and state.speed_age <= (HOLE if witnessed else LONGEST_HOLD) * period
         distance = state.smooth * dt if held else 0.0
     else:
-        distance = (speed if isnan(state.speed) else 0.5 * (state.speed + speed)) * min(dt, LONGEST_HOLD * period)
+        longest = max(LONGEST_HOLD * period, 1.5 * state.period)
+        distance = (speed if isnan(state.speed) else 0.5 * (state.speed + speed)) * min(dt, longest)
     state.fix_distance += distance
     state.odometer_distance += distance
     return distance
@@ -309,7 +318,9 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     state.odometer_age += dt
     age = max(state.fix_age, dt)
     fixed = not (isnan(row.raw_latitude) or isnan(state.latitude))
-    distance = integrate_speed(state, speed, dt, fixed, fixed or not isnan(state.odometer), settings.period)
+    hole = find_hole(state, settings)
+    gap = dt > hole
+    distance = integrate_speed(state, speed, dt, fixed, fixed or not isnan(state.odometer), gap, settings.period)
     shortfall, derived = evaluate_fix(state, row, dt, settings)
     if isnan(row.raw_speed) and derived <= settings.speed_limit:
         speed = derived
@@ -324,22 +335,21 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
         age = since if isnan(state.latitude) else max(age, since)
     row.turn_rate = 0.0 if isnan(state.latitude) else update_heading(state, state.latitude, state.longitude, dt)
     before = state.smooth
-    gap = dt > HOLE * settings.period
     if not isnan(speed):
-        update_smooth_speed(state, speed, dt, gap, settings)
+        update_smooth_speed(state, speed, dt, gap or state.speed_age > hole, settings)
     known = not (isnan(speed) or isnan(state.speed) or gap or shortfall > 0.0)
     state.speed = speed
     row.speed = 0.5 * (before + state.smooth)
     row.distance = distance + shortfall
     row.travel = dt
     if shortfall > 0.0 and (state.has_speed == 1.0 or gap or owed > 0.0 or shortfall > settings.speed_limit * dt):
-        row.quality += BRIDGED
+        row.quality += 0 if gap and dt <= 1.5 * state.period else BRIDGED  # the step of a slow logger is no bridge
         row.speed = min(settings.speed_limit, max(BRIDGING, row.speed, row.distance / max(age, settings.period)))
         row.travel = row.distance / row.speed
     elif isnan(speed):
         row.travel = row.distance / row.speed if row.speed > 0.0 else 0.0
     elif derived > 0.0 and state.has_speed == 0.0:
-        row.travel = age if age <= HOLE * settings.period else min(age, row.distance / row.speed)
+        row.travel = age if age <= hole else min(age, row.distance / row.speed)
     run = row.speed * row.travel
     rise = 0.5 * (state.smooth * state.smooth - before * before)
     row.acceleration = rise / run if run > 0.0 else 0.0

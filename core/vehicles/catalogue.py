@@ -14,6 +14,7 @@ import numpy as np
 from core.batch import Floats
 from core.columns import ZERO_CELSIUS
 from core.errors import CatalogueError
+from core.settings import LIMITS
 from core.wire.messages import Vehicle
 
 OCCUPANT_MASS: Final = 75.0
@@ -40,7 +41,7 @@ OVERRIDES: Final = ("nominal_capacity_kwh", "mass_kg", "drag_coefficient", "fron
 UNKNOWN_MODEL: Final = "unknown_vehicle_model"
 """Reason: the catalogue lacks the key, and the overrides are incomplete."""
 OUT_OF_RANGE: Final = "override_out_of_range"
-"""Reason: an override is outside `BOUNDS`."""
+"""Reason: an override is outside `BOUNDS`, or the period of the logger is outside the limits of that setting."""
 
 
 @dataclass(frozen=True)
@@ -239,6 +240,8 @@ def vehicle_model(message: Vehicle) -> VehicleModel | str:
     """
     overrides = {name: getattr(message, name) for name in OVERRIDES if getattr(message, name) is not None}
     if any(not BOUNDS[name][0] <= value <= BOUNDS[name][1] for name, value in overrides.items()):
+        return OUT_OF_RANGE
+    if message.period_s and not LIMITS["period"][0] <= message.period_s <= LIMITS["period"][1]:
         return OUT_OF_RANGE
     known = load_catalogue().get(message.model)
     if known is None and len(overrides) < len(OVERRIDES):

@@ -10,7 +10,7 @@ import numpy as np
 
 from core.batch import Floats, Ints, grown, take_lanes
 from core.settings import Limits
-from core.vehicles.catalogue import UNKNOWN_MODEL, VehicleModel, vehicle_model
+from core.vehicles.catalogue import OUT_OF_RANGE, UNKNOWN_MODEL, VehicleModel, vehicle_model
 from core.wire.message_order import VehicleChange
 from core.wire.messages import Vehicle
 
@@ -78,6 +78,8 @@ class Cars:
         `CarParameters` of each kind, NaN where unknown.
     capacity : (kinds,) float
         Usable capacity of each kind, nominal where the usable one is unknown. [kWh]
+    period : (kinds,) float
+        Period of the loggers of each kind as announced, NaN where it was not. [s]
     of_lane : (lanes,) int
         Kind of the car of each lane.
     unpredictable : Counter of str
@@ -91,6 +93,7 @@ class Cars:
         self.models: list[VehicleModel | None] = [None]
         self.parameters: Floats = np.full((1, len(CarParameters._fields)), np.nan)
         self.capacity: Floats = np.full(1, np.nan)
+        self.period: Floats = np.full(1, np.nan)
         self.of_lane: Ints = np.zeros(0, np.int64)
         self.unpredictable: Counter[str] = Counter()
         self._reasons: list[str | None] = [None]
@@ -195,6 +198,8 @@ class Cars:
         self.messages.append(content)
         self.parameters = np.vstack([self.parameters, row])
         self.capacity = np.append(self.capacity, capacity)
+        is_unknown = content.period_s is None or described == OUT_OF_RANGE
+        self.period = np.append(self.period, np.nan if is_unknown else content.period_s)
         self._kinds[key] = kind
         return kind
 

@@ -97,6 +97,13 @@ class Vehicle(Wire):
             description="Rolling resistance coefficient, warm tyres on dry asphalt; replaces that of the catalogue. [1]"
         ),
     ] = None
+    period_s: Annotated[
+        float | None,
+        Meta(
+            description="Time between two samples of the logger, 0.1 to 60 s; 0 for a logger without a period, which "
+            "sends a sample when a value has changed, and at least every 60 s. Without it the period is estimated. [s]"
+        ),
+    ] = None
     in_service_date: Annotated[
         Name | None, Meta(description="Date of first registration, ISO 8601; accepted and not used.")
     ] = None

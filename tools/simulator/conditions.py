@@ -108,6 +108,9 @@ class Conditions:
         Cars and drivers that join.
     weather_forecasts : bool
         The stations also publish forecasts of the temperature, see `weather.make_forecasts`.
+    periods : tuple of float
+        Times between two samples of the loggers, assigned in turn; 0 for a logger that sends a sample only when a value
+        has changed. [s]
     """
 
     spells: tuple[Spell, ...] = ()
@@ -124,6 +127,7 @@ class Conditions:
     battery_sizes: tuple[float, ...] = ()
     newcomers: Newcomers = NO_NEWCOMERS
     weather_forecasts: bool = False
+    periods: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         """Raise an error for a value out of bounds."""
@@ -141,6 +145,9 @@ class Conditions:
                 )
         if any(not 5.0 <= size <= 200.0 for size in self.battery_sizes):
             raise SettingsError(f"battery sizes {self.battery_sizes}; give 5 to 200 kWh")
+        for period in self.periods:
+            if period % 0.5 or not 0.0 <= period <= 60.0:
+                raise SettingsError(f"period is {period:g} s; give a multiple of 0.5 s up to 60 s, or 0")
 
     def find_display_fault(self, car: int, day: int) -> str | None:
         """Return the fault of the display of a car on a day, None without one.
@@ -180,6 +187,7 @@ _PARTS: Final[dict[str, tuple[str, Callable[[str], Any], str]]] = {
     "spell": ("spells", _spell, "spell=30:-15:3, a day, kelvins and days"),
     "display_fault": ("display_faults", _display_fault, "display_fault=2:frozen:10:5, a car, a kind, a day and days"),
     "battery_size": ("battery_sizes", float, "battery_size=24"),
+    "period": ("periods", float, "period=10"),
 }
 """Condition that may be repeated -> its field, its parser and an example."""
 _EXAMPLES: Final = {"newcomers": "newcomers=1:20, cars and a day"}

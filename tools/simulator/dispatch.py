@@ -23,6 +23,7 @@ def make_dispatch(
     conditions: Conditions,
     rng: np.random.Generator,
     nominal_kwh: float | None = None,
+    period_s: float | None = None,
 ) -> list[Message]:
     """Return the messages besides telemetry: the car, its rides, and its plan, renewed as each ride ends.
 
@@ -40,6 +41,8 @@ def make_dispatch(
         Random stream of the plans of the shift.
     nominal_kwh : float, optional
         Nominal capacity that the car announces. [kWh]
+    period_s : float, optional
+        Period of the logger that the car announces. [s]
 
     Returns
     -------
@@ -53,6 +56,7 @@ def make_dispatch(
         model=model,
         in_service_date=str(serviced),
         nominal_capacity_kwh=nominal_kwh,
+        period_s=period_s,
     )
     messages = [_message("vehicle", about, shift.time)]
     if not rng.uniform() < conditions.no_plan:

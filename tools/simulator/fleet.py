@@ -42,7 +42,7 @@ class FleetCar(NamedTuple):
     car : Car
         True parameters.
     equipment : Equipment
-        What the logger lacks.
+        What the logger lacks, and how often it samples.
     planned_shifts : list of PlannedShift, optional
         Shifts that a preset has planned; None draws them.
     first : int
@@ -187,6 +187,8 @@ def _member(simulation: Simulation, index: int, health: float) -> FleetCar:
     model = simulation.models[index % len(simulation.models)]
     car = make_car(model, rng)
     equipment = make_equipment(simulation.faults, rng)
+    if periods := simulation.conditions.periods:
+        equipment = equipment._replace(period=periods[index % len(periods)])
     car, nominal = habits.resize_pack(car, model, index, simulation.conditions)
     if health < 1.0:
         car = car._replace(wear=1.0 - health)
@@ -422,6 +424,7 @@ def make_car_messages(
         simulation.conditions,
         np.random.default_rng([simulation.seed, 9, member.number, number]),
         member.nominal_kwh,
+        None if member.equipment.period else 0.0,
     )
     reading = car.odometer + float(shift.timeline.moved.sum()) * car.speedometer
     return list(heapq.merge(sent, logged, key=attrgetter("receipt_ns"))), reading, faults

@@ -1,4 +1,4 @@
-"""Simulate a faulty data logger: sample the car every 3 s, add faults at given rates, and count them."""
+"""Simulate a faulty data logger: sample the car every few seconds, add faults at given rates, and count them."""
 
 from collections import Counter
 from itertools import repeat
@@ -6,12 +6,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
+from core.batch import Floats, Ints
 from core.columns import KMH
 from core.wire.messages import Message, Telemetry, encode
 from tools.simulator.cars import Car
 from tools.simulator.physics import State
-from tools.simulator.settings import PERIOD, STEPS_PER_SAMPLE, Faults
+from tools.simulator.settings import PERIOD, STEP, Faults
 from tools.simulator.shift import NO_RIDE, Shift
 from tools.simulator.trace import Trace
 from tools.simulator.weather import draw_autoregressive
@@ -54,19 +54,29 @@ DIGITS: Final = {
 }
 """Decimal places that are sent for each field; all other fields have one."""
 
+TICK: Final = 1.0
+"""Time between two looks of a logger that sends a sample only when a value has changed. [s]"""
+LONGEST_SILENCE: Final = 60.0
+"""Time after which such a logger sends a sample although nothing has changed. [s]"""
+DEADBANDS: Final = {"speed_kmh": 2.0, "battery_current_a": 5.0, "soc_pct": 0.5, "ambient_c": 1.0, "hvac_w": 300.0}
+"""Change of each field from which such a logger sends a sample, in the unit of the field; also a change of the ride."""
+
 Columns = dict[str, Any]
 
 
 class Equipment(NamedTuple):
-    """Hold what the logger of a car lacks.
+    """Hold what the logger of a car lacks, and how often it samples.
 
     Parameters
     ----------
     lacks : tuple of str
         Names of fields; `wheel_speed` if the logger reports the speed of GPS instead.
+    period : float
+        Time between two samples; 0 for a logger that sends a sample only when a value has changed. [s]
     """
 
     lacks: tuple[str, ...]
+    period: float = PERIOD
 
 
 def make_equipment(faults: Faults, rng: np.random.Generator) -> Equipment:
@@ -128,8 +138,12 @@ def log_shift(
         Number of faults of each kind.
     """
     counts: Counter[str] = Counter()
-    columns = _measure(shift, trace, state, car, faults, rng, shown)
-    _freeze_fixes(columns, trace, equipment, faults, rng, counts)
+    steps = round((equipment.period or TICK) / STEP)
+    at = np.arange(steps - 1, len(trace.time), steps)
+    columns = _measure(shift, trace, state, car, faults, rng, at, shown)
+    _freeze_fixes(columns, trace, equipment, faults, rng, at, counts)
+    if not equipment.period:
+        columns = _select_changed(columns)
     kept = _drop(columns, faults, rng, counts)
     columns = {field: column[kept] for field, column in columns.items()}
     time = columns["time_s"]
@@ -147,10 +161,10 @@ def _measure(
     car: Car,
     faults: Faults,
     rng: np.random.Generator,
+    at: Ints,
     shown: Floats | None,
 ) -> Columns:
-    """Return the samples of a logger without dropouts, with noise and quantisation."""
-    at = np.arange(STEPS_PER_SAMPLE - 1, len(trace.time), STEPS_PER_SAMPLE)
+    """Return the samples of a logger at some steps, without dropouts, with noise and quantisation."""
     noise = [draw_autoregressive(rng, len(at), keep) for keep in (0.9, 0.9, 0.5)]
     latitude, longitude = to_wgs84(trace.x[at] + faults.gps_noise * noise[0], trace.y[at] + faults.gps_noise * noise[1])
     speed, soc = shift.timeline.after[at], np.clip(100 * state.soc[at], 0, 100) if shown is None else shown[at]
@@ -179,10 +193,16 @@ def _measure(
 
 
 def _freeze_fixes(
-    columns: Columns, trace: Trace, equipment: Equipment, faults: Faults, rng: np.random.Generator, counts: Counter[str]
+    columns: Columns,
+    trace: Trace,
+    equipment: Equipment,
+    faults: Faults,
+    rng: np.random.Generator,
+    at: Ints,
+    counts: Counter[str],
 ) -> None:
     """Freeze positions in tunnels, so that they jump at the exit."""
-    inside = trace.tunnel[STEPS_PER_SAMPLE - 1 :: STEPS_PER_SAMPLE] > 0
+    inside = trace.tunnel[at] > 0
     edges = np.flatnonzero(np.diff(inside.astype(int), prepend=0, append=0))
     for enter, leave in zip(edges[0::2], edges[1::2], strict=True):
         if enter == 0 or leave >= len(inside) or rng.uniform() >= faults.tunnel:
@@ -190,13 +210,26 @@ def _freeze_fixes(
         counts["tunnel"] += 1
         for field in ("latitude_deg", "longitude_deg", "elevation_m"):
             columns[field][enter:leave] = columns[field][enter - 1]
-        last, first = (STEPS_PER_SAMPLE * sample - 1 for sample in (enter, leave + 1))
+        last, first = at[enter - 1], at[leave]
         chord = np.hypot(trace.x[first] - trace.x[last], trace.y[first] - trace.y[last])
         columns["gps_speed"][enter:leave] = 0.0
-        columns["gps_speed"][leave] = chord / PERIOD / KMH
+        columns["gps_speed"][leave] = chord / (equipment.period or TICK) / KMH
     gps_speed = columns.pop("gps_speed")
     if "wheel_speed" in equipment.lacks:
         columns["speed_kmh"] = gps_speed
+
+
+def _select_changed(columns: Columns) -> Columns:
+    """Return the samples that a logger sends which samples on change, with their own counter."""
+    watched = [(columns[field], least) for field, least in DEADBANDS.items()]
+    time, ride = columns["time_s"], columns["ride_id"]
+    sent = [0]
+    for i in range(1, len(time)):
+        last = sent[-1]
+        changed = ride[i] != ride[last] or any(abs(values[i] - values[last]) >= least for values, least in watched)
+        if changed or time[i] - time[last] >= LONGEST_SILENCE:
+            sent.append(i)
+    return {field: column[sent] for field, column in columns.items()} | {"seq": np.arange(len(sent))}
 
 
 def _wrong_clock(time: Floats, faults: Faults, rng: np.random.Generator, counts: Counter[str]) -> Floats:

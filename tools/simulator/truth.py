@@ -15,7 +15,7 @@ from tools.simulator.cars import Car
 from tools.simulator.conditions import NO_CONDITIONS
 from tools.simulator.logger import Equipment
 from tools.simulator.physics import PARTS, State
-from tools.simulator.settings import PRESET_SETTINGS, STEP, Simulation
+from tools.simulator.settings import PERIOD, PRESET_SETTINGS, STEP, Simulation
 from tools.simulator.shift import Shift
 from tools.simulator.world import compute_elevation, to_plane
 
@@ -93,6 +93,8 @@ class Truth:
         """
         parameters = {key: float(f"{value:.6g}") for key, value in car._asdict().items()}
         self.cars[name] = {"model": model, "logger_lacks": list(equipment.lacks)} | parameters
+        if equipment.period != PERIOD:
+            self.cars[name]["logger_period_s"] = equipment.period
         self.faults[name] = Counter()
 
     def add_shift(

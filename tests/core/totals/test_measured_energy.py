@@ -137,3 +137,23 @@ def test_learned_yield_is_used_where_power_is_missing():
     error = (rides["energy_kwh"] - truth["energy_kwh"])[5:]
     assert (error.abs() < 2.0 * rides["energy_sd_kwh"][5:]).all()
     assert (error.abs() < 0.1 * truth["energy_kwh"][5:] + 0.1).all()
+
+
+@pytest.mark.parametrize(("every", "quantum", "source"), [(2, 0.1, "vi"), (5, 0.1, "soc"), (5, 5.0, "vi")])
+def test_fine_charge_measures_where_power_is_sampled_slowly(every, quantum, source):
+    """Of a logger with 6 s, V·I measures; of one with 15 s, a display with a fine quantum, but not one with a coarse one."""
+    columns = picked(shift(quantum=quantum), slice(None, None, every))
+    columns["seq"] = np.arange(len(columns["seq"]))
+    pipeline, _ = ran([leaf(period_s=every * PERIOD), *telemetry(columns)], keep_forecasts=False)
+    rides = pipeline.take_rides()
+    assert set(rides["energy_source"]) == {source}
+    assert rides["fit_for_training"].all()
+
+
+def test_faulty_charge_does_not_measure_where_power_is_sampled_slowly():
+    columns = picked(shift(quantum=0.1), slice(None, None, 5))
+    columns["seq"] = np.arange(len(columns["seq"]))
+    n = N // 5
+    columns["soc_pct"][n : 4 * n - 10] = columns["soc_pct"][n]
+    pipeline, _ = ran([leaf(period_s=5 * PERIOD), *telemetry(columns)], keep_forecasts=False)
+    assert pipeline.take_rides()["energy_source"][2] == "vi"

@@ -1,5 +1,6 @@
 """Each condition changes what it names and nothing else, and none is on by default."""
 
+from collections import defaultdict
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -70,6 +71,7 @@ def test_without_conditions_truth_is_as_before(usual):
         ("display_fault=2:frozen:10:5", Conditions(display_faults=(DisplayFault(2, FROZEN, 10, 5),))),
         ("battery_size=24,battery_size=40", Conditions(battery_sizes=(24.0, 40.0))),
         ("newcomers=1:20", Conditions(newcomers=Newcomers(1, 20))),
+        ("period=10,period=0", Conditions(periods=(10.0, 0.0))),
     ],
 )
 def test_text_gives_conditions(text, expected):
@@ -87,6 +89,8 @@ def test_text_gives_conditions(text, expected):
         "spell=0:-15:3",
         "display_fault=1:melted:1:1",
         "battery_size=1",
+        "period=90",
+        "period=0.7",
     ],
 )
 def test_wrong_text_raises_with_remedy(text):
@@ -231,3 +235,23 @@ def test_named_fleets_depend_on_the_seed(name):
     assert fleet.phenomena == ALL_PHENOMENA._replace(foreign=True)
     with pytest.raises(SettingsError, match="choose from autumn"):
         get_fleet("spring", 1)
+
+
+def test_loggers_have_the_periods_given_on_the_same_drives(usual):
+    messages, truth = simulate(periods=(10.0, 0.0))
+    assert truth.rides == usual[1].rides
+    times, announced = defaultdict(list), {}
+    for message in messages:
+        _, vehicle, kind = f"{message.key}/".split("/")[:3]
+        content = msgspec.json.decode(message.payload)
+        if kind == "telemetry":
+            times[vehicle].append(content["time_s"])
+        elif kind == "vehicle":
+            announced[vehicle] = content.get("period_s")
+    assert np.diff(times["taxi-001"]) == pytest.approx(10.0)
+    steps = np.diff(times["taxi-002"])
+    assert steps.min() == 1.0
+    assert steps.max() == 60.0
+    assert len(set(steps)) > 10
+    assert announced == {"taxi-001": None, "taxi-002": 0.0}
+    assert [truth.cars[name]["logger_period_s"] for name in announced] == [10.0, 0.0]

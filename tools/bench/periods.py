@@ -1,0 +1,150 @@
+"""Measure what the period of the loggers costs in accuracy: `python -m tools.bench.periods`.
+
+The same simulated drives are logged with each period. A model is fitted to the rides of the first days, and predicts
+those of the other days. Rides are compared with the truth of the simulation. The cars are those of the default fleet,
+with the faults of their loggers, and charge at night, so that the state of charge at the end of each shift is forecast.
+"""
+
+import argparse
+import json
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from core.fit.recipes import get_recipe
+from core.wire.messages import Message
+from tools.bench.elevation import RECIPE, measure_forecasts, tabulate
+from tools.simulator.conditions import Conditions
+from tools.simulator.fleet import simulate
+from tools.simulator.settings import NIGHT, Simulation
+from tools.simulator.truth import Truth
+
+PERIODS: Final = (1.0, 3.0, 5.0, 10.0, 15.0, 30.0, 60.0, 0.0)
+"""Periods of the loggers; 0 for loggers that send a sample when a value has changed. [s]"""
+SEEDS: Final = (6001, 6002)
+"""Seeds on which nothing was chosen."""
+CARS: Final = 5
+START: Final = datetime(2018, 3, 5, tzinfo=UTC)
+DAYS: Final = 10
+FIT_DAYS: Final = 6
+"""Number of days, of which the first ones are fitted."""
+
+
+def simulate_fleet(seed: int, periods: Sequence[float], days: int = DAYS) -> tuple[list[Message], pd.DataFrame]:
+    """Return the messages of a fleet, and the true distance [km] and energy [kWh] of its rides.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the fleet; the same seed gives the same drives.
+    periods : sequence of float
+        Periods of the loggers, assigned to the cars in turn. [s]
+    days : int
+        Number of days.
+    """
+    truth, conditions = Truth(), Conditions(periods=tuple(periods))
+    simulation = Simulation(vehicles=CARS, start=START, days=days, seed=seed, charging=NIGHT, conditions=conditions)
+    messages = list(simulate(simulation, truth))
+    names = {"distance_km": "true_km", "energy_kwh": "true_kwh"}
+    return messages, pd.DataFrame(truth.rides).rename(columns=names)[["vehicle_id", "ride_id", *names.values()]]
+
+
+def measure_tables(rides: pd.DataFrame, truth: pd.DataFrame, first: str) -> dict[str, float]:
+    """Return the errors of the distance, of the measured energy and of a fitted model, over the true sums. [1]
+
+    Parameters
+    ----------
+    rides : DataFrame
+        Ride table.
+    truth : DataFrame
+        True distance and energy, see `simulate_fleet`.
+    first : str
+        First date whose rides are predicted; those before it are fitted.
+
+    Returns
+    -------
+    dict of str to float
+        `distance`, `vi`, `measured` and `predicted`; `sds`, the root mean square of the error of the measured energy in
+        its standard uncertainties [1]; `by_soc`, the share of rides that the state of charge measures [1].
+    """
+    fit = rides[rides["fit_for_training"]]
+    model = get_recipe(RECIPE).fit(fit[fit["date"] < first])
+    predicted = pd.Series(model.predict(fit), fit.index, name="predicted_kwh")
+    joined = fit.join(predicted).merge(truth, on=["vehicle_id", "ride_id"])
+    error = {
+        "distance": joined["distance_km"] - joined["true_km"],
+        "vi": joined["energy_vi_kwh"] - joined["true_kwh"],
+        "measured": joined["energy_kwh"] - joined["true_kwh"],
+    }
+    late = joined[joined["date"] >= first]
+    figures = {
+        name: float(each.abs().sum() / joined["true_km" if name == "distance" else "true_kwh"][each.notna()].sum())
+        for name, each in error.items()
+    }
+    return figures | {
+        "predicted": float((late["predicted_kwh"] - late["true_kwh"]).abs().sum() / late["true_kwh"].sum()),
+        "sds": float(np.sqrt(np.mean((error["measured"] / joined["energy_sd_kwh"]) ** 2))),
+        "by_soc": float((joined["energy_source"] == "soc").mean()),
+    }
+
+
+def measure_periods(seed: int, periods: Sequence[float], days: int = DAYS) -> dict[str, float]:
+    """Return all figures of a fleet: those of `measure_tables`, and `soc_mae_pct`.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the fleet.
+    periods : sequence of float
+        Periods of the loggers, assigned to the cars in turn. [s]
+    days : int
+        Number of days.
+    """
+    messages, truth = simulate_fleet(seed, periods, days)
+    rides, _ = tabulate(messages, None, two_sided=True)
+    first = sorted(rides["date"].unique())[FIT_DAYS * days // DAYS]
+    return measure_tables(rides, truth, first) | {"soc_mae_pct": measure_forecasts(messages, None)}
+
+
+def make_page(results: dict[str, list[dict[str, Any]]]) -> str:
+    """Return the table of all periods as Markdown.
+
+    Parameters
+    ----------
+    results : dict of str to list of dict
+        Figures of each seed, by period in words.
+    """
+    lines = [
+        "| period | distance | energy by V·I | measured energy | its error over its sd | by SOC | prediction | SOC, end of shift |",
+        "|---" * 8 + "|",
+    ]
+    for name, figures in results.items():
+        mean = {key: float(np.mean([each[key] for each in figures])) for key in figures[0]}
+        errors = " | ".join(f"{100.0 * mean[key]:.1f} %" for key in ("distance", "vi", "measured"))
+        lines.append(
+            f"| {name} | {errors} | {mean['sds']:.2f} | {100.0 * mean['by_soc']:.0f} % "
+            f"| {100.0 * mean['predicted']:.1f} % | {mean['soc_mae_pct']:.2f} points |"
+        )
+    return "\n".join(lines)
+
+
+def main(arguments: Iterable[str] | None = None) -> None:
+    """Measure every period, and a fleet with all of them, and print the table."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench.periods", description=__doc__)
+    parser.add_argument("seeds", nargs="*", type=int, default=SEEDS, help="seeds of the fleets")
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    options = parser.parse_args(None if arguments is None else list(arguments))
+    fleets = {f"{period:g} s" if period else "on change": (period,) for period in PERIODS}
+    fleets["1, 3, 10, 30, 60 s in one fleet"] = (1.0, 3.0, 10.0, 30.0, 60.0)
+    results = {name: [measure_periods(seed, periods) for seed in options.seeds] for name, periods in fleets.items()}
+    if options.json:
+        options.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    print(make_page(results))
+
+
+if __name__ == "__main__":
+    main()
