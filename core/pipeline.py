@@ -211,8 +211,8 @@ class Pipeline:
         """Run the steps on the rows of a piece, a block at a time; return the empty piece after it."""
         start, ride_events, replaced = piece.start, np.array(piece.ride_events, RIDE_EVENT), list[ReplacedKind]()
         self.silent_cars.hear(batch.lane[start:stop])
-        self.decoder.losses.count(batch.rows(start, stop))
         kind = self.cars.kinds(batch.lane[start:stop], piece.changes, len(self.lanes), replaced)
+        self.decoder.losses.count(batch.rows(start, stop), self.cars.period.take(kind) != 0.0)
         self._pending.add_replaced(replaced)
         for at in range(start, stop + 1 if stop == start and len(ride_events) else stop, BLOCK):
             end = min(at + BLOCK, stop)
@@ -257,8 +257,8 @@ class Pipeline:
             Observations of the weather, each with the row before which it came.
         """
         place = np.arange(batch.size) if place is None else place
-        capacity, lanes = self.cars.capacity.take(kind) * JOULES_PER_KWH, len(self.lanes)
-        clean, ends = self.cleaner.clean_between(batch, lanes, place, ride_events, capacity, self.cars.period.take(kind))
+        of_cars = self.cars.capacity.take(kind) * JOULES_PER_KWH, self.cars.period.take(kind)
+        clean, ends = self.cleaner.clean_between(batch, len(self.lanes), place, ride_events, *of_cars)
         sky = self.stations.sky_between(clean.time, clean.latitude, clean.longitude, observations)
         clean = clean._replace(quality=flag_ambient(clean, sky))
         self.counters.count_samples(clean.quality)

@@ -2,8 +2,9 @@
 
 The kernel is causal: the output of a row depends on that row and on the state of its lane. Any chunking of the input
 therefore gives bitwise the same output. Its parts are the files `clock.py`, `motion.py`, `elevation.py`, `meters.py`,
-`repetition.py`, `segmentation.py` and `fleet_clock.py`, each with the fields of the state that it keeps. This file composes them.
-Between two rows, a ride may end by a message of dispatch, or because the other cars show that its car is silent.
+`repetition.py`, `segmentation.py` and `fleet_clock.py`, each with the fields of the state that it keeps. This file
+composes them. Between two rows, a ride may end by a message of dispatch, or because the other cars show that its car
+is silent.
 
 In all of them `state` is the record of the lane (`STATE`), `row` the record of the sample, whose raw values are named
 `raw_*`, and `settings` the record of the operator's settings.

@@ -49,6 +49,11 @@ CORRELATION_TIME: Final = 3.3118
 
 Chosen so that the variance of the energy of steps of 3 s is what it was on simulated rides: (dP dt)^2 / 8."""
 
+LATEST_CHANGE: Final = 6.0
+"""Time before a sample of a logger without a period in which its power may have changed. [s]
+
+Chosen so that the errors of simulated rides are within their standard uncertainties."""
+
 FROZEN_TIME: Final = 30.0
 """Time for which an unchanged current is normal: loggers refresh it every second to every few seconds. [s]"""
 FROZEN_SPEED_CHANGE: Final = 108.0 * KMH
@@ -99,7 +104,7 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
         elif dt <= max(LONGEST_TRAPEZOID * settings.period, 1.5 * state.period):
             before = power if isnan(state.power) else state.power
             row.energy = (0.5 * (power + before) if state.nominal > 0.0 else before) * dt
-            unknown = dt if state.nominal > 0.0 else min(dt, settings.period)  # the power changed at the end of the step
+            unknown = dt if state.nominal > 0.0 else min(dt, LATEST_CHANGE)
             row.energy_variance = find_variance_factor(unknown) * ((power - before) * unknown) ** 2
             row.metered = dt
     state.power = power
@@ -111,7 +116,7 @@ def find_variance_factor(dt: float) -> float:
 
     Let the power be an Ornstein-Uhlenbeck process with the correlation time T, and a = dt/T. The trapezoids over many
     steps then have the error variance s^2 dt^2 (coth(a/2) - 2/a) per step, with s^2 the variance of the power, and
-    the mean square of dP is 2 s^2 (1 - exp(-a)). For shorter steps than 3 s, the factor of 3 s covers the noise of meters.
+    the mean square of dP is 2 s^2 (1 - exp(-a)). For steps below 3 s, the factor of 3 s covers the noise of meters.
     """
     if dt <= 3.0:
         return 0.125

@@ -30,7 +30,7 @@ from core.effects.verification import check_effect
 from core.errors import EffectError, read_input
 
 TIME_LIMIT: Final = 60.0
-"""Longest time for importing and checking a user's file, which takes 2 s on a machine without other load. [s]"""
+"""Longest time for importing and checking a user's file, which takes about 1 s of processor time. [s]"""
 ALLOWED_IMPORTS: Final = frozenset(
     {"__future__", "collections", "core", "dataclasses", "functools", "itertools", "math", "numpy", "socast", "typing"}
 )

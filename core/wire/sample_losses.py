@@ -44,16 +44,18 @@ class SampleLosses:
         self._lanes = lanes
         self._state: NDArray[np.void] = np.zeros(0, SAMPLE_LOSS)
 
-    def count(self, batch: Batch) -> None:
+    def count(self, batch: Batch, is_periodic: NDArray[np.bool_]) -> None:
         """Count the samples of a batch.
 
         Parameters
         ----------
         batch : Batch
-            Samples in order of arrival.
+            n samples in order of arrival.
+        is_periodic : (n,) bool
+            False for the samples of a logger without a period, of which losses show in the counter only.
         """
         self._state = grown(self._state, len(self._lanes), _new_car())
-        _count(self._state, batch.lane, batch.stamp, batch.seq)
+        _count(self._state, batch.lane, batch.stamp, batch.seq, is_periodic)
 
     def received(self) -> NDArray[np.int64]:
         """Return the number of samples that came of each car, (n,) in the order of lanes."""
@@ -87,14 +89,14 @@ def _new_car() -> Any:
 
 
 @njit(cache=True)
-def _count(state: Any, lane: Any, stamp: Any, seq: Any) -> None:
+def _count(state: Any, lane: Any, stamp: Any, seq: Any, is_periodic: Any) -> None:
     """Count samples in the state of their cars."""
     for i in range(len(lane)):
         car = state[lane[i]]
         car.received += 1
         if not np.isnan(seq[i]):
             _count_by_counter(car, stamp[i], seq[i])
-        elif not np.isnan(stamp[i]):
+        elif is_periodic[i] and not np.isnan(stamp[i]):
             _count_by_period(car, stamp[i])
 
 

@@ -119,7 +119,7 @@ def make_page(results: dict[str, list[dict[str, Any]]]) -> str:
         Figures of each seed, by period in words.
     """
     lines = [
-        "| period | distance | energy by V·I | measured energy | its error over its sd | by SOC | prediction | SOC, end of shift |",
+        "| period | distance | energy by V·I | measured energy | error over sd | by SOC | prediction | end of shift |",
         "|---" * 8 + "|",
     ]
     for name, figures in results.items():

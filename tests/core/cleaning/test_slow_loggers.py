@@ -1,6 +1,7 @@
 """Test loggers with a period other than 3 s, and those without one: time, distance, energy and its uncertainty."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from core.cleaning.clock import LONGEST_SILENCE
@@ -9,6 +10,7 @@ from core.cleaning.meters import find_variance_factor
 from core.cleaning.quality import Quality
 from core.columns import EARTH_RADIUS
 from core.settings import Settings
+from tests.support.real_fits import DATA
 from tests.support.telemetry import PLACE, START, count, decoded, drive, leaf, picked, ran, telemetry
 
 N = 4000
@@ -138,3 +140,30 @@ def test_factor_of_variance_lies_between_its_limits_and_grows():
     assert factors[2] == pytest.approx(0.125, rel=1e-3)
     assert (np.diff(factors) >= -1e-6).all()
     assert factors[-1] == pytest.approx(0.5, rel=0.01)
+
+
+@pytest.mark.skipif(not (DATA / "bmw_i3").is_dir(), reason="the real drives are not here")
+def test_variance_of_energy_holds_on_real_drives():
+    """A BMW i3 was recorded at 10 Hz; the energy by single samples misses the whole by what the variance says."""
+    for period in (3.0, 10.0, 30.0):
+        deviations = []
+        for file in sorted((DATA / "bmw_i3").glob("Trip*"))[::4]:
+            time, power = read_power(file)
+            energy = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(time))])
+            for phase in np.linspace(0.0, period, 5, endpoint=False):
+                at = np.arange(time[0] + phase, time[-1], period)
+                seen, whole = np.interp(at, time, power), np.interp(at[[0, -1]], time, energy)
+                sampled = 0.5 * (seen[1:] + seen[:-1]).sum() * period
+                variance = find_variance_factor(period) * (np.diff(seen) ** 2).sum() * period**2
+                deviations.append((sampled - (whole[1] - whole[0])) / np.sqrt(variance))
+        assert 0.85 < np.mean(np.abs(deviations) < 2.0) < 0.99, period
+
+
+def read_power(file):
+    """Return the time [s] and the power drawn [W] of a drive."""
+    table = pd.read_csv(file, sep=";", encoding="latin-1")
+    volts, amperes = (
+        next(column for column in table if name in column) for name in ("Battery Voltage", "Battery Current")
+    )
+    rows = table[[table.columns[0], volts, amperes]].dropna().to_numpy(float)
+    return rows[:, 0], -rows[:, 1] * rows[:, 2]

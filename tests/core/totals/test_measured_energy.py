@@ -141,7 +141,7 @@ def test_learned_yield_is_used_where_power_is_missing():
 
 @pytest.mark.parametrize(("every", "quantum", "source"), [(2, 0.1, "vi"), (5, 0.1, "soc"), (5, 5.0, "vi")])
 def test_fine_charge_measures_where_power_is_sampled_slowly(every, quantum, source):
-    """Of a logger with 6 s, V·I measures; of one with 15 s, a display with a fine quantum, but not one with a coarse one."""
+    """With samples every 6 s V·I measures; with samples every 15 s a display with a fine quantum does."""
     columns = picked(shift(quantum=quantum), slice(None, None, every))
     columns["seq"] = np.arange(len(columns["seq"]))
     pipeline, _ = ran([leaf(period_s=every * PERIOD), *telemetry(columns)], keep_forecasts=False)
