@@ -17,6 +17,12 @@ from tools.importers.table.units import POWER
 
 DECIMALS_OF_TABLES: Final = {**DECIMALS, "odometer_km": 4}
 """Decimal places of each field of a sample: finer than any of the sensors."""
+LONGEST_STEP: Final = 60.0
+"""Longest time between two rows that says something of their period. [s]"""
+OFF_GRID: Final = 0.25
+"""Deviation of a time between two rows from whole periods from which it is irregular. [periods]"""
+MOST_OFF_GRID: Final = 0.3
+"""Largest share of irregular times of a log with a period. [1]"""
 _FIELDS: Final = tuple(Telemetry.__struct_fields__[4:])  # after vehicle, time, ride and counter
 
 
@@ -59,14 +65,15 @@ class RowMessages:
         for place, stamp, ride, *values in zip(rows["vehicle"].tolist(), stamps, rides, *wire, strict=False):
             if place not in self._announced:
                 self._announced.add(place)
-                messages += self._announce(names[place], stamp)
+                is_regular = has_period(rows["time"][rows["vehicle"] == place])
+                messages += self._announce(names[place], stamp, None if is_regular else 0.0)
             vehicle = names[place]
             sample = Telemetry(vehicle, stamp, ride, None, *values)
             messages.append(Message(f"fleet/{vehicle}/telemetry", encode(sample), round(stamp * 1000) * 1_000_000))
         self.samples += len(rows)
         return messages
 
-    def _announce(self, vehicle: str, stamp: float) -> list[Message]:
+    def _announce(self, vehicle: str, stamp: float, period: float | None) -> list[Message]:
         """Return the vehicle message of a car, if its model is known; a car of one's own brings its figures."""
         model = self.map.vehicle.models.get(vehicle, self.map.vehicle.model)
         if not model:
@@ -74,7 +81,7 @@ class RowMessages:
         known = load_catalogue().get(model)
         is_own = known is not None and known.sources.get("origin") == OF_SHEET
         figures = {name: getattr(known, name) for name in OVERRIDES} if is_own else {}
-        return [make_message(f"fleet/{vehicle}/vehicle", Vehicle(vehicle, stamp, model, **figures))]
+        return [make_message(f"fleet/{vehicle}/vehicle", Vehicle(vehicle, stamp, model, period_s=period, **figures))]
 
     def _name_rides(self, rows: np.ndarray) -> list[str | None]:
         """Return the ride of each row."""
@@ -90,6 +97,27 @@ class RowMessages:
             self._last[vehicle], self._ride_numbers[vehicle] = float(times[-1]), int(numbers[at[-1]])
         names_of = self.reader.vehicles
         return [f"{names_of[v]}-{n}" for v, n in zip(rows["vehicle"].tolist(), numbers.tolist(), strict=True)]
+
+
+def has_period(times: Floats) -> bool:
+    """Return whether times are spaced by one period, some of them left out.
+
+    Parameters
+    ----------
+    times : (n,) float
+        Times of the rows of a car, ascending. [s]
+
+    Examples
+    --------
+    >>> has_period(np.array([0.0, 1.1, 2.0, 2.9, 6.0, 7.0])), has_period(np.array([0.0, 1.0, 1.5, 9.0, 11.0, 20.0]))
+    (True, False)
+    """
+    steps = np.diff(times)
+    steps = steps[(steps > 0.0) & (steps <= LONGEST_STEP)]
+    if not len(steps):
+        return True
+    periods = steps / np.median(steps)
+    return bool(np.mean(np.abs(periods - np.maximum(np.round(periods), 1.0)) > OFF_GRID) <= MOST_OFF_GRID)
 
 
 def join_signals(rows: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tools.importers.table.guess_rows import guess_rows
+from tools.importers.table.row_messages import has_period
 from tools.importers.table.sampling import HOLD, SLOW_HOLD, Sampling, find_holds, sample_rows
 from tools.importers.table.units import FIELD_UNITS
 
@@ -110,3 +111,20 @@ def test_rows_that_hold_all_or_lack_speed_while_parked_are_samples_as_they_are()
     assert guess_rows(make_rows(*((t, (50, 5)) for t in range(50)))) is None
     assert guess_rows(make_rows(*((t, (50 if t < 10 else NAN, 5)) for t in range(50)))) is None
     assert guess_rows(make_rows(*((t, (50,)) for t in range(50)), fields=("speed_kmh",))) is None
+
+
+@pytest.mark.parametrize(
+    ("steps", "regular"),
+    [
+        ([2.0] * 50, True),
+        ([3.0, 3.0, 6.0, 3.0, 9.0] * 20, True),
+        ([2.8, 3.2, 3.1, 2.9] * 20, True),
+        ([30.0] * 40, True),
+        ([0.0, 1.0] * 20, True),
+        ([1.0, 1.6, 7.3, 2.4, 22.0] * 20, False),
+        ([700.0, 800.0], True),
+        ([], True),
+    ],
+)
+def test_times_that_fit_no_period_are_recognised(steps, regular):
+    assert has_period(np.concatenate([[5.0], 5.0 + np.cumsum(steps)])) is regular
