@@ -198,8 +198,8 @@ class Cars:
         self.messages.append(content)
         self.parameters = np.vstack([self.parameters, row])
         self.capacity = np.append(self.capacity, capacity)
-        is_unknown = content.period_s is None or described == OUT_OF_RANGE
-        self.period = np.append(self.period, np.nan if is_unknown else content.period_s)
+        period = None if described == OUT_OF_RANGE else content.period_s
+        self.period = np.append(self.period, np.nan if period is None else period)
         self._kinds[key] = kind
         return kind
 

@@ -138,7 +138,7 @@ def main(arguments: Iterable[str] | None = None) -> None:
     parser.add_argument("seeds", nargs="*", type=int, default=SEEDS, help="seeds of the fleets")
     parser.add_argument("--json", type=Path, help="file for the figures")
     options = parser.parse_args(None if arguments is None else list(arguments))
-    fleets = {f"{period:g} s" if period else "on change": (period,) for period in PERIODS}
+    fleets: dict[str, tuple[float, ...]] = {f"{period:g} s" if period else "on change": (period,) for period in PERIODS}
     fleets["1, 3, 10, 30, 60 s in one fleet"] = (1.0, 3.0, 10.0, 30.0, 60.0)
     results = {name: [measure_periods(seed, periods) for seed in options.seeds] for name, periods in fleets.items()}
     if options.json:
