@@ -22,6 +22,7 @@ ONLY_IN = {
     "zenoh": r"stream/zenoh_\w+\.py",
     "mcap": r"stream/mcap_\w+\.py|tools/bench/measures\.py",
     "rasterio": r"stream/elevation_tiles\.py",
+    "paho": r"stream/mqtt_\w+\.py",
 }
 """Library of a transport or of a format -> files that may import it."""
 CLOCKS = {"time", "threading", "asyncio", "socket"}

@@ -78,10 +78,7 @@ class RowMessages:
         model = self.map.vehicle.models.get(vehicle, self.map.vehicle.model)
         if not model:
             return []
-        known = load_catalogue().get(model)
-        is_own = known is not None and known.sources.get("origin") == OF_SHEET
-        figures = {name: getattr(known, name) for name in OVERRIDES} if is_own else {}
-        return [make_message(f"fleet/{vehicle}/vehicle", Vehicle(vehicle, stamp, model, period_s=period, **figures))]
+        return [introduce_vehicle(vehicle, stamp, model, period)]
 
     def _name_rides(self, rows: np.ndarray) -> list[str | None]:
         """Return the ride of each row."""
@@ -118,6 +115,26 @@ def has_period(times: Floats) -> bool:
         return True
     periods = steps / np.median(steps)
     return bool(np.mean(np.abs(periods - np.maximum(np.round(periods), 1.0)) > OFF_GRID) <= MOST_OFF_GRID)
+
+
+def introduce_vehicle(vehicle: str, time_s: float, model: str, period_s: float | None = None) -> Message:
+    """Return the vehicle message of a car, with its figures if they come from a data sheet.
+
+    Parameters
+    ----------
+    vehicle : str
+        Identity of the car.
+    time_s : float
+        Time from which it applies. [Unix s]
+    model : str
+        Key of its vehicle model.
+    period_s : float, optional
+        What the message says of the time between samples. [s]
+    """
+    known = load_catalogue().get(model)
+    is_own = known is not None and known.sources.get("origin") == OF_SHEET
+    figures = {name: getattr(known, name) for name in OVERRIDES} if is_own else {}
+    return make_message(f"fleet/{vehicle}/vehicle", Vehicle(vehicle, time_s, model, period_s=period_s, **figures))
 
 
 def join_signals(rows: np.ndarray) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""Bridges from other ecosystems: signals one by one become rows of telemetry."""

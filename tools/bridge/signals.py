@@ -1,0 +1,93 @@
+"""Signals of other ecosystems: which field of a sample each one gives, in which unit and with which sign."""
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+from tools.importers.table.units import Conversion, find_conversion
+
+FIX: Final = "fix"
+"""Whether the receiver of positions has a fix; no field of a sample, but positions without one are left out."""
+TRUE: Final = frozenset({"yes", "true", "on", "1"})
+"""Words for true, in small letters."""
+FALSE: Final = frozenset({"no", "false", "off", "0"})
+"""Words for false, in small letters."""
+FLAGS: Final = frozenset({"charging", FIX})
+"""Fields that are true or false."""
+
+
+class Signal(NamedTuple):
+    """Describe the source of a field.
+
+    Parameters
+    ----------
+    field : str
+        Name of `tools.importers.table.units.FIELD_UNITS`, or `FIX`.
+    conversion : Conversion
+        From the unit and the sign of the source to those of the wire contract.
+    rank : int
+        A source with a lower rank is preferred where several give the same field.
+    """
+
+    field: str
+    conversion: Conversion = Conversion(1.0)
+    rank: int = 0
+
+
+def make_signal(field: str, unit: str, *, sign: int = 1, rank: int = 0) -> Signal:
+    """Return a signal whose unit and sign are converted to those of the wire contract.
+
+    Parameters
+    ----------
+    field : str
+        Field of a sample.
+    unit : str
+        Unit of the source.
+    sign : int
+        -1 where the source counts the other way.
+    rank : int
+        Rank among sources of the same field.
+    """
+    if field in FLAGS:
+        return Signal(field, rank=rank)
+    conversion = find_conversion(unit, field)
+    return Signal(field, Conversion(sign * conversion.factor, sign * conversion.offset), rank)
+
+
+def parse_number(signal: Signal, value: object) -> float | None:
+    """Return a value in the unit of the wire contract; None if it is not a value of the signal.
+
+    Parameters
+    ----------
+    signal : Signal
+        What the value is.
+    value : object
+        Number, truth value or text.
+
+    Examples
+    --------
+    >>> parse_number(make_signal("battery_current_a", "A", sign=-1), "12.5")
+    -12.5
+    >>> parse_number(make_signal("charging", ""), "yes"), parse_number(make_signal("soc_pct", "%"), "nan")
+    (1.0, None)
+    """
+    if isinstance(value, str):
+        word = value.strip().lower()
+        if signal.field in FLAGS:
+            return 1.0 if word in TRUE else 0.0 if word in FALSE else None
+        try:
+            value = float(word)
+        except ValueError:
+            return None
+    if isinstance(value, bool) != (signal.field in FLAGS) or not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value) * signal.conversion.factor + signal.conversion.offset
+    except OverflowError:
+        return None
+    return number if abs(number) < LARGEST else None
+
+
+LARGEST: Final = 1e12
+"""Largest value of a signal; larger ones, infinity and NaN are no values."""
+Signals = Mapping[str, Signal]
+"""Name of a signal in its ecosystem -> what it gives."""
