@@ -49,6 +49,7 @@ COMMANDS: Final = {
     "ask": Command("tools.commands.ask", "ask_outlook", "Ask a live consumer whether a car can take a ride."),
     "replay": Command("tools.commands.replay", "replay", "Replay recordings through a model or to a router."),
     "info": Command("tools.commands.info", "info", "Show what recordings contain and what is lost."),
+    "anonymise": Command("tools.commands.anonymise", "anonymise", "Hide names, places and dates of recordings."),
     "elevation": Command("tools.commands.elevation", "app", "Learn a map of elevation from the fixes of a fleet."),
     "tables": Command("tools.commands.tables", "tables", "Make ride and window tables from recordings."),
     "fit": Command("tools.commands.fit", "fit", "Fit a model to ride tables."),

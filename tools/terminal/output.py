@@ -19,6 +19,7 @@ STANDARD_OUTPUT: Final = Path("-")
 """The file name that means standard output."""
 REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "add": 1,
+    "anonymise": 1,
     "ask": 1,
     "compare": 1,
     "demo": 1,

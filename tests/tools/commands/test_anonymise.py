@@ -1,0 +1,139 @@
+"""`socast anonymise` keeps tables, and leaves no trace of names, places and dates in the file."""
+
+import json
+from random import Random
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from core.errors import SocastError
+from core.wire.messages import Message, Telemetry, encode
+from stream.mcap_format import iterate_records
+from stream.mcap_reader import McapSource
+from stream.mcap_writer import McapSink
+from tests.support.commands import done, refused
+from tests.support.paths import RECORDINGS
+from tools.commands.anonymise import REMAINS, rewrite_recordings
+
+pytestmark = pytest.mark.long
+HIDDEN = {"ride_id", "ride_key", "vehicle_id", "driver_id", "date", "winter", "summer", "start_s", "end_s"}
+HIDDEN |= {f"{name}_{end}_deg" for name in ("latitude", "longitude") for end in ("start", "end")} | {"wind_from_deg"}
+"""Columns of names, dates, places and compass directions."""
+TURNED = ("effect_aero_drag_wind", "effect_headwind", "effect_crosswind_yaw", "effect_cornering")
+LIT = "effect_night_lights"
+"""Columns that depend on headings, and on the sun."""
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory):
+    """Return the folder with an anonymised shift and its tables."""
+    folder = tmp_path_factory.mktemp("shared")
+    rewrite_recordings([McapSource(RECORDINGS / "shift.mcap")], folder / "shared.mcap", Random(7))
+    done("tables", folder / "shared.mcap", "--out", folder)
+    return folder
+
+
+def read_sorted(folder, name):
+    """Return a table in an order that names do not change."""
+    table = pd.read_parquet(folder / f"{name}.parquet")
+    return table.sort_values(["odometer_km", "duration_s", "distance_km"], ignore_index=True)
+
+
+@pytest.mark.parametrize("name", ["rides", "windows"])
+def test_every_column_but_names_dates_and_places_stays(name, shared, shift_tables):
+    before, after = read_sorted(shift_tables, name), read_sorted(shared, name)
+    assert list(before) == list(after)
+    assert len(before) == len(after)
+    for column in set(before) - HIDDEN:
+        one, other = before[column], after[column]
+        if not pd.api.types.is_numeric_dtype(one):
+            assert one.equals(other), column
+            continue
+        scale = np.nanmax(np.abs(one.to_numpy(np.float64)), initial=0.0)
+        limit = 0.05 if column.startswith(LIT) else 5e-3 if column.startswith(TURNED) else 1e-5
+        np.testing.assert_allclose(other, one, rtol=1e-6, atol=limit * scale, err_msg=column)
+
+
+def test_names_dates_and_places_are_others(shared, shift_tables):
+    before, after = read_sorted(shift_tables, "rides"), read_sorted(shared, "rides")
+    for name in ("vehicle_id", "driver_id", "ride_key", "date"):
+        assert not set(before[name].dropna()) & set(after[name].dropna()), name
+    assert (np.abs(after["start_s"] - before["start_s"]) > 365 * 86400).all()
+    moved = np.abs(after["longitude_start_deg"] - before["longitude_start_deg"])
+    assert moved.min() > 5.0
+
+
+def test_output_holds_no_byte_of_a_name_or_of_the_writer(shared):
+    source = McapSource(RECORDINGS / "shift.mcap")
+    names = {b"taxi", b"simulate", b"recordings"}
+    for message in (each for block in source for each in block):
+        try:
+            fields = json.loads(message.payload)
+        except ValueError:
+            continue
+        for each in fields if isinstance(fields, list) else [fields]:
+            if isinstance(each, dict):
+                kinds = ("vehicle_id", "station_id", "ride_id", "driver_id")
+                names |= {str(each[kind]).encode() for kind in kinds if each.get(kind)}
+    assert len(names) > 60
+    data = read_all_bytes(shared / "shared.mcap")
+    assert {name for name in names if name in data} == set()
+
+
+def read_all_bytes(path):
+    """Return the bytes of a recording, and those of its decompressed chunks."""
+    import zstandard  # noqa: PLC0415
+
+    whole = path.read_bytes()
+    parts = [whole]
+    for opcode, body in iterate_records(whole[8:-8]):
+        if opcode == 6:
+            begin = body.index(b"zstd") + 4 + 8
+            parts.append(zstandard.ZstdDecompressor().decompress(body[begin:], max_output_size=1 << 26))
+    assert len(parts) > 1
+    return b"".join(parts)
+
+
+def test_metadata_says_only_which_command_wrote_it(shared):
+    assert set(McapSource(shared / "shared.mcap").metadata) == {"version", "command"}
+    assert McapSource(shared / "shared.mcap").metadata["command"] == "anonymise"
+
+
+def test_two_runs_differ_and_the_same_random_numbers_give_the_same_bytes(tmp_path):
+    source = [McapSource(RECORDINGS / "shift.mcap")]
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        rewrite_recordings(source, tmp_path / name, Random(seed))
+    a, b, c = ((tmp_path / name).read_bytes() for name in "abc")
+    assert a == b != c
+
+
+def test_summary_says_what_was_dropped_and_what_remains(tmp_path, capsys):
+    write(tmp_path / "own.mcap", "depot/fleet/van-of-anna/telemetry", "depot/notes", "fleet/van-of-anna/forecast")
+    done("anonymise", tmp_path / "own.mcap", "-o", tmp_path / "shared.mcap", "--json", tmp_path / "report.json")
+    shown = capsys.readouterr().out
+    report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert report["dropped"] == {"unknown key": 1, "of consumers": 1}
+    assert report["names"]["car"] == 1
+    assert "dropped: 1 unknown key, 1 of consumers" in shown
+    assert REMAINS in shown
+    assert b"anna" not in read_all_bytes(tmp_path / "shared.mcap")
+
+
+def write(path, *keys):
+    """Write a recording with one sample under each key."""
+    with McapSink(path) as sink:
+        sample = encode(Telemetry("van-of-anna", 1.7e9, latitude_deg=45.5, longitude_deg=-73.6))
+        sink.put([Message(key, sample, round(1.7e18) + at) for at, key in enumerate(keys)])
+
+
+def test_wrong_calls_are_one_line(tmp_path, capsys):
+    shift = RECORDINGS / "shift.mcap"
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes(shift.read_bytes())
+    assert "would be overwritten" in refused(capsys, "anonymise", copy, "-o", copy)
+    assert "cannot be read" in refused(capsys, "anonymise", tmp_path / "none.mcap", "-o", tmp_path / "a.mcap")
+    assert "--out" in refused(capsys, "anonymise", shift)
+    write(tmp_path / "notes.mcap", "depot/notes")
+    with pytest.raises(SocastError, match="no message that socast can read"):
+        rewrite_recordings([McapSource(tmp_path / "notes.mcap")], tmp_path / "b.mcap", Random(1))

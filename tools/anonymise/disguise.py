@@ -1,0 +1,141 @@
+"""What is secret about an anonymised recording: its map, its shift of time, and the salt of its names.
+
+The map moves the area along its parallel by whole hours of solar time, and turns it. All times are shifted back by the
+same hours, and by whole weeks that are about whole years. The sun, the season and the weekday of the place therefore
+stay. A map that hides the latitude too would change the sun, and so what lights and daylight explain.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from random import Random
+from typing import Final, NamedTuple
+
+from tools.anonymise.sphere_map import SphereMap, make_sphere_map
+
+WEEK_S: Final = 7 * 86400
+"""A week. [s]"""
+YEAR_DAYS: Final = 365.2422
+"""Mean length of the seasons. [d]"""
+SEASON_DAYS: Final = 0.5
+"""Largest deviation of a shift from whole years. [d]"""
+MOST_YEARS: Final = 40.0
+"""Largest shift. [a]"""
+SPAN_S: Final = 631_152_000.0, 2_840_140_800.0
+"""Times between which recordings are moved: 1990 and 2060. [Unix s]"""
+NEVER_SET_S: Final = 946_684_800.0
+"""Time before which a clock was never set: moved, it would give the shift away. 1 January 2000. [Unix s]"""
+FARTHEST_DEG: Final = 175.0
+"""Largest longitude to which an area moves, because computations with longitudes fail beside 180. [deg]"""
+HASH_BYTES: Final = 6
+"""Length of a hashed name; two of 100,000 names are equal in 2 of 100,000 recordings. [B]"""
+
+
+class Disguise(NamedTuple):
+    """Hold what turns a recording into an anonymised one. It is never written.
+
+    Parameters
+    ----------
+    salt : bytes
+        Key of the hash of names.
+    shift_s : int
+        Shift of all times. [s]
+    places : SphereMap
+        Map of all positions.
+    """
+
+    salt: bytes
+    shift_s: int
+    places: SphereMap
+
+    def rename(self, kind: str, name: str) -> str:
+        """Return the pseudonym of a name.
+
+        Parameters
+        ----------
+        kind : str
+            What has the name, such as `car`. The same name of another kind has another pseudonym.
+        name : str
+            Name.
+        """
+        digest = hashlib.blake2b(f"{kind}/{name}".encode(), digest_size=HASH_BYTES, key=self.salt)
+        return f"{kind}-{digest.hexdigest()}"
+
+    def shift(self, time_s: float) -> float:
+        """Return a time in the anonymised recording; a time of a clock that was never set stays. [Unix s]"""
+        return time_s if time_s < NEVER_SET_S else round(time_s + self.shift_s, 6)
+
+    def turn(self, direction_deg: float) -> float:
+        """Return a compass direction in the anonymised recording; one outside 0 to 360 stays. [deg]"""
+        if not 0.0 <= direction_deg <= 360.0:
+            return direction_deg
+        return round((direction_deg + self.places.turn_deg) % 360.0, 6)
+
+
+def make_disguise(
+    random: Random, begin_s: float, end_s: float, centre: tuple[float, float] | None, busy: Sequence[bool]
+) -> Disguise:
+    """Return a random disguise.
+
+    Parameters
+    ----------
+    random : Random
+        Source of random numbers; `random.SystemRandom` for recordings that are shared.
+    begin_s, end_s : float
+        First and last time of the recording. [Unix s]
+    centre : tuple of (float, float), optional
+        Latitude and longitude of the area, None if no position is known. [deg]
+    busy : sequence of bool
+        Whether any car sends in each of the 24 hours of the day, UTC. Of the shifts, those are preferred that take no
+        sample to another day than before, because cars are judged day by day.
+    """
+    weeks = random.choice(list_shifts(begin_s, end_s))
+    latitude, longitude = centre or (0.0, 0.0)
+    to = {hours: (longitude - 15.0 * hours + 180.0) % 360.0 - 180.0 for hours in range(-12, 12) if hours}
+    to = {hours: there for hours, there in to.items() if abs(there) <= FARTHEST_DEG}
+    hours = random.choice([hours for hours in to if keeps_days(hours, busy)] or list(to))
+    places = make_sphere_map((latitude, longitude), (latitude, to[hours]), random.uniform(0.0, 360.0))
+    return Disguise(random.randbytes(32), weeks * WEEK_S + hours * 3600, places)
+
+
+def keeps_days(hours: int, busy: Sequence[bool]) -> bool:
+    """Return whether samples of the same day, UTC, are of the same day after a shift by hours.
+
+    Parameters
+    ----------
+    hours : int
+        Shift. [h]
+    busy : sequence of bool
+        Whether there are samples in each of the 24 hours of the day.
+
+    Examples
+    --------
+    >>> day_time = [8 <= hour < 18 for hour in range(24)]
+    >>> [hours for hours in range(-12, 12) if not keeps_days(hours, day_time)]
+    [-12, -11, -10, -9, 7, 8, 9, 10, 11]
+    """
+    midnight = -hours % 24
+    return not any(busy[:midnight]) or not any(busy[midnight:])
+
+
+def list_shifts(begin_s: float, end_s: float) -> list[int]:
+    """Return the shifts in whole weeks that are about whole years, and that keep a recording within `SPAN_S`.
+
+    Parameters
+    ----------
+    begin_s, end_s : float
+        First and last time of the recording. [Unix s]
+
+    Examples
+    --------
+    >>> shifts = list_shifts(1.7e9, 1.7e9)
+    >>> len(shifts), shifts[:3]
+    (9, [-1461, -887, -574])
+    """
+    most = round(MOST_YEARS * YEAR_DAYS / 7.0)
+    near = [
+        weeks
+        for weeks in range(-most, most + 1)
+        if weeks and abs(7.0 * weeks - YEAR_DAYS * round(7.0 * weeks / YEAR_DAYS)) <= SEASON_DAYS
+    ]
+    inside = [weeks for weeks in near if SPAN_S[0] <= begin_s + weeks * WEEK_S and end_s + weeks * WEEK_S <= SPAN_S[1]]
+    return inside or near

@@ -1,0 +1,190 @@
+"""`socast anonymise`: hide the names, places and dates of recordings, so that they can be shared."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from random import Random, SystemRandom
+from typing import Annotated, Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+import typer
+
+from core.wire.messages import Message, Telemetry, Weather, address
+from stream.mcap_reader import McapSource
+from stream.mcap_writer import McapSink
+from stream.recording_metadata import make_metadata
+from stream.source import merge_sources
+from tools.anonymise.disguise import keeps_days, make_disguise
+from tools.anonymise.message_rewriter import MessageRewriter
+from tools.anonymise.sphere_map import find_centre
+from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
+
+EVERY: Final = 10
+"""One of so many samples of a car is read to find the centre of the area."""
+REMAINS: Final = (
+    "What remains can identify a person: times of day and distances of rides, odometers, elevations, the latitude, the "
+    "shape of the streets and the weather. Who knows a ride can find it again, and who compares streets or weather "
+    "with public maps and archives can find the place and the date."
+)
+"""What the summary says at its end."""
+
+DAYS_DIFFER: Final = (
+    "days differ: cars send at all hours, and midnight UTC comes at another time of their day, so what is learned day "
+    "by day (usable_capacity and energy_soc of tables, and forecasts) differs slightly"
+)
+"""What the summary says where no shift keeps the days."""
+
+
+class Extent(NamedTuple):
+    """Hold times and place of recordings.
+
+    Parameters
+    ----------
+    begin_s, end_s : float
+        First and last time of receipt. [Unix s]
+    centre : tuple of (float, float) or None
+        Latitude and longitude of the centre of the positions, None if there are none. [deg]
+    busy : list of bool
+        Whether telemetry was received in each of the 24 hours of the day, UTC.
+    """
+
+    begin_s: float
+    end_s: float
+    centre: tuple[float, float] | None
+    busy: list[bool]
+
+
+def anonymise(
+    recordings: Recordings,
+    *,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="F.mcap", help="Recording to write.")],
+    json_file: JsonFile = None,
+) -> None:
+    """Hide names, places and dates of recordings, merged in time order, so that they can be shared.
+
+    Names of cars, rides, drivers and stations are hashed with a random salt that is thrown away. One random rotation of
+    the Earth moves and turns all positions, and wind directions turn alike. All times are shifted alike by whole weeks
+    and hours, so that the sun and the season stay. Only fields of the wire contract pass.
+
+    Distances, climbs, headwinds and energies stay: tables of the result are those of the original but for names, places
+    and dates. The summary says what can still identify.
+
+    Examples
+    --------
+    socast anonymise kept/shift.mcap -o shared.mcap
+    socast anonymise kept/*.mcap -o shared.mcap --json -
+    """
+    sources = open_recordings(recordings)
+    check_outputs(recordings, out, json_file)
+    report = rewrite_recordings(sources, out, SystemRandom())
+    write_json(json_file, "anonymise", report)
+    console = make_console(json_file)
+    for line in describe(report, out):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    warn_of_losses(sources)
+
+
+def rewrite_recordings(sources: Sequence[McapSource], out: Path, random: Random) -> dict[str, Any]:
+    """Write recordings in a random disguise, and return what was changed and dropped.
+
+    Parameters
+    ----------
+    sources : sequence of McapSource
+        Recordings.
+    out : Path
+        Recording to write.
+    random : Random
+        Source of random numbers.
+
+    Returns
+    -------
+    dict
+        `kept` and `dropped` (numbers of messages by kind and by cause), `names` (numbers of names by kind), `positions`
+        (number), `days_stay` (whether samples of the same day, UTC, are of the same day again) and `remains` (what can
+        still identify).
+    """
+    extent = find_extent(sources)
+    disguise = make_disguise(random, *extent)
+    rewriter = MessageRewriter(disguise)
+    with show_progress(sources, words="writing") as step, McapSink(out, metadata=make_metadata("anonymise")) as sink:
+        for messages in merge_sources(sources):
+            sink.put([rewritten for each in messages if (rewritten := rewriter.rewrite(each)) is not None])
+            step()
+    refuse_unusable(sources, rewriter.kept.total())
+    rewriter.dropped["of another contract"] = sum(source.losses.foreign.total() for source in sources)
+    rewriter.dropped["for viewers"] = sum(source.viewer_messages.total() for source in sources)
+    return {
+        "kept": dict(rewriter.kept),
+        "dropped": {cause: count for cause, count in rewriter.dropped.items() if count},
+        "names": {kind: len(names) for kind, names in rewriter.names.items()},
+        "positions": rewriter.positions,
+        "days_stay": keeps_days(disguise.shift_s // 3600 % 24, extent.busy),
+        "remains": REMAINS,
+    }
+
+
+def find_extent(sources: Sequence[McapSource]) -> Extent:
+    """Return the times of recordings and the centre of their cars, or of their stations where no car has a position.
+
+    Parameters
+    ----------
+    sources : sequence of McapSource
+        Recordings.
+    """
+    spans = [span for source in sources if (span := source.span_ns)]
+    begin, end = (min(span[0] for span in spans), max(span[1] for span in spans)) if spans else (0, 0)
+    decoders = {"telemetry": msgspec.json.Decoder(Telemetry), "weather": msgspec.json.Decoder(Weather)}
+    places: dict[str, list[tuple[float, float]]] = {kind: [] for kind in decoders}
+    hours: set[int] = set()
+    with show_progress(sources, words="reading") as step:
+        for source in sources:
+            for messages in source:
+                for kind, decoder in decoders.items():
+                    places[kind] += _read_places(messages, kind, decoder)
+                hours |= {each.receipt_ns // 3_600_000_000_000 % 24 for each in messages if _is(each, "telemetry")}
+                step()
+    found = places["telemetry"] or places["weather"]
+    centre = find_centre(*np.array(found).T) if found else None
+    return Extent(begin * 1e-9, end * 1e-9, centre, [hour in hours for hour in range(24)])
+
+
+def describe(report: dict[str, Any], out: Path) -> list[str]:
+    """Return the lines of the summary.
+
+    Parameters
+    ----------
+    report : dict
+        Result of `rewrite_recordings`.
+    out : Path
+        Recording that was written.
+    """
+    names = ", ".join(f"{count:,} {kind}{'s' * (count != 1)}" for kind, count in report["names"].items() if count)
+    dropped = ", ".join(f"{count:,} {cause}" for cause, count in report["dropped"].items())
+    return [
+        f"{out}: {sum(report['kept'].values()):,} messages",
+        f"changed: names of {names or 'nobody'}; {report['positions']:,} positions; all times",
+        f"dropped: {dropped or 'no message'}; key prefixes, fields outside the contract, what the file said of itself",
+        *([] if report["days_stay"] else [DAYS_DIFFER]),
+        report["remains"],
+    ]
+
+
+def _is(message: Message, kind: str) -> bool:
+    """Return whether a message is of a kind."""
+    known = address(message.key)
+    return known is not None and known.kind == kind
+
+
+def _read_places(messages: Sequence[Message], kind: str, decoder: Any) -> list[tuple[float, float]]:
+    """Return some positions of messages of a kind."""
+    found = []
+    for message in [each for each in messages if _is(each, kind)][::EVERY]:
+        try:
+            value = decoder.decode(message.payload)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            continue
+        position = value.latitude_deg, value.longitude_deg
+        if None not in position and abs(position[0]) <= 90.0 and abs(position[1]) <= 180.0 and any(position):
+            found.append(position)
+    return found
