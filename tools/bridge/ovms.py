@@ -21,8 +21,7 @@ from core.errors import SettingsError
 from stream.mqtt_source import MOST_TAKEN, MqttMessage, MqttSource, Ticket
 from stream.structured_log import event_fields
 from tools.bridge.row_assembler import RowAssembler, Value
-from tools.bridge.signals import FIX, Signal, make_signal, parse_number
-from tools.importers.table.units import POWER
+from tools.bridge.signals import FIX, Signal, parse_number, read_signals
 
 TOPICS: Final = "ovms"
 """Default first levels of all topics."""
@@ -36,24 +35,7 @@ MANY_STALLS: Final = 100
 """Number of such waits after which the log says so."""
 LONGEST_TEXT: Final = 64
 """Largest length of a value. [B]"""
-METRICS: Final[Mapping[str, Signal]] = MappingProxyType(
-    {
-        "v/b/soc": make_signal("soc_pct", "percent"),
-        "v/b/voltage": make_signal("battery_voltage_v", "V"),
-        "v/b/current": make_signal("battery_current_a", "A"),
-        "v/b/power": make_signal(POWER, "kW"),
-        "v/b/temp": make_signal("battery_temperature_c", "degC"),
-        "v/c/charging": make_signal("charging", ""),
-        "v/e/temp": make_signal("ambient_c", "degC"),
-        "v/p/gpslock": Signal(FIX),
-        "v/p/latitude": make_signal("latitude_deg", "degree"),
-        "v/p/longitude": make_signal("longitude_deg", "degree"),
-        "v/p/altitude": make_signal("elevation_m", "m"),
-        "v/p/speed": make_signal("speed_kmh", "km/h"),
-        "v/p/gpsspeed": make_signal("speed_kmh", "km/h", rank=1),
-        "v/p/odometer": make_signal("odometer_km", "km"),
-    }
-)
+METRICS: Final[Mapping[str, Signal]] = MappingProxyType(read_signals("ovms") | {"v/p/gpslock": Signal(FIX)})
 """Metric, with slashes -> what it gives."""
 _log = logging.getLogger("socast.bridge")
 

@@ -1,8 +1,12 @@
-"""Signals of other ecosystems: which field of a sample each one gives, in which unit and with which sign."""
+"""Signals of other ecosystems: which field of a sample each one gives, in which unit and with which sign.
+
+The presets of `socast import` say it; the same signals come from files there and live here.
+"""
 
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
+from tools.importers.table.presets import get_preset
 from tools.importers.table.units import Conversion, find_conversion
 
 FIX: Final = "fix"
@@ -51,6 +55,26 @@ def make_signal(field: str, unit: str, *, sign: int = 1, rank: int = 0) -> Signa
         return Signal(field, rank=rank)
     conversion = find_conversion(unit, field)
     return Signal(field, Conversion(sign * conversion.factor, sign * conversion.offset), rank)
+
+
+def read_signals(preset: str) -> dict[str, Signal]:
+    """Return the signals of an ecosystem as the preset for its exports describes them, with slashes for dots.
+
+    Parameters
+    ----------
+    preset : str
+        Name of a preset of `socast import`.
+
+    Examples
+    --------
+    >>> read_signals("ovms")["v/p/gpsspeed"]
+    Signal(field='speed_kmh', conversion=Conversion(factor=1.0, offset=0.0), rank=1)
+    """
+    return {
+        (place.column or "").replace(".", "/"): make_signal(field, place.unit or "", sign=place.sign or 1, rank=rank)
+        for field, places in get_preset(preset).fields.items()
+        for rank, place in enumerate(places)
+    }
 
 
 def parse_number(signal: Signal, value: object) -> float | None:

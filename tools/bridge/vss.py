@@ -21,8 +21,7 @@ from core.errors import SettingsError
 from core.wire.messages import IDENTITY
 from stream.zenoh_signals import MOST_TAKEN, SignalSample, ZenohSignals
 from tools.bridge.row_assembler import RowAssembler, Value
-from tools.bridge.signals import Signal, make_signal, parse_number
-from tools.importers.table.units import POWER
+from tools.bridge.signals import Signal, make_signal, parse_number, read_signals
 
 NEWEST: Final = 6
 """Default major version of VSS."""
@@ -32,7 +31,6 @@ LONGEST_PAYLOAD: Final = 4096
 """Largest size of a payload. [B]"""
 TARGET: Final = b"targetValue"
 """Attachment of a wish, which is no state of the car."""
-BATTERY: Final = "Powertrain/TractionBattery"
 _VALUE_NAMES: Final = "value", "v"
 _TIME_NAMES: Final = "timestamp", "ts", "time"
 
@@ -54,21 +52,8 @@ def make_signals(version: int = NEWEST) -> dict[str, Signal]:
         raise SettingsError(
             f"--vss-version is {version}, must be from 3 to 7; give the major version that the cars use"
         )
-    return {
-        "Speed": make_signal("speed_kmh", "km/h"),
-        "TraveledDistance": make_signal("odometer_km", "m" if version >= METRES_SINCE else "km"),
-        "CurrentLocation/Latitude": make_signal("latitude_deg", "degree"),
-        "CurrentLocation/Longitude": make_signal("longitude_deg", "degree"),
-        "CurrentLocation/Altitude": make_signal("elevation_m", "m"),
-        "Exterior/AirTemperature": make_signal("ambient_c", "degC"),
-        f"{BATTERY}/StateOfCharge/Displayed": make_signal("soc_pct", "percent"),
-        f"{BATTERY}/StateOfCharge/Current": make_signal("soc_pct", "percent", rank=1),
-        f"{BATTERY}/CurrentVoltage": make_signal("battery_voltage_v", "V"),
-        f"{BATTERY}/CurrentCurrent": make_signal("battery_current_a", "A", sign=-1),
-        f"{BATTERY}/CurrentPower": make_signal(POWER, "W", sign=-1),
-        f"{BATTERY}/Temperature/Average": make_signal("battery_temperature_c", "degC"),
-        f"{BATTERY}/Charging/IsCharging": make_signal("charging", ""),
-    }
+    signals = {path.removeprefix("Vehicle/"): signal for path, signal in read_signals("vss").items()}
+    return signals | {"TraveledDistance": make_signal("odometer_km", "m" if version >= METRES_SINCE else "km")}
 
 
 class VssReader:
