@@ -12,7 +12,7 @@ from core import effects
 from core.batch import Batch, Ints, Lanes, Stateful
 from core.cleaning.elevation_map import ElevationMap
 from core.cleaning.kernel import Cleaner
-from core.cleaning.segmentation import NO_RIDE_EVENTS, RIDE_EVENT, UNKNOWN_NAME
+from core.cleaning.segmentation import NO_RIDE_EVENTS, RIDE_EVENT, SILENCE, UNKNOWN_NAME
 from core.columns import JOULES_PER_KWH, SECONDS_PER_DAY
 from core.errors import AskError, SettingsError
 from core.forecast.day_rollover import DailyUpdate, DayRollover
@@ -32,7 +32,7 @@ from core.monitoring.shadow import ShadowModels
 from core.settings import Limits, Settings, check_limits, checked
 from core.signals.signals import flag_ambient
 from core.signals.weather import Stations
-from core.snapshot import load_components, open_snapshot, seal_snapshot
+from core.snapshot import SCHEMAS, load_components, open_snapshot, seal_snapshot
 from core.totals.accumulator import Accumulator, Sums
 from core.totals.clean_rows import CleanRows, PowerOfEffect, sum_rows
 from core.totals.closed_rides import ClosedTotals
@@ -44,18 +44,13 @@ from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
 from core.vehicles.fleet import Cars, ReplacedKind
 from core.wire.decoder import Decoder, Event, Refused
 from core.wire.duplicate_filter import DuplicateFilter
-from core.wire.message_order import MessageOrder, Piece, VehicleChange
+from core.wire.message_order import MessageOrder, Piece, Silence, VehicleChange
 from core.wire.messages import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
 from core.wire.rides import RideDrivers
 
 BLOCK: Final = 4000
 """Number of rows that pass through the steps at a time, so that their columns stay in the cache; no power of two, at
 which columns would evict each other from the cache and the kernel would take twice the time."""
-STATEFUL: Final = (
-    *("lanes", "cars", "duplicates", "decoder", "drivers", "plans", "day_rollover", "cleaner", "stations"),
-    *("accumulator", "displays", "counters", "engine", "silent_cars"),
-)
-"""Attributes of a pipeline that have a state, in the order in which they must load."""
 OF_LANES: Final = (
     *("cars", "decoder", "plans", "cleaner", "accumulator", "displays", "engine", "silent_cars", "shadows", "closed"),
 )
@@ -148,8 +143,8 @@ class Pipeline:
     def take(self, messages: Sequence[Message], record: Callable[[Sequence[Message]], None] | None = None) -> None:
         """Take messages in the order of their arrival, without returning forecasts.
 
-        Messages that were taken in before are dropped. Event time alone decides which samples call for a forecast. The
-        same messages therefore give the same forecasts, to the bit, however they are cut into batches.
+        Messages that were taken in before are dropped. Event time alone decides which samples call for a forecast, so
+        the same messages give the same forecasts, to the bit, however they are cut into batches.
 
         Parameters
         ----------
@@ -171,7 +166,12 @@ class Pipeline:
         self._forget_ride_names()
         batch, events = self.decoder.decode(messages, refusals := list[Refused]())
         events = self.day_rollover.add_updates(batch, events)
-        order, piece = MessageOrder(batch.size, events), Piece(0, [], [], [])
+        self._process(batch, events, MessageOrder(batch.size, events), refusals)
+        return refusals
+
+    def _process(self, batch: Batch, events: list[Event], order: MessageOrder, refusals: list[Refused]) -> None:
+        """Run all steps on decoded messages, in their order."""
+        piece = Piece(0, [], [], [])
         for number, event in enumerate(events):
             (row, lane, value, _), place = event, order.of_event(number)
             self.silent_cars.hear([lane] if lane >= 0 else [], samples=False)
@@ -179,6 +179,8 @@ class Pipeline:
                 piece.changes.append(VehicleChange(row - piece.start, lane, value, place))
             elif isinstance(value, Ride):
                 piece.ride_events.append((row, lane, place, *self._take_ride(place, lane, value)))
+            elif isinstance(value, Silence):
+                piece.ride_events.append((row, lane, place, *SILENCE))
             elif isinstance(value, Plan):
                 self._take_plan(place, lane, value)
             elif isinstance(value, Weather):
@@ -192,13 +194,15 @@ class Pipeline:
         self._pending.end_batch(order.size)
         if self.deferred:
             self.deferred.end_batch(order.size)
-        return refusals
+        else:
+            self.drivers.settle()
 
     def finish(self) -> list[Message]:
         """Close all rides, windows and running errors in progress at the end of the stream, and return no messages."""
         self._update_forecasts()
         if self.deferred is not None:
             self._take_released(self.deferred, self.deferred.close())
+        self.drivers.settle()
         self._take_closed(sums := self.displays.attach(self.accumulator.close(), len(self.lanes)))
         if self.keep_forecasts:
             self.engine.process(DueInput(sums))
@@ -229,7 +233,7 @@ class Pipeline:
                 self._pending.add_sums(sums, end - at)
                 if self._pending.size >= BLOCK:
                     self._update_forecasts(order.of_row(end))
-        for value in [value for row, value in piece.observations if row == stop]:
+        for value in (value for row, value in piece.observations if row == stop):
             self.stations.observe(value)
         return Piece(stop, [], [], [])
 
@@ -277,16 +281,17 @@ class Pipeline:
 
     def _take_closed(self, sums: Sums) -> None:
         """Count, evaluate and keep the rides and windows that have ended."""
-        names: list[str | None] = []
+        names, drivers = list[str | None](), list[str | None]()
         if len(sums.rides.lane):
             names = self.decoder.rides.names(sums.rides.at_last("code").tolist())
+            drivers = self.drivers.find_all(map(self.lanes.names.__getitem__, sums.rides.lane), names, sums.rides.at)
             reasons = unfit_reason(sums.rides, self.context)
             self.counters.count_rides(sums.rides, reasons, self.context)
             if self.keep_forecasts or self.shadows:
                 fit = np.array([reason is None for reason in reasons])
                 self.shadows.add(sums.rides, fit, self.context)
         if self.keep_tables:
-            self.closed.add(sums, names)
+            self.closed.add(sums, names, drivers)
 
     def _update_forecasts(self, end: int = 0) -> None:
         """Update filters, plans and forecasts by the messages up to the place `end`; between batches, by all."""
@@ -316,7 +321,7 @@ class Pipeline:
 
     def _take_ride(self, place: int, lane: int, ride: Ride) -> tuple[float, float, bool]:
         """Take the driver of a ride; return the code of its name, when it begins or ends, and whether it ends."""
-        self.drivers.observe(ride, len(self.lanes))
+        self.drivers.observe(ride, lane, place + (self.deferred.messages if self.deferred else 0))
         if self.keep_forecasts and ride.driver_id and ride.event == "start":
             self._pending.add_arrival(DriverNamed(place, lane, ride.driver_id))
         return self.decoder.rides.get(ride.ride_id, UNKNOWN_NAME), ride.time_s, ride.event == "end"
@@ -341,17 +346,12 @@ class Pipeline:
             self._pending.add_arrival(ForecastArrival(place, value))
 
     def forecasts(self, *, newest_only: bool = False) -> list[Message]:
-        """Return the forecasts that have become due since the last call.
+        """Return the forecasts that have become due since the last call, in that order.
 
         Parameters
         ----------
         newest_only : bool
             Return only the last of several forecasts of a vehicle, for a live consumer.
-
-        Returns
-        -------
-        list of Message
-            Forecasts in the order in which they became due.
         """
         self._update_forecasts()
         return self._due.take(newest_only=newest_only)
@@ -362,8 +362,7 @@ class Pipeline:
 
     def take_rides(self) -> pd.DataFrame:
         """Return the rides that have ended since the last call, see `core.totals.tables.tabulate_rides`."""
-        rides, names = self.closed.take_rides()
-        return tabulate_rides(rides, names, self.drivers, self.context)
+        return tabulate_rides(*self.closed.take_rides(), self.context)
 
     def take_windows(self) -> pd.DataFrame:
         """Return the windows that have ended since the last call, see `core.totals.tables.tabulate_windows`."""
@@ -487,7 +486,7 @@ class Pipeline:
 
     def _components(self) -> dict[str, Stateful]:
         """Return every component that has a state, in the order in which they must load."""
-        return {name: getattr(self, name) for name in (*STATEFUL, *["deferred"] * bool(self.deferred), "shadows")}
+        return {name: getattr(self, name) for name in SCHEMAS if self.deferred or name != "deferred"}
 
     def _forget_ride_names(self) -> None:
         """Forget the names of rides that have ended, once there are many."""

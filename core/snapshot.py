@@ -199,7 +199,7 @@ SCHEMAS: Final[dict[str, Schema]] = {
             limits={**dict.fromkeys(("received", "lost"), _INDEX), "period": Number(0.0, 1e6, unknown=False)},
         ),
     ),
-    "drivers": ByName(_TEXT),
+    "drivers": Row(ByName(_TEXT), Many(Row(_COUNT, _TEXT, _TEXT, _COUNT)), _COUNT),
     "plans": Many(Row(_LANE, _REAL)),
     "day_rollover": Row(
         Number(-inf, 4.3e9 + SECONDS_PER_DAY, unknown=False),

@@ -69,6 +69,7 @@ _STATISTICS: Final = struct.Struct("<QHIIII")  # messages, schemas, channels, at
 _CHUNK_PLACE: Final = struct.Struct("<QQQQ")  # first time, last time, offset, length
 _SPAN: Final = struct.Struct("<QQ")  # first and last time in the head of a chunk
 _TAIL: Final = FOOTER_RECORD.size + len(MAGIC)
+IN_ORDER: Final = "only a reader of the whole recording, in order, can use it; read it without --cluster"
 _DAMAGE: Final = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError, OverflowError)
 
 
@@ -175,6 +176,61 @@ class McapSource:
             self.losses.missing_messages = max(0, self._count - delivered - left_out)
         if not delivered:
             self._refuse_foreign()
+
+    @property
+    def block_spans(self) -> list[tuple[int, int, int]]:
+        """Return the first and last time of receipt [ns] and the size [B] of each chunk, in the order of time."""
+        return [(block.first_ns, block.last_ns, block.length) for block in self._blocks]
+
+    def read_span(self, start_ns: float, stop_ns: float) -> list[Message]:
+        """Return the messages received in a span of time, in the order of an iteration.
+
+        `losses` and `viewer_messages` then count those of the chunks that begin in the span, so that the counts of
+        spans that follow each other add up.
+
+        Parameters
+        ----------
+        start_ns, stop_ns : float
+            The first time, and the time before which the span ends; either may be infinite. [Unix ns]
+
+        Raises
+        ------
+        RecordingError
+            If a message is outside the span of time of its chunk, or if a chunk does not describe its channels.
+        """
+        counted, others = (Losses(), Counter[str]()), (Losses(), Counter[str]())
+        out: list[Message] = []
+        with self.path.open("rb") as file:
+            for block in self._blocks:
+                if block.first_ns >= stop_ns or block.last_ns < start_ns:
+                    if not (block.last_ns == 0 and start_ns <= block.first_ns < stop_ns):
+                        continue
+                is_own = start_ns <= block.first_ns < stop_ns
+                self.losses, self.viewer_messages = counted if is_own else others
+                self._read_bytes = self._expanded = 0
+                out += self._select_span(block, self._read_messages(file, block), start_ns, stop_ns)
+        self.losses, self.viewer_messages = counted
+        if self._count is None and self.losses.undescribed:
+            raise RecordingError(f"{self.path} breaks off, and its chunks do not describe their channels: {IN_ORDER}")
+        out.sort(key=itemgetter(2))
+        return out
+
+    def _select_span(
+        self, block: _Block, messages: list[Message], start_ns: float, stop_ns: float
+    ) -> list[Message]:
+        """Return those messages of a block that were received in a span of time."""
+        times = [message[2] for message in messages]
+        first_ns, last_ns = min(times, default=block.first_ns), max(times, default=block.last_ns)
+        if first_ns < block.first_ns or last_ns > block.last_ns:
+            raise RecordingError(f"{self.path} has messages outside the time span of their chunk: {IN_ORDER}")
+        if start_ns <= first_ns and last_ns < stop_ns:
+            return messages
+        return [message for message in messages if start_ns <= message[2] < stop_ns]
+
+    @property
+    def count(self) -> int | None:
+        """Return the number of messages by the summary; None without an intact one."""
+        return self._count
 
     def _check(self, file: BinaryIO) -> None:
         """Refuse an empty file and a file that is not MCAP."""

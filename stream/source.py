@@ -6,7 +6,7 @@ receives a stop request yields the messages that it already holds and ends. The 
 """
 
 import time
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import inf
 from operator import attrgetter
@@ -46,7 +46,8 @@ def merge_sources(sources: Sequence[Source]) -> Iterator[list[Message]]:
 
     Each source must itself be in that order. The function reads each source lazily, one list at a time. It sorts and
     yields all messages up to the earliest end of the lists that it holds, because no later list can hold an earlier
-    message.
+    message. Messages at that end wait if an earlier source may have another one there, so that the order does not depend
+    on where lists end.
 
     Parameters
     ----------
@@ -76,8 +77,10 @@ def merge_sources(sources: Sequence[Source]) -> Iterator[list[Message]]:
             return
         horizon = min(heads[i][-1].receipt_ns for i in live)
         ready: list[Message] = []
+        waits = False
         for i in live:
-            cut = bisect_right(heads[i], horizon, key=_receipt)
+            find, ends = bisect_left if waits else bisect_right, heads[i][-1].receipt_ns == horizon
+            cut, waits = find(heads[i], horizon, key=_receipt), waits or ends
             ready += heads[i][:cut]
             heads[i] = heads[i][cut:]
         ready.sort(key=_receipt)

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from core.batch import Ints
 from core.cleaning import elevation_filter
 from core.cleaning.elevation_filter import (
     ESTIMATE,
@@ -27,6 +28,8 @@ from core.cleaning.elevation_filter import (
 from core.cleaning.kernel import Clean
 from core.compiled_cache import watch_sources
 
+LONGEST_PIECE: Final = 50_000
+"""Number of rows of a ride after which its elevation is estimated anew; 42 h at a sample every 3 s."""
 ROUNDING: Final = 0.3
 """Least standard deviation of a fix: that of a height in whole metres, 1 / sqrt(12). [m]"""
 INDEPENDENT: Final = 5.0
@@ -52,13 +55,15 @@ SWEEPS: Final = 3
 """Largest number of passes over the three parameters."""
 
 
-def smooth_elevation(clean: Clean) -> Clean:
+def smooth_elevation(clean: Clean, longest: int = LONGEST_PIECE) -> Clean:
     """Return cleaned rows with the elevation and climb of rides estimated from both sides.
 
     Parameters
     ----------
     clean : Clean
-        n rows, which hold whole rides.
+        n rows, which hold whole rides, or what follows whole pieces of them.
+    longest : int
+        Number of rows of a piece; a ride with more rows is estimated piece by piece. [rows]
 
     Returns
     -------
@@ -68,7 +73,8 @@ def smooth_elevation(clean: Clean) -> Clean:
     riding = np.flatnonzero(clean.ride >= 0)
     order = riding[np.argsort(clean.lane[riding], kind="stable")]
     lane, ride = clean.lane[order], clean.ride[order]
-    begins = np.flatnonzero((np.diff(lane, prepend=-1) != 0) | (np.diff(ride, prepend=-1) != 0))
+    is_first = (np.diff(lane, prepend=-1) != 0) | (np.diff(ride, prepend=-1) != 0)
+    begins = np.flatnonzero(is_first | (number_rows(np.cumsum(is_first)) % longest == 0))
     elevation, climb = clean.elevation.copy(), clean.climb.copy()
     heights, climbs = elevation[order], climb[order]
     columns = clean.distance, clean.dt, clean.elevation_fix, clean.ground, clean.ground_variance
@@ -76,6 +82,26 @@ def smooth_elevation(clean: Clean) -> Clean:
     smooth_rides(steps, np.append(begins, len(order)), UNIT_NOISE, heights, climbs)
     elevation[order], climb[order] = heights, climbs
     return clean._replace(elevation=elevation, climb=climb)
+
+
+def number_rows(group: Ints) -> Ints:
+    """Return the number of each row among the rows of its group, from 0 on.
+
+    Parameters
+    ----------
+    group : (n,) int
+
+    Examples
+    --------
+    >>> number_rows(np.array([4, 4, 2, 4, 2])).tolist()
+    [0, 1, 0, 2, 1]
+    """
+    order = np.argsort(group, kind="stable")
+    ordered = group[order]
+    first = np.searchsorted(ordered, ordered)
+    number = np.empty(len(group), np.int64)
+    number[order] = np.arange(len(group)) - first
+    return number
 
 
 def smooth_ride(steps: RideSteps, noise: tuple[float, float, float]) -> NDArray[np.void]:

@@ -49,10 +49,12 @@ RIDE_EVENT: Final = np.dtype(
         ("place", "i8"),  # place among the messages of the batch
         ("code", "f8"),  # code of the ride's name, `UNKNOWN_NAME` without one
         ("time", "f8"),  # when the ride begins or ends [s]
-        ("ends", "f8"),  # 1 for an `end`, 0 for a `start`
+        ("ends", "f8"),  # 1 for an `end`, 0 for a `start`, 2 where the fleet shows that the car is silent
     ]
 )
-"""A `start` or `end` of a ride, from dispatch."""
+"""A `start` or `end` of a ride, from dispatch, or its end by silence."""
+SILENCE: Final = (0.0, 0.0, 2.0)
+"""Code, time and `ends` of an end by silence, for a cleaner that does not clean all cars of the fleet."""
 NO_RIDE_EVENTS: Final = np.empty(0, RIDE_EVENT)
 """No message of dispatch."""
 MATERIAL_SOC: Final = 0.01
@@ -95,6 +97,9 @@ def take_ride_event(state: Any, event: Any) -> bool:
         return False
     if state.riding == 0.0:
         return False
+    if event.ends == 2.0:
+        finish_ride(state, 0.0)
+        return True
     nameless = state.code == NO_RIDE
     is_other = event.time < state.time - state.elapsed if nameless else event.code != state.code
     if is_other:

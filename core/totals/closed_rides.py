@@ -21,20 +21,22 @@ class ClosedTotals:
         self._none = none
         self._rides: list[Totals] = []
         self._ride_names: list[str | None] = []
+        self._drivers: list[str | None] = []
         self._windows: list[Totals] = []
 
-    def add(self, sums: Sums, ride_names: Sequence[str | None]) -> None:
+    def add(self, sums: Sums, ride_names: Sequence[str | None], drivers: Sequence[str | None]) -> None:
         """Keep what a batch closed.
 
         Parameters
         ----------
         sums : Sums
-        ride_names : sequence of str or None
-            Name of each of its rides.
+        ride_names, drivers : sequence of str or None
+            Name and driver of each of its rides.
         """
         if len(sums.rides.lane):
             self._rides.append(_copy(sums.rides))
             self._ride_names += ride_names
+            self._drivers += drivers
         if len(sums.windows.lane):
             self._windows.append(_copy(sums.windows))
 
@@ -47,11 +49,12 @@ class ClosedTotals:
         for parts in (self._rides, self._windows):
             parts[:] = [each._replace(lane=np.searchsorted(lanes, each.lane)) for each in parts]
 
-    def take_rides(self) -> tuple[Totals, list[str | None]]:
-        """Return the rides and their names that were kept since the last call."""
+    def take_rides(self) -> tuple[Totals, list[str | None], list[str | None]]:
+        """Return the rides, their names and their drivers that were kept since the last call."""
         rides, self._rides = self._rides, []
         names, self._ride_names = self._ride_names, []
-        return join_totals(rides, self._none), names
+        drivers, self._drivers = self._drivers, []
+        return join_totals(rides, self._none), names, drivers
 
     def take_windows(self) -> Totals:
         """Return the windows that were kept since the last call."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
-from core.cleaning.elevation_smoother import smooth_elevation
+from core.cleaning.elevation_smoother import LONGEST_PIECE, number_rows, smooth_elevation
 from core.cleaning.fleet_clock import RIDE_END
 from core.cleaning.kernel import Clean
 from core.signals.weather import Sky
@@ -32,8 +32,6 @@ WHOLE: Final = ("lane", "ride", "window", "quality")
 """Columns of whole numbers in `Clean`."""
 LEAST: Final = 20_000
 """Least number of rows between two releases: 8 MB."""
-LONGEST_RIDE: Final = 50_000
-"""Number of rows after which the rows of a ride are released although it is still open; 42 h at a sample every 3 s."""
 
 _LANE, _RIDE, _CODE, _PLACE = (FIELDS.index(name) for name in ("lane", "ride", "code", "place"))
 
@@ -46,20 +44,22 @@ class DeferredRows:
     least : int
         Least number of rows between two releases. [rows]
     longest : int
-        Number of rows after which the rows of an open ride are released. [rows]
+        Number of rows of a piece: it is released although its ride is still open. [rows]
 
     Attributes
     ----------
+    messages : int
+        Number of messages in all batches before the present one.
     totals : DeferredTotals
         Totals of released rows, which wait for rows that are kept.
     """
 
-    def __init__(self, least: int = LEAST, longest: int = LONGEST_RIDE) -> None:
+    def __init__(self, least: int = LEAST, longest: int = LONGEST_PIECE) -> None:
         self.least, self.longest = least, longest
         self.totals = DeferredTotals()
         self._parts: list[Floats] = []
         self._ends: NDArray[np.void] = NO_ENDS  # of rides whose rows are kept; `place` is that among all messages
-        self._messages = 0  # in all batches before the present one
+        self.messages = 0
         self._until_release = least
 
     def add(self, rows: CleanRows) -> list[CleanRows]:
@@ -76,9 +76,9 @@ class DeferredRows:
             Rows of closed rides and of idle periods, each part in the order of arrival.
         """
         place = np.arange(rows.size) if rows.place is None else rows.place
-        table = np.stack([*rows.clean, *rows.sky, rows.kind, place + self._messages]).astype(np.float64, copy=False)
+        table = np.stack([*rows.clean, *rows.sky, rows.kind, place + self.messages]).astype(np.float64, copy=False)
         ends = rows.ends.copy()
-        ends["place"] += self._messages
+        ends["place"] += self.messages
         released = []
         while table.shape[1] >= self._until_release:
             head, table = table[:, : self._until_release], table[:, self._until_release :]
@@ -94,7 +94,7 @@ class DeferredRows:
 
     def end_batch(self, messages: int) -> None:
         """Note the end of a batch of so many messages: the places of later ones are counted from it."""
-        self._messages += messages
+        self.messages += messages
 
     def close(self) -> list[CleanRows]:
         """Return all kept rows at the end of the stream."""
@@ -126,7 +126,7 @@ class DeferredRows:
 
     def add_daily_update(self, place: int, kind_of_lane: Ints) -> None:
         """Let a daily update wait, see `DeferredTotals`; `place` is that in the batch."""
-        self.totals.add_daily_update(self._messages + place, kind_of_lane)
+        self.totals.add_daily_update(self.messages + place, kind_of_lane)
 
     @property
     def first_place(self) -> float:
@@ -146,22 +146,24 @@ class DeferredRows:
         return self._complete(table[:, ~is_open])
 
     def _find_open_rows(self, lane: Ints, ride: Floats, place: Floats) -> NDArray[np.bool_]:
-        """Return whether each row belongs to the ride in progress of its lane, and that ride is not too long."""
+        """Return whether each row belongs to the ride in progress of its lane, and to no whole piece of that ride."""
         newest, last = np.full((2, lane.max(initial=-1) + 1), -1.0)
         newest[lane], last[lane] = ride, place  # the last row of a lane is assigned last
         ends = self._ends[self._ends["lane"] < len(newest)]
         ended = ends["lane"][ends["place"] >= last[ends["lane"]]]
         newest[ended] = -1.0
         is_open: NDArray[np.bool_] = (ride >= 0.0) & (ride == newest[lane])
-        rows = np.bincount(lane[is_open], minlength=len(newest))
-        return is_open & (rows[lane] <= self.longest)
+        pieces = self.longest * (np.bincount(lane[is_open], minlength=len(newest)) // self.longest)
+        if pieces.any():
+            is_open[is_open] = number_rows(lane[is_open]) >= pieces[lane[is_open]]
+        return is_open
 
     def _complete(self, table: Floats) -> CleanRows:
         """Return kept rows, with smoothed elevation and without due forecasts, and the ends between them."""
         size = len(Clean._fields)
         clean = Clean(*table[:size])
         clean = clean._replace(**{name: getattr(clean, name).astype(np.int64) for name in WHOLE})
-        clean = smooth_elevation(clean._replace(due=np.zeros(table.shape[1], np.bool_)))
+        clean = smooth_elevation(clean._replace(due=np.zeros(table.shape[1], np.bool_)), self.longest)
         kind, place = table[-2:].astype(np.int64)
         ends, self._ends = self._ends, NO_ENDS
         ends["row"] = np.searchsorted(place, ends["place"], side="right")
@@ -170,11 +172,11 @@ class DeferredRows:
     def dump(self) -> Any:
         """Return what is kept as plain values."""
         table = np.concatenate([np.empty((len(FIELDS), 0)), *self._parts], axis=1)
-        return [table.tobytes(), self._until_release, self._messages, self._ends.tobytes(), self.totals.dump()]
+        return [table.tobytes(), self._until_release, self.messages, self._ends.tobytes(), self.totals.dump()]
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        table, self._until_release, self._messages, ends, totals = state
+        table, self._until_release, self.messages, ends, totals = state
         self._parts = [np.frombuffer(table).reshape(len(FIELDS), -1).copy()]
         self._ends = np.frombuffer(ends, RIDE_END).copy()
         self.totals.load(totals)

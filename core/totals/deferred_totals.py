@@ -3,7 +3,8 @@
 `core.totals.deferred_rows` releases the rows of a ride when the ride has ended, and rows of other rides later. What the
 display of a car stands for is pooled over cars with every daily update. The totals of deferred rows therefore wait
 until every row before their end has been summed. They then pass in the order of their ends, and the daily updates
-between them, as in the causal pipeline.
+between them, as in the causal pipeline. Totals that end at the same place pass in the order of their lanes, so that
+the order depends on nothing but the messages.
 """
 
 from collections.abc import Iterator
@@ -66,7 +67,7 @@ class DeferredTotals:
         if not self._sums:
             return _NO_SUMS
         joined = [join_totals(parts, parts[0]) for parts in zip(*self._sums, strict=True)]
-        ordered = [part.rows(np.argsort(part.at, kind="stable")) for part in joined]
+        ordered = [part.rows(np.lexsort((part.lane, part.at))) for part in joined]
         numbers = [int(np.searchsorted(part.at, before)) for part in ordered]
         rest = Sums(*(part.rows(np.arange(n, len(part.at))) for part, n in zip(ordered, numbers, strict=True)))
         self._sums = []

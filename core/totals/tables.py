@@ -29,7 +29,6 @@ from core.totals.measured_energy import (
     measure_by_soc,
     measure_energy,
 )
-from core.wire.rides import RideDrivers
 
 CUT: Final = 0.1
 """Largest share of its duration that a ride fit for training may lack at its beginning and end. [1]"""
@@ -248,7 +247,7 @@ def tabulate_windows(totals: Totals, context: RunContext) -> pd.DataFrame:
 def tabulate_rides(
     totals: Totals,
     ride_names: Sequence[str | None],
-    drivers: RideDrivers,
+    drivers: Sequence[str | None],
     context: RunContext,
 ) -> pd.DataFrame:
     """Return the ride table, with one row per ride and every term of the paper's Table 1.
@@ -259,8 +258,8 @@ def tabulate_rides(
         Totals of n rides.
     ride_names : sequence of n (str or None)
         Names that the logger gave. A ride without a name gets the name of its vehicle and its ordinal.
-    drivers : RideDrivers
-        Drivers of rides, as dispatch reported them.
+    drivers : sequence of n (str or None)
+        Drivers of the rides, as dispatch reported them.
     context : RunContext
         Context of the run; its settings hold the thresholds of fitness for training.
 
@@ -278,14 +277,13 @@ def tabulate_rides(
     reason = unfit_reason(totals, context)
     quality = {f"quality_{cause}": totals.quality[:, i].astype(np.int64) for i, cause in enumerate(CAUSES)}
     vehicle_ids = [context.vehicle_ids[lane] for lane in totals.lane.tolist()]
-    named = zip(vehicle_ids, ride_names, strict=True)
     own = {
         "ride_id": text([name or key for name, key in zip(ride_names, keys, strict=True)]),
         "ride_key": text(keys),
         "vehicle_id": text(vehicle_ids),
         "vehicle_model": _named(kinds, context.cars.name),
         "energy_source": _named(measured.source, SOURCES.__getitem__),
-        "driver_id": text([drivers.find(vehicle_id, name) for vehicle_id, name in named]),
+        "driver_id": text(drivers),
         "date": text([_date(time) for time in start]),
         "winter": winter,
         "summer": 1 - winter,

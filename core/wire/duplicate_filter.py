@@ -113,16 +113,58 @@ class DuplicateFilter:
         if min(payloads, default=b"{") < b"{":  # a list begins with [, a sample with {
             samples = self._split_lists(messages, room)
             messages = messages[: len(samples)]
-            pairs = zip([self._seeds[message[0]] for message in messages], samples, strict=True)
-            hashes = np.array([xxh3_64_intdigest(each, seed) for seed, parts in pairs for each in parts], np.uint64)
+            hashes = self._hash_samples(messages, samples)
             self._part = _Part(messages, samples, hashes, self._remember(hashes))
         else:
-            if len(messages) > room:
-                messages, payloads = messages[:room], payloads[:room]
-            seeds = map(self._seeds.__getitem__, [message[0] for message in messages])
-            hashes = np.fromiter(map(xxh3_64_intdigest, payloads, seeds), np.uint64, len(payloads))
+            messages = messages if len(messages) <= room else messages[:room]
+            hashes = self._hash_messages(messages)
             self._part = _Part(messages, None, hashes, self._remember(hashes))
         return self._part.select(self._part.is_new), len(messages)
+
+    def hash(self, messages: Sequence[Message]) -> tuple[Hashes, list[list[Any]] | None]:
+        """Return the hashes of the samples of messages, and the samples of each; None if no message is a list.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+        """
+        if min((message[1] for message in messages), default=b"{") < b"{":
+            samples = [self._split_list(message) for message in messages]
+            return self._hash_samples(messages, samples), samples
+        return self._hash_messages(messages), None
+
+    def select_new_hashes(self, hashes: Hashes, message: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Remember samples by their hashes, and return which of them were not taken in before, as `select_new` does.
+
+        They are taken up to the end of the message at which the halves turn over; call it again with the others.
+
+        Parameters
+        ----------
+        hashes : (n,) uint64
+            Result of `hash`, without samples that are refused.
+        message : (n,) int
+            Number of the message of each.
+
+        Returns
+        -------
+        (m,) bool
+            Whether each of the first m samples is new.
+        """
+        self._turn_over_if_full()
+        stop = self._most - self._count
+        if stop < len(hashes):
+            stop = int(np.searchsorted(message, message[stop - 1], side="right"))
+        return self._remember(hashes[:stop])
+
+    def _hash_messages(self, messages: Sequence[Message]) -> Hashes:
+        """Return the hashes of messages that are no lists."""
+        seeds = map(self._seeds.__getitem__, [message[0] for message in messages])
+        return np.fromiter(map(xxh3_64_intdigest, [message[1] for message in messages], seeds), np.uint64, len(messages))
+
+    def _hash_samples(self, messages: Sequence[Message], samples: list[list[Any]]) -> Hashes:
+        """Return the hashes of the samples of messages."""
+        pairs = zip([self._seeds[message[0]] for message in messages], samples, strict=True)
+        return np.array([xxh3_64_intdigest(each, seed) for seed, parts in pairs for each in parts], np.uint64)
 
     def forget(self, refusals: Sequence[Refused]) -> Sequence[Message]:
         """Forget refused messages, and return those that were dropped because they repeated one of them.

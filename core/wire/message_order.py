@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from core.wire.decoder import Event
-from core.wire.messages import Vehicle, Weather
+from core.wire.messages import Vehicle, Weather, Wire
 
 
 class VehicleChange(NamedTuple):
@@ -28,6 +28,10 @@ class VehicleChange(NamedTuple):
     lane: int
     message: Vehicle
     place: int = 0
+
+
+class Silence(Wire):
+    """Mark where the samples of other cars show that a car is silent, among its messages; it is never published."""
 
 
 class Piece(NamedTuple):

@@ -1,6 +1,8 @@
 """Names and drivers of rides, as the wire reports them."""
 
+from collections import deque
 from collections.abc import Iterable
+from math import inf
 from typing import Any, Final
 
 from core.batch import NO_RIDE
@@ -68,34 +70,57 @@ class RideNames(dict[Any, float]):
 
 
 class RideDrivers:
-    """Remember the driver of each ride, as dispatch reports it. The oldest rides are forgotten first."""
+    """Remember the driver of each ride, as dispatch reports it. The oldest rides are forgotten first.
+
+    A report waits until a ride is looked up that ended after it. The driver of a ride is therefore the one that was
+    reported last before its end, however late the ride is looked up.
+    """
 
     def __init__(self) -> None:
         self._driver_of: dict[str, str] = {}
+        self._reports: deque[tuple[int, str, str, int]] = deque()  # place, ride, driver, most rides to remember
+        self._vehicles = 0
 
-    def observe(self, ride: Ride, vehicles: int) -> None:
-        """Remember the driver of a ride, and forget the oldest ride where too many are known.
+    def observe(self, ride: Ride, lane: int, place: int) -> None:
+        """Take the report of a driver.
 
         Parameters
         ----------
         ride : Ride
-        vehicles : int
-            Number of vehicles seen so far.
+        lane : int
+            Lane of its vehicle.
+        place : int
+            Place of the message among all others; later reports have larger ones.
         """
-        if ride.driver_id is None:
-            return
-        self._driver_of[f"{ride.vehicle_id}/{ride.ride_id}"] = ride.driver_id
-        if len(self._driver_of) > DRIVERS_PER_VEHICLE * vehicles + DRIVERS:
-            del self._driver_of[next(iter(self._driver_of))]
+        if ride.driver_id is not None:
+            self._vehicles = max(self._vehicles, lane + 1)
+            most = DRIVERS_PER_VEHICLE * self._vehicles + DRIVERS
+            self._reports.append((place, f"{ride.vehicle_id}/{ride.ride_id}", ride.driver_id, most))
 
-    def find(self, vehicle_id: str, ride_id: str | None) -> str | None:
-        """Return the driver of a ride, None where unknown."""
+    def find(self, vehicle_id: str, ride_id: str | None, place: float) -> str | None:
+        """Return the driver of a ride that ended at a place, None where unknown; places must ascend."""
+        self.settle(place)
         return self._driver_of.get(f"{vehicle_id}/{ride_id}")
 
-    def dump(self) -> dict[str, str]:
-        """Return the state as a plain mapping."""
-        return dict(self._driver_of)
+    def find_all(
+        self, vehicle_ids: Iterable[str], ride_ids: Iterable[str | None], places: Iterable[float]
+    ) -> list[str | None]:
+        """Return the drivers of rides in the order of the places at which they ended, see `find`."""
+        return [self.find(*ride) for ride in zip(vehicle_ids, ride_ids, places, strict=True)]
 
-    def load(self, state: dict[str, str]) -> None:
+    def settle(self, place: float = inf) -> None:
+        """Remember the drivers reported up to a place, and forget the oldest rides where too many are known."""
+        while self._reports and self._reports[0][0] <= place:
+            _, ride, driver, most = self._reports.popleft()
+            self._driver_of[ride] = driver
+            if len(self._driver_of) > most:
+                del self._driver_of[next(iter(self._driver_of))]
+
+    def dump(self) -> Any:
+        """Return the state as plain values."""
+        return [dict(self._driver_of), list(self._reports), self._vehicles]
+
+    def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        self._driver_of = dict(state)
+        drivers, reports, self._vehicles = state
+        self._driver_of, self._reports = dict(drivers), deque(map(tuple, reports))

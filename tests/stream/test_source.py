@@ -47,6 +47,13 @@ def test_merged_sources_are_sorted_without_loss(recordings, chunk):
         assert [m for m in got if m.key == str(n)] == part
 
 
+def test_equal_times_come_in_the_order_of_sources_wherever_lists_end():
+    lists = [[Message(name, b"%d" % i, 7) for i in range(3)] for name in "abc"]
+    for chunk in (1, 2, 3):
+        got = [m for block in merge_sources([MemorySource(part, chunk) for part in lists]) for m in block]
+        assert got == [message for part in lists for message in part]
+
+
 def test_merging_reads_sources_lazily():
     taken = []
 
