@@ -56,6 +56,22 @@ class Losses:
         """Return whether anything was lost."""
         return bool(self.lines())
 
+    def add(self, other: "Losses") -> "Losses":
+        """Return these losses and those of another part of the recording."""
+        return Losses(
+            self.unfinished or other.unfinished,
+            self.truncated_bytes + other.truncated_bytes,
+            self.damaged_chunks + other.damaged_chunks,
+            self.damaged_bytes + other.damaged_bytes,
+            self.missing_messages + other.missing_messages,
+            self.undescribed + other.undescribed,
+            self.foreign + other.foreign,
+            self.oversized + other.oversized,
+            self.oversized_bytes + other.oversized_bytes,
+            self.disordered + other.disordered,
+            self.is_contradicted or other.is_contradicted,
+        )
+
     def lines(self) -> list[str]:
         """Return one sentence per kind of loss; an empty list for a complete recording."""
         sentences = []

@@ -1,0 +1,243 @@
+"""The first stage: a span of time of all recordings is decoded, and its samples are parted by car.
+
+A span holds the messages of a time of receipt, in the order in which a serial reader yields them. Nothing here depends
+on another span: which samples were delivered before, and what else couples cars, `tools.cluster.ordering` decides.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
+from operator import attrgetter
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from core.batch import Batch, Ints, Lanes
+from core.forecast.weather_forecasts import WeatherForecasts
+from core.settings import BOUNDS_OF_LIMITS, Limits
+from core.signals.weather import Stations
+from core.wire.decoder import Decoder, Event, Refused
+from core.wire.duplicate_filter import DuplicateFilter
+from core.wire.messages import Message, Weather, address
+from stream.mcap_losses import Losses
+from stream.mcap_reader import McapSource
+from tools.cluster.job import Job, open_recording, replacing, write_arrays
+
+SPAN_BYTES: Final = 8 << 20
+"""Size of the chunks of a span; 100,000 to 200,000 samples. [B]"""
+REFUSED, SAMPLE, EVENT = range(3)
+"""What becomes of an item: a sample, or a message that is not telemetry."""
+_LIMITS: Final = Limits(vehicles=BOUNDS_OF_LIMITS["vehicles"][1])
+
+
+class SpanEvent(msgspec.Struct, array_like=True):
+    """Hold a message that is not telemetry, by the number of its item and the lane of its car in the span."""
+
+    item: int
+    lane: int
+    kind: str
+    payload: bytes
+
+
+class SpanTexts(msgspec.Struct):
+    """Hold the names in a span: of cars by lane, of rides by code; and the messages that are not telemetry."""
+
+    vehicles: list[str]
+    rides: list[str]
+    events: list[SpanEvent]
+
+
+@dataclass(frozen=True)
+class Span:
+    """Describe a decoded span.
+
+    Parameters
+    ----------
+    number, items, rows : int
+        Its number, and how many messages and samples of lists, and samples, it holds.
+    rejected : Counter
+        Messages that cannot be decoded, by cause.
+    delivered : tuple of int
+        Number of messages of each recording.
+    losses : tuple of Losses
+        Of each recording.
+    for_viewers : tuple of int
+        Number of messages of each recording that are for viewers.
+    """
+
+    number: int
+    items: int
+    rows: int
+    rejected: Counter[str]
+    delivered: tuple[int, ...]
+    losses: tuple[Losses, ...]
+    for_viewers: tuple[int, ...]
+
+
+def plan_spans(sources: Sequence[McapSource], span_bytes: int = SPAN_BYTES) -> list[tuple[float, float]]:
+    """Return spans of time that together hold all messages of recordings, each with chunks of about a size.
+
+    A chunk across the limit of two spans is read for both. A span therefore grows until it holds at least as much as
+    the chunks that overlap its end, of recordings that run beside each other.
+
+    Parameters
+    ----------
+    sources : sequence of McapSource
+    span_bytes : int
+        [B]
+
+    Returns
+    -------
+    list of (float, float)
+        Times of receipt; the first span begins at -inf and the last one ends at inf. [Unix ns]
+    """
+    chunks = sorted(span for source in sources for span in source.block_spans)
+    limits, size = [-inf], 0
+    open_chunks: list[tuple[int, int]] = []
+    for first, last, length in chunks:
+        open_chunks = [(end, bytes_) for end, bytes_ in open_chunks if end >= first]
+        overlapping = sum(bytes_ for _, bytes_ in open_chunks)
+        if size >= max(span_bytes, 2 * overlapping) and first > limits[-1]:
+            limits.append(first)
+            size = 0
+        open_chunks.append((last, length))
+        size += length
+    return list(zip(limits, [*limits[1:], inf], strict=True))
+
+
+def decode_span(job: Job, number: int, start_ns: float, stop_ns: float) -> Span:
+    """Decode the messages of a span of time, and write them to files.
+
+    Parameters
+    ----------
+    job : Job
+    number : int
+        Number of the span.
+    start_ns, stop_ns : float
+        Times of receipt between which it lies. [Unix ns]
+    """
+    sources = [open_recording(path, path.stat().st_size) for path in job.recordings]
+    lists = [source.read_span(start_ns, stop_ns) for source in sources]
+    messages = lists[0] if len(lists) == 1 else sorted((m for part in lists for m in part), key=attrgetter("receipt_ns"))
+    lanes, refusals = Lanes(), list[Refused]()
+    decoder = Decoder(lanes, _LIMITS)
+    batch, events = decoder.decode(messages, refusals)
+    events = _refuse_weather(decoder, events, refusals)
+    hashes, samples = DuplicateFilter(lanes).hash(messages)
+    items = _number_items(messages, samples, events, refusals)
+    kind, accepted = items.kind, np.flatnonzero(items.kind)
+    lane = np.full(len(kind), -1)
+    lane[kind == SAMPLE], lane[items.of_events] = batch.lane, [event.lane for event in events]
+    parts = np.array([job.find_part(name) for name in lanes.names], np.uint16)
+    position, starts = _write_rows(job, number, batch, np.flatnonzero(kind == SAMPLE), parts)
+    write_arrays(
+        job.of_span(number, "items"),
+        hashes=hashes[accepted],
+        item=accepted.astype(np.int32),
+        kind=kind[accepted],
+        message=items.message[accepted].astype(np.int32),
+        first=_find_first(lane[accepted], len(lanes)),
+        position=position,
+        starts=starts,
+    )
+    texts = SpanTexts(
+        lanes.names,
+        [name for name in decoder.rides if name is not None],
+        [
+            SpanEvent(int(item), event.lane, _get_kind(event.message), event.message.payload)
+            for item, event in zip(items.of_events, events, strict=True)
+        ],
+    )
+    with replacing(job.of_span(number, "texts")) as own:
+        own.write_bytes(msgspec.msgpack.encode(texts))
+    return Span(
+        number,
+        len(kind),
+        batch.size,
+        decoder.rejected,
+        tuple(map(len, lists)),
+        tuple(source.losses for source in sources),
+        tuple(source.viewer_messages.total() for source in sources),
+    )
+
+
+def _get_kind(message: Message) -> str:
+    """Return the kind of a message whose key the decoder has accepted."""
+    whose = address(message.key)
+    return whose.kind if whose else ""
+
+
+def _refuse_weather(decoder: Decoder, events: list[Event], refusals: list[Refused]) -> list[Event]:
+    """Return the messages without weather that no station of any fleet could have sent; count it as refused."""
+    stations, forecasts = Stations(), WeatherForecasts()
+    left = []
+    for event in events:
+        value = event.value
+        cause = None
+        if isinstance(value, Weather):
+            cause = stations.admit(value) if value.issued_s is None else forecasts.admit(value)
+        if cause is None:
+            left.append(event)
+        else:
+            decoder.refuse("weather", cause)
+            refusals.append(Refused(event.message))
+    return left
+
+
+class _Items(NamedTuple):
+    """Hold the items of messages: a sample of a list is an item, and so is any other message.
+
+    `kind` and `message` have an entry for each item, `of_events` the item of each event.
+    """
+
+    kind: NDArray[np.int8]
+    message: Ints
+    of_events: Ints
+
+
+def _number_items(
+    messages: Sequence[Message], samples: list[list[Any]] | None, events: Sequence[Event], refusals: Sequence[Refused]
+) -> _Items:
+    """Return what becomes of each item of messages."""
+    sizes = np.ones(len(messages), np.int64) if samples is None else np.array([len(part) for part in samples], np.int64)
+    ends = np.cumsum(sizes)
+    kind = np.full(int(sizes.sum()), SAMPLE, np.int8)
+    number = {id(message): i for i, message in enumerate(messages)} if events or refusals else {}
+    for message, bad in refusals:
+        i = number[id(message)]
+        first = ends[i] - sizes[i]
+        if bad is None or samples is None:
+            kind[first : ends[i]] = REFUSED
+        else:
+            kinds = set(map(bytes, bad))
+            kind[first : ends[i]] = [REFUSED if bytes(sample) in kinds else SAMPLE for sample in samples[i]]
+    of_events = np.array([ends[number[id(event.message)]] - 1 for event in events], np.int64)
+    kind[of_events] = EVENT
+    return _Items(kind, np.repeat(np.arange(len(messages)), sizes), of_events)
+
+
+def _find_first(lane: Ints, lanes: int) -> NDArray[np.int32]:
+    """Return the place of the first item of each lane."""
+    first = np.empty(lanes, np.int32)
+    known = np.flatnonzero(lane >= 0)
+    numbers, places = np.unique(lane[known], return_index=True)
+    first[numbers] = known[places]
+    return first
+
+
+def _write_rows(
+    job: Job, number: int, batch: Batch, item: Ints, parts: NDArray[np.uint16]
+) -> tuple[NDArray[np.int32], Ints]:
+    """Write samples, those of each part together; return the place of each in the file, and where each part begins."""
+    part = parts[batch.lane] if batch.size else np.empty(0, np.uint16)
+    order = np.argsort(part, kind="stable")
+    position = np.empty(batch.size, np.int32)
+    position[order] = np.arange(batch.size)
+    with replacing(job.of_span(number, "rows")) as own, own.open("wb") as file:
+        for column in (*batch, item):
+            column[order].astype(np.float64, copy=False).tofile(file)
+    return position, np.searchsorted(part[order], np.arange(job.parts + 1)).astype(np.int64)
+

@@ -1,0 +1,214 @@
+"""The second stage: one pass over the messages of all cars in their order, which finds whatever couples cars.
+
+Cars are coupled by
+
+- repeated messages: the memory of the filter turns over by the messages of all cars;
+- the fleet clock, by which a silent car is noticed (`core.cleaning.silences`);
+- the day, on which the cars vote, and with it the daily update;
+- the numbers of cars and of vehicle models, which are given in the order of their first message;
+- the drivers of rides, of which the oldest are forgotten, and the weather.
+
+The pass reads the hash of each message and nine columns of each sample. It takes the spans in their order while later
+ones are still being decoded.
+
+Every message, and every sample of a list, is an item; the place of item i is 2 i + 1. A daily update before its sample
+takes the even place between.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from core.batch import Batch, Ints, Lanes
+from core.cleaning.silences import INPUTS, FleetSilences
+from core.errors import RecordingError
+from core.forecast.day_rollover import DayRollover
+from core.settings import Limits
+from core.vehicles.fleet import TOO_MANY_MODELS, Cars, ReplacedKind
+from core.wire.duplicate_filter import DuplicateFilter
+from core.wire.message_order import VehicleChange
+from core.wire.messages import KINDS, Ride, Vehicle, Weather
+from core.wire.rides import RideDrivers
+from tools.cluster.decoding import EVENT, SAMPLE, Span, SpanEvent, SpanTexts
+from tools.cluster.job import Job, read_arrays, read_columns, write_arrays
+
+_COLUMNS: Final = [Batch._fields.index(name) for name in ("lane", *INPUTS)]
+
+
+class SharedMessage(msgspec.Struct, array_like=True):
+    """Hold an observation of the weather, which every part takes, and its place."""
+
+    place: int
+    payload: bytes
+
+
+class Shared(msgspec.Struct):
+    """Hold what every part needs to know of the whole fleet.
+
+    Parameters
+    ----------
+    vehicles : list of str
+        Name of the car of each lane.
+    kinds : list
+        Messages that describe the kinds of car, in the order of their numbers.
+    weather : list of SharedMessage
+    """
+
+    vehicles: list[str]
+    kinds: list[Vehicle]
+    weather: list[SharedMessage]
+
+
+class Placed(NamedTuple):
+    """Describe where a span stands: its number, the number of its first item, and its numbers of items and samples."""
+
+    number: int
+    first: int
+    items: int
+    rows: int
+
+
+class Ordering:
+    """Take spans in their order.
+
+    Parameters
+    ----------
+    job : Job
+
+    Attributes
+    ----------
+    spans : list of Placed
+        The spans taken so far.
+    lanes : Lanes
+        All cars, in the order of their first message.
+    cars : Cars
+        The kinds of car; `of_lane` is that of the end.
+    changes : list of (place, lane, kind)
+        Changes of the kind of a car.
+    updates : list of (place, midnight)
+        Daily updates.
+    drivers : RideDrivers
+    received, rejected : Counter
+        Messages by kind, and those that cannot be used by cause.
+    """
+
+    def __init__(self, job: Job, limits: Limits = Limits()) -> None:  # noqa: B008 - immutable
+        self._job, self._limits = job, limits
+        self.lanes, self.cars, self.drivers = Lanes(), Cars(limits), RideDrivers()
+        self.spans: list[Placed] = []
+        self.changes: list[tuple[int, int, int]] = []
+        self.updates: list[tuple[int, float]] = []
+        self.received, self.rejected = Counter[str](), Counter[str]()
+        self._duplicates, self._days = DuplicateFilter(self.lanes, limits), DayRollover()
+        self._silences = FleetSilences(job.settings)
+        self._silent: list[tuple[Ints, Ints]] = []
+        self._weather: list[SharedMessage] = []
+        self._stations = set[str](), set[str]()
+        self._decoders = {kind: msgspec.json.Decoder(struct) for kind, struct in KINDS.items()}
+        self._items = 0
+
+    @property
+    def dropped(self) -> int:
+        """Return the number of messages that came again."""
+        return self._duplicates.dropped
+
+    def take(self, span: Span) -> None:
+        """Take the next span."""
+        job, number = self._job, span.number
+        stored = read_arrays(job.of_span(number, "items"))
+        texts = msgspec.msgpack.decode(job.of_span(number, "texts").read_bytes(), type=SpanTexts)
+        lane_of = np.empty(len(texts.vehicles), np.int64)
+        is_new = self._select_new(stored, texts.vehicles, lane_of)
+        self.rejected.update(span.rejected)
+        item, kind = stored["item"].astype(np.int64), stored["kind"]
+        self._take_rows(span, stored["position"], is_new[kind == SAMPLE], item[kind == SAMPLE], lane_of)
+        kept = set(item[is_new & (kind == EVENT)].tolist())
+        for event in texts.events:
+            if event.item in kept:
+                self._take_event(event, int(lane_of[event.lane]) if event.lane >= 0 else -1)
+        arrays = {"lanes": lane_of}
+        if not is_new.all():
+            arrays["kept"] = np.zeros(span.items, np.bool_)
+            arrays["kept"][item[is_new]] = True
+        write_arrays(job.of_span(number, "order"), **arrays)
+        self.spans.append(Placed(number, self._items, span.items, span.rows))
+        self._items += span.items
+
+    def finish(self) -> None:
+        """Write what the parts need.
+
+        Raises
+        ------
+        RecordingError
+            If the recordings exceed a limit, by which a serial run would refuse some of their messages.
+        """
+        stations = max(map(len, self._stations))
+        for name, count, most in (
+            ("vehicles", len(self.lanes), self._limits.vehicles),
+            ("weather stations", stations, self._limits.stations),
+            ("vehicle messages beyond the limits", self.cars.unpredictable[TOO_MANY_MODELS], 0),
+        ):
+            if count > most:
+                raise RecordingError(
+                    f"the recordings hold {count:,} {name}, and the limit is {most:,.0f}; read them without --cluster"
+                )
+        job = self._job
+        silent = [np.concatenate(parts) for parts in zip(*self._silent, strict=True)] or [np.empty(0, np.int64)] * 2
+        updates = np.array(self.updates, np.float64).reshape(-1, 2)
+        write_arrays(
+            job.of_run("events"),
+            silence_place=silent[0],
+            silence_lane=silent[1],
+            update_place=updates[:, 0].astype(np.int64),
+            update_midnight=updates[:, 1],
+        )
+        kinds = [message for message in self.cars.messages if message is not None]
+        shared = Shared(self.lanes.names, kinds, self._weather)
+        job.of_run("shared").write_bytes(msgspec.msgpack.encode(shared))
+
+    def _select_new(self, stored: dict[str, Any], vehicles: Sequence[str], lane_of: Ints) -> Any:
+        """Return which items were not delivered before, and fill in the lanes of the cars of a span."""
+        hashes, first = stored["hashes"], stored["first"]
+        is_new, at, known = np.empty(len(hashes), np.bool_), 0, 0
+        by_first = np.argsort(first)
+        while at < len(hashes):
+            new = self._duplicates.select_new_hashes(hashes[at:], stored["message"][at:])
+            is_new[at : at + len(new)] = new
+            at += len(new)
+            while known < len(first) and first[by_first[known]] < at:
+                lane_of[by_first[known]] = self.lanes.lane(vehicles[by_first[known]])
+                known += 1
+        return is_new
+
+    def _take_rows(self, span: Span, position: Ints, is_new: Any, item: Ints, lane_of: Ints) -> None:
+        """Find the daily updates and the silences that the samples of a span show."""
+        columns = read_columns(self._job.of_span(span.number, "rows"), span.rows, 0, span.rows, _COLUMNS)
+        columns, item = columns.take(position[is_new], axis=1), item[is_new]
+        lane = lane_of[columns[0].astype(np.int64)]
+        self.received["telemetry"] += len(lane)
+        place = 2 * (self._items + item) + 1
+        rollovers = self._days.find_rollovers(lane, columns[1 + INPUTS.index("stamp")])
+        self.updates += [(int(place[row]) - 1, midnight) for row, midnight in rollovers]
+        silences = self._silences.find(columns[1:], lane, len(self.lanes))
+        self._silent.append((place[silences["place"]], silences["lane"].copy()))
+
+    def _take_event(self, event: SpanEvent, lane: int) -> None:
+        """Take a message that is not telemetry."""
+        self.received[event.kind] += 1
+        place = 2 * (self._items + event.item) + 1
+        if event.kind == "plan":  # concerns its car only
+            return
+        value = self._decoders[event.kind].decode(event.payload)
+        if isinstance(value, Vehicle):
+            replaced: list[ReplacedKind] = []
+            self.cars.kinds(np.empty(0, np.int64), [VehicleChange(0, lane, value, place)], len(self.lanes), replaced)
+            self.changes += [(place, lane, int(self.cars.of_lane[lane])) for _ in replaced]
+        elif isinstance(value, Ride):
+            self.drivers.observe(value, lane, place)
+        elif isinstance(value, Weather):
+            self._stations[value.issued_s is not None].add(value.station_id)
+            if value.issued_s is None:
+                self._weather.append(SharedMessage(place, event.payload))

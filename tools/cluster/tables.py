@@ -1,0 +1,184 @@
+"""Make tables of recordings by many workers: the stages in their order."""
+
+import shutil
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from core.cleaning.quality import CAUSES
+from stream.mcap_reader import McapSource
+from tools.cluster.cleaning import PartCounts, clean_part
+from tools.cluster.decoding import SPAN_BYTES, Span, decode_span, plan_spans
+from tools.cluster.displays import learn_displays
+from tools.cluster.job import Job
+from tools.cluster.ordering import Ordering
+from tools.cluster.runner import Runner
+from tools.cluster.writing import make_context, write_slice
+
+ROWS: Final = {"rides": 20_000, "windows": 50_000}
+"""Number of rows of a file of each table."""
+PARTS_PER_WORKER: Final = 4
+"""Number of parts for each worker, so that all have ended at about the same time."""
+LARGEST_PART: Final = 2 << 30
+"""Size of the recordings for which there is a part at least: a task that is lost costs no more. [B]"""
+
+
+@dataclass(frozen=True)
+class ClusterTables:
+    """Hold what a run made.
+
+    Parameters
+    ----------
+    rides, windows : int
+        Numbers of rows.
+    quality : dict
+        Counters, as `core.pipeline.Pipeline.quality` returns them.
+    """
+
+    rides: int
+    windows: int
+    quality: dict[str, Any]
+
+
+def make_tables(
+    job: Job,
+    sources: Sequence[McapSource],
+    out: Path,
+    runner: Runner,
+    report: Callable[[str, int, int], None] = lambda stage, done, number: None,
+    span_bytes: int = SPAN_BYTES,
+) -> ClusterTables:
+    """Write the ride table and the window table of recordings as folders of Parquet files.
+
+    Parameters
+    ----------
+    job : Job
+    sources : sequence of McapSource
+        The recordings; they receive what could not be read of each.
+    out : Path
+        Folder; it receives the folders `rides.parquet` and `windows.parquet`.
+    runner : Runner
+    report : callable
+        Function that receives a stage, the number of its tasks that have ended, and the number of all.
+    span_bytes : int
+        Size of the chunks of a task of the first stage. [B]
+
+    Raises
+    ------
+    RecordingError
+        If a recording cannot be read, or only in order.
+    """
+
+    def run(stage: str, function: Callable[..., Any], tasks: list[tuple[Any, ...]], take: Callable[[Any], None]) -> None:
+        report(stage, 0, len(tasks))
+        for done, result in enumerate(runner.run(stage, function, tasks)):
+            take(result)
+            report(stage, done + 1, len(tasks))
+
+    ordering, spans = Ordering(job), list[Span]()
+
+    def order(span: Span) -> None:
+        spans.append(span)
+        ordering.take(span)
+
+    planned = plan_spans(sources, span_bytes)
+    run("decode", decode_span, [(job, number, *span) for number, span in enumerate(planned)], order)
+    ordering.finish()
+    _add_losses(sources, spans)
+    counts: list[PartCounts] = []
+    run("clean", clean_part, [(job, part, ordering.spans) for part in range(job.parts)], counts.append)
+    for file in job.scratch.glob("span-*"):
+        file.unlink()
+    _, width = make_context(job)
+    slices = learn_displays(job, ordering, width, ROWS)
+    written: list[tuple[int, Counter[str], Counter[str]]] = []
+    tasks = [(job, _name_file(out, piece.name, piece.number), piece) for piece in slices]
+    for name in ROWS:
+        (out / f"{name}.parquet").mkdir(exist_ok=True)
+    run("write", write_slice, tasks, written.append)
+    rows = Counter[str]()
+    for piece, (count, *_) in zip(slices, written, strict=True):
+        rows[piece.name] += count
+    return ClusterTables(rows["rides"], rows["windows"], _count(ordering, counts, rows["rides"], written))
+
+
+def choose_parts(sources: Sequence[McapSource], workers: int) -> int:
+    """Return the number of parts into which the cars are divided."""
+    size = sum(length for source in sources for _, _, length in source.block_spans)
+    return max(PARTS_PER_WORKER * workers, -(-size // LARGEST_PART))
+
+
+def _name_file(out: Path, name: str, number: int) -> Path:
+    """Return the path of a file of a table; files in the order of their names hold the rows in their order."""
+    return out / f"{name}.parquet" / f"{name}-{number:06d}.parquet"
+
+
+def _add_losses(sources: Sequence[McapSource], spans: Sequence[Span]) -> None:
+    """Add to the losses of each recording what its spans have lost."""
+    for i, source in enumerate(sources):
+        whole = source.losses
+        for span in spans:
+            whole = whole.add(span.losses[i])
+        if source.count is not None:
+            left_out = whole.undescribed + whole.foreign.total() + sum(span.for_viewers[i] for span in spans)
+            delivered = sum(span.delivered[i] for span in spans)
+            whole = replace(whole, missing_messages=max(0, source.count - delivered - left_out))
+        source.losses, source.blocks_read = whole, source.blocks
+
+
+def _count(
+    ordering: Ordering,
+    parts: Sequence[PartCounts],
+    rides: int,
+    written: Sequence[tuple[int, Counter[str], Counter[str]]],
+) -> dict[str, Any]:
+    """Return the counters of a run."""
+    received, rejected = ordering.received, ordering.rejected
+    for part in parts:
+        received.update(part.received)
+        rejected.update(part.rejected)
+    unfit, unpredicted = Counter[str](), Counter[str]()
+    for _, why_unfit, why_unpredicted in written:
+        unfit.update(why_unfit)
+        unpredicted.update(why_unpredicted)
+    samples = [sum(counts) for counts in zip(*(part.samples for part in parts), strict=True)]
+    counts = {
+        "vehicles": len(ordering.lanes),
+        "received": dict(received),
+        "duplicates": ordering.dropped,
+        "lost": sum(part.lost for part in parts),
+        "implausible_forecasts": {},
+        "undecodable": {cause: count for cause, count in rejected.items() if count},
+        "samples": dict(zip(CAUSES, samples, strict=True)),
+        "rides": rides,
+        "unfit": dict(unfit),
+        "unpredicted": dict(unpredicted),
+        "unpredictable": dict(ordering.cars.unpredictable),
+        "unknown_models": ordering.cars.group_unknown(ordering.lanes.names),
+    }
+    return counts | _count_fixes(parts)
+
+
+def _count_fixes(parts: Sequence[PartCounts]) -> dict[str, Any]:
+    """Return the counts of the fixes on the map, nothing without a map."""
+    known = [part.fixes for part in parts if part.fixes]
+    if not known:
+        return {}
+    tiles = Counter[str]()
+    for each in known:
+        tiles.update(each["outside_by_tile"])
+    whole = {name: sum(each[name] for each in known) for name in ("fixes", "outside")}
+    return {"elevation_map": whole | {"outside_by_tile": dict(sorted(tiles.items()))}}
+
+
+def make_scratch(out: Path) -> Path:
+    """Return a new folder for intermediate files beside the tables."""
+    return Path(tempfile.mkdtemp(prefix="scratch-", dir=out))
+
+
+def remove_scratch(folder: Path) -> None:
+    """Remove the folder of intermediate files."""
+    shutil.rmtree(folder, ignore_errors=True)

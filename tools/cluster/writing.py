@@ -1,0 +1,84 @@
+"""The last stage: each file of the tables is made of the totals of all parts, in the order of a serial run."""
+
+from collections import Counter
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from core.pipeline import Pipeline
+from core.settings import BOUNDS_OF_LIMITS, Limits
+from core.totals.context import RunContext
+from core.totals.display_record import DISPLAY_YIELD
+from core.totals.run_counters import RunCounters
+from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
+from tools.cluster.cleaning import count_columns, read_totals
+from tools.cluster.displays import Slice
+from tools.cluster.job import Job, load_surroundings, read_rows, replacing
+from tools.cluster.ordering import Shared
+from tools.terminal.parquet_table import ParquetTable
+
+_MOST = Limits(vehicles=BOUNDS_OF_LIMITS["vehicles"][1], vehicle_models=BOUNDS_OF_LIMITS["vehicle_models"][1])
+
+
+def make_context(job: Job) -> tuple[RunContext, int]:
+    """Return the context of a run, and the number of amounts of its totals."""
+    model, _ = load_surroundings(job)
+    pipeline = Pipeline(model, job.settings, also=job.wanted, keep_forecasts=False, limits=_MOST)
+    shared = msgspec.msgpack.decode(job.of_run("shared").read_bytes(), type=Shared)
+    pipeline.lanes.load(shared.vehicles)
+    pipeline.cars.load([[msgspec.to_builtins(kind) for kind in shared.kinds], [0] * len(shared.vehicles), {}])
+    return pipeline.context, pipeline.accumulator.width
+
+
+def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], Counter[str]]:
+    """Write a file of a table.
+
+    Parameters
+    ----------
+    job : Job
+    out : Path
+        The file.
+    piece : Slice
+
+    Returns
+    -------
+    rows : int
+    unfit, unpredicted : Counter of str
+        Rides by why they are unfit for training, and by why they are not predicted; empty for windows.
+    """
+    context, width = make_context(job)
+    columns = count_columns(width)
+    stored = [
+        read_rows(job.of_part(part, piece.name), columns, start, stop)
+        for part, (start, stop) in enumerate(piece.of_parts)
+        if stop > start
+    ]
+    rows = np.concatenate([np.empty((0, columns)), *stored])
+    del stored
+    rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+    size = DISPLAY_YIELD.itemsize
+    display = np.fromfile(
+        job.of_run(f"{piece.name}.displays"), DISPLAY_YIELD, piece.stop - piece.start, offset=piece.start * size
+    )
+    totals = read_totals(rows, width)._replace(display=display)
+    counters = RunCounters()
+    if piece.name == "rides":
+        counters.count_rides(totals, unfit_reason(totals, context), context)
+        with pa.OSFile(str(job.of_run("names"))) as file:
+            names = pa.ipc.open_file(file).read_all().slice(piece.start, piece.stop - piece.start)
+        table = tabulate_rides(totals, names["ride_id"].to_pylist(), names["driver_id"].to_pylist(), context)
+    else:
+        table = tabulate_windows(totals, context)
+    _write(table, out)
+    return len(table), counters.unfit, counters.unpredicted
+
+
+def _write(table: pd.DataFrame, out: Path) -> None:
+    """Write a table to a Parquet file."""
+    with replacing(out) as own:
+        file = ParquetTable(own)
+        file.append(table)
+        file.close()
