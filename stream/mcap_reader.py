@@ -202,10 +202,9 @@ class McapSource:
         out: list[Message] = []
         with self.path.open("rb") as file:
             for block in self._blocks:
-                if block.first_ns >= stop_ns or block.last_ns < start_ns:
-                    if not (block.last_ns == 0 and start_ns <= block.first_ns < stop_ns):
-                        continue
                 is_own = start_ns <= block.first_ns < stop_ns
+                if not is_own and not block.first_ns < start_ns <= block.last_ns:
+                    continue
                 self.losses, self.viewer_messages = counted if is_own else others
                 self._read_bytes = self._expanded = 0
                 out += self._select_span(block, self._read_messages(file, block), start_ns, stop_ns)
@@ -215,9 +214,7 @@ class McapSource:
         out.sort(key=itemgetter(2))
         return out
 
-    def _select_span(
-        self, block: _Block, messages: list[Message], start_ns: float, stop_ns: float
-    ) -> list[Message]:
+    def _select_span(self, block: _Block, messages: list[Message], start_ns: float, stop_ns: float) -> list[Message]:
         """Return those messages of a block that were received in a span of time."""
         times = [message[2] for message in messages]
         first_ns, last_ns = min(times, default=block.first_ns), max(times, default=block.last_ns)

@@ -46,8 +46,8 @@ def merge_sources(sources: Sequence[Source]) -> Iterator[list[Message]]:
 
     Each source must itself be in that order. The function reads each source lazily, one list at a time. It sorts and
     yields all messages up to the earliest end of the lists that it holds, because no later list can hold an earlier
-    message. Messages at that end wait if an earlier source may have another one there, so that the order does not depend
-    on where lists end.
+    message. Messages at that end wait if an earlier source may have another one there, so that the order does not
+    depend on where lists end.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Find where the samples of a fleet show that one of its cars is silent, without cleaning the samples.
 
-The kernel ends the ride of a silent car by the fleet clock (`core.cleaning.fleet_clock`), for which it needs the samples
-of all cars in their order. The fleet clock depends only on the repaired times of the samples, which take a small part of
-the work. If the times are repaired first, each car can be cleaned without the others: its silences stand between its
-samples as events. A silence of a car that is not on a ride has no effect.
+The kernel ends the ride of a silent car by the fleet clock (`core.cleaning.fleet_clock`), for which it needs the
+samples of all cars in their order. The fleet clock depends only on the repaired times of the samples, which take a
+small part of the work. If the times are repaired first, each car can be cleaned without the others: its silences stand
+between its samples as events. A silence of a car that is not on a ride has no effect.
 """
 
 from typing import Any, Final

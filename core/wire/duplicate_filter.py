@@ -159,7 +159,9 @@ class DuplicateFilter:
     def _hash_messages(self, messages: Sequence[Message]) -> Hashes:
         """Return the hashes of messages that are no lists."""
         seeds = map(self._seeds.__getitem__, [message[0] for message in messages])
-        return np.fromiter(map(xxh3_64_intdigest, [message[1] for message in messages], seeds), np.uint64, len(messages))
+        return np.fromiter(
+            map(xxh3_64_intdigest, [message[1] for message in messages], seeds), np.uint64, len(messages)
+        )
 
     def _hash_samples(self, messages: Sequence[Message], samples: list[list[Any]]) -> Hashes:
         """Return the hashes of the samples of messages."""

@@ -5,18 +5,18 @@ all messages. What the display of a car stands for is learned later, over all ca
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, BinaryIO, Final
 
 import msgspec
 import numpy as np
-import pyarrow as pa
+from numpy.typing import NDArray
 
 from core.batch import Batch, Floats, Ints
-from core.forecast.day_rollover import DailyUpdate
 from core.cleaning.quality import CAUSES
+from core.forecast.day_rollover import DailyUpdate
 from core.pipeline import Pipeline
 from core.settings import BOUNDS_OF_LIMITS, Limits
 from core.totals.accumulator import EDGES, Sums, Totals
@@ -25,7 +25,16 @@ from core.wire.decoder import Event
 from core.wire.message_order import MessageOrder, Silence
 from core.wire.messages import KINDS, Vehicle, Weather
 from tools.cluster.decoding import SpanTexts
-from tools.cluster.job import COLUMNS, Job, load_surroundings, read_arrays, read_columns, replacing, write_arrays
+from tools.cluster.job import (
+    COLUMNS,
+    Job,
+    load_surroundings,
+    read_arrays,
+    read_columns,
+    replacing,
+    write_arrays,
+    write_text,
+)
 from tools.cluster.ordering import Placed, Shared
 
 LEAST_ROWS: Final = 20_000
@@ -111,10 +120,10 @@ def read_totals(rows: Floats, width: int) -> Totals:
     width : int
         Number of amounts.
     """
-    edges = np.cumsum([4, width, len(EDGES), len(EDGES)]).tolist()
-    head = rows[:, :4].astype(np.int64)
-    parts = (rows[:, start:stop] for start, stop in zip(edges, [*edges[1:], rows.shape[1]], strict=True))
-    return Totals(*head.T, *parts, create_unknown_yields(len(rows)))
+    at, lane, ride, window = rows[:, :4].astype(np.int64).T
+    places = np.cumsum([4, width, len(EDGES), len(EDGES)])
+    amounts, first, last, quality = map(np.ascontiguousarray, np.split(rows, places, axis=1)[1:])
+    return Totals(at, lane, ride, window, amounts, first, last, quality, create_unknown_yields(len(rows)))
 
 
 class _WaitingDisplays:
@@ -175,7 +184,7 @@ class _PartPipeline(Pipeline):
         self._forget_ride_names()
 
 
-def clean_part(job: Job, part: int, spans: Sequence[Placed]) -> PartCounts:
+def clean_part(job: Job, part: int) -> PartCounts:
     """Clean the samples of the cars of a part, and write the totals of their rides and windows.
 
     Parameters
@@ -183,8 +192,6 @@ def clean_part(job: Job, part: int, spans: Sequence[Placed]) -> PartCounts:
     job : Job
     part : int
         Number of the part.
-    spans : sequence of Placed
-        All spans in their order.
     """
     shared = msgspec.msgpack.decode(job.of_run("shared").read_bytes(), type=Shared)
     lanes = np.array([lane for lane, name in enumerate(shared.vehicles) if job.find_part(name) == part], np.int64)
@@ -202,15 +209,13 @@ def clean_part(job: Job, part: int, spans: Sequence[Placed]) -> PartCounts:
             names.extend(ride_names)
 
         pipeline = _PartPipeline(job, [shared.vehicles[lane] for lane in lanes], shared.kinds, take)
-        events = _list_shared_events(job, shared, lanes)
-        _run(pipeline, job, part, spans, lanes, events)
+        stored = read_arrays(job.of_run("events"))
+        spans = [Placed(*each) for each in stored["spans"].tolist()]
+        _run(pipeline, job, part, spans, lanes, _list_shared_events(stored, shared, lanes))
         pipeline.finish()
     for file in (rides, windows):
         file.close()
-    with replacing(job.of_part(part, "names")) as own, pa.OSFile(str(own), "wb") as sink:
-        table = pa.table({"ride_id": pa.array(names, pa.string())})
-        with pa.ipc.new_file(sink, table.schema) as writer:
-            writer.write_table(table)
+    write_text(job.of_part(part, "names"), {"ride_id": names})
     return PartCounts(
         pipeline.counters.samples.tolist(),
         pipeline.decoder.received,
@@ -222,9 +227,8 @@ def clean_part(job: Job, part: int, spans: Sequence[Placed]) -> PartCounts:
     )
 
 
-def _list_shared_events(job: Job, shared: Shared, lanes: Ints) -> list[tuple[int, int, Any]]:
+def _list_shared_events(stored: Mapping[str, NDArray[Any]], shared: Shared, lanes: Ints) -> list[tuple[int, int, Any]]:
     """Return weather, daily updates, and the silences of the cars of a part, in their order."""
-    stored = read_arrays(job.of_run("events"))
     decode = msgspec.json.Decoder(Weather).decode
     events: list[tuple[int, int, Any]] = [(each.place, -1, decode(each.payload)) for each in shared.weather]
     updates = zip(stored["update_place"].tolist(), stored["update_midnight"].tolist(), strict=True)
@@ -274,9 +278,9 @@ def _read_rows(
     pipeline: _PartPipeline, job: Job, part: int, span: Placed, lanes: Ints, events: list[tuple[int, int, Any]]
 ) -> tuple[Floats, Ints]:
     """Return the samples of a part in a span with their places, and append the messages of its cars to events."""
-    stored, order = read_arrays(job.of_span(span.number, "items")), read_arrays(job.of_span(span.number, "order"))
+    order = read_arrays(job.of_span(span.number, "order"))
     texts = msgspec.msgpack.decode(job.of_span(span.number, "texts").read_bytes(), type=SpanTexts)
-    start, stop = stored["starts"][part : part + 2].tolist()
+    start, stop = order["starts"][part : part + 2].tolist()
     table = read_columns(job.of_span(span.number, "rows"), span.rows, start, stop, range(len(COLUMNS)))
     kept = order.get("kept")
     if kept is not None:

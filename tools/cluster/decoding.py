@@ -121,7 +121,9 @@ def decode_span(job: Job, number: int, start_ns: float, stop_ns: float) -> Span:
     """
     sources = [open_recording(path, path.stat().st_size) for path in job.recordings]
     lists = [source.read_span(start_ns, stop_ns) for source in sources]
-    messages = lists[0] if len(lists) == 1 else sorted((m for part in lists for m in part), key=attrgetter("receipt_ns"))
+    messages = (
+        lists[0] if len(lists) == 1 else sorted((m for part in lists for m in part), key=attrgetter("receipt_ns"))
+    )
     lanes, refusals = Lanes(), list[Refused]()
     decoder = Decoder(lanes, _LIMITS)
     batch, events = decoder.decode(messages, refusals)
@@ -240,4 +242,3 @@ def _write_rows(
         for column in (*batch, item):
             column[order].astype(np.float64, copy=False).tofile(file)
     return position, np.searchsorted(part[order], np.arange(job.parts + 1)).astype(np.int64)
-

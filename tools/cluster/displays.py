@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import pyarrow as pa
 
 from core.batch import Ints
 from core.totals.accumulator import AMOUNTS, EDGES, Sums, Totals
@@ -18,7 +17,7 @@ from core.totals.display_record import create_unknown_yields
 from core.totals.display_yield import DisplayYields
 from core.vehicles.fleet import UNKNOWN
 from tools.cluster.cleaning import END, count_columns, read_totals
-from tools.cluster.job import Job, read_arrays, read_rows, replacing
+from tools.cluster.job import Job, read_arrays, read_rows, read_text, replacing, write_text
 from tools.cluster.ordering import Ordering
 
 RIDES_AT_A_TIME: Final = 4000
@@ -157,21 +156,12 @@ def _fill_light(at: Ints, lane: Ints, kind: Ints) -> Totals:
 
 def _write_names(job: Job, ordering: Ordering, rides: _Sequence) -> None:
     """Write the names and the drivers of all rides, in their order."""
-    stored = [_read_names(job, part) for part in range(job.parts)]
+    stored = [read_text(job.of_part(part, "names"), "ride_id") for part in range(job.parts)]
     names = [stored[part][row] for part, row in zip(rides.part.tolist(), rides.row.tolist(), strict=True)]
     vehicles = [ordering.lanes.names[lane] for lane in rides.lane.tolist()]
     drivers = ordering.drivers.find_all(vehicles, names, rides.at.tolist())
-    table = pa.table({"ride_id": pa.array(names, pa.string()), "driver_id": pa.array(drivers, pa.string())})
-    with replacing(job.of_run("names")) as own, pa.OSFile(str(own), "wb") as sink:
-        with pa.ipc.new_file(sink, table.schema) as writer:
-            writer.write_table(table)
-
-
-def _read_names(job: Job, part: int) -> list[str | None]:
-    """Return the names of the rides of a part."""
-    with pa.OSFile(str(job.of_part(part, "names"))) as file:
-        names: list[str | None] = pa.ipc.open_file(file).read_all()["ride_id"].to_pylist()
-        return names
+    table = {"ride_id": names, "driver_id": drivers}
+    write_text(job.of_run("names"), table)
 
 
 _NONE: Final = _fill_light(*np.zeros((3, 0), np.int64))

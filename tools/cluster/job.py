@@ -1,7 +1,7 @@
 """What every task of a run needs to know, and the files by which tasks pass on what they have made."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 from xxhash import xxh3_64_intdigest
 
@@ -129,3 +130,17 @@ def read_columns(path: Path, rows: int, start: int, stop: int, which: Sequence[i
 def read_rows(path: Path, width: int, start: int, stop: int) -> Floats:
     """Return rows from `start` up to `stop` of a file of floats by row, (n, width)."""
     return np.fromfile(path, np.float64, (stop - start) * width, offset=8 * start * width).reshape(-1, width)
+
+
+def write_text(path: Path, columns: Mapping[str, Sequence[str | None]]) -> None:
+    """Write columns of text to a file."""
+    table = pa.table({name: pa.array(values, pa.string()) for name, values in columns.items()})
+    with replacing(path) as own, pa.OSFile(str(own), "wb") as sink, pa.ipc.new_file(sink, table.schema) as writer:
+        writer.write_table(table)
+
+
+def read_text(path: Path, column: str, start: int = 0, stop: int | None = None) -> list[str | None]:
+    """Return rows from `start` up to `stop` of a column of text."""
+    with pa.memory_map(str(path)) as file:
+        values: list[str | None] = pa.ipc.open_file(file).read_all()[column][start:stop].to_pylist()
+        return values

@@ -80,8 +80,6 @@ class Ordering:
 
     Attributes
     ----------
-    spans : list of Placed
-        The spans taken so far.
     lanes : Lanes
         All cars, in the order of their first message.
     cars : Cars
@@ -98,7 +96,7 @@ class Ordering:
     def __init__(self, job: Job, limits: Limits = Limits()) -> None:  # noqa: B008 - immutable
         self._job, self._limits = job, limits
         self.lanes, self.cars, self.drivers = Lanes(), Cars(limits), RideDrivers()
-        self.spans: list[Placed] = []
+        self._spans: list[Placed] = []
         self.changes: list[tuple[int, int, int]] = []
         self.updates: list[tuple[int, float]] = []
         self.received, self.rejected = Counter[str](), Counter[str]()
@@ -129,12 +127,12 @@ class Ordering:
         for event in texts.events:
             if event.item in kept:
                 self._take_event(event, int(lane_of[event.lane]) if event.lane >= 0 else -1)
-        arrays = {"lanes": lane_of}
+        arrays = {"lanes": lane_of, "starts": stored["starts"]}
         if not is_new.all():
             arrays["kept"] = np.zeros(span.items, np.bool_)
             arrays["kept"][item[is_new]] = True
         write_arrays(job.of_span(number, "order"), **arrays)
-        self.spans.append(Placed(number, self._items, span.items, span.rows))
+        self._spans.append(Placed(number, self._items, span.items, span.rows))
         self._items += span.items
 
     def finish(self) -> None:
@@ -164,6 +162,7 @@ class Ordering:
             silence_lane=silent[1],
             update_place=updates[:, 0].astype(np.int64),
             update_midnight=updates[:, 1],
+            spans=np.array(self._spans, np.int64).reshape(-1, len(Placed._fields)),
         )
         kinds = [message for message in self.cars.messages if message is not None]
         shared = Shared(self.lanes.names, kinds, self._weather)

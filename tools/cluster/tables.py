@@ -1,7 +1,5 @@
 """Make tables of recordings by many workers: the stages in their order."""
 
-import shutil
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -43,12 +41,16 @@ class ClusterTables:
     quality: dict[str, Any]
 
 
+def _ignore(*_: object) -> None:
+    """Do nothing."""
+
+
 def make_tables(
     job: Job,
     sources: Sequence[McapSource],
     out: Path,
     runner: Runner,
-    report: Callable[[str, int, int], None] = lambda stage, done, number: None,
+    report: Callable[[str, int, int], None] = _ignore,
     span_bytes: int = SPAN_BYTES,
 ) -> ClusterTables:
     """Write the ride table and the window table of recordings as folders of Parquet files.
@@ -72,7 +74,9 @@ def make_tables(
         If a recording cannot be read, or only in order.
     """
 
-    def run(stage: str, function: Callable[..., Any], tasks: list[tuple[Any, ...]], take: Callable[[Any], None]) -> None:
+    def run(
+        stage: str, function: Callable[..., Any], tasks: list[tuple[Any, ...]], take: Callable[[Any], None]
+    ) -> None:
         report(stage, 0, len(tasks))
         for done, result in enumerate(runner.run(stage, function, tasks)):
             take(result)
@@ -89,7 +93,7 @@ def make_tables(
     ordering.finish()
     _add_losses(sources, spans)
     counts: list[PartCounts] = []
-    run("clean", clean_part, [(job, part, ordering.spans) for part in range(job.parts)], counts.append)
+    run("clean", clean_part, [(job, part) for part in range(job.parts)], counts.append)
     for file in job.scratch.glob("span-*"):
         file.unlink()
     _, width = make_context(job)
@@ -97,7 +101,7 @@ def make_tables(
     written: list[tuple[int, Counter[str], Counter[str]]] = []
     tasks = [(job, _name_file(out, piece.name, piece.number), piece) for piece in slices]
     for name in ROWS:
-        (out / f"{name}.parquet").mkdir(exist_ok=True)
+        _clear_folder(out / f"{name}.parquet")
     run("write", write_slice, tasks, written.append)
     rows = Counter[str]()
     for piece, (count, *_) in zip(slices, written, strict=True):
@@ -109,6 +113,13 @@ def choose_parts(sources: Sequence[McapSource], workers: int) -> int:
     """Return the number of parts into which the cars are divided."""
     size = sum(length for source in sources for _, _, length in source.block_spans)
     return max(PARTS_PER_WORKER * workers, -(-size // LARGEST_PART))
+
+
+def _clear_folder(folder: Path) -> None:
+    """Create the folder of a table, or remove the files of an earlier table from it."""
+    folder.mkdir(exist_ok=True)
+    for file in folder.glob("*.parquet"):
+        file.unlink()
 
 
 def _name_file(out: Path, name: str, number: int) -> Path:
@@ -172,13 +183,3 @@ def _count_fixes(parts: Sequence[PartCounts]) -> dict[str, Any]:
         tiles.update(each["outside_by_tile"])
     whole = {name: sum(each[name] for each in known) for name in ("fixes", "outside")}
     return {"elevation_map": whole | {"outside_by_tile": dict(sorted(tiles.items()))}}
-
-
-def make_scratch(out: Path) -> Path:
-    """Return a new folder for intermediate files beside the tables."""
-    return Path(tempfile.mkdtemp(prefix="scratch-", dir=out))
-
-
-def remove_scratch(folder: Path) -> None:
-    """Remove the folder of intermediate files."""
-    shutil.rmtree(folder, ignore_errors=True)

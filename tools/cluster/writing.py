@@ -6,7 +6,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from core.pipeline import Pipeline
 from core.settings import BOUNDS_OF_LIMITS, Limits
@@ -16,7 +15,7 @@ from core.totals.run_counters import RunCounters
 from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
 from tools.cluster.cleaning import count_columns, read_totals
 from tools.cluster.displays import Slice
-from tools.cluster.job import Job, load_surroundings, read_rows, replacing
+from tools.cluster.job import Job, load_surroundings, read_rows, read_text, replacing
 from tools.cluster.ordering import Shared
 from tools.terminal.parquet_table import ParquetTable
 
@@ -67,9 +66,10 @@ def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], C
     counters = RunCounters()
     if piece.name == "rides":
         counters.count_rides(totals, unfit_reason(totals, context), context)
-        with pa.OSFile(str(job.of_run("names"))) as file:
-            names = pa.ipc.open_file(file).read_all().slice(piece.start, piece.stop - piece.start)
-        table = tabulate_rides(totals, names["ride_id"].to_pylist(), names["driver_id"].to_pylist(), context)
+        names, drivers = (
+            read_text(job.of_run("names"), name, piece.start, piece.stop) for name in ("ride_id", "driver_id")
+        )
+        table = tabulate_rides(totals, names, drivers, context)
     else:
         table = tabulate_windows(totals, context)
     _write(table, out)

@@ -15,7 +15,10 @@ from core.settings import Settings
 from stream.elevation_files import open_elevation
 from stream.mcap_reader import McapSource
 from stream.source import merge_sources
+from tools.cluster.dask_runner import ClusterPlace
+from tools.cluster.run import REPORT, tabulate_by_workers
 from tools.terminal.cleaning_options import insert_cleaning_options
+from tools.terminal.cluster_option import insert_cluster_options
 from tools.terminal.elevation_option import ElevationFiles, warn_outside
 from tools.terminal.model_comparison import DEFAULT_MODEL
 from tools.terminal.output import (
@@ -31,13 +34,17 @@ from tools.terminal.output import (
 from tools.terminal.parquet_table import ParquetTable
 from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
 from tools.terminal.rich_table import Column, make_table
+from tools.terminal.table_files import read as read_tables
 
 RIDES, WINDOWS, QUALITY = "rides.parquet", "windows.parquet", "quality.json"
 
+COUNTED_BY_NAME = ("received", "undecodable", "unfit", "unpredicted", "unpredictable")
+"""Counters that are written in the order of their names; that of their first count depends on the workers."""
 ROW_GROUP = 2000
 """Number of rides per row group; it keeps memory independent of the length of the recording."""
 
 
+@insert_cluster_options
 @insert_cleaning_options
 def tables(
     recordings: Recordings,
@@ -48,6 +55,7 @@ def tables(
     vehicles: VehicleFiles = None,
     settings: Settings,
     elevation: ElevationFiles = None,
+    place: ClusterPlace | None,
     json_file: JsonFile = None,
 ) -> None:
     """Clean recordings and make tables: one row per ride, one row per window, and counts of rejected samples by cause.
@@ -56,19 +64,30 @@ def tables(
     --------
     socast tables recordings/shift.mcap --out tables
     socast tables kept/*.mcap --out tables --effects my_effects.py --period-s 1
+    socast tables kept/*.mcap --out tables --cluster local:2
     """
     wanted, elevation_map = effects.list_tabulated(), open_elevation(elevation or ())
-    pipeline = Pipeline(
-        models.load(model),
-        settings,
-        also=wanted,
-        keep_forecasts=False,
-        two_sided=True,
-        elevation_map=elevation_map,
-    )
-    sources = open_recordings(recordings)
-    folder = _folder(out)
+    loaded, sources, folder = models.load(model), open_recordings(recordings), _folder(out)
     read = [*recordings, *select_model_files([model]), *(effects_file or ()), *(vehicles or ()), *(elevation or ())]
+    if place is not None:
+        check_outputs(read, folder / QUALITY, folder / REPORT, json_file)
+        made = tabulate_by_workers(
+            sources,
+            folder,
+            place,
+            model=model,
+            wanted=wanted,
+            settings=settings,
+            effect_files=effects_file or (),
+            vehicle_files=vehicles or (),
+            elevation_files=elevation or (),
+        )
+        ended = read_tables([folder / RIDES]) if json_file else pd.DataFrame()
+        _finish(sources, made.quality, made.rides, made.windows, folder, json_file, ended)
+        return
+    pipeline = Pipeline(
+        loaded, settings, also=wanted, keep_forecasts=False, two_sided=True, elevation_map=elevation_map
+    )
     check_outputs(read, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)
     rides, windows = ParquetTable(folder / RIDES), ParquetTable(folder / WINDOWS)
     kept: list[pd.DataFrame] = []
@@ -82,13 +101,28 @@ def tables(
     tabulate(sources, pipeline, write)
     rides.close()
     windows.close()
-    quality = pipeline.quality() | {"lost": {str(s.path): s.losses.lines() for s in sources if s.losses}}
+    ended = pd.concat(kept) if json_file else pd.DataFrame()
+    _finish(sources, pipeline.quality(), rides.rows, windows.rows, folder, json_file, ended)
+
+
+def _finish(
+    sources: Sequence[McapSource],
+    counts: dict[str, Any],
+    rides: int,
+    windows: int,
+    folder: Path,
+    json_file: Path | None,
+    ended: pd.DataFrame,
+) -> None:
+    """Write the reports beside the tables, and print the counts."""
+    by_name = {name: dict(sorted(counts[name].items())) for name in COUNTED_BY_NAME}
+    quality = counts | by_name | {"lost": {str(s.path): s.losses.lines() for s in sources if s.losses}}
     write_json(folder / QUALITY, "quality", quality)
     if json_file:
-        table = pd.concat(kept).astype(object)
+        table = ended.astype(object)
         write_json(json_file, "tables", {"rides": table.where(table.notna(), None).to_dict("records")})
     console = make_console(json_file)
-    show(quality, rides.rows, windows.rows, folder, console)
+    show(quality, rides, windows, folder, console)
     warn_outside(quality)
     warn_of_losses(sources)
 

@@ -15,10 +15,13 @@ from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 
+from core.batch import Lanes
+from core.cleaning.silences import FleetSilences, select_inputs
 from core.models import EXTENDED_PHYSICAL, Model
 from core.models.trees import Trees
 from core.pipeline import Pipeline
-from core.settings import Limits
+from core.settings import Limits, Settings
+from core.wire.decoder import Decoder
 from core.wire.messages import Message, Telemetry, Weather, encode
 from stream.structured_log import log_lines
 
@@ -131,6 +134,9 @@ def _run_kernels(model: Model, *shadows: Model) -> None:
     tables = Pipeline(keep_forecasts=False, two_sided=True)
     tables.push(messages)
     tables.finish()
+    lanes = Lanes()
+    batch, _ = Decoder(lanes).decode(messages)
+    FleetSilences(Settings()).find(select_inputs(batch), batch.lane, len(lanes))
     leaf = {"roots": (0,), "feature": (-1,), "threshold": (0.0,), "value": (0.0,)}
     Trees(features=(), baseline=0.0, left=(0,), right=(0,), missing_left=(0,), **leaf).predict({})  # type: ignore[arg-type]
 

@@ -21,6 +21,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "add": 1,
     "anonymise": 1,
     "ask": 1,
+    "cluster": 1,
     "compare": 1,
     "demo": 1,
     "diagnose": 2,

@@ -22,7 +22,7 @@ def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.Data
     Parameters
     ----------
     files : sequence of Path
-        Parquet files.
+        Parquet files, or folders of those of a table.
     columns : sequence of str, optional
         Columns to read; by default all.
 
@@ -58,13 +58,38 @@ def is_window_table(file: Path) -> bool:
         False if the file is no Parquet file.
     """
     try:
-        return WINDOW in pq.read_schema(file).names
-    except (OSError, pa.ArrowException):
+        return WINDOW in pq.read_schema(list_files(file)[0]).names
+    except (OSError, IndexError, pa.ArrowException):
         return False
 
 
-def _read(file: Path, columns: Sequence[str] | None) -> pd.DataFrame:
-    """Read a table from a Parquet file."""
+def list_files(table: Path) -> list[Path]:
+    """Return the Parquet files of a table: the file itself, or those of its folder in the order of their rows.
+
+    Parameters
+    ----------
+    table : Path
+        A file, or a folder that `socast tables --cluster` made.
+    """
+    return sorted(table.glob("*.parquet")) if table.is_dir() else [table]
+
+
+def is_table(path: Path) -> bool:
+    """Return whether there is a file, or a folder with the files of a table."""
+    return path.is_file() or (path.is_dir() and bool(list_files(path)))
+
+
+def _read(table: Path, columns: Sequence[str] | None) -> pd.DataFrame:
+    """Read a table from its Parquet files."""
+    parts = [_read_file(file, columns) for file in list_files(table)]
+    if not parts:
+        raise ModelError(f"{table} holds no Parquet file; name a table that `socast tables` made")
+    whole: pd.DataFrame = pa.concat_tables(parts, promote_options="permissive").to_pandas()
+    return whole
+
+
+def _read_file(file: Path, columns: Sequence[str] | None) -> pa.Table:
+    """Read the columns of a Parquet file."""
     try:
         with pq.ParquetFile(file) as opened:
             there = set(opened.schema_arrow.names)
@@ -72,8 +97,7 @@ def _read(file: Path, columns: Sequence[str] | None) -> pd.DataFrame:
                 raise ModelError(
                     f"{file}: column {missing[0]!r} is missing: make the tables again with `socast tables`"
                 )
-            table: pd.DataFrame = opened.read(columns=None if columns is None else list(columns)).to_pandas()
-            return table
+            return opened.read(columns=None if columns is None else list(columns))
     except OSError as error:
         reason = error.strerror or " ".join(str(error).split())
         raise ModelError(f"{file}: cannot read a table: {reason}; name a file that `socast tables` made") from error

@@ -8,6 +8,7 @@ charge, totals and tables.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Final, Literal, NamedTuple
 
 import msgspec
@@ -228,7 +229,9 @@ class Recording:
         columns = [effect.name for effect in self.effects]
         ride_names = self.names.names(rides.at_last("code").tolist())
         context = RunContext(Lanes(self.lanes), self.cars, columns, Settings(), EXTENDED_PHYSICAL)
-        table = tabulate_rides(rides, ride_names, self.drivers, context)
+        cars = [self.lanes[lane] for lane in rides.lane.tolist()]
+        drivers = self.drivers.find_all(cars, ride_names, [inf] * len(cars))
+        table = tabulate_rides(rides, ride_names, drivers, context)
         window = tabulate_windows(windows, context)
         energies = windows.amounts[:, len(AMOUNTS) + len(columns) :]
         truth = {name: energies[:, index] / JOULES_PER_KWH for index, name in enumerate(hidden)}
@@ -260,7 +263,7 @@ def record_drives(drives: Drives, messages: Sequence[Message] | None = None) -> 
     drivers = RideDrivers()
     for event in events:
         if isinstance(event.value, Ride):
-            drivers.observe(event.value, len(lanes))
+            drivers.observe(event.value, event.lane, event.row)
     order = np.array([drives.vehicles.index(name) for name in lanes.names])
     car, number = order[batch.lane], _numbers(batch)
     measured = drives.measured()

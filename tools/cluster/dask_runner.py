@@ -1,0 +1,264 @@
+"""Run tasks by Dask: on processes of this machine, or on the workers of a scheduler.
+
+Tasks pass on their results in files. A worker that is killed therefore costs the tasks that it was running: Dask starts
+them on another worker, and whatever other tasks have written stays.
+
+The processes of Dask exchange pickled objects, and whoever reaches a scheduler can run code. The processes of a local
+cluster therefore listen on loopback only, under TLS with certificates that exist in their memory only, and without
+dashboard. A scheduler elsewhere is reached by TLS only.
+"""
+
+import logging
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+from core.errors import SettingsError
+from tools.cluster.runner import TaskRecord, run_task
+
+INSTALL: Final = 'pip install "socast[cluster]"'
+LOCAL: Final = "local"
+LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
+CONNECT_S: Final = 60.0
+"""Longest time to reach a scheduler, and to start workers on a loaded machine. [s]"""
+_PACKAGES: Final = ("numpy", "numba", "pandas", "pyarrow", "msgspec", "distributed")
+_GB: Final = 10**9
+_CONFIG: Final = {
+    "distributed.comm.timeouts.connect": f"{CONNECT_S:.0f}s",
+    "distributed.admin.tick.limit": "1h",
+    **{f"distributed.{node}.http.routes": [] for node in ("scheduler", "worker", "nanny")},
+}
+
+
+@dataclass(frozen=True)
+class ClusterPlace:
+    """Say where tasks run.
+
+    Parameters
+    ----------
+    address : str
+        Address of a scheduler; empty for processes of this machine.
+    workers : int
+        Number of these processes.
+    worker_memory : float
+        Memory at which Dask restarts one of them. [GB]
+    """
+
+    address: str
+    workers: int
+    worker_memory: float
+
+
+def parse_place(text: str, worker_memory: float) -> ClusterPlace:
+    """Return where tasks run, from the command line.
+
+    Parameters
+    ----------
+    text : str
+        `local`, `local:N`, or the address of a scheduler.
+    worker_memory : float
+        [GB]
+
+    Raises
+    ------
+    SettingsError
+        If the text is neither, or names a scheduler elsewhere without TLS.
+
+    Examples
+    --------
+    >>> parse_place("local:2", 2.0)
+    ClusterPlace(address='', workers=2, worker_memory=2.0)
+    """
+    if text == LOCAL:
+        return ClusterPlace("", os.cpu_count() or 1, worker_memory)
+    kind, _, rest = text.partition(":")
+    if kind == LOCAL:
+        if not (rest.isdecimal() and 1 <= int(rest) <= 1024):
+            raise SettingsError(f"--cluster is '{text}'; give local:N with 1 to 1,024 processes, such as local:2")
+        return ClusterPlace("", int(rest), worker_memory)
+    scheme, separator, host = text.partition("://")
+    if not separator or scheme not in {"tcp", "tls"} or not host.rpartition(":")[2].isdecimal():
+        raise SettingsError(
+            f"--cluster is '{text}'; give local, local:N, or the address of a scheduler such as tls://host:8786"
+        )
+    if scheme == "tcp" and host.rpartition(":")[0] not in LOOPBACK:
+        raise SettingsError(
+            f"--cluster {text} is not encrypted, and whoever reaches a scheduler can run code; start it with TLS and "
+            "give tls://..., or reach it through a tunnel that ends on 127.0.0.1"
+        )
+    return ClusterPlace(text, 0, worker_memory)
+
+
+class DaskRunner:
+    """Run tasks by the client of a Dask cluster.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    scratch : Path
+        Folder in which tasks note that they have begun.
+    on_end : callable, optional
+        Function that receives the record of each task when its result is taken.
+
+    Attributes
+    ----------
+    records : list of TaskRecord
+    """
+
+    def __init__(self, client: Any, scratch: Path, on_end: Callable[[TaskRecord], None] | None = None) -> None:
+        self._client, self._scratch, self._on_end = client, scratch, on_end
+        self.records: list[TaskRecord] = []
+        self.workers = len(client.scheduler_info(n_workers=-1)["workers"])
+
+    def run(self, stage: str, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
+        """Yield the result of each task, in their order.
+
+        Raises
+        ------
+        SettingsError
+            If a task ended several workers, or the scheduler was lost.
+        SocastError
+            That of a task.
+        """
+        from distributed import CancelledError, KilledWorker  # noqa: PLC0415 - an optional package
+
+        futures = [
+            self._client.submit(
+                _run_on_worker, stage, number, function, arguments, self._scratch, pure=False, priority=-number
+            )
+            for number, arguments in enumerate(tasks)
+        ]
+        try:
+            for number, future in enumerate(futures):
+                record, result = future.result()
+                self.records.append(record)
+                if self._on_end:
+                    self._on_end(record)
+                futures[number] = None  # the scheduler may forget it
+                yield result
+        except KilledWorker as error:
+            raise SettingsError(
+                f"a task of the stage '{stage}' ended every worker that ran it; if it needs more memory, give each "
+                "worker more by --worker-memory"
+            ) from error
+        except (CancelledError, OSError) as error:
+            raise SettingsError(
+                f"the scheduler was lost in the stage '{stage}': {error}; run the command again"
+            ) from error
+        finally:
+            self._client.cancel([future for future in futures if future is not None])
+
+    def count_repeats(self) -> dict[str, int]:
+        """Return how often a task was begun once more, because its worker was lost, by stage."""
+        begun = Counter(path.name.split("-")[1] for path in self._scratch.glob("begun-*"))
+        ended = Counter(record.stage for record in self.records)
+        return {stage: begun[stage] - ended[stage] for stage in begun if begun[stage] > ended[stage]}
+
+
+def _run_on_worker(
+    stage: str, number: int, function: Callable[..., Any], arguments: tuple[Any, ...], scratch: Path
+) -> tuple[TaskRecord, Any]:
+    """Note that a task begins, and run it."""
+    from distributed import get_worker  # noqa: PLC0415 - an optional package
+
+    (scratch / f"begun-{stage}-{number}-{os.getpid()}-{time.time_ns()}").touch()
+    return run_task(stage, number, str(get_worker().name), function, arguments)
+
+
+@contextmanager
+def open_runner(
+    place: ClusterPlace, scratch: Path, on_end: Callable[[TaskRecord], None] | None = None
+) -> Iterator[DaskRunner]:
+    """Start or reach workers, and yield a runner of their tasks.
+
+    Parameters
+    ----------
+    place : ClusterPlace
+    scratch : Path
+        Folder that all workers see.
+    on_end : callable, optional
+        As of `DaskRunner`.
+
+    Raises
+    ------
+    SettingsError
+        If Dask is not installed, the scheduler cannot be reached, has no workers, or its workers have other versions of
+        packages or do not see the folder.
+    """
+    try:
+        import distributed  # noqa: PLC0415 - an optional package
+    except ImportError as error:
+        raise SettingsError(f"--cluster needs Dask; install it with {INSTALL}") from error
+    for name in ("distributed", "distributed.nanny", "distributed.scheduler", "distributed.worker"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    with ExitStack() as ending:
+        try:
+            client = _connect(distributed, place, scratch, ending)
+        except (OSError, TimeoutError, ValueError) as error:
+            where = place.address or "workers on this machine"
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise SettingsError(f"--cluster: {where} cannot be reached: {reason}; is it running?") from error
+        _check_workers(client, scratch)
+        yield DaskRunner(client, scratch, on_end)
+
+
+def _connect(distributed: Any, place: ClusterPlace, scratch: Path, ending: ExitStack) -> Any:
+    """Return a client of a scheduler, which this function starts on this machine if none is named."""
+    import dask  # noqa: PLC0415 - an optional package
+
+    ending.enter_context(dask.config.set(_CONFIG))
+    if place.address:
+        return ending.enter_context(distributed.Client(place.address, timeout=CONNECT_S, set_as_default=False))
+    cluster = distributed.LocalCluster(
+        n_workers=place.workers,
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        protocol="tls://",
+        security=distributed.Security.temporary(),
+        dashboard_address=None,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # an HTTP server always listens; it has no pages
+        worker_dashboard_address=None,
+        memory_limit=round(place.worker_memory * _GB),
+        local_directory=str(scratch),
+        silence_logs=logging.CRITICAL,
+    )
+    ending.enter_context(cluster)
+    return ending.enter_context(distributed.Client(cluster, timeout=CONNECT_S, set_as_default=False))
+
+
+def _check_workers(client: Any, scratch: Path) -> None:
+    """Refuse workers that cannot give the results of this machine."""
+    mark = scratch / "mark"
+    mark.touch()
+    found: dict[str, tuple[dict[str, str], bool]] = client.run(_describe_worker, mark)
+    if not found:
+        raise SettingsError("--cluster: the scheduler has no workers; start some with `dask worker`")
+    own, _ = _describe_worker(mark)
+    for worker, (versions, sees) in found.items():
+        if versions != own:
+            name = next(name for name in own if versions.get(name) != own[name])
+            raise SettingsError(
+                f"--cluster: worker {worker} has {name} {versions.get(name)}, and this machine has {own[name]}; "
+                "install the same versions, or results would differ"
+            )
+        if not sees:
+            raise SettingsError(
+                f"--cluster: worker {worker} does not see {scratch}; recordings and --out must be on a file system "
+                "that all workers share, under the same path"
+            )
+
+
+def _describe_worker(mark: Path) -> tuple[dict[str, str], bool]:
+    """Return the versions of packages in this process, and whether it sees a file."""
+    versions = {"socast": "not installed"}
+    for name in ("socast", *_PACKAGES):
+        with suppress(ModuleNotFoundError):
+            versions[name] = version(name)
+    return versions, mark.exists()

@@ -1,0 +1,110 @@
+"""Make tables by many workers, with progress in the terminal and a report of what ran where."""
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from core.errors import SettingsError
+from core.settings import Settings
+from stream.mcap_reader import McapSource
+from tools.cluster.dask_runner import ClusterPlace, DaskRunner, open_runner
+from tools.cluster.job import Job
+from tools.cluster.runner import TaskRecord
+from tools.cluster.tables import ClusterTables, choose_parts, make_tables
+from tools.terminal.cluster_option import show_stages
+from tools.terminal.output import write_json
+from tools.terminal.recordings import refuse_unusable
+
+REPORT: Final = "cluster.json"
+"""File beside the tables that says what ran where."""
+
+
+def tabulate_by_workers(
+    sources: Sequence[McapSource],
+    out: Path,
+    place: ClusterPlace,
+    *,
+    model: str,
+    wanted: Sequence[str],
+    settings: Settings,
+    effect_files: Sequence[Path] = (),
+    vehicle_files: Sequence[Path] = (),
+    elevation_files: Sequence[Path] = (),
+    on_end: Callable[[TaskRecord], None] | None = None,
+) -> ClusterTables:
+    """Write the tables of recordings to a folder, see `tools.cluster.tables.make_tables`, and the report beside them.
+
+    Parameters
+    ----------
+    sources : sequence of McapSource
+    out : Path
+        Existing folder.
+    place : ClusterPlace
+    model : str
+        Name or file of a model.
+    wanted : sequence of str
+        Effects that the tables contain in addition to those of the model.
+    settings : Settings
+    effect_files, vehicle_files, elevation_files : sequence of Path
+        Files that every worker loads.
+    on_end : callable, optional
+        Function that receives the record of each task.
+
+    Raises
+    ------
+    SettingsError
+        If the workers cannot be reached, or cannot see the files.
+    RecordingError
+        If a recording cannot be read.
+    """
+    for source in sources:
+        if source.path.suffix and not source.path.is_file():
+            raise SettingsError(f"{source.path} is no file; --cluster reads files")
+    with _make_scratch(out) as scratch, open_runner(place, scratch, on_end) as runner, show_stages() as report:
+        job = Job(
+            tuple(source.path.resolve() for source in sources),
+            scratch,
+            choose_parts(sources, runner.workers),
+            model if not Path(model).is_file() else str(Path(model).resolve()),
+            tuple(wanted),
+            settings,
+            *(tuple(file.resolve() for file in files) for files in (effect_files, vehicle_files, elevation_files)),
+        )
+        tables = make_tables(job, sources, out.resolve(), runner, report)
+        refuse_unusable(sources, sum(tables.quality["received"].values()))
+        write_json(out / REPORT, "cluster", _report(runner))
+    return tables
+
+
+def _report(runner: DaskRunner) -> dict[str, Any]:
+    """Return what ran where: each task, and the sums of each worker process."""
+    processes: dict[str, dict[str, Any]] = {}
+    for record in runner.records:
+        of_process = processes.setdefault(
+            f"{record.host}/{record.process}",
+            {"worker": record.worker, "tasks": 0, "seconds": 0.0, "cpu_s": 0.0, "read_bytes": 0, "written_bytes": 0},
+        )
+        of_process["tasks"] += 1
+        for name in ("seconds", "cpu_s", "read_bytes", "written_bytes"):
+            of_process[name] += getattr(record, name)
+        of_process["peak_bytes"] = max(record.peak_bytes, of_process.get("peak_bytes", 0))
+    return {
+        "workers": runner.workers,
+        "repeated_tasks": runner.count_repeats(),
+        "processes": processes,
+        "tasks": [asdict(record) for record in runner.records],
+    }
+
+
+@contextmanager
+def _make_scratch(out: Path) -> Iterator[Path]:
+    """Yield a new folder beside the tables for intermediate files, which only this user can read."""
+    folder = Path(tempfile.mkdtemp(prefix=".scratch-", dir=out)).resolve()
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,57 @@
+"""The options of the commands that can divide their work among many workers."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from tools.cluster.dask_runner import ClusterPlace, parse_place
+from tools.terminal.option_groups import insert_options
+
+WORKER_MEMORY_GB = 2.0
+
+
+def make_place(
+    *,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHERE",
+            help="Divide the work among N processes (local:N), or the workers of a Dask scheduler (tls://host:8786).",
+        ),
+    ] = None,
+    worker_memory: Annotated[
+        float, typer.Option(metavar="GB", help="Memory of each process of local:N.", min=0.5, max=1e4)
+    ] = WORKER_MEMORY_GB,
+) -> ClusterPlace | None:
+    """Return where the work is done; None for this process."""
+    return None if cluster is None else parse_place(cluster, worker_memory)
+
+
+insert_cluster_options = insert_options("place", make_place)
+"""Decorator that gives a command the options of a cluster in place of its argument `place`."""
+
+
+@contextmanager
+def show_stages(words: str = "tables") -> Iterator[Callable[[str, int, int], None]]:
+    """Show on standard error how many tasks of each stage have ended.
+
+    Yields
+    ------
+    callable
+        Function that takes a stage, the number of its tasks that have ended, and the number of all.
+    """
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("tasks"))
+    with Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as progress:
+        shown = {}
+
+        def report(stage: str, done: int, number: int) -> None:
+            if stage not in shown:
+                shown[stage] = progress.add_task(f"{words}: {stage}", total=number)
+            progress.update(shown[stage], completed=done)
+
+        yield report
