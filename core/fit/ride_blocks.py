@@ -75,7 +75,7 @@ class RideParquet:
     Parameters
     ----------
     paths : tuple of Path
-        Files of the table, in order.
+        Files of the table, in order; or folders, each with the files of a table.
     """
 
     paths: tuple[Path, ...]
@@ -120,26 +120,58 @@ class RideParquet:
         ModelError
             If a file cannot be read.
         """
-        files = [pq.read_metadata(path) for path in self.paths]
-        step = max(1, -(-sum(file.num_rows for file in files) // most))
+        files = [[pq.read_metadata(part) for part in list_parts(path)] for path in self.paths]
+        step = max(1, -(-sum(part.num_rows for parts in files for part in parts) // most))
         kept, seen = [], 0
-        for path, file in zip(self.paths, files, strict=True):
-            there = set(file.schema.to_arrow_schema().names)
+        for path, parts in zip(self.paths, files, strict=True):
+            there = set(parts[0].schema.to_arrow_schema().names) if parts else set()
             for block in _read(path, [name for name in columns if name in there]):
                 kept.append(block.iloc[-seen % step :: step].copy())  # a view would keep the whole block
                 seen += len(block)
         return pd.concat(kept, ignore_index=True)
 
 
+def list_parts(table: Path) -> list[Path]:
+    """Return the Parquet files of a table: the file itself, or those of its folder in the order of their rows.
+
+    Parameters
+    ----------
+    table : Path
+        A file, or a folder that `socast tables --cluster` made.
+    """
+    return sorted(table.glob("*.parquet")) if table.is_dir() else [table]
+
+
 def _read(path: Path, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
-    """Yield the rows of a file in batches, with these columns or with all."""
+    """Yield the rows of a table in blocks of one size, however they are divided into files and row groups."""
+    held: list[pa.RecordBatch] = []
+    size = 0
+    batch = None
+    for batch in _read_batches(path, columns):
+        held.append(batch)
+        size += batch.num_rows
+        while size >= _BLOCK:
+            table = pa.Table.from_batches(held)
+            yield table.slice(0, _BLOCK).to_pandas()
+            held = table.slice(_BLOCK).to_batches()
+            size -= _BLOCK
+    if batch is None:
+        raise ModelError(f"{path} holds no Parquet file; name one that `socast tables` made")
+    if size:
+        yield pa.Table.from_batches(held).to_pandas()
+    elif not batch.num_rows:
+        yield batch.to_pandas()
+
+
+def _read_batches(path: Path, columns: Sequence[str] | None) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of the files of a table in batches, with these columns or with all."""
     try:
-        with pq.ParquetFile(path, pre_buffer=False) as file:
-            names = None if columns is None else _present(columns, file.schema_arrow.names, str(path))
-            for batch in file.iter_batches(batch_size=_BLOCK, columns=names):
-                yield batch.to_pandas()
-            if not file.metadata.num_rows:
-                yield file.schema_arrow.empty_table().to_pandas()
+        for part in list_parts(path):
+            with pq.ParquetFile(part, pre_buffer=False) as file:
+                names = None if columns is None else _present(columns, file.schema_arrow.names, str(part))
+                yield from file.iter_batches(batch_size=_BLOCK, columns=names)
+                if not file.metadata.num_rows:
+                    yield pa.RecordBatch.from_pylist([], schema=file.schema_arrow)
     except OSError as error:
         reason = error.strerror or " ".join(str(error).split())
         raise ModelError(f"{path}: cannot read rides: {reason}; name one that `socast tables` made") from error

@@ -26,7 +26,7 @@ def make_whole(paths: Sequence[Path]) -> Tables:
     """Return the tables, counters and losses of a serial run."""
     pipeline = Pipeline(also=effects.list_tabulated(), keep_forecasts=False, two_sided=True)
     sources, parts = [McapSource(path) for path in paths], []
-    tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)), lambda share: None)
+    tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)), [].append)
     rides, windows = (pd.concat(tables, ignore_index=True) for tables in zip(*parts, strict=True))
     return rides, windows, pipeline.quality(), [source.losses.lines() for source in sources]
 

@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,8 +18,10 @@ from core.evaluate.compare.models import ComparedRides, compare_predictions, sel
 from core.evaluate.compare.ride_trace import find_ride, trace_ride
 from core.evaluate.paper.results import to_json_values
 from core.models import BUILT_IN_MODELS, LinearModel
+from tools.cluster.dask_runner import ClusterPlace
 from tools.commands.fit import RECORDING, Rides, inputs, ride_files
-from tools.commands.tables import WINDOWS, in_memory
+from tools.commands.tables import WINDOWS, in_memory, tables_by_workers
+from tools.terminal.cluster_option import insert_cluster_options
 from tools.terminal.output import (
     EffectFiles,
     HtmlFile,
@@ -30,11 +32,13 @@ from tools.terminal.output import (
     show_report,
     write_json,
 )
-from tools.terminal.table_files import KEY, read
+from tools.terminal.table_files import KEY, is_table, read
 
 
+@insert_cluster_options
 def compare_models(
     rides: Rides,
+    *,
     model: Annotated[
         list[str], typer.Option("--model", metavar="M", help="A model's name, or a model file; may be repeated.")
     ],
@@ -47,6 +51,7 @@ def compare_models(
     ] = None,
     effects_file: EffectFiles = None,
     vehicles: VehicleFiles = None,
+    place: ClusterPlace | None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
@@ -71,20 +76,26 @@ def compare_models(
         *(vehicles or ()),
     ]
     check_outputs(read, json_file, html_file)
-    chosen = named(model)
-    if ride is not None:
-        result: dict[str, Any] = {"trace": _trace(rides, ride, chosen)}
-    else:
-        table, read_windows = _read(rides, chosen)
-        selected = select_rides(table, chosen)
-        result = compare_predictions(selected)
-        _say_commands(result, _words(rides, effects_file or (), vehicles or ()), dict(zip(chosen, model, strict=True)))
-        if against:
-            result["against"] = _against(selected, rides, against, chosen)
-    result = to_json_values(result)
-    write_json(json_file, "compare", result)
-    if html_file is not None and ride is None:
-        result["traces"] = to_json_values(_trace_worst(result, table, read_windows, chosen))
+    chosen, words = named(model), _words(rides, effects_file or (), vehicles or ())
+    wanted, files = [name for each in chosen.values() for name in each.effects], (effects_file or (), vehicles or ())
+    with ExitStack() as folders:
+        first, second = (
+            folders.enter_context(tables_by_workers(given, place, wanted, *files)) for given in (rides, against or ())
+        )
+        if ride is not None:
+            result: dict[str, Any] = {"trace": _trace(first, ride, chosen)}
+        else:
+            table, read_windows = _read(first, chosen)
+            selected = select_rides(table, chosen)
+            result = compare_predictions(selected)
+            _say_commands(result, words, dict(zip(chosen, model, strict=True)))
+            if against:
+                shown = " ".join(map(str, rides)), " ".join(map(str, against))
+                result["against"] = _against(selected, second, shown, chosen)
+        result = to_json_values(result)
+        write_json(json_file, "compare", result)
+        if html_file is not None and ride is None:
+            result["traces"] = to_json_values(_trace_worst(result, table, read_windows, chosen))
     show_report("comparison.page", result, html_file, json_file)
 
 
@@ -175,7 +186,7 @@ def _windows(files: Sequence[Path], key: str) -> pd.DataFrame:
     """Return the windows of a ride, from the window table beside its ride table."""
     place, ride_key = (0, key) if len(files) == 1 else (int(key.partition("/")[0]), key.partition("/")[2])
     file = files[place].with_name(WINDOWS)
-    if not file.is_file():
+    if not is_table(file):
         raise SettingsError(f"{file.parent} holds no {WINDOWS}; a trace needs the windows that `socast tables` makes")
     try:
         windows: pd.DataFrame = pq.read_table(file, filters=[(KEY, "==", ride_key)]).to_pandas()
@@ -186,14 +197,14 @@ def _windows(files: Sequence[Path], key: str) -> pd.DataFrame:
 
 
 def _against(
-    compared: ComparedRides, rides: Sequence[Path], against: Sequence[Path], chosen: Mapping[str, LinearModel]
+    compared: ComparedRides, against: Sequence[Path], shown: tuple[str, str], chosen: Mapping[str, LinearModel]
 ) -> dict[str, Any]:
     """Return the differences between two sets of rides, and the errors of models on the second set."""
     other = select_rides(_rides(against, chosen), chosen)
     second = compare_predictions(other)
     return {
-        "first": " ".join(map(str, rides)),
-        "second": " ".join(map(str, against)),
+        "first": shown[0],
+        "second": shown[1],
         "about": second["about"],
         "second_models": second["models"],
         **compare_datasets(compared, other, chosen),

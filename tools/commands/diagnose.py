@@ -27,8 +27,10 @@ from core.fit.ride_blocks import get_names
 from core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from core.models.features import EFFECT_PREFIX, FEATURES, is_scope
 from core.wire.messages import Finding
+from tools.cluster.dask_runner import ClusterPlace
 from tools.commands.fit import RECORDING, Rides, inputs
-from tools.commands.tables import WINDOWS, in_memory
+from tools.commands.tables import WINDOWS, in_memory, tables_by_workers
+from tools.terminal.cluster_option import insert_cluster_options
 from tools.terminal.findings_file import read_findings, show_changes, write_findings
 from tools.terminal.output import (
     EffectFiles,
@@ -41,7 +43,7 @@ from tools.terminal.output import (
     show_report,
     write_json,
 )
-from tools.terminal.table_files import KEY, read
+from tools.terminal.table_files import KEY, is_table, read
 
 ENERGY_COLUMNS = (
     "energy_kwh",
@@ -63,13 +65,16 @@ LeastGain = Annotated[
 ]
 
 
+@insert_cluster_options
 def diagnose_rides(
     rides: Rides,
+    *,
     model: Annotated[str, typer.Option("--model", metavar="M", help="Model: a name, or a model file.")],
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
     effects_file: EffectFiles = None,
     vehicles: VehicleFiles = None,
+    place: ClusterPlace | None,
     suggest: Annotated[
         Path | None, typer.Option(metavar="FILE.py", help="Write the suggested effect, if any, to a file.")
     ] = None,
@@ -97,7 +102,9 @@ def diagnose_rides(
     inputs = [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())]
     check_outputs(inputs, json_file, html_file, suggest, findings, out)
     earlier = read_findings(findings) if findings else []
-    table, windows = read_tables(rides, loaded)
+    wanted = [*loaded.effects, *effects.list_tabulated()]
+    with tables_by_workers(rides, place, wanted, effects_file or (), vehicles or ()) as given:
+        table, windows = read_tables(given, loaded)
     if first_day is not None:
         table, windows = select_since(table, windows, first_day)
     console = make_console(json_file)
@@ -197,7 +204,7 @@ def read_both_tables(
         return in_memory(files, [*wanted, *effects.list_tabulated()], report)
     beside = [file.with_name(WINDOWS) for file in files]
     for file in beside:
-        if not file.is_file():
+        if not is_table(file):
             raise SettingsError(
                 f"{file.parent} holds no {WINDOWS}, which diagnosis needs: name a folder that `socast tables` made"
             )

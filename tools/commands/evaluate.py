@@ -20,7 +20,7 @@ from core.stats.splits import REPEATS
 from tools.commands.fit import Tables, ride_files
 from tools.commands.tables import WINDOWS
 from tools.terminal.output import HtmlFile, JsonFile, VehicleFiles, check_outputs, make_console, write_json
-from tools.terminal.table_files import KEY, read
+from tools.terminal.table_files import KEY, is_table, read
 
 LEAST_REPEATS = 2
 """Smallest number of repeats that gives an interval."""
@@ -70,7 +70,7 @@ def evaluate_tables(
     check_outputs([*files, *beside], json_file, html_file)
     rides = read(files)
     named = RECIPES if recipes is None else [name.strip() for name in recipes.split(",")]
-    windows = read(beside, window_columns(named)) if all(file.is_file() for file in beside) else None
+    windows = read(beside, window_columns(named)) if all(map(is_table, beside)) else None
     wanted = select_recipes(recipes, windows, seed)
     with running() as step:
         result = evaluate(

@@ -26,7 +26,7 @@ from tools.commands.tables import RIDES, WINDOWS
 from tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
 from tools.terminal.recordings import refuse_duplicates
 from tools.terminal.rich_table import Column, make_table
-from tools.terminal.table_files import is_window_table, read
+from tools.terminal.table_files import PARQUET, is_table, is_window_table, read
 
 Tables = Annotated[
     list[Path],
@@ -40,7 +40,6 @@ Rides = Annotated[
     ),
 ]
 RECORDING = ".mcap"
-PARQUET = ".parquet"
 RECOMMENDED = "fitted_physical"
 """The recommended first recipe, because its coefficients are physical and it needs few rides."""
 
@@ -115,7 +114,7 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
     SettingsError
         If a file does not exist, is no Parquet file or a window table, or is given twice.
     """
-    files = [path / RIDES if path.is_dir() else path for path in tables]
+    files = [path / RIDES if path.is_dir() and not is_table(path) else path for path in tables]
     for given, file in zip(tables, files, strict=True):
         if given.suffix == RECORDING and given.is_file():
             folder = given.with_suffix("")
@@ -123,7 +122,7 @@ def ride_files(tables: Sequence[Path]) -> list[Path]:
                 f"{given} is a recording; make tables of it first with `socast tables {given} --out {folder}`, "
                 f"and give {folder}"
             )
-        if not file.is_file():
+        if not is_table(file):
             lacks = f"holds no {RIDES}" if given.is_dir() else "does not exist"
             raise SettingsError(f"{given} {lacks}; name a folder that `socast tables` made, or a Parquet file of rides")
         if file.suffix != PARQUET:
@@ -153,7 +152,9 @@ def inputs(given: Sequence[Path]) -> list[Path]:
         twice.
     """
     if empty := [
-        path for path in given if path.is_dir() and not (path / RIDES).exists() and not _list_recordings(path)
+        path
+        for path in given
+        if path.is_dir() and not is_table(path) and not (path / RIDES).exists() and not _list_recordings(path)
     ]:
         raise SettingsError(
             f"{empty[0]} holds no {RIDES} and no recording (*{RECORDING}); name a folder of recordings, or one that "
@@ -180,7 +181,7 @@ def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
         return chosen.fit_parquet(*files)
     if isinstance(chosen, WindowRecipe):
         beside = [file.with_name(WINDOWS) for file in files]
-        there = all(file.is_file() for file in beside)
+        there = all(map(is_table, beside))
         return chosen.fit(read(files), read(beside) if there else None)
     return chosen.fit(RideParquet(tuple(files)).table())
 

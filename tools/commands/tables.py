@@ -1,7 +1,9 @@
 """`socast tables`: clean recordings and write a ride table, a window table and a quality report."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import pandas as pd
@@ -10,6 +12,7 @@ from rich.console import Console
 
 from core import effects, models
 from core.errors import SettingsError
+from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from core.settings import Settings
 from stream.elevation_files import open_elevation
@@ -36,6 +39,7 @@ from tools.terminal.recordings import Recordings, open_recordings, refuse_unusab
 from tools.terminal.rich_table import Column, make_table
 from tools.terminal.table_files import read as read_tables
 
+RECORDING = ".mcap"
 RIDES, WINDOWS, QUALITY = "rides.parquet", "windows.parquet", "quality.json"
 
 COUNTED_BY_NAME = ("received", "undecodable", "unfit", "unpredicted", "unpredictable")
@@ -202,6 +206,54 @@ def in_memory(
     warn_of_losses(sources)
     rides, windows = (pd.concat(tables, ignore_index=True) for tables in zip(*parts, strict=True))
     return rides, windows
+
+
+@contextmanager
+def tables_by_workers(
+    given: Sequence[Path],
+    place: ClusterPlace | None,
+    wanted: Sequence[str],
+    effect_files: Sequence[Path],
+    vehicle_files: Sequence[Path],
+) -> Iterator[Sequence[Path]]:
+    """Yield a folder of tables that workers have made of recordings, in place of these; without workers the recordings.
+
+    Parameters
+    ----------
+    given : sequence of Path
+        Recordings and folders of recordings, or none.
+    place : ClusterPlace, optional
+        Where the workers are.
+    wanted : sequence of str
+        As of `in_memory`.
+    effect_files, vehicle_files : sequence of Path
+        Files that the workers load.
+
+    Raises
+    ------
+    SettingsError
+        If tables are given, of which no worker makes tables.
+    """
+    if place is None or not given:
+        yield given
+        return
+    files = [file for path in given for file in (sorted(path.glob(f"*{RECORDING}")) or [path])]
+    if other := [path for path in files if path.suffix != RECORDING]:
+        raise SettingsError(f"--cluster makes tables of recordings, and {other[0]} is none; leave out --cluster")
+    sources = open_recordings(files)
+    with TemporaryDirectory(prefix="tables-", dir=Path.cwd() if place.address else None) as folder:
+        tabulate_by_workers(
+            sources,
+            Path(folder),
+            place,
+            model=EXTENDED_PHYSICAL.name,
+            wanted=wanted,
+            settings=Settings(),
+            effect_files=effect_files,
+            vehicle_files=vehicle_files,
+        )
+        warn_of_losses(sources)
+        yield [Path(folder)]
 
 
 def show(quality: dict[str, Any], rides: int, windows: int, folder: Path, console: Console) -> None:

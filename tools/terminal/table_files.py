@@ -9,7 +9,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from core.errors import ModelError
+from core.fit.ride_blocks import list_parts
 
+PARQUET: Final = ".parquet"
+"""End of the name of a table."""
 KEY: Final = "ride_key"
 """Column with the key of a ride, in both tables."""
 WINDOW: Final = "window"
@@ -58,30 +61,19 @@ def is_window_table(file: Path) -> bool:
         False if the file is no Parquet file.
     """
     try:
-        return WINDOW in pq.read_schema(list_files(file)[0]).names
+        return WINDOW in pq.read_schema(list_parts(file)[0]).names
     except (OSError, IndexError, pa.ArrowException):
         return False
 
 
-def list_files(table: Path) -> list[Path]:
-    """Return the Parquet files of a table: the file itself, or those of its folder in the order of their rows.
-
-    Parameters
-    ----------
-    table : Path
-        A file, or a folder that `socast tables --cluster` made.
-    """
-    return sorted(table.glob("*.parquet")) if table.is_dir() else [table]
-
-
 def is_table(path: Path) -> bool:
-    """Return whether there is a file, or a folder with the files of a table."""
-    return path.is_file() or (path.is_dir() and bool(list_files(path)))
+    """Return whether there is a file, or a folder with the files of a table, whose name ends as that of a file."""
+    return path.is_file() or (path.is_dir() and path.suffix == PARQUET and bool(list_parts(path)))
 
 
 def _read(table: Path, columns: Sequence[str] | None) -> pd.DataFrame:
     """Read a table from its Parquet files."""
-    parts = [_read_file(file, columns) for file in list_files(table)]
+    parts = [_read_file(file, columns) for file in list_parts(table)]
     if not parts:
         raise ModelError(f"{table} holds no Parquet file; name a table that `socast tables` made")
     whole: pd.DataFrame = pa.concat_tables(parts, promote_options="permissive").to_pandas()
