@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from core import columns
 from core.batch import Batch, Floats, Ints, grown
-from core.cleaning import clock, fleet_clock, kernel, quality, segmentation
+from core.cleaning import clock, fleet_clock, kernel, quality, repetition, segmentation
 from core.cleaning.fleet_clock import RIDE_END, new_fleet_clock
 from core.columns import TELEMETRY
 from core.compiled_cache import watch_sources
@@ -27,7 +27,7 @@ _SAMPLE: Final = np.dtype([(f"raw_{name}", "f8") for name in INPUTS])
 _CAR: Final = np.dtype(
     [
         *((name, "f8") if isinstance(name, str) else (name[0], "f8", (name[1],)) for name in clock.FIELDS),
-        *((f"last_{name}", "f8") for name in ("latitude", "longitude", "speed", "current", "soc")),
+        *((name, "f8") for name in repetition.FIELDS),
         *((name, "f8") for name in ("heard", "riding", "idle", "code")),
     ]
 )
@@ -53,7 +53,8 @@ class FleetSilences:
     >>> lanes = Lanes()
     >>> messages = [Message(f"fleet/{car}/telemetry", text.encode(), 0) for car, text in texts]
     >>> batch, _ = Decoder(lanes).decode(messages)
-    >>> FleetSilences(Settings()).find(np.stack([getattr(batch, name) for name in INPUTS]), batch.lane, 2).tolist()
+    >>> unknown = np.full(batch.size, np.nan)
+    >>> FleetSilences(Settings()).find(select_inputs(batch), batch.lane, 2, unknown).tolist()
     [(203, 0, 202)]
     """
 
@@ -62,7 +63,7 @@ class FleetSilences:
         self._clock = new_fleet_clock()
         self._cars: NDArray[np.void] = _new_cars(0)
 
-    def find(self, samples: Floats, lane: Ints, lanes: int) -> NDArray[np.void]:
+    def find(self, samples: Floats, lane: Ints, lanes: int, period: Floats) -> NDArray[np.void]:
         """Return the silences that samples show.
 
         Parameters
@@ -72,6 +73,8 @@ class FleetSilences:
         lane : (n,) int
         lanes : int
             Number of lanes so far.
+        period : (n,) float
+            Period that the car of each has announced, as for the kernel. [s]
 
         Returns
         -------
@@ -82,7 +85,9 @@ class FleetSilences:
         silences = np.empty(len(lane) + lanes, RIDE_END)
         row = np.zeros(1, _SAMPLE)
         cells = row.view(np.float64)
-        count = find_silences(samples, lane, _RANGES, self._cars, self._settings, row, cells, self._clock, silences)
+        count = find_silences(
+            samples, lane, period, _RANGES, self._cars, self._settings, row, cells, self._clock, silences
+        )
         return silences[:count]
 
 
@@ -103,6 +108,7 @@ def _new_cars(lanes: int) -> NDArray[np.void]:
 def find_silences(
     samples: Any,
     lane: Any,
+    periods: Any,
     ranges: Any,
     cars: Any,
     all_settings: Any,
@@ -117,6 +123,7 @@ def find_silences(
     ----------
     samples : (len(INPUTS), n) float64
     lane : (n,) int64
+    periods : (n,) float64
     ranges : (len(INPUTS), 2) float64
         Valid ranges of the columns.
     cars : (lanes,) _CAR
@@ -135,8 +142,9 @@ def find_silences(
             value = samples[j, i]
             cells[j] = np.nan if value < ranges[j, 0] or value > ranges[j, 1] else value
         car = cars[lane[i]]
-        same = kernel.repeats_content(car, row)
-        dt, _ = clock.advance_clock(car, row.raw_stamp, row.raw_seq, same, settings.period)
+        same = repetition.repeats_content(car, row)
+        period = settings.period if np.isnan(periods[i]) else periods[i]
+        dt, _ = clock.advance_clock(car, row.raw_stamp, row.raw_seq, same, period)
         if dt == clock.UNUSED:
             continue
         fleet.cars += 1.0 if car.samples == 1.0 else 0.0
@@ -147,4 +155,4 @@ def find_silences(
     return count
 
 
-watch_sources(find_silences, kernel, clock, columns, fleet_clock, quality, segmentation)
+watch_sources(find_silences, clock, columns, fleet_clock, quality, repetition, segmentation)

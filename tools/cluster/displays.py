@@ -103,7 +103,7 @@ def learn_displays(job: Job, ordering: Ordering, width: int, sizes: Mapping[str,
     rides, windows = (_Sequence.of(job, name) for name in ("rides", "windows"))
     displays = DisplayYields(ordering.cars)
     kind_of_lane = np.full(len(ordering.lanes), UNKNOWN)
-    changes = deque(ordering.changes)
+    changes = deque(ordering.list_changes())
     yields = [create_unknown_yields(len(each.at)) for each in (rides, windows)]
     first, begin = 0, 0
     for place in [*(place for place, _ in ordering.updates), AFTER_ALL]:

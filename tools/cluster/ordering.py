@@ -84,8 +84,6 @@ class Ordering:
         All cars, in the order of their first message.
     cars : Cars
         The kinds of car; `of_lane` is that of the end.
-    changes : list of (place, lane, kind)
-        Changes of the kind of a car.
     updates : list of (place, midnight)
         Daily updates.
     drivers : RideDrivers
@@ -97,7 +95,7 @@ class Ordering:
         self._job, self._limits = job, limits
         self.lanes, self.cars, self.drivers = Lanes(), Cars(limits), RideDrivers()
         self._spans: list[Placed] = []
-        self.changes: list[tuple[int, int, int]] = []
+        self._replaced: list[ReplacedKind] = []
         self.updates: list[tuple[int, float]] = []
         self.received, self.rejected = Counter[str](), Counter[str]()
         self._duplicates, self._days = DuplicateFilter(self.lanes, limits), DayRollover()
@@ -122,11 +120,14 @@ class Ordering:
         is_new = self._select_new(stored, texts.vehicles, lane_of)
         self.rejected.update(span.rejected)
         item, kind = stored["item"].astype(np.int64), stored["kind"]
-        self._take_rows(span, stored["position"], is_new[kind == SAMPLE], item[kind == SAMPLE], lane_of)
+        rows = item[is_new & (kind == SAMPLE)]
         kept = set(item[is_new & (kind == EVENT)].tolist())
+        changes: list[VehicleChange] = []
         for event in texts.events:
             if event.item in kept:
-                self._take_event(event, int(lane_of[event.lane]) if event.lane >= 0 else -1)
+                lane = int(lane_of[event.lane]) if event.lane >= 0 else -1
+                self._take_event(event, lane, rows, changes)
+        self._take_rows(span, stored["position"][is_new[kind == SAMPLE]], rows, lane_of, changes)
         arrays = {"lanes": lane_of, "starts": stored["starts"]}
         if not is_new.all():
             arrays["kept"] = np.zeros(span.items, np.bool_)
@@ -168,6 +169,15 @@ class Ordering:
         shared = Shared(self.lanes.names, kinds, self._weather)
         job.of_run("shared").write_bytes(msgspec.msgpack.encode(shared))
 
+    def list_changes(self) -> list[tuple[int, int, int]]:
+        """Return the changes of the kinds of cars after all spans: place, lane and new kind of each."""
+        kind_of_lane = self.cars.of_lane.copy()
+        changes = []
+        for place, lane, earlier in reversed(self._replaced):
+            changes.append((place, lane, int(kind_of_lane[lane])))
+            kind_of_lane[lane] = earlier
+        return changes[::-1]
+
     def _select_new(self, stored: dict[str, Any], vehicles: Sequence[str], lane_of: Ints) -> Any:
         """Return which items were not delivered before, and fill in the lanes of the cars of a span."""
         hashes, first = stored["hashes"], stored["first"]
@@ -182,29 +192,30 @@ class Ordering:
                 known += 1
         return is_new
 
-    def _take_rows(self, span: Span, position: Ints, is_new: Any, item: Ints, lane_of: Ints) -> None:
-        """Find the daily updates and the silences that the samples of a span show."""
+    def _take_rows(
+        self, span: Span, position: Ints, item: Ints, lane_of: Ints, changes: Sequence[VehicleChange]
+    ) -> None:
+        """Find the daily updates and the silences that the samples of a span show, with the kinds of their cars."""
         columns = read_columns(self._job.of_span(span.number, "rows"), span.rows, 0, span.rows, _COLUMNS)
-        columns, item = columns.take(position[is_new], axis=1), item[is_new]
+        columns = columns.take(position, axis=1)
         lane = lane_of[columns[0].astype(np.int64)]
         self.received["telemetry"] += len(lane)
         place = 2 * (self._items + item) + 1
         rollovers = self._days.find_rollovers(lane, columns[1 + INPUTS.index("stamp")])
         self.updates += [(int(place[row]) - 1, midnight) for row, midnight in rollovers]
-        silences = self._silences.find(columns[1:], lane, len(self.lanes))
+        kind = self.cars.kinds(lane, changes, len(self.lanes), self._replaced)
+        silences = self._silences.find(columns[1:], lane, len(self.lanes), self.cars.period.take(kind))
         self._silent.append((place[silences["place"]], silences["lane"].copy()))
 
-    def _take_event(self, event: SpanEvent, lane: int) -> None:
-        """Take a message that is not telemetry."""
+    def _take_event(self, event: SpanEvent, lane: int, rows: Ints, changes: list[VehicleChange]) -> None:
+        """Take a message that is not telemetry, among rows with these items; a vehicle message is a change."""
         self.received[event.kind] += 1
         place = 2 * (self._items + event.item) + 1
         if event.kind == "plan":  # concerns its car only
             return
         value = self._decoders[event.kind].decode(event.payload)
         if isinstance(value, Vehicle):
-            replaced: list[ReplacedKind] = []
-            self.cars.kinds(np.empty(0, np.int64), [VehicleChange(0, lane, value, place)], len(self.lanes), replaced)
-            self.changes += [(place, lane, int(self.cars.of_lane[lane])) for _ in replaced]
+            changes.append(VehicleChange(int(np.searchsorted(rows, event.item)), lane, value, place))
         elif isinstance(value, Ride):
             self.drivers.observe(value, lane, place)
         elif isinstance(value, Weather):

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
+import numpy as np
 from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
@@ -136,7 +137,7 @@ def _run_kernels(model: Model, *shadows: Model) -> None:
     tables.finish()
     lanes = Lanes()
     batch, _ = Decoder(lanes).decode(messages)
-    FleetSilences(Settings()).find(select_inputs(batch), batch.lane, len(lanes))
+    FleetSilences(Settings()).find(select_inputs(batch), batch.lane, len(lanes), np.full(batch.size, np.nan))
     leaf = {"roots": (0,), "feature": (-1,), "threshold": (0.0,), "value": (0.0,)}
     Trees(features=(), baseline=0.0, left=(0,), right=(0,), missing_left=(0,), **leaf).predict({})  # type: ignore[arg-type]
 

@@ -40,7 +40,8 @@ def make_fleet(rng, cars):
     streams += [[leaf(f"b{i}"), *second_day(f"b{i}", 2 * i), *second_day(f"b{i}", 2 * i + 1)] for i in range(2)]
     streams[0] = streams[0][: len(streams[0]) // 2]  # silent, while the others go on
     weather = [observed(time=START + 90.0 * i, temperature_c=float(i)) for i in range(6)]
-    ends = [make_message("ride", "car0", START + 200.0, ride_id="A", event="end", driver_id="late")]
+    ends = [leaf("car0", period_s=10.0), leaf("b0", period_s=0.0), leaf("b0", mass_kg=1700.0)]
+    ends += [make_message("ride", "car0", START + 200.0, ride_id="A", event="end", driver_id="late")]
     messages = mixed([*streams, weather, ends], int(rng.integers(1000)))
     late = telemetry(drive(260, seed=4, speed=9.0), "runner")
     late[60:90] = [join(late[60:90])]
