@@ -7,7 +7,7 @@ h' = p - h / τ, with precipitation p and time constant τ.
 """
 
 from collections.abc import Sequence
-from math import inf
+from math import inf, isnan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -224,8 +224,9 @@ class Stations:
             return self.sky(time, latitude, longitude)
         parts, start = [], 0
         for row, message in observations:
-            parts.append(self.sky(time[start:row], latitude[start:row], longitude[start:row]))
-            start = row
+            if row > start:
+                parts.append(self.sky(time[start:row], latitude[start:row], longitude[start:row]))
+                start = row
             self.observe(message)
         parts.append(self.sky(time[start:], latitude[start:], longitude[start:]))
         return Sky(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
@@ -359,14 +360,18 @@ def snow_left(snow: Any, ambient: Any, precipitation: Any, age: Any) -> Any:
 
 
 def _lay(rows: Floats, first: int) -> None:
-    """Compute the depths on the road from an observation on; precipitation of an observation fell before it."""
+    """Compute the depths on the road from an observation on; precipitation of an observation fell before it.
+
+    The depths are those of `water_left` and `snow_left`, which are slow for single values.
+    """
     for at in range(first, len(rows)):
         row = _Observation(*rows[at].tolist())
         before = _Observation(*rows[at - 1].tolist()) if at else None
         age = row.observed - before.observed if before else _HOUR
         water, snow = (before.water, before.snow) if before else (0.0, 0.0)
-        weather = row.ambient, row.precipitation, age
-        rows[at, _WATER], rows[at, _SNOW] = water_left(water, *weather), snow_left(snow, *weather)
+        is_cold, fallen = row.ambient < FREEZING, 0.0 if isnan(row.precipitation) else row.precipitation
+        rows[at, _WATER] = held(water, 0.0 if is_cold else fallen, age, DRYING)
+        rows[at, _SNOW] = held(snow, fallen if is_cold else 0.0, age, CLEARING if is_cold else THAWING)
 
 
 def _observation(message: Weather, since: float) -> _Observation:
