@@ -80,7 +80,7 @@ def main(arguments: list[str] | None = None) -> int:
         for record in of_seed:
             console.print(f"{seed} {record['case']}: {', '.join(record['claimed']) or 'nothing'}", highlight=False)
     rows = summarise(records)
-    table = make_table([Column("hidden"), *(Column(head, number=True) for head in HEADS)], "Where the error lives")
+    table = make_table([Column("hidden"), *(Column(head, number=True) for head in HEADS)], "Location of the error")
     for name, cells in rows.items():
         table.add_row(name, *cells)
     console.print(table)
@@ -238,7 +238,7 @@ def make_section(rows: dict[str, list[str]], seeds: str, records: Sequence[Recor
     seconds = sorted(record["seconds"] for record in records)
     lines = [
         begin,
-        "## Where the error lives",
+        "## Location of the error",
         "",
         (
             f"Written by `python -m tools.bench.error_location --seeds {seeds} --page`. Fleets of 8 cars, about "

@@ -206,7 +206,7 @@ def test_numbers_stay_with_their_units_on_the_page_and_in_the_terminal(tmp_path)
 def test_title_and_caption_that_repeat_stand_once(tmp_path):
     report.write(make_diagnosis(), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
-    assert "<h3>Where the error lives</h3>" not in text
+    assert "<h3>Location of the error</h3>" not in text
     assert "<h3>1. cold_rolling@reference=283.15: coefficient and plausible range</h3>" in text
     assert text.count(">Line: 95\u00a0% interval. Shaded: the plausible range.") == 1
 

@@ -1,4 +1,4 @@
-"""Test the sentences and the figure of where the error lives."""
+"""Test the sentences and the figure of the location of the error."""
 
 import pytest
 

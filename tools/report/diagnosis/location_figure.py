@@ -64,7 +64,7 @@ def draw_location(result: Result) -> list[Illustration]:
         names = [KINDS[str(one["kind"])] for one in panel]
         made.update_yaxes(type="category", categoryorder="array", categoryarray=names, row=row, col=1)
         made.update_yaxes(title_text="Load", range=[len(names) - 0.5, -0.5], row=row, col=1)
-    return [Illustration("location", "Where the error lives", CAPTION, made)]
+    return [Illustration("location", "Location of the error", CAPTION, made)]
 
 
 def _draw_sizes(panel: Sequence[Mapping[str, Any]]) -> list[go.Scatter]:

@@ -73,7 +73,7 @@ def show(result: Any, console: Console, *, suggested: str | None = None) -> None
             console,
         )
     if lines := describe_location(values):
-        print_heading("Where the error lives", console)
+        print_heading("Location of the error", console)
         print_lines(lines, console)
     _print_missing_effects(values, console)
     if lines := deviations.describe_deviations(values):
@@ -213,7 +213,7 @@ def build_sections(result: Result, suggested: str | None = None) -> list[Section
         Section("causes", "Probable causes", " ".join(sentences.describe_competition(result)), []),
         Section("error", "Error", " ".join(sentences.describe_error(result)), [tables.tabulate_errors(result)]),
         Section("slices", "Where the model fails", "", [tables.tabulate_slices(result)]),
-        Section("location", "Where the error lives", " ".join(describe_location(result)), []),
+        Section("location", "Location of the error", " ".join(describe_location(result)), []),
         Section("missing", "Missing effects", _summarise_missing(result), [tables.tabulate_missing_effects(result)]),
         Section("cars", "Cars and changes", _end_sentences(deviations.describe_deviations(result)), []),
         Section(

@@ -1,4 +1,4 @@
-"""Records of the page about failures: the residual along any column, and where the error lives."""
+"""Records of the page about failures: the residual along any column, and the location of the error."""
 
 from typing import Any, Final, NamedTuple
 
@@ -235,7 +235,7 @@ def bin_residual(seen: Residuals, column: ShownColumn, along: Any, rows: Ints) -
 
 
 def describe_failures(workspace: Workspace, node: ModelNode, diagnosis: dict[str, Any]) -> dict[str, Any]:
-    """Return the slices that a diagnosis found, and where the error lives.
+    """Return the slices that a diagnosis found, and the location of the error.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-// The page "Where it fails": the residual along any column, slices, and where the error lives.
+// The page "Where it fails": the residual along any column, slices, and the location of the error.
 
 import { chart, legendOf, scaleLegend } from "./chart.js";
 import { el, svg } from "./dom.js";
@@ -62,7 +62,7 @@ function makeView(root, { state: first, model, workspace, rides, context }) {
         surveyBox),
       el("section", { class: "card", "aria-label": "Explorer", id: "explorer" }, el("div", { class: "card-head" }, el("h2", {}, "Explorer"), controls), charts, filters),
       el("section", { class: "card", "aria-label": "Slices" }, el("h2", {}, "Slices with another bias"), slices),
-      el("section", { class: "card", "aria-label": "Location" }, el("h2", {}, "Where the error lives"), location),
+      el("section", { class: "card", "aria-label": "Location" }, el("h2", {}, "Location of the error"), location),
       copied),
   );
 
