@@ -250,7 +250,7 @@ def _check_sign(total: Mapping[str, float]) -> Check:
     if 200.0 <= mass <= 7500.0:
         return Check("power of acceleration", found, limit, True)
     if mass < -100.0:
-        words = "acceleration charges the battery: set sign = -1 for the current or the power"
+        words = "acceleration charges the battery: turn the sign of the current or the power in [fields]"
     else:
         words = "power and speed do not belong together: check their units, and that their clocks agree"
     return Check("power of acceleration", found, limit, False, words)
@@ -265,7 +265,11 @@ def _check_consumption(total: Mapping[str, float]) -> Check:
     found = f"{used:.3g} kWh/km over {total['distance'] / 1000:.1f} km"
     if 0.05 <= used <= 1.0:
         return Check("energy per km", found, limit, True)
-    words = "the sign of current or power is wrong: set sign = -1" if used < 0 else "check the units of power and speed"
+    words = (
+        "the sign of current or power is wrong: turn it in [fields]"
+        if used < 0
+        else "check the units of power and speed"
+    )
     return Check("energy per km", found, limit, False, words)
 
 
@@ -314,7 +318,7 @@ def _judge_capacity(found: str, limit: str, passed: bool, sign: float, scale: fl
     if passed:
         return Check("energy against charge", found, limit, True)
     if sign < 0:
-        words = "the charge rises while energy is drawn: set sign = -1 for the current or the power"
+        words = "the charge rises while energy is drawn: turn the sign of the current or the power in [fields]"
     elif scale > 8:
         words = "the charge hardly changes; if it is a fraction, set unit = '1' for soc_pct"
     else:
