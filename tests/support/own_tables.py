@@ -64,9 +64,9 @@ def teslamate(path: Path, **changes: Any) -> Path:
     return path
 
 
-def abrp(path: Path, sign: int = 1) -> Path:
+def abrp(path: Path, sign: int = 1, start: float = START) -> Path:
     """Write samples of ABRP telemetry: power in kW and current in A are positive when discharging."""
-    d = make_drive()
+    d = make_drive(start=start)
     columns = {
         "utc": d["time"].astype(int),
         "soc": d["soc"].round(1),

@@ -1,0 +1,129 @@
+"""A car that sends only the name of its model is predicted where `--vehicles` gives its data sheet.
+
+`live`, `serve`, `diagnose`, `fit` and the diagnosis of the night take the option; without it no energy is predicted.
+"""
+
+import json
+import re
+import signal
+import subprocess
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+
+from core.settings import Settings
+from core.vehicles import catalogue
+from stream.loop import Tally
+from stream.memory import MemorySink
+from stream.zenoh_session import Connection, Node, find_free_port
+from tests.support import own_tables
+from tests.support.commands import SOCAST, called, done
+from tests.support.live_consumers import consumers
+from tests.support.web_requests import Client
+from tests.support.zenoh_sessions import eventually
+from tools.terminal import night_watch
+from tools.terminal.forecast_options import ForecastOptions
+from tools.terminal.night_watch import make_nightly_diagnosis
+
+pytestmark = pytest.mark.long
+RIDES = 24
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    """Return a folder with a recording of a car that names its model only, and with the data sheet of that model."""
+    folder = tmp_path_factory.mktemp("van")
+    parts = []
+    for ride in range(RIDES):
+        file = own_tables.abrp(folder / "ride.csv", start=own_tables.START + (ride // 3) * 86400 + (ride % 3) * 7200)
+        parts.append(pd.read_csv(file).iloc[100 + 20 * ride : 300 + 20 * ride])
+    table = folder / "van.csv"
+    pd.concat(parts).to_csv(table, index=False)
+    (folder / "kept").mkdir()
+    recording = folder / "kept" / "van.mcap"
+    done("import", "csv", table, "--guess", "--vehicle-model", "my-van", "-o", recording)
+    done("vehicles", "new", folder / "my-van.toml", "--mass-kg", 1600, "--capacity-kwh", 40)
+    catalogue._OWN.clear()
+    return SimpleNamespace(folder=folder, recording=recording, sheet=folder / "my-van.toml", kept=folder / "kept")
+
+
+def test_fit_and_diagnosis_take_the_data_sheet(fleet, tmp_path):
+    done("tables", fleet.recording, "--vehicles", fleet.sheet, "--out", tmp_path / "tables")
+    catalogue._OWN.clear()
+    done(
+        "fit",
+        tmp_path / "tables",
+        "--recipe",
+        "road_load_constant",
+        "-o",
+        tmp_path / "van.json",
+        "--vehicles",
+        fleet.sheet,
+    )
+    fit = json.loads((tmp_path / "van.json").read_text())["fits"]
+    assert "my-van" in fit
+    catalogue._OWN.clear()
+    report = tmp_path / "found.json"
+    words = ("diagnose", fleet.recording, "--model", tmp_path / "van.json", "--json", report)
+    _, errors, code = called(*words, "--vehicles", fleet.sheet)
+    assert code == 0, errors
+    assert json.loads(report.read_text())["data"]["rides"] >= 20
+    catalogue._OWN.clear()
+    _, errors, code = called(*words)
+    assert (code, errors.count("\n")) == (2, 1)
+
+
+def test_diagnosis_of_the_night_takes_the_data_sheet(fleet, tmp_path, monkeypatch):
+    jobs = []
+    monkeypatch.setattr(night_watch, "DiagnosisProcess", lambda arguments: jobs.append(arguments) or SimpleNamespace())
+    options = ForecastOptions(["basic_physical"], (), (fleet.sheet,), Settings(), "", (), ())
+    midnight = SimpleNamespace(day_rollover=SimpleNamespace(midnight=86_400.0))
+    nightly = make_nightly_diagnosis(options, midnight, MemorySink(), fleet.kept, tmp_path / "findings.json")
+    nightly(Tally())
+    midnight.day_rollover.midnight *= 2.0
+    nightly(Tally())
+    (arguments,) = jobs
+    _, errors, code = called("diagnose", *arguments)
+    assert code == 0, errors
+    assert json.loads((tmp_path / "findings.json").read_text())["findings"] is not None
+
+
+def predict_live(fleet, folder, *options):
+    """Return the energies that a live service predicts for the first rides of the car."""
+    endpoint, heard = f"tcp/127.0.0.1:{find_free_port()}", []
+    with consumers(folder) as start:
+        start("--listen", endpoint, *options)
+        with Node(Connection(connect=(endpoint,))) as node:
+            keep = lambda sample: heard.append(json.loads(sample.payload.to_bytes()))  # noqa: E731
+            with node.session.declare_subscriber("fleet/*/forecast", keep):
+                called("replay", fleet.recording, "--connect", endpoint, "--speed", "max")
+                assert eventually(lambda: heard and heard[-1]["ride_energy_measured_kwh"], 60.0)
+    return [each["ride_energy_predicted_kwh"] for each in heard]
+
+
+def test_live_service_predicts_with_the_data_sheet_only(fleet, tmp_path):
+    assert any(predict_live(fleet, tmp_path, "--vehicles", fleet.sheet))
+    (tmp_path / "without").mkdir()
+    assert not any(predict_live(fleet, tmp_path / "without"))
+
+
+def test_workbench_predicts_with_the_data_sheet(fleet):
+    options = ("--port", "0", "--no-browser", "--vehicles", fleet.sheet)
+    command = [*SOCAST, "serve", *map(str, (fleet.recording, *options))]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as served:
+        try:
+            printed = ""
+            while "Ctrl-C" not in printed:
+                printed += (line := served.stdout.readline())
+                assert line, served.stderr.read()
+            (address,) = re.findall(r"http://127\.0\.0\.1:\d+/enter\?token=\S+", printed)
+            origin = address.partition("/enter")[0]
+            client = Client(SimpleNamespace(address=address, origin=origin, port=int(origin.rpartition(":")[2])))
+            assert client.post("/api/player", {"action": "play", "speed": 600}).code == 200
+            car = lambda: client.get("/api/cars/van").record()  # noqa: E731
+            assert eventually(lambda: car().get("values", {}).get("predicted"), 60.0), car()
+        finally:
+            served.send_signal(signal.SIGINT)
+            served.communicate(timeout=30)
+    assert served.returncode == 0
