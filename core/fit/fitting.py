@@ -46,7 +46,7 @@ from core.fit.regression import (
     assign_groups,
     solve,
 )
-from core.fit.ride_blocks import ENERGY, NAMES, RideSource, convert_to_arrays, select_trainable
+from core.fit.ride_blocks import ENERGY, NAMES, RideSource, convert_to_arrays, select_trainable, suggest_rides
 from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
 from core.models.derived_features import DERIVED_COLUMNS
 from core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, list_raw_columns
@@ -207,7 +207,8 @@ class _Fitting:
             why = ", ".join(f"{n:,} {reason}" for reason, n in sorted(self.left_out.items()))
             reasons = f" ({why} left out)" if why else ""
             raise ModelError(
-                f"recipe {self.plan.name}: {rides:,} rides to fit to{reasons}, and it needs {least}: give more rides"
+                f"recipe {self.plan.name}: {rides:,} rides to fit to{reasons}, and it needs {least}: "
+                f"{suggest_rides(self.left_out)}"
             )
         self.counts = {key: group.rides for key, group in sorted(self.groups.items()) if key != ANY}
         self.groups = {key: group for key, group in self.groups.items() if group.rides >= least}

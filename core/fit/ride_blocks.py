@@ -1,7 +1,7 @@
 """Read ride tables block by block, from memory or from Parquet files, and select the rides for training."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -18,6 +18,8 @@ from core.models.features import EFFECT_PREFIX
 from core.vehicles.fleet import CarParameters
 
 ENERGY: Final = "energy_kwh"
+UNKNOWN_VEHICLE: Final = "unknown_vehicle_or_effect"
+"""Reason to leave a ride out: the figures of its car, or an effect, are unknown."""
 _BLOCK: Final = 8192
 """Rides in a block."""
 NAMES: Final = ("vehicle_model", "vehicle_id", "date")
@@ -214,7 +216,7 @@ def select_trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.Da
     reason = np.full(len(block), "", dtype=object)
     for name in columns:
         if name.startswith(EFFECT_PREFIX) or name in CarParameters._fields:
-            reason[~np.isfinite(get_numbers(block, name))] = "unknown_vehicle_or_effect"
+            reason[~np.isfinite(get_numbers(block, name))] = UNKNOWN_VEHICLE
     reason[~np.isfinite(get_numbers(block, ENERGY))] = "no_measured_energy"
     if "fit_for_training" in block:
         unfit = ~block["fit_for_training"].to_numpy(dtype=bool, na_value=False)
@@ -225,6 +227,22 @@ def select_trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.Da
     left = reason != ""
     left_out.update(reason[left].tolist())
     return (block.loc[~left] if left.any() else block), left_out
+
+
+def suggest_rides(left_out: Mapping[str, int]) -> str:
+    """Return what to do where too few rides are left to fit to.
+
+    Parameters
+    ----------
+    left_out : mapping of str to int
+        Number of rides or windows left out, by reason.
+    """
+    if left_out.get(UNKNOWN_VEHICLE):
+        return (
+            "some are of cars whose vehicle model is unknown; name it as you import (--vehicle-model, and --vehicles for "
+            "a car of your own) and make the tables again, or give more rides"
+        )
+    return "give more rides"
 
 
 def get_numbers(block: pd.DataFrame, name: str) -> Floats:

@@ -38,7 +38,7 @@ from core.fit.priors import (
     flatten_curve,
     is_curved,
 )
-from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
+from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable, suggest_rides
 from core.fit.row_noise import build_variance_parts
 from core.fit.window_problem import GroupRows
 from core.fit.window_solver import GroupFit, solve_group
@@ -92,13 +92,15 @@ def fit_rows(name: str, terms: tuple[Term, ...], rows: pd.DataFrame) -> tuple[Li
     """
     _check(name, terms, rows)
     read = _list_columns(terms)
-    good, _ = select_trainable(rows, read)
+    good, left_out = select_trainable(rows, read)
     good = good.assign(**{VEHICLE: get_names(good, VEHICLE), "date": get_names(good, "date")})
     good = good.sort_values([VEHICLE, "date", "ride_key"], kind="stable", ignore_index=True)
     kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
     keys = good["ride_key"].to_numpy(dtype=object)
     if (count := len(set(keys.tolist()))) < LEAST_OWN_RIDES:
-        raise ModelError(f"recipe {name}: {count} rides to fit to, and it needs {LEAST_OWN_RIDES}: give more rides")
+        raise ModelError(
+            f"recipe {name}: {count} rides to fit to, and it needs {LEAST_OWN_RIDES}: {suggest_rides(left_out)}"
+        )
     fills = {key: _find_fills(terms, good.iloc[at]) for key, at in _split_groups(kinds)}
     rides = {key: len(set(keys[at].tolist())) for key, at in _split_groups(kinds)}
     alone = len(rides) == 2 and rides[ANY] == min(rides.values())

@@ -18,7 +18,7 @@ from stream.loop import Tally
 from stream.memory import MemorySink
 from stream.zenoh_session import Connection, Node, find_free_port
 from tests.support import own_tables
-from tests.support.commands import SOCAST, called, done
+from tests.support.commands import SOCAST, called, done, refused
 from tests.support.live_consumers import consumers
 from tests.support.web_requests import Client
 from tests.support.zenoh_sessions import eventually
@@ -72,6 +72,14 @@ def test_fit_and_diagnosis_take_the_data_sheet(fleet, tmp_path):
     catalogue._OWN.clear()
     _, errors, code = called(*words)
     assert (code, errors.count("\n")) == (2, 1)
+
+
+def test_fit_of_a_car_of_unknown_model_names_the_remedy(fleet, tmp_path, capsys):
+    done("tables", fleet.recording, "--out", tmp_path / "tables")
+    capsys.readouterr()
+    for recipe in ("road_load_constant", "fitted_physical"):
+        message = refused(capsys, "fit", tmp_path / "tables", "--recipe", recipe, "-o", tmp_path / "van.json")
+        assert "some are of cars whose vehicle model is unknown; name it as you import (--vehicle-model" in message
 
 
 def test_diagnosis_of_the_night_takes_the_data_sheet(fleet, tmp_path, monkeypatch):

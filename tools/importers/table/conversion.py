@@ -137,8 +137,8 @@ def _list_notes(tables: Sequence[TableFile], columns: ColumnMap) -> list[str]:
     ]
     if columns.vehicle.model is None and not columns.vehicle.models:
         notes.append(
-            f"no vehicle model: the energy of the cars is measured and not predicted; set model in [vehicle] of "
-            f"{columns.path}, such as nissan-leaf-2013, or describe the car with `socast vehicles new`"
+            "no vehicle model: the energy of the cars is measured and not predicted; give --vehicle-model, such as "
+            "nissan-leaf-2013, or describe a car of your own with `socast vehicles new` and give --vehicles too"
         )
     used = {columns.vehicle.model, *columns.vehicle.models.values()} - {None}
     notes += [

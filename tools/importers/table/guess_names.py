@@ -1,6 +1,7 @@
 """Guess from its name which field of the wire contract a column or a signal holds, and in which unit."""
 
 import re
+import unicodedata
 from typing import Final, NamedTuple
 
 from tools.importers.table.units import FIELD_UNITS, POWER, convertible, spell_unit
@@ -17,11 +18,13 @@ _NOT_THE_PACK: Final = (
 )
 _TIME_NAMES: Final = (
     r"^(time|date|datetime|date time|time ?stamp|utc|epoch|unix|unix time|ts|elapsed( time)?"
+    r"|zeit|zeitstempel|uhrzeit|datum|temps|heure|horodatage|fecha|hora|tempo|data e ora|tijd|tijdstip"
     r"|(recorded|created|received|logged) at|m time utc)$"
     r"|\b(timestamp|date time)$"
 )
 _AMBIENT: Final = (
     r"\b(outside|ambient|ext|external|exterior|outdoor|air|v e)\b.*\b(temp|temperature)\b|^oat\b|\bambient\b"
+    r"|\b(aussentemperatur|umgebungstemperatur)\b"
 )
 _HVAC: Final = r"\b(hvac|climate|heating|heater|air ?con|air conditioning)\b.*\b(power|watts?)\b|\bhvac\b"
 _NO_STATE: Final = r"\b(power|rate|current|voltage|kwh|energy|time|mode|dcfc|type)\b"
@@ -39,12 +42,39 @@ _RULES: Final = (
     ),
     ("ambient_c", _AMBIENT, r"\b(cabin|inside|conditioning)\b"),
     ("hvac_w", _HVAC, r"\b(no power|on|state|set|fan)\b|temp"),
-    ("battery_voltage_v", r"\b(voltage|volts?)\b", _NOT_THE_PACK),
-    (POWER, r"\bpower\b", rf"{_NOT_THE_PACK}|\bno power\b"),
-    ("soc_pct", r"\b(soc|so c|state of charge|battery level|charge level)\b", r"\b(usable|limit|target|max|min)\b"),
-    ("battery_current_a", r"\b(current|amps|amperes?)\b", rf"{_NOT_THE_PACK}|\blocation\b"),
-    ("odometer_km", r"\b(odo|odometer|mileage|traveled distance|total distance)\b", r"\btrip\b"),
-    ("speed_kmh", r"\b(speed|velocity)\b", r"\b(wind|fan|motor|engine|limit|posted|average|max|rpm)\b"),
+    (
+        "battery_voltage_v",
+        r"\b(voltage|volts?|spannung|batteriespannung|tension|voltaje|tensione|spanning)\b",
+        _NOT_THE_PACK,
+    ),
+    (
+        POWER,
+        r"\b(power|leistung|puissance|potencia|potenza|vermogen|batterieleistung)\b",
+        rf"{_NOT_THE_PACK}|\bno power\b",
+    ),
+    (
+        "soc_pct",
+        (
+            r"\b(soc|so c|state of charge|battery level|charge level|ladezustand|ladestand|niveau de charge|"
+            r"estado de carga)\b"
+        ),
+        r"\b(usable|limit|target|max|min)\b",
+    ),
+    (
+        "battery_current_a",
+        r"\b(current|amps|amperes?|strom|batteriestrom|courant|corriente|corrente|stroom)\b",
+        rf"{_NOT_THE_PACK}|\blocation\b",
+    ),
+    (
+        "odometer_km",
+        r"\b(odo|odometer|mileage|kilometerstand|kilometrage|cuentakilometros|traveled distance|total distance)\b",
+        r"\btrip\b",
+    ),
+    (
+        "speed_kmh",
+        r"\b(speed|velocity|geschwindigkeit|vitesse|velocidad|velocit|snelheid)\b",
+        r"\b(wind|fan|motor|engine|limit|posted|average|max|rpm)\b",
+    ),
     ("occupants", r"\b(occupants?|passengers|people)\b", ""),
     ("charging", r"\b(is )?charging( state)?\b|\bcharge state\b", _NO_STATE),
     (SIGNAL, r"^(signal|metric|diagnostic|variable|parameter|key|name)( (id|name))?$", ""),
@@ -95,6 +125,8 @@ def _split_words(name: str) -> list[str]:
     >>> _split_words("DiagnosticStateOfChargeId"), _split_words("batt_current_A")
     (['Diagnostic', 'State', 'Of', 'Charge', 'Id'], ['batt', 'current', 'A'])
     """
+    plain = unicodedata.normalize("NFKD", name.replace("ß", "ss"))
+    name = "".join(letter for letter in plain if not unicodedata.combining(letter))
     divided = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])|(?<=[a-z])(?=[A-Z]+$)", " ", name)
     return re.findall(r"[A-Za-z0-9°%]+", divided)
 

@@ -19,6 +19,7 @@ _DATES: Final = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%Y/%m/%d", "%d
 _CLOCKS: Final = (" %H:%M:%S", " %H:%M:%S.%f", " %H:%M", " %I:%M:%S %p", " %I:%M %p", ", %H:%M:%S")
 FORMATS: Final = tuple(date + clock for date, clock in product(_DATES, _CLOCKS))
 """Formats of text that are tried after ISO 8601."""
+_TIME_OF_DAY: Final = r"\s*\d{1,2}:\d\d(:\d\d(\.\d+)?)?\s*"
 TRIED: Final = 2000
 """Cells that are tried."""
 
@@ -71,15 +72,19 @@ def guess_time(candidates: Sequence[NamedColumn], blocks: Sequence[tuple[TableFi
     names = [each.name for each in candidates]
     units = {each.name: each.unit for each in candidates}
     path, example = blocks[0][0].path, ""
+    of_day: GuessedTime | None = None
     pairs = [tuple(names[:2])] if len(names) > 1 else []
     for columns in [*((name,) for name in names), *pairs]:
         cells = _collect(columns, blocks)
         if cells is None or not len(cells):
             continue
         found = _read(columns, cells, units.get(columns[0]))
-        if found is not None:
+        if found is not None and not found.day_from_file_name:
             return found
+        of_day = of_day or found
         example = str(cells[0].as_py())
+    if of_day is not None:
+        return of_day
     raise ImportFileError(
         f"{path}: column '{names[0]}' holds {example[:40]!r}, which is no time in a known form; "
         "write a map by hand with a format in [time]"
@@ -105,6 +110,8 @@ def _read(columns: tuple[str, ...], cells: Any, unit: str | None) -> GuessedTime
             columns, None, None, zone is not None, False, f"Parquet time stamps{f' in {zone}' if zone else ''}"
         )
     texts = pd.Series([str(cell) for cell in cells.to_pylist()])
+    if texts.str.fullmatch(_TIME_OF_DAY).mean() > 0.9:
+        return _read_times_of_day(columns, texts)
     numbers = pd.to_numeric(texts.str.replace(",", ".", regex=False), errors="coerce")
     if numbers.notna().mean() > 0.9:
         return _read_numbers(columns, numbers.dropna().to_numpy(), unit)
@@ -118,6 +125,14 @@ def _read(columns: tuple[str, ...], cells: Any, unit: str | None) -> GuessedTime
     others = [form for form in fitting if form[:2] != best[:2]]
     doubt = f", not {others[0]}, by the shorter span of time" if others else ""
     return GuessedTime(columns, None, best, False, False, f"the text has this format{doubt}")
+
+
+def _read_times_of_day(columns: tuple[str, ...], texts: "pd.Series[str]") -> GuessedTime:
+    """Return the format of times of day; the name of the file holds the day."""
+    seconds = "%H:%M:%S" if texts.str.count(":").median() > 1 else "%H:%M"
+    form = f"{seconds}.%f" if bool(texts.str.contains(".", regex=False).mean() > 0.5) else seconds
+    reason = "times of day; the name of the file holds the day"
+    return GuessedTime(columns, None, form, False, False, reason, day_from_file_name=True)
 
 
 def _read_numbers(columns: tuple[str, ...], numbers: Any, unit: str | None) -> GuessedTime | None:

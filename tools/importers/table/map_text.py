@@ -99,6 +99,7 @@ def _write_file(table: TableFile) -> list[str]:
     usual = {"separator": ",", "decimal": ".", "encoding": "utf-8"}
     found = {"separator": table.separator, "decimal": table.decimal, "encoding": table.encoding}
     lines = [f"{key} = {_quote(value)}" for key, value in found.items() if value != usual[key]]
+    lines += [f"skip_lines = {table.skip_lines}"] if table.skip_lines else []
     return ["[file]", *lines, ""] if lines else []
 
 

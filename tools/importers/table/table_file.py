@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,6 +23,8 @@ BLOCK_ROWS: Final = 1 << 16
 HEAD_BYTES: Final = 1 << 18
 """Part of a CSV file from which its form is found. [B]"""
 SEPARATORS: Final = (",", ";", "\t", "|")
+MOST_ABOVE: Final = 50
+"""Lines among which the header is looked for."""
 WRONG_WIDTH: Final = "another number of cells than the header"
 """Cause: a row that cannot be divided into columns."""
 UNKNOWN: Final = ("", "NaN", "nan", "NA", "N/A", "n/a", "null", "NULL", "None", "none", "-", "\\N", "#N/A")
@@ -31,6 +34,18 @@ KINDS: Final[Mapping[str, tuple[str, ...]]] = {
     "parquet": (".parquet", ".pq"),
 }
 """Kind of a table -> endings of its files in a folder."""
+
+OTHER_KINDS: Final[Mapping[bytes, str]] = {
+    b"PK\x03\x04": "an Excel workbook or another archive",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook",
+    b"{": "JSON",
+    b"[": "JSON",
+    b"<": "XML or HTML, such as GPX",
+    b"SQLite format 3": "an SQLite database",
+}
+"""First bytes of files that are no tables of text -> what they are."""
+_VALUE: Final = re.compile(r"[+-]?\d+([.,]\d+)?|\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([ T].*)?")
+"""A number or a date, with which no header is filled."""
 
 Block = Mapping[str, pa.Array]
 
@@ -154,22 +169,30 @@ def open_table(path: Path, kind: str, form: FileFormat) -> TableFile:
         raise ImportFileError(f"{path}: is empty; leave it out")
     if head.startswith(b"PAR1"):
         raise ImportFileError(f"{path}: is a Parquet file; use `socast import parquet`")
+    for start, words in OTHER_KINDS.items():
+        if head.lstrip().startswith(start):
+            raise ImportFileError(f"{path}: is {words}; save it as CSV and import that")
     encoding = form.encoding or _find_encoding(head)
     try:
-        lines = head.decode(encoding, "replace").lstrip("\ufeff").splitlines()[form.skip_lines :]
+        lines = head.decode(encoding, "replace").lstrip("\ufeff").splitlines()
     except LookupError as error:
         raise ImportFileError(
             f"{path}: encoding '{encoding}' is not known; write one such as utf-8 or latin-1"
         ) from error
+    skipped = form.skip_lines or _find_header(lines)
+    lines = lines[skipped:]
     if not lines or not lines[0].strip():
-        raise ImportFileError(
-            f"{path}: has no header in line {form.skip_lines + 1}; set skip_lines in [file] of the map"
-        )
+        raise ImportFileError(f"{path}: has no header in line {skipped + 1}; set skip_lines in [file] of the map")
     separator = form.separator or max(SEPARATORS, key=lambda each: len(_split(lines[0], each)))
     names = _number_duplicates([name.strip() for name in _split(lines[0], separator)])
+    if sum(map(_is_value, names)) > len(names) / 2:
+        raise ImportFileError(
+            f"{path}: line {skipped + 1} holds values such as {names[0]!r}, and no names of columns; write a line "
+            "of names above it, such as time,speed_kmh,power_kw"
+        )
     complete = lines[1:-1] if len(head) == HEAD_BYTES else lines[1:]
     decimal = form.decimal or _find_decimal([_split(line, separator) for line in complete[:200]], separator)
-    return TableFile(path, kind, names, separator, decimal, encoding, form.skip_lines)
+    return TableFile(path, kind, names, separator, decimal, encoding, skipped)
 
 
 def list_tables(paths: Sequence[Path], kind: str) -> list[Path]:
@@ -196,6 +219,20 @@ def _one_line(path: Path) -> Iterator[None]:
         raise ImportFileError(f"{path} cannot be read: {reason}; name an existing file") from error
     except (pa.ArrowException, UnicodeDecodeError) as error:
         raise ImportFileError(f"{path} is damaged or of another form: {error}; export it again") from error
+
+
+def _find_header(lines: Sequence[str]) -> int:
+    """Return the number of lines above the header: lines without any separator, before one with separators."""
+    if len(lines) < 2 or any(separator in lines[0] for separator in SEPARATORS):
+        return 0
+    found = next((at for at, line in enumerate(lines[:MOST_ABOVE]) if any(mark in line for mark in SEPARATORS)), 0)
+    follows = lines[found + 1] if found and found + 1 < len(lines) else ""
+    return found if any(mark in lines[found] and mark in follows for mark in SEPARATORS) else 0
+
+
+def _is_value(name: str) -> bool:
+    """Return whether a cell of a header is a number or a date."""
+    return _VALUE.fullmatch(name.partition("#")[0]) is not None
 
 
 def _split(line: str, separator: str) -> list[str]:

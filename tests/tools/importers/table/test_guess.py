@@ -103,3 +103,59 @@ def test_table_without_time_is_refused_in_one_line(tmp_path):
 def test_columns_that_are_not_read_are_listed_with_the_reason(tmp_path):
     found = guess_map([open_table(abrp(tmp_path / "a.csv"), "csv", FileFormat())])
     assert dict(found.left_out) == {"is_dcfc": "the preset does not read it"}
+
+
+@pytest.mark.parametrize(
+    ("header", "fields"),
+    [
+        ("Zeit,Geschwindigkeit [km/h],Leistung [kW],Ladezustand [%]", {"speed_kmh", "battery_power_kw", "soc_pct"}),
+        ("Zeit,Außentemperatur,Leistung [kW],Spannung", {"ambient_c", "battery_power_kw", "battery_voltage_v"}),
+        ("Heure,Vitesse (km/h),Puissance (kW)", {"speed_kmh", "battery_power_kw"}),
+        ("Fecha,Velocidad,Corriente,Voltaje", {"speed_kmh", "battery_current_a", "battery_voltage_v"}),
+        ("time,SoC [%],Velocity [km/h]", {"speed_kmh", "soc_pct"}),
+    ],
+)
+def test_names_in_other_languages_and_spellings_are_known(tmp_path, header, fields):
+    path = tmp_path / "table.csv"
+    rows = [f"2024-05-01 12:00:{s:02}," + ",".join(["30"] * header.count(",")) for s in range(30)]
+    path.write_text("\n".join([header, *rows]), encoding="utf-8")
+    assert {each.field for each in guess_map([open_table(path, "csv", FileFormat())]).fields} == fields
+
+
+def test_times_of_day_take_the_day_from_the_file_name(tmp_path):
+    path = tmp_path / "2024-05-01.csv"
+    path.write_text("time,speed\n" + "".join(f"12:00:{s:02}.5,30\n" for s in range(30)))
+    found = guess_map([open_table(path, "csv", FileFormat())])
+    assert (found.time.form, found.time.day_from_file_name) == ("%H:%M:%S.%f", True)
+    other = path.rename(tmp_path / "drive.csv")
+    with pytest.raises(ImportFileError, match="its name holds no day such as 2024-05-01"):
+        guess_map([open_table(other, "csv", FileFormat())])
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"PK\x03\x04\x14\0", "is an Excel workbook or another archive; save it as CSV"),
+        (b'[{"utc": 1}]', "is JSON; save it as CSV"),
+        (b'<?xml version="1.0"?><gpx/>', "is XML or HTML, such as GPX; save it as CSV"),
+        (
+            b"2024-05-01 12:00:00,30.5,4.2\n2024-05-01 12:00:03,31,4\n",
+            "no names of columns; write a line of names above",
+        ),
+    ],
+)
+def test_file_that_is_no_table_with_a_header_is_one_line_with_the_remedy(tmp_path, content, words):
+    path = tmp_path / "table.csv"
+    path.write_bytes(content)
+    with pytest.raises(ImportFileError, match=words):
+        open_table(path, "csv", FileFormat())
+
+
+def test_date_and_time_of_day_in_two_columns_below_a_title_are_found(tmp_path):
+    path = tmp_path / "fahrten.csv"
+    rows = "".join(f"01.06.2024;12:00:{s:02};30,5;4,25\n" for s in range(30))
+    path.write_text("Meine Fahrten\n\nDatum;Uhrzeit;Geschwindigkeit (km/h);Leistung (kW)\n" + rows, encoding="utf-8")
+    table = open_table(path, "csv", FileFormat())
+    assert (table.skip_lines, table.separator, table.decimal) == (2, ";", ",")
+    found = guess_map([table])
+    assert (found.time.columns, found.time.form) == (("Datum", "Uhrzeit"), "%d.%m.%Y %H:%M:%S")
