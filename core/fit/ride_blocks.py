@@ -239,8 +239,8 @@ def suggest_rides(left_out: Mapping[str, int]) -> str:
     """
     if left_out.get(UNKNOWN_VEHICLE):
         return (
-            "some are of cars whose vehicle model is unknown; name it as you import (--vehicle-model, and --vehicles for "
-            "a car of your own) and make the tables again, or give more rides"
+            "some are of cars whose vehicle model is unknown; name it as you import (--vehicle-model, and --vehicles "
+            "for a car of your own) and make the tables again, or give more rides"
         )
     return "give more rides"
 
