@@ -37,7 +37,8 @@ Remaining error, for a period of 3 s and Gaussian errors of the stamps with stan
 A period other than the nominal one is followed from the first samples where there is a counter, to within 0.4 periods
 and soon better. Without a counter it is found after ten samples. Neither loses any time. A car may also announce its
 period, in its vehicle message, and that its logger has none: such a logger sends a sample when a value has changed. Its
-stamps are then used as they are, as long as they increase.
+stamps are then used as they are, as long as they increase. Where they contradict the counter again and again, this is
+found without an announcement.
 
 References
 ----------
@@ -57,6 +58,8 @@ FIELDS: Final = (
     "samples",  # number of accepted samples; zero for a new lane
     "time",  # repaired time of the last accepted sample [s]
     "nominal",  # period that the car announced, or else that of the settings; 0 for a logger without one [s]
+    "has_period",  # 0 for a logger that sends a sample when a value has changed, else 1
+    "irregular",  # running share of the intervals between stamps that are twice what the counter says, or more [1]
     "period",  # estimated time between samples [s]
     "stamp",  # stamp of the last accepted sample [s]
     "seq",  # counter of the last accepted sample
@@ -110,6 +113,10 @@ LEAP: Final = 200.0
 """Longest gap that is accepted without confirmation by a second stamp. [periods]"""
 PAUSE: Final = 400.0 * SECONDS_PER_DAY
 """The same for the first sample after a power cycle, whose counter is low. [s]"""
+IRREGULAR_MEMORY: Final = 50.0
+"""Number of intervals in the running share of those that are twice what the counter says."""
+MOST_IRREGULAR: Final = 0.15
+"""Largest such share of a logger with a period. [1]"""
 LONGEST_SILENCE: Final = 60.0
 """Time for which a logger without a period may send nothing because nothing has changed. [s]"""
 UNUSED: Final = -1.0
@@ -132,8 +139,9 @@ def start_clock(state: Any, stamp: float, seq: float, period: float) -> tuple[fl
 def set_period(state: Any, nominal: float) -> None:
     """Begin to estimate the period from the nominal one, 0 for a logger without a period."""
     state.nominal = nominal
+    state.has_period = 1.0 if nominal > 0.0 else 0.0
     state.period = state.interval = nominal if nominal > 0.0 else LONGEST_SILENCE
-    state.intervals = state.latest = state.misfits = 0.0
+    state.intervals = state.latest = state.misfits = state.irregular = 0.0
     state.spread = 3.0 * LEAST_SPREAD * state.period
     state.memory = FIRST_MEMORY
 
@@ -172,6 +180,20 @@ def observe_interval(state: Any, stamp: float, count: float, slipped: bool) -> N
     elif slipped and abs(excess) > 0.04 * state.period:
         state.period += 0.5 * excess
         state.memory = SETTLED_MEMORY
+
+
+@njit(cache=False)
+def find_irregular(state: Any, stamp: float, count: float) -> None:
+    """Treat a logger as one without a period if its stamps increase, and many intervals are longer than counted."""
+    interval = stamp - state.stamp
+    if interval <= 0.0:
+        state.irregular = 0.0
+    elif not isnan(count):
+        contradicts = 2.0 * state.interval < interval / count <= LONGEST_SILENCE
+        state.irregular += ((1.0 if contradicts else 0.0) - state.irregular) / IRREGULAR_MEMORY
+    if state.irregular > MOST_IRREGULAR:
+        state.has_period = 0.0
+        state.period = LONGEST_SILENCE
 
 
 @njit(cache=False)
@@ -249,7 +271,7 @@ def reject_or_reset(state: Any, stamp: float, seq: float, count: float, counted:
     state.late_seq = seq
     if state.late_run < (AGREE_BACK if counted == 0.0 else AGREE_LATE):
         return UNUSED, LATE
-    dt = state.late_run * state.period if state.nominal > 0.0 else 0.0
+    dt = state.late_run * state.period if state.has_period == 1.0 else 0.0
     state.late_run = state.misfits = state.hole_start = state.hole_end = 0.0
     state.memory = SETTLED_MEMORY
     state.time = state.stamp = stamp
@@ -365,7 +387,7 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
     elapsed = (stamp - state.time) / state.period
     if is_repeat(state, stamp, seq, elapsed, same):
         return UNUSED, DUPLICATE
-    if period == 0.0:
+    if state.has_period == 0.0:
         return take_stamp(state, stamp, seq, counted)
     bits = SEQUENCE if counter and counted == 0.0 else 0
     anew = False
@@ -386,6 +408,7 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
         counts = counted > 0.0 and bits == 0
         slipped = abs(count - 1.0) == 1.0 and not counts
         observe_interval(state, stamp, count if counts else 1.0, slipped)
+        find_irregular(state, stamp, count if counts else nan)
     dt, more = restart_clock(state, stamp) if anew else follow_stamp(state, stamp, count)
     state.samples += 1.0
     if not isnan(stamp):

@@ -103,8 +103,8 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
             power = nan
         elif dt <= max(LONGEST_TRAPEZOID * settings.period, 1.5 * state.period):
             before = power if isnan(state.power) else state.power
-            row.energy = (0.5 * (power + before) if state.nominal > 0.0 else before) * dt
-            unknown = dt if state.nominal > 0.0 else min(dt, LATEST_CHANGE)
+            row.energy = (0.5 * (power + before) if state.has_period == 1.0 else before) * dt
+            unknown = dt if state.has_period == 1.0 else min(dt, LATEST_CHANGE)
             row.energy_variance = find_variance_factor(unknown) * ((power - before) * unknown) ** 2
             row.metered = dt
     state.power = power

@@ -257,7 +257,7 @@ def update_smooth_speed(state: Any, speed: float, dt: float, restart: bool, sett
 @njit(cache=False)
 def find_hole(state: Any, settings: Any) -> float:
     """Return the longest step that is not a hole in the speed; a logger without a period is silent at one speed. [s]"""
-    return HOLE * settings.period if state.nominal > 0.0 else 1.5 * state.period
+    return HOLE * settings.period if state.has_period == 1.0 else 1.5 * state.period
 
 
 @njit(cache=False)

@@ -301,7 +301,7 @@ class RowAssembler:
         if row is None:
             return
         if not car.seq and (model := self._models.get(vehicle, self._models.get("*"))):
-            self._messages.append(introduce_vehicle(vehicle, round(row.time_s, 3), model))
+            self._messages.append(introduce_vehicle(vehicle, round(row.time_s, 3), model, period_s=0.0))
         values = dict(self._fill(car, row))
         for name, number in row.values.items():
             car.held[name] = (number, row.time_s)

@@ -68,6 +68,25 @@ def test_logger_without_period_keeps_its_stamps_distance_and_energy():
     assert count(rows, Quality.GAP | Quality.CLOCK_STEP | Quality.REPAIRED_TIME) == 0
 
 
+def test_logger_without_period_is_found_where_stamps_contradict_the_counter():
+    columns = drive(400)
+    columns["time_s"] = START + np.cumsum(np.random.default_rng(3).choice([1.0, 1.0, 2.0, 2.5, 9.0, 25.0], 400))
+    rows = clean(columns, np.nan)
+    late = slice(60, None)
+    assert rows.time[late].tolist() == columns["time_s"][late].tolist()
+    assert rows.dt[late].tolist() == np.diff(columns["time_s"])[59:].tolist()
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.3, 0.6])
+def test_logger_with_period_keeps_it_whatever_is_lost(lost):
+    columns = drive(2000)
+    rng = np.random.default_rng(8)
+    columns["time_s"] += rng.normal(0.0, 0.5, 2000)
+    rows = clean(picked(columns, rng.uniform(size=2000) >= lost), np.nan)
+    away = (rows.time - START + 1.5) % 3.0 - 1.5
+    assert np.abs(away[50:]).max() < 1.0
+
+
 def test_stamps_of_logger_without_period_are_checked():
     columns = changes(second_by_second())
     at = len(columns["time_s"]) // 2
