@@ -127,6 +127,7 @@ class MqttSource(Closeable):
         self._waiting: Queue[MqttMessage] = Queue(MOST_WAITING)
         self._open: Counter[int] = Counter()
         self._connection = 0
+        self._session_kept = False
         self._answered, self._closing = Event(), Event()
         self._refusal = ""
         self._client = self._make_client()
@@ -146,7 +147,9 @@ class MqttSource(Closeable):
         if not self._answered.wait(CONNECT_S) or self._refusal:
             words = self._refusal or f"no answer within {CONNECT_S:g} s"
             self.close()
-            raise SettingsError(f"the broker at {broker.url} refuses the connection: {words}; check user and password")
+            raise SettingsError(
+                f"the broker at {broker.url} refuses the connection: {words}; check user, password and certificates"
+            )
 
     @property
     def unacknowledged(self) -> int:
@@ -218,7 +221,7 @@ class MqttSource(Closeable):
             return
         self._connection += 1
         self.counts["connections"] += 1
-        _log.info("broker joined", extra=event_fields(url=self._broker.url, session_kept=flags.session_present))
+        self._session_kept = flags.session_present
         client.subscribe([(topic, 1) for topic in self._topics])
 
     def _on_subscribe(self, _: object, __: object, ___: object, reasons: Sequence[Any], ____: object) -> None:
@@ -226,6 +229,8 @@ class MqttSource(Closeable):
         refused = [topic for topic, reason in zip(self._topics, reasons, strict=False) if reason.is_failure]
         if refused:
             self._refuse(f"it allows no subscription to {refused[0]}")
+        else:
+            _log.info("broker joined", extra=event_fields(url=self._broker.url, session_kept=self._session_kept))
         self._answered.set()
 
     def _refuse(self, words: str) -> None:
@@ -239,7 +244,9 @@ class MqttSource(Closeable):
     def _on_disconnect(self, _: object, __: object, ___: object, reason: Any, ____: object) -> None:
         """Let the acknowledgements of this connection lapse."""
         self._connection += 1
-        if not self._closing.is_set():
+        if not self._answered.is_set():
+            self._refuse(f"it ends the connection ({reason})")
+        elif not self._closing.is_set():
             self.counts["disconnections"] += 1
             _log.warning("broker lost", extra=event_fields(url=self._broker.url, reason=str(reason)))
 

@@ -1,6 +1,7 @@
 """A broker keeps what was not acknowledged; wrong addresses and credentials are one line."""
 
 import subprocess
+from dataclasses import replace
 
 import pytest
 from paho.mqtt.client import Client
@@ -11,6 +12,7 @@ from stream.mqtt_source import Broker, MqttSource, parse_broker
 from stream.zenoh_session import find_free_port
 from tests.support.mqtt_broker import MqttBroker, needs_mosquitto
 from tests.support.zenoh_sessions import eventually
+from tools.security.certificates import Authority, now_utc
 
 
 @pytest.fixture
@@ -85,8 +87,33 @@ def test_wrong_password_is_refused_in_one_line(tmp_path):
     subprocess.run(["mosquitto_passwd", "-b", "-c", secrets, "fleet", "right"], check=True, capture_output=True)
     with MqttBroker(tmp_path, f"allow_anonymous false\npassword_file {secrets}") as broker:
         MqttSource(Broker(broker.url, user="fleet", password="right"), ["a"]).close()
-        with pytest.raises(SettingsError, match=r"refuses the connection: .*check user and password"):
+        with pytest.raises(SettingsError, match=r"refuses the connection: .*check user, password"):
             MqttSource(Broker(broker.url, user="fleet", password="wrong"), ["a"])
+
+
+@needs_mosquitto
+def test_tls_checks_the_broker_and_shows_it_a_certificate(tmp_path):
+    now = now_utc()
+    authority, own = Authority.create(now)
+    _, foreign = Authority.create(now)
+    files = {"ca": own, "other": foreign, "client": authority.issue("bridge", 1, now, 30.0)}
+    files["broker"] = authority.issue("router", 1, now, 30.0, ["127.0.0.1"])
+    for name, credential in files.items():
+        (tmp_path / f"{name}.pem").write_text(credential.certificate, encoding="utf-8")
+        (tmp_path / f"{name}.key").write_text(credential.key, encoding="utf-8")
+    settings = (
+        f"allow_anonymous true\ncafile {tmp_path}/ca.pem\ncertfile {tmp_path}/broker.pem\n"
+        f"keyfile {tmp_path}/broker.key\nrequire_certificate true"
+    )
+    with MqttBroker(tmp_path, settings) as broker:
+        url = broker.url.replace("mqtt:", "mqtts:")
+        known = Broker(url, authority=tmp_path / "ca.pem")
+        shown = replace(known, certificate=tmp_path / "client.pem", key=tmp_path / "client.key")
+        MqttSource(shown, ["a"]).close()
+        with pytest.raises(SettingsError, match="certificate verify failed"):
+            MqttSource(replace(shown, authority=tmp_path / "other.pem"), ["a"])
+        with pytest.raises(SettingsError, match=r"no broker answers|it ends the connection"):
+            MqttSource(known, ["a"])
 
 
 def test_broker_that_does_not_run_is_one_line():

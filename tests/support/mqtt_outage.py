@@ -59,15 +59,41 @@ class _Connection:
         self._waiting: dict[int, Said | None] = {}
         self._early: set[int] = set()
         self._packets: deque[int] = deque()  # that were acknowledged; their thread must not wait for a lock
+        self._held: deque[tuple[str, str, Said | None]] = deque()
+        self._is_lost = False
         self._client = Client(CallbackAPIVersion.VERSION2, name, clean_session=False)
         self._client.max_inflight_messages_set(1000)
         self._client.reconnect_delay_set(1, 2)
         self._client.on_publish = lambda _, __, packet, ___, ____: self._packets.append(packet)
+        self._client.on_disconnect = lambda *_: setattr(self, "_is_lost", True)
         self._client.connect("127.0.0.1", port)
         self._client.loop_start()
 
     def send(self, topic: str, text: str, said: Said | None) -> None:
-        """Publish a message."""
+        """Publish a message, after all messages before.
+
+        After a reconnection, the client would publish a new message before those that it has to send again.
+        """
+        self._held.append((topic, text, said))
+        if self._is_lost:
+            self._note()
+            self._is_lost = bool(self._waiting) or not self._client.is_connected()
+        while self._held and not self._is_lost:
+            self._publish(*self._held.popleft())
+
+    def count_unacknowledged(self) -> int:
+        """Return the number of messages that the broker has not acknowledged so far."""
+        if self._held:
+            self.send(*self._held.pop())
+        self._note()
+        return len(self._waiting) + len(self._held)
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _publish(self, topic: str, text: str, said: Said | None) -> None:
         packet = self._client.publish(topic, text, qos=1).mid
         if packet in self._waiting:  # the number is used again
             self._note()
@@ -76,16 +102,6 @@ class _Connection:
             self._keep(said)
         else:
             self._waiting[packet] = said
-
-    def count_unacknowledged(self) -> int:
-        """Return the number of messages that the broker has not acknowledged so far."""
-        self._note()
-        return len(self._waiting)
-
-    def close(self) -> None:
-        """Disconnect."""
-        self._client.disconnect()
-        self._client.loop_stop()
 
     def _note(self) -> None:
         while self._packets:

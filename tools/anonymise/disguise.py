@@ -22,8 +22,10 @@ MOST_YEARS: Final = 40.0
 """Largest shift. [a]"""
 SPAN_S: Final = 631_152_000.0, 2_840_140_800.0
 """Times between which recordings are moved: 1990 and 2060. [Unix s]"""
-NEVER_SET_S: Final = 946_684_800.0
-"""Time before which a clock was never set: moved, it would give the shift away. 1 January 2000. [Unix s]"""
+EPOCHS_S: Final = 0.0, 315_964_800.0, 946_684_800.0
+"""Times that clocks show which were never set: the beginning of 1970, of GPS and of 2000. [Unix s]"""
+RUNNING_S: Final = 400 * 86400.0
+"""Time for which such a clock may have run. [s]"""
 FARTHEST_DEG: Final = 175.0
 """Largest longitude to which an area moves, because computations with longitudes fail beside 180. [deg]"""
 HASH_BYTES: Final = 6
@@ -61,8 +63,12 @@ class Disguise(NamedTuple):
         return f"{kind}-{digest.hexdigest()}"
 
     def shift(self, time_s: float) -> float:
-        """Return a time in the anonymised recording; a time of a clock that was never set stays. [Unix s]"""
-        return time_s if time_s < NEVER_SET_S else round(time_s + self.shift_s, 6)
+        """Return a time in the anonymised recording. [Unix s]
+
+        A time of a clock that was never set stays: moved, it would give the shift away.
+        """
+        is_set = not any(0.0 <= time_s - epoch_s <= RUNNING_S for epoch_s in EPOCHS_S)
+        return round(time_s + self.shift_s, 6) if is_set else time_s
 
     def turn(self, direction_deg: float) -> float:
         """Return a compass direction in the anonymised recording; one outside 0 to 360 stays. [deg]"""

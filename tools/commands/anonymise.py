@@ -22,6 +22,8 @@ from tools.terminal.recordings import Recordings, open_recordings, refuse_unusab
 
 EVERY: Final = 10
 """One of so many samples of a car is read to find the centre of the area."""
+MOST_PLACES: Final = 1 << 18
+"""Largest number of positions that are kept to find the centre."""
 REMAINS: Final = (
     "What remains can identify a person: times of day and distances of rides, odometers, elevations, the latitude, the "
     "shape of the streets and the weather. Who knows a ride can find it again, and who compares streets or weather "
@@ -142,6 +144,8 @@ def find_extent(sources: Sequence[McapSource]) -> Extent:
             for messages in source:
                 for kind, decoder in decoders.items():
                     places[kind] += _read_places(messages, kind, decoder)
+                    if len(places[kind]) > MOST_PLACES:
+                        del places[kind][::2]
                 hours |= {each.receipt_ns // 3_600_000_000_000 % 24 for each in messages if _is(each, "telemetry")}
                 step()
     found = places["telemetry"] or places["weather"]

@@ -64,7 +64,9 @@ def test_shifts_are_whole_weeks_about_whole_years_within_credible_dates():
 def test_times_shift_alike_and_clocks_that_were_never_set_stay():
     disguise = make(3)
     assert disguise.shift(BEGIN + 0.25) - disguise.shift(BEGIN) == 0.25
-    assert disguise.shift(12.5) == 12.5
+    for never_set in (12.5, 315_964_900.0, 946_684_800.0):
+        assert disguise.shift(never_set) == never_set
+    assert disguise.shift(900_000_000.0) == 900_000_000.0 + disguise.shift_s
 
 
 def test_wind_turns_with_the_headings_and_a_wrong_direction_stays():

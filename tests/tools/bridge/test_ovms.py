@@ -6,7 +6,7 @@ import pytest
 
 from core.errors import SettingsError
 from stream.mqtt_source import MqttMessage, Ticket
-from tools.bridge.ovms import METRICS, OvmsReader, parse_topic_prefix
+from tools.bridge.ovms import METRICS, OvmsReader, OvmsSource, parse_topic_prefix
 from tools.bridge.row_assembler import RowAssembler
 
 NOW = 1_700_000_000.0
@@ -143,3 +143,38 @@ def test_backlog_after_a_reconnection_keeps_the_times_of_the_module(assembler):
 def test_topics_with_wildcards_are_refused_in_one_line(text):
     with pytest.raises(SettingsError, match=r"--topics is .*give plain levels"):
         parse_topic_prefix(text)
+
+
+class Window:
+    """A source whose broker sends so many messages before it waits for acknowledgements."""
+
+    def __init__(self, messages, window):
+        self.unacknowledged = 0
+        self.counts = {}
+        self._messages, self._window = messages, window
+
+    def take(self, _):
+        number = self._window - self.unacknowledged
+        taken, self._messages = self._messages[:number], self._messages[number:]
+        self.unacknowledged += len(taken)
+        return taken
+
+    def acknowledge(self, tickets):
+        self.unacknowledged -= len(tickets)
+
+
+def test_broker_that_waits_for_acknowledgements_gets_them_and_is_named_in_the_log(assembler, caplog):
+    topic = "ovms/me/car-{}/metric/v/b/soc"
+    messages = [MqttMessage(topic.format(at), b"50", NOW, False, 0, Ticket(at, 0)) for at in range(2500)]
+    window = Window(messages, 20)
+    source = OvmsSource(window, OvmsReader(assembler))
+    rows_seen = 0
+    for _ in range(400):
+        source.feed(0.0)
+        if source.is_stalled():
+            assembler.close_due()
+        done, tickets = assembler.pop()
+        source.acknowledge(tickets)
+        rows_seen += len(done)
+    assert rows_seen == 2500
+    assert caplog.text.count("max_inflight_messages") == 1
