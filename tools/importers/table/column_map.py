@@ -32,7 +32,7 @@ LONGEST_MAP: Final = 1 << 20
 """Largest map. [B]"""
 
 _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
-    "file": {"separator": str, "decimal": str, "encoding": str, "skip_lines": int},
+    "file": {"separator": str, "decimal": str, "encoding": str, "skip_lines": int, "extra_cells": bool},
     "vehicle": {
         "column": str,
         "name": str,
@@ -80,6 +80,7 @@ class FileFormat(NamedTuple):
     decimal: str | None = None
     encoding: str | None = None
     skip_lines: int = 0
+    extra_cells: bool = False
 
 
 class TimeSource(NamedTuple):
@@ -290,7 +291,7 @@ class _MapReader:
         skip = table.get("skip_lines", 0)
         if not 0 <= skip <= 1000:
             raise self.refuse(("file", "skip_lines"), f"skip_lines is {skip}, must be from 0 to 1000")
-        return FileFormat(separator, decimal, table.get("encoding"), skip)
+        return FileFormat(separator, decimal, table.get("encoding"), skip, table.get("extra_cells", False))
 
     def read_time(self) -> TimeSource:
         """Return the clock."""

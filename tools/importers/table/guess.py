@@ -102,6 +102,8 @@ def guess_map(tables: Sequence[TableFile], preset: Preset | None = None) -> Gues
             f"has {listed}; leave --preset out and use --guess"
         )
     preset = preset or find_preset(names)
+    if preset is not None and preset.extra_cells:
+        tables = [table._replace(extra_cells=True) for table in tables]
     blocks = [(table, block) for table in tables if (block := _read_first_block(table)) is not None]
     if not blocks:
         raise ImportFileError(f"{tables[0].path}: has a header and no rows; name another file")

@@ -26,7 +26,7 @@ def write_map_text(guessed: GuessedMap, table: TableFile) -> str:
         First file, whose form is written down where it is not the usual one.
     """
     lines = _write_head(guessed)
-    lines += _write_file(table) + _write_vehicle(guessed, table) + _write_time(guessed) + _write_ride(guessed)
+    lines += _write_file(table, guessed) + _write_vehicle(guessed, table) + _write_time(guessed) + _write_ride(guessed)
     if guessed.long:
         lines += ["[long]", f"name = {_quote(guessed.long[0])}", f"value = {_quote(guessed.long[1])}", ""]
     if guessed.rows:
@@ -94,13 +94,19 @@ def _describe_vehicle(guessed: GuessedMap) -> str:
     return "each file is a car" if guessed.is_per_file else "all rows are of one car"
 
 
-def _write_file(table: TableFile) -> list[str]:
+def _write_file(table: TableFile, guessed: GuessedMap) -> list[str]:
     """Return the table of the form of the files, where it is not the usual one."""
     usual = {"separator": ",", "decimal": ".", "encoding": "utf-8"}
     found = {"separator": table.separator, "decimal": table.decimal, "encoding": table.encoding}
     lines = [f"{key} = {_quote(value)}" for key, value in found.items() if value != usual[key]]
     lines += [f"skip_lines = {table.skip_lines}"] if table.skip_lines else []
+    lines += ["extra_cells = true   # rows may be longer than the header"] if _has_extra(guessed) else []
     return ["[file]", *lines, ""] if lines else []
+
+
+def _has_extra(guessed: GuessedMap) -> bool:
+    """Return whether rows may have more cells than the header."""
+    return guessed.preset is not None and guessed.preset.extra_cells
 
 
 def _write_vehicle(guessed: GuessedMap, table: TableFile) -> list[str]:

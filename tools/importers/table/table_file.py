@@ -65,6 +65,8 @@ class TableFile(NamedTuple):
         Form of a CSV file.
     skip_lines : int
         Lines above the header.
+    extra_cells : bool
+        Whether rows may have more cells than the header; those beyond it are not read.
     """
 
     path: Path
@@ -74,6 +76,7 @@ class TableFile(NamedTuple):
     decimal: str = "."
     encoding: str = "utf-8"
     skip_lines: int = 0
+    extra_cells: bool = False
 
     @property
     def stem(self) -> str:
@@ -110,13 +113,17 @@ class TableFile(NamedTuple):
 
     def _read_csv(self, columns: list[str], causes: Counter[str]) -> Iterator[Any]:
         """Yield the record batches of a CSV file."""
+        longer: list[str] = []
 
-        def skip(_: Any) -> str:
-            causes[WRONG_WIDTH] += 1
+        def skip(row: Any) -> str:
+            if self.extra_cells and row.actual_columns > row.expected_columns:
+                longer.append(row.text)
+            else:
+                causes[WRONG_WIDTH] += 1
             return "skip"
 
         with pa.input_stream(str(self.path), compression="detect") as stream:
-            yield from pacsv.open_csv(
+            batches = pacsv.open_csv(
                 stream,
                 read_options=pacsv.ReadOptions(
                     use_threads=False,
@@ -134,6 +141,20 @@ class TableFile(NamedTuple):
                     null_values=list(UNKNOWN),
                 ),
             )
+            for batch in batches:
+                yield batch
+                if longer:
+                    yield self._cut_rows(longer, columns)
+                    longer.clear()
+            if longer:
+                yield self._cut_rows(longer, columns)
+
+    def _cut_rows(self, lines: list[str], columns: list[str]) -> Any:
+        """Return rows that are longer than the header, without the cells beyond it."""
+        rows = list(csv.reader(lines, delimiter=self.separator))
+        places = [self.names.index(name) for name in columns]
+        cells = [[None if row[place] in UNKNOWN else row[place] for row in rows] for place in places]
+        return pa.record_batch([pa.array(column, pa.string()) for column in cells], names=columns)
 
     def _read_parquet(self, columns: list[str]) -> Iterator[Any]:
         """Yield the record batches of a Parquet file."""
@@ -192,7 +213,7 @@ def open_table(path: Path, kind: str, form: FileFormat) -> TableFile:
         )
     complete = lines[1:-1] if len(head) == HEAD_BYTES else lines[1:]
     decimal = form.decimal or _find_decimal([_split(line, separator) for line in complete[:200]], separator)
-    return TableFile(path, kind, names, separator, decimal, encoding, skipped)
+    return TableFile(path, kind, names, separator, decimal, encoding, skipped, form.extra_cells)
 
 
 def list_tables(paths: Sequence[Path], kind: str) -> list[Path]:

@@ -239,3 +239,12 @@ def test_wrong_file_is_one_clear_line(tmp_path, content, words):
 
 def test_missing_parquet_file_is_one_clear_line(tmp_path):
     assert "cannot be read" in refused(tmp_path, [tmp_path / "none.parquet"], kind="parquet")
+
+
+def test_rows_longer_than_the_header_are_read_where_the_map_says_so(tmp_path):
+    rows = "".join(f"2024-05-01T12:00:{s:02}Z,{s}{',x,9' if s > 5 else ''}\n" for s in range(10))
+    samples, summary = run(tmp_path, "t,speed\n" + rows)
+    assert (len(samples), summary.causes) == (6, Counter({WRONG_WIDTH: 4}))
+    samples, summary = run(tmp_path, "t,speed\n" + rows + "2024\n", more="[file]\nextra_cells = true")
+    assert [s.speed_kmh for s in samples] == list(range(10))
+    assert (summary.causes, summary.rows) == (Counter({WRONG_WIDTH: 1}), 11)

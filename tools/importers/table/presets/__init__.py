@@ -59,6 +59,8 @@ class Preset(NamedTuple):
         Columns of which one is there, where there are any.
     without : sequence of str
         Columns that such a table does not have.
+    extra_cells : bool
+        Whether rows may have more cells than the header.
     rest : bool
         Whether fields that the preset does not name are guessed by the names of columns.
     times : sequence of PresetTime
@@ -79,6 +81,7 @@ class Preset(NamedTuple):
     columns: Sequence[Sequence[str]]
     some: Sequence[str]
     without: Sequence[str]
+    extra_cells: bool
     rest: bool
     times: Sequence[PresetTime]
     vehicle: Sequence[str]
@@ -160,6 +163,7 @@ def _read(name: str, tables: Mapping[str, Any]) -> Preset:
         [_to_list(group) for group in about["columns"]],
         about.get("any", []),
         about.get("without", []),
+        about.get("extra_cells", False),
         about.get("rest", False),
         [time for table in tables.get("time", []) for time in _read_times(table)],
         _to_list(vehicle.get("column", [])),
