@@ -118,8 +118,8 @@ class Pipeline:
         self.effects = [effects.get(name) for name in of_model | of_shadows]
         self.limits, self.lanes, self.cars = check_limits(limits), Lanes(), Cars(limits)
         self.context = RunContext(self.lanes, self.cars, [each.name for each in self.effects], self.settings, model)
-        self.duplicates, self.decoder = DuplicateFilter(self.lanes, limits), Decoder(self.lanes, limits)
-        self.drivers, self.plans, self.day_rollover = RideDrivers(), NewestPlans(), DayRollover()
+        self.decoder, self.drivers, self.plans = Decoder(self.lanes, limits), RideDrivers(), NewestPlans()
+        self.duplicates, self.day_rollover = DuplicateFilter(self.lanes, limits, self.decoder.batches), DayRollover()
         self.cleaner = Cleaner(self.settings, elevation_map)
         self.stations, self.silent_cars = Stations(limits.stations), SilentCars()
         self.accumulator = Accumulator(len(self.effects))

@@ -15,7 +15,7 @@ from typing import Final
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from core.wire.messages import address
+from core.wire.messages import BATCH, address
 from core.wire.schema import make_schema
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -28,6 +28,8 @@ METADATA_NAME: Final = "socast"
 """Name of the metadata record that says what wrote a recording."""
 FOR_VIEWERS: Final = {"socast": "for viewers"}
 """Metadata of a channel that was added for viewers, and that the reader leaves out."""
+ARROW: Final = "application/vnd.apache.arrow.stream"
+"""Encoding of the messages of a channel of batches."""
 RECORD: Final = struct.Struct("<BQ")
 """Start of every record: opcode, and length of the rest. [B]"""
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
@@ -235,8 +237,10 @@ def explain_foreign_channel(topic: str, encoding: str, name: str, schema_encodin
     str
         Empty for a channel that follows the contract, and for one that may follow it.
     """
+    known = address(topic)
+    if encoding == ARROW and known is not None and known.kind == BATCH:
+        return ""
     if encoding not in {"", "json"} or schema_encoding not in {"", "jsonschema"}:
         return f"topic {topic} holds {encoding or schema_encoding} messages, schema {name or 'none'}, not JSON"
-    known = address(topic)
-    lacking = _list_lacking(known.kind, data) if known and data else []
+    lacking = _list_lacking(known.kind, data) if known and known.kind != BATCH and data else []
     return f"topic {topic} has schema {name}, which lacks `{'`, `'.join(lacking)}`" if lacking else ""

@@ -1,6 +1,7 @@
 """The MCAP writer: it stores every payload verbatim, with its Zenoh key and its time of receipt.
 
-The topic is the key, the message encoding is `json` and the schema encoding is `jsonschema`. `log_time` is the time of
+The topic is the key, the message encoding is `json` and the schema encoding is `jsonschema`; batches of gateways have
+the message encoding `ARROW` and no schema. `log_time` is the time of
 receipt and `publish_time` is the sender's `time_s`. Chunks are compressed with zstd and indexed. Each chunk describes
 the channels that it uses, so that a damaged chunk does not make other chunks unreadable. The loops over single
 messages, in writer and reader, pack and unpack records without the `mcap` package, which needs 5 to 7 µs per message. A
@@ -40,10 +41,10 @@ from mcap.records import (
 )
 
 from core.errors import RecordingError
-from core.wire.messages import KINDS, Message, address
+from core.wire.messages import BATCH, KINDS, Message, address
 from core.wire.schema import make_schema
 from stream.closeable import Closeable
-from stream.mcap_format import FOOTER_RECORD, FOR_VIEWERS, MAGIC, MESSAGE_HEAD, METADATA_NAME, RECORD
+from stream.mcap_format import ARROW, FOOTER_RECORD, FOR_VIEWERS, MAGIC, MESSAGE_HEAD, METADATA_NAME, RECORD
 from stream.recording_metadata import find_version
 
 CHUNK_BYTES: Final = 1 << 20
@@ -64,7 +65,7 @@ _stamp = msgspec.json.Decoder(_Stamp | list[_Stamp]).decode
 
 
 def _find_publish_time(payload: bytes, receipt_ns: int) -> int:
-    """Return the sender's time, or the time of receipt if the payload has no valid time. [ns]"""
+    """Return the sender's time, or the time of receipt if the payload has no valid time, or is a batch. [ns]"""
     try:
         stamp = _stamp(payload)
         time_s = (stamp[0] if isinstance(stamp, list) else stamp).time_s
@@ -251,12 +252,15 @@ class McapSink(Closeable):
         channel = len(self._channels) + 1
         (self._viewer_keys if for_viewers else self._keys)[key] = channel
         schema = self._find_schema(key, for_viewers=for_viewers)
-        self._channels.append(Channel(channel, key, "json", FOR_VIEWERS if for_viewers else {}, schema))
+        encoding = ARROW if (known := address(key)) and known.kind == BATCH else "json"
+        self._channels.append(Channel(channel, key, encoding, FOR_VIEWERS if for_viewers else {}, schema))
         return channel
 
     def _find_schema(self, key: str, *, for_viewers: bool) -> int:
-        """Return the number of the schema of a key; 0 for none, as outside the wire contract."""
+        """Return the number of the schema of a key; 0 for none, as of batches and outside the wire contract."""
         known = address(key)
+        if known and known.kind == BATCH:
+            return 0
         kind = known.kind if known else key.rpartition("/")[2]
         if not known and not (for_viewers and kind in self._viewer_schemas):
             return 0

@@ -6,19 +6,34 @@ fractions of one.
 
 import struct
 from collections import Counter
-from collections.abc import Sequence
-from itertools import repeat
+from collections.abc import Iterator, Sequence
+from itertools import pairwise, repeat
 from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from core.batch import Batch, Floats, Ints, Lanes
 from core.columns import KMH, ZERO_CELSIUS
 from core.settings import Limits
+from core.wire.arrow_batch import PREFIX, ArrowRows, BatchReader
 from core.wire.json_scanner import POSITION, JsonScanner, ScannedSamples
-from core.wire.messages import KINDS, LONGEST_KEY, OF_VEHICLES, Message, Telemetry, Wire, address, identity
+from core.wire.messages import (
+    BATCH,
+    IDENTITY,
+    KINDS,
+    LONGEST_KEY,
+    LONGEST_TEXT,
+    OF_VEHICLES,
+    Message,
+    Telemetry,
+    Wire,
+    address,
+    identity,
+)
+from core.wire.name_lookup import PENDING, NameLookup
 from core.wire.rate_limit import RateLimit
 from core.wire.rides import RideNames
 from core.wire.sample_losses import SampleLosses
@@ -51,8 +66,8 @@ class Refused(NamedTuple):
     Parameters
     ----------
     message : Message
-    samples : tuple of bytes, optional
-        Samples of its list that cannot be used; None if that is the whole message.
+    samples : tuple of bytes or of int, optional
+        Samples of its list, or numbers of rows of its batch, that cannot be used; None if that is the whole message.
     """
 
     message: Message
@@ -82,7 +97,8 @@ class Decoder:
     - `unknown_key`;
     - `not_json`;
     - `wrong_type`: a field is missing or has the wrong type;
-    - `empty_list`;
+    - `empty_list`: a list or a batch has no samples;
+    - `not_arrow`, `compressed`: a batch is damaged, or is compressed, see `core.wire.arrow_batch`;
     - `key_mismatch`: the payload names another vehicle, station or model than its key;
     - `out_of_range`: a weather station has an impossible position or time;
     - `too_long`: a key or a text is too long;
@@ -93,17 +109,24 @@ class Decoder:
     lanes : Lanes
         Lanes of the vehicles; every new vehicle gets one.
     limits : Limits
+
+    Attributes
+    ----------
+    batches : BatchReader
+        Reader of batches, which the filter of repetitions shares.
     """
 
     def __init__(self, lanes: Lanes, limits: Limits = Limits()) -> None:  # noqa: B008 - immutable
         self.lanes, self._limits = lanes, limits
+        self.batches = BatchReader(limits.list_samples)
         self._rates = RateLimit(limits.key_rate, limits.key_burst)
         self.received: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
         self.losses = SampleLosses(lanes)
         self.rides = RideNames()
         self._lane_of_key: dict[str, int] = {}
-        self._scanner, self._generation = JsonScanner(lanes), self.rides.generation
+        self._names, self._generation = NameLookup(lanes), self.rides.generation
+        self._scanner = JsonScanner(self._names)
         self._one = msgspec.json.Decoder(Telemetry)
         self._several = msgspec.json.Decoder(list[msgspec.Raw])  # a gateway may send lists
         self._others = {kind: msgspec.json.Decoder(struct) for kind, struct in KINDS.items()}
@@ -130,12 +153,15 @@ class Decoder:
         refusals = [] if refusals is None else refusals
         if self._generation != self.rides.generation:
             self._generation = self.rides.generation
-            self._scanner.forget_rides()
+            self._names.forget_rides()
         rows, received = 0, len(messages)
         messages = self._rates.select(messages)
         self._count_refused("rate_limited", received - len(messages))
-        for start in range(0, len(messages), _BLOCK):
-            tables.append(self._decode_block(messages[start : start + _BLOCK], events, refusals, rows))
+        for start, stop in self._cut_blocks(messages):
+            if messages[start].payload.startswith(PREFIX):
+                tables.append(self._decode_batch(messages[start], refusals))
+            else:
+                tables.append(self._decode_block(messages[start:stop], events, refusals, rows))
             rows += tables[-1].shape[1]
         self.received["telemetry"] += rows
         return _join_blocks(tables), events
@@ -143,7 +169,7 @@ class Decoder:
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
         self._lane_of_key.clear()
-        self._scanner.forget()
+        self._names.forget()
         self.losses.keep(lanes)
 
     def dump(self) -> Any:
@@ -158,7 +184,7 @@ class Decoder:
         self.losses.load(losses)
         self.received, self.rejected = Counter(received), Counter(rejected)
         self._lane_of_key.clear()
-        self._scanner.forget()
+        self._names.forget()
 
     def refuse(self, kind: str, cause: str) -> None:
         """Count a message as rejected that had been counted as received.
@@ -172,6 +198,77 @@ class Decoder:
         """
         self.received[kind] -= 1
         self.rejected[cause] += 1
+
+    def _cut_blocks(self, messages: Sequence[Message]) -> Iterator[tuple[int, int]]:
+        """Yield the begin and end of each block: a message that is a batch, or messages that are none."""
+        cuts = {0, len(messages)}
+        if max([message[1] for message in messages], default=b"") >= PREFIX:
+            for at, message in enumerate(messages):
+                cuts |= {at, at + 1} if message[1].startswith(PREFIX) else set()
+        for first, last in pairwise(sorted(cuts)):
+            yield from ((at, min(at + _BLOCK, last)) for at in range(first, last, _BLOCK))
+
+    def _decode_batch(self, message: Message, refusals: list[Refused]) -> Floats:
+        """Return the samples of a batch of one vehicle or of a gateway; count and note what is refused."""
+        is_short = len(message.key) <= LONGEST_KEY
+        whose = address(message.key) if is_short else None
+        if whose is None or whose.kind not in {BATCH, "telemetry"}:
+            cause: ArrowRows | str = "unknown_key" if is_short else "too_long"
+        elif len(message.payload) > self._limits.payload_bytes:
+            cause = "too_large"
+        else:
+            cause = self.batches.read(message.payload)
+        if whose is None or isinstance(cause, str):
+            self.rejected[str(cause)] += 1
+            refusals.append(Refused(message))
+            return np.empty((len(Batch._fields), 0))
+        is_used = self._find_lanes(cause, None if whose.kind == BATCH else whose.identity)
+        self._write_rides(cause, is_used)
+        if is_used.all():
+            return cause.table.copy()
+        refusals.append(Refused(message, tuple(np.flatnonzero(~is_used).tolist())))
+        return cause.table[:, is_used]
+
+    def _find_lanes(self, rows: ArrowRows, only: str | None) -> NDArray[np.bool_]:
+        """Write the lanes of the rows of a batch; count those that cannot be used, and return which can be.
+
+        `only` is the vehicle that all rows must be of; None for any.
+        """
+        numbers = range(len(rows.is_usable))
+        sizes = np.diff(rows.rides.ends)
+        is_long = rows.rides.is_known & (sizes > LONGEST_TEXT)
+        for at in np.flatnonzero(is_long).tolist():  # characters count, not bytes
+            is_long[at] = len(rows.rides.get(at)) > LONGEST_TEXT
+        faults = {"wrong_type": ~rows.is_usable, "too_long": is_long}
+        if only is not None:
+            faults["key_mismatch"] = np.array([rows.vehicles.get(at) != only for at in numbers])
+        is_used = np.ones(len(numbers), np.bool_)
+        for cause, fault in faults.items():
+            self._count_refused(cause, int(np.count_nonzero(is_used & fault)))
+            is_used &= ~fault
+        lanes = self._names.find_lanes(rows.vehicles)
+        for at in np.flatnonzero(is_used & (lanes < 0)).tolist():  # of vehicles that may be new
+            lanes[at] = self._find_new_lane(rows.vehicles.get(at))
+        rows.table[POSITION["vehicle_id"]] = lanes
+        return is_used & (lanes >= 0)
+
+    def _find_new_lane(self, name: str) -> int:
+        """Return the lane of a vehicle in a batch; count its sample and return -1 if it can have none."""
+        if not IDENTITY.fullmatch(name):
+            self.rejected["wrong_type"] += 1
+            return -1
+        lane = self._find_lane(name)
+        return -1 if lane is None else lane
+
+    def _write_rides(self, rows: ArrowRows, is_used: NDArray[np.bool_]) -> None:
+        """Write the codes of the rides of those rows of a batch that are used."""
+        codes = rows.table[POSITION["ride_id"]]
+        lanes = np.where(is_used, rows.table[POSITION["vehicle_id"]], -1.0).astype(np.int64)
+        self._names.find_rides(rows.rides, lanes, codes)
+        for at in np.flatnonzero(is_used & (codes == PENDING)).tolist():
+            name = rows.rides.get(at)
+            codes[at] = self.rides[name]
+            self._names.remember_ride(int(lanes[at]), name, codes[at])
 
     def _decode_block(
         self, block: Sequence[Message], events: list[Event], refusals: list[Refused], rows: int
@@ -207,7 +304,7 @@ class Decoder:
             _ = self.rides[name]  # a new name receives the next code
         for at, name in pending:
             scan.table[POSITION["ride_id"], at] = self.rides[name]
-            self._scanner.remember_ride(int(scan.table[POSITION["vehicle_id"], at]), name, self.rides[name])
+            self._names.remember_ride(int(scan.table[POSITION["vehicle_id"], at]), name, self.rides[name])
 
     def _decode_sample(self, message: Message, samples: list[Telemetry], lanes: list[int]) -> bool:
         """Add a message to the samples of its block if it is one valid sample of a known vehicle."""
@@ -233,6 +330,8 @@ class Decoder:
             self.rejected["unknown_key" if len(message.key) <= LONGEST_KEY else "too_long"] += 1
         elif len(message.payload) > self._limits.payload_bytes:
             self.rejected["too_large"] += 1
+        elif whose.kind == BATCH:
+            self.rejected["not_arrow"] += 1
         elif whose.kind == "telemetry":
             good, bad = self._decode_samples(message.payload, whose.identity)
             if good and (lane := self._find_lane(whose.identity, len(good))) is not None:

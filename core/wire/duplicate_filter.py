@@ -12,6 +12,9 @@ that a fleet of 1,000 cars loses one message in 3,000 years.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
+from itertools import compress
+from math import inf
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -22,8 +25,9 @@ from xxhash import xxh3_64_intdigest
 
 from core.batch import Lanes
 from core.settings import Limits
+from core.wire.arrow_batch import PREFIX, BatchReader, select_rows
 from core.wire.decoder import Refused
-from core.wire.messages import LONGEST_KEY, Message
+from core.wire.messages import BATCH, LONGEST_KEY, Message
 
 PER_VEHICLE: Final = 1280
 """Number of messages that are remembered at least, per vehicle; an hour of samples every 3 s is 1,200."""
@@ -35,10 +39,10 @@ _raw_list = msgspec.json.Decoder(list[msgspec.Raw])
 
 
 class _Part(NamedTuple):
-    """Hold messages with the samples of each, and which of these samples were new."""
+    """Hold messages, the samples of each, and which of these samples were new."""
 
     messages: Sequence[Message]
-    samples: list[list[Any]] | None  # None if no message is a list
+    samples: list[Sequence[Any]] | None  # None if no message is a list or a batch
     hashes: Hashes
     is_new: NDArray[np.bool_]
 
@@ -46,17 +50,25 @@ class _Part(NamedTuple):
         """Return the messages with those samples that a mask names; the given sequence itself if it names all."""
         if mask.all():
             return self.messages
-        flags = iter(mask.tolist())
+        flags = mask.tolist()
         if self.samples is None:
             return [message for message, is_named in zip(self.messages, flags, strict=True) if is_named]
         out: list[Message] = []
+        at = 0
         for message, samples in zip(self.messages, self.samples, strict=True):
-            left = [sample for sample, is_named in zip(samples, flags, strict=False) if is_named]
-            if len(left) == len(samples):
+            named, at = flags[at : at + len(samples)], at + len(samples)
+            if all(named):
                 out.append(message)
-            elif left:
-                out.append(message._replace(payload=b"[" + b",".join(left) + b"]"))
+            elif any(named):
+                out.append(message._replace(payload=_select_samples(message.payload, samples, named)))
         return out
+
+
+def _select_samples(payload: bytes, samples: Sequence[Any], named: list[bool]) -> bytes:
+    """Return the payload of a list or a batch with some of its samples only."""
+    if isinstance(samples, range):  # of the rows of a batch
+        return select_rows(payload, named)
+    return b"[" + b",".join(compress(samples, named)) + b"]"
 
 
 class DuplicateFilter:
@@ -72,7 +84,9 @@ class DuplicateFilter:
     lanes : Lanes
         Vehicles of the fleet.
     limits : Limits
-        A list that exceeds them is one message, as it will be refused as a whole.
+        A list or batch that exceeds them is one message, as it will be refused as a whole.
+    batches : BatchReader, optional
+        Reader of batches, where another component reads the same batches.
 
     Attributes
     ----------
@@ -81,9 +95,15 @@ class DuplicateFilter:
         state, because the state must not depend on how often a message was delivered.
     """
 
-    def __init__(self, lanes: Lanes, limits: Limits = Limits()) -> None:  # noqa: B008 - immutable
+    def __init__(
+        self,
+        lanes: Lanes,
+        limits: Limits = Limits(),  # noqa: B008 - immutable
+        batches: BatchReader | None = None,
+    ) -> None:
         self.dropped = 0
         self._lanes, self._limits = lanes, limits
+        self._batches = batches or BatchReader(limits.list_samples)
         self._seeds = _KeySeeds()
         self._new, self._old = (_make_table(np.empty(0, np.uint64), LEAST) for _ in range(2))
         self._count, self._most = 0, LEAST
@@ -103,17 +123,18 @@ class DuplicateFilter:
         Returns
         -------
         sequence of Message
-            New messages, with lists reduced to the samples that are new; the given sequence itself if all are new.
+            New messages, with lists and batches reduced to the samples that are new; the given sequence itself if all
+            are new.
         int
             Number of given messages that were taken, at least one.
         """
         self._turn_over_if_full()
         room = self._most - self._count
         payloads = [message[1] for message in messages]
-        if min(payloads, default=b"{") < b"{":  # a list begins with [, a sample with {
-            samples = self._split_lists(messages, room)
+        self._batches.forget()
+        if _has_several(payloads):
+            samples, hashes = self._split_messages(messages, room)
             messages = messages[: len(samples)]
-            hashes = self._hash_samples(messages, samples)
             self._part = _Part(messages, samples, hashes, self._remember(hashes))
         else:
             messages = messages if len(messages) <= room else messages[:room]
@@ -121,16 +142,18 @@ class DuplicateFilter:
             self._part = _Part(messages, None, hashes, self._remember(hashes))
         return self._part.select(self._part.is_new), len(messages)
 
-    def hash(self, messages: Sequence[Message]) -> tuple[Hashes, list[list[Any]] | None]:
-        """Return the hashes of the samples of messages, and the samples of each; None if no message is a list.
+    def hash(self, messages: Sequence[Message]) -> tuple[Hashes, list[Sequence[Any]] | None]:
+        """Return the hashes of the samples of messages, and the samples of each; None if each message is one.
+
+        The samples of a batch are the numbers of its rows.
 
         Parameters
         ----------
         messages : sequence of Message
         """
-        if min((message[1] for message in messages), default=b"{") < b"{":
-            samples = [self._split_list(message) for message in messages]
-            return self._hash_samples(messages, samples), samples
+        if _has_several([message[1] for message in messages]):
+            samples, hashes = self._split_messages(messages, inf)
+            return hashes, samples
         return self._hash_messages(messages), None
 
     def select_new_hashes(self, hashes: Hashes, message: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -163,11 +186,6 @@ class DuplicateFilter:
             map(xxh3_64_intdigest, [message[1] for message in messages], seeds), np.uint64, len(messages)
         )
 
-    def _hash_samples(self, messages: Sequence[Message], samples: list[list[Any]]) -> Hashes:
-        """Return the hashes of the samples of messages."""
-        pairs = zip([self._seeds[message[0]] for message in messages], samples, strict=True)
-        return np.array([xxh3_64_intdigest(each, seed) for seed, parts in pairs for each in parts], np.uint64)
-
     def forget(self, refusals: Sequence[Refused]) -> Sequence[Message]:
         """Forget refused messages, and return those that were dropped because they repeated one of them.
 
@@ -183,7 +201,7 @@ class DuplicateFilter:
         """
         if not refusals:
             return []
-        hashes = np.array([each for refusal in refusals for each in self._hash_refused(*refusal)], np.uint64)
+        hashes = np.concatenate([self._hash_refused(*refusal) for refusal in refusals])
         self._count -= _forget(hashes, self._new)
         part = self._part
         repeated = ~part.is_new
@@ -194,31 +212,48 @@ class DuplicateFilter:
         self.dropped -= count
         return part.select(repeated)
 
-    def _hash_refused(self, message: Message, samples: Sequence[Any] | None) -> list[int]:
+    def _hash_refused(self, message: Message, samples: Sequence[Any] | None) -> Hashes:
         """Return the hashes of the refused samples of a message, of all without samples."""
-        seed = self._seeds[message.key]
-        return [xxh3_64_intdigest(each, seed) for each in (self._split_list(message) if samples is None else samples)]
+        own, hashes = self._split_samples(message)
+        if samples is None:
+            return hashes
+        return hashes[list(samples)] if isinstance(own, range) else self._hash_texts(message.key, samples)
 
-    def _split_lists(self, messages: Sequence[Message], room: int) -> list[list[Any]]:
-        """Return the samples of messages, up to the message that fills the room."""
-        samples: list[list[Any]] = []
+    def _hash_texts(self, key: str, texts: Sequence[Any]) -> Hashes:
+        """Return the hashes of samples in JSON, or of any payload."""
+        seed = self._seeds[key]
+        return np.array([xxh3_64_intdigest(text, seed) for text in texts], np.uint64)
+
+    def _split_messages(self, messages: Sequence[Message], room: float) -> tuple[list[Sequence[Any]], Hashes]:
+        """Return the samples of messages and their hashes, up to the message that fills the room."""
+        samples: list[Sequence[Any]] = []
+        hashes: list[Hashes] = []
         for message in messages:
-            samples.append(self._split_list(message))
-            room -= len(samples[-1])
+            of_message, hashes_of_message = self._split_samples(message)
+            samples.append(of_message)
+            hashes.append(hashes_of_message)
+            room -= len(of_message)
             if room <= 0:
                 break
-        return samples
+        return samples, np.concatenate(hashes)
 
-    def _split_list(self, message: Message) -> list[Any]:
-        """Return the samples of a message that is a list of telemetry, and the payload of any other message."""
+    def _split_samples(self, message: Message) -> tuple[Sequence[Any], Hashes]:
+        """Return the samples of a list, the row numbers of a batch, or the payload, and a hash of each.
+
+        A row of a batch is a sample of its car, whichever batch of whichever gateway it comes in.
+        """
         key, payload, _ = message
-        if payload.lstrip()[:1] != b"[" or not key.endswith("/telemetry") or len(payload) > self._limits.payload_bytes:
-            return [payload]
-        try:
-            samples = _raw_list.decode(payload)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            return [payload]
-        return samples if 0 < len(samples) <= self._limits.list_samples else [payload]
+        parts: Sequence[Any] = [payload]
+        if len(payload) > self._limits.payload_bytes:
+            pass
+        elif payload.startswith(PREFIX) and key.endswith((f"/{BATCH}", "/telemetry")):
+            if not isinstance(rows := self._batches.read(payload), str):
+                return range(len(rows.is_usable)), rows.hash()
+        elif payload.lstrip()[:1] == b"[" and key.endswith("/telemetry"):
+            with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                parts = _raw_list.decode(payload)
+            parts = parts if 0 < len(parts) <= self._limits.list_samples else [payload]
+        return parts, self._hash_texts(key, parts)
 
     def _remember(self, hashes: Hashes) -> NDArray[np.bool_]:
         """Remember hashes; return which of them were not remembered before."""
@@ -250,6 +285,11 @@ class DuplicateFilter:
         new, old = (np.frombuffer(half, "<u8").astype(np.uint64) for half in halves)
         self._new, self._old = _make_table(new, LEAST), _make_table(old, LEAST)
         self._count = int(np.count_nonzero(self._new))
+
+
+def _has_several(payloads: Sequence[bytes]) -> bool:
+    """Return whether a payload may be a list or a batch: a sample begins with {."""
+    return min(payloads, default=b"{") < b"{" or max(payloads, default=b"{") >= PREFIX
 
 
 def _make_table(hashes: Hashes, room: int) -> Hashes:

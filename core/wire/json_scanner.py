@@ -17,19 +17,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import NO_RIDE, Batch, Floats, Ints, Lanes, grown
+from core.batch import NO_RIDE, Batch, Floats, Ints
 from core.columns import TELEMETRY
+from core.compiled_cache import watch_sources
+from core.wire import name_lookup
 from core.wire.messages import LONGEST_TEXT, Telemetry
+from core.wire.name_lookup import NAME, PENDING, NameLookup, is_ride_of
 
 COLUMN_OF: Final = {"vehicle_id": "lane", "ride_id": "ride"} | {column.source: column.name for column in TELEMETRY}
 POSITION: Final = {field: Batch._fields.index(column) for field, column in COLUMN_OF.items()}
 """Telemetry field -> its column among those of a batch."""
 LONGEST: Final = 4096
 """Largest sample that is scanned. [B]"""
-NAME: Final = 64
-"""Size of the names of vehicles, and of the names of rides that are remembered. [B]"""
-PENDING: Final = -2.0
-"""Ride code of a scanned sample whose ride has another name than that of the sample before it of its car."""
 
 _FIELDS: Final = Telemetry.__struct_fields__
 _FIELD_SIZE: Final = 24
@@ -67,24 +66,12 @@ class JsonScanner:
 
     Parameters
     ----------
-    lanes : Lanes
-        Vehicles of the fleet.
+    names : NameLookup
+        Names of the vehicles and of their rides.
     """
 
-    def __init__(self, lanes: Lanes) -> None:
-        self._lanes = lanes
-        self.forget()
-
-    def forget(self) -> None:
-        """Forget the names of vehicles and rides, because lanes have moved."""
-        self._known = 0
-        self._names = np.zeros((0, NAME), np.uint8)
-        self._rides = np.zeros((0, NAME), np.uint8)
-        self._ride_sizes, self._ride_codes = np.zeros(0, np.int64), np.zeros(0)
-
-    def forget_rides(self) -> None:
-        """Forget the names of rides, because their codes may be given to others."""
-        self._ride_sizes[:] = -1
+    def __init__(self, names: NameLookup) -> None:
+        self._names = names
 
     def scan(self, payloads: Sequence[bytes], lanes: Ints) -> ScannedSamples:
         """Scan the messages of a block.
@@ -96,7 +83,8 @@ class JsonScanner:
         lanes : (n,) int
             Lanes of the vehicles of their keys; -1 for a message that is not to be scanned.
         """
-        self._learn_names()
+        known = self._names
+        known.update()
         sizes = np.fromiter(map(len, payloads), np.int64, len(payloads))
         if sizes.max(initial=0) > LONGEST:
             payloads = [payload if len(payload) <= LONGEST else b"" for payload in payloads]
@@ -108,28 +96,10 @@ class JsonScanner:
         table = np.empty((len(Batch._fields), len(payloads)))
         is_scanned, rides = np.empty(len(payloads), np.bool_), np.empty((len(payloads), 2), np.int64)
         _scan(
-            text, words, starts, lanes, self._names, self._rides, self._ride_sizes, self._ride_codes,
+            text, words, starts, lanes, known.cars, known.rides, known.ride_sizes, known.ride_codes,
             table, is_scanned, rides,
         )  # fmt: skip
         return ScannedSamples(table, is_scanned, text, rides)
-
-    def remember_ride(self, lane: int, name: str, code: float) -> None:
-        """Remember the ride of the newest sample of a vehicle, so that the next samples of the ride have its code."""
-        text = name.encode()
-        if len(text) <= NAME:
-            self._rides[lane, : len(text)] = np.frombuffer(text, np.uint8)
-            self._ride_sizes[lane], self._ride_codes[lane] = len(text), code
-
-    def _learn_names(self) -> None:
-        """Make room for the vehicles that are new."""
-        known, count = self._known, len(self._lanes)
-        if known == count:
-            return
-        self._names, self._rides = grown(self._names, count), grown(self._rides, count)
-        self._ride_sizes, self._ride_codes = grown(self._ride_sizes, count, -1), grown(self._ride_codes, count)
-        fresh = [name.encode(errors="replace") for name in self._lanes.names[known:count]]
-        self._names[known:count] = np.array(fresh, f"S{NAME}").view(np.uint8).reshape(-1, NAME)
-        self._known = count
 
 
 def _spell_fields() -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
@@ -243,15 +213,6 @@ def _scan_flag(text: Any, at: int) -> tuple[int, float]:
     return (at + 4, 1.0) if _is_word(text, at, _TRUE) else (-1, 0.0)
 
 
-@njit(error_model="numpy", inline="always")
-def _is_ride(text: Any, at: int, rides: Any, lane: int, size: int) -> bool:
-    """Return whether a name is that of the ride of the last sample of a vehicle."""
-    for k in range(size):  # noqa: SIM110 - numba has no all() of a generator
-        if text[at + k] != rides[lane, k]:
-            return False
-    return True
-
-
 @njit(error_model="numpy")
 def _scan_sample(
     text: Any, words: Any, at: int, stop: int, lane: int, cars: Any, rides: Any, ride_sizes: Any, ride_codes: Any,
@@ -281,7 +242,7 @@ def _scan_sample(
             end = _scan_car(text, at, cars, lane)
         else:
             end, size = _scan_text(text, at), ride_sizes[lane]
-            is_same = end - at - 2 == size and _is_ride(text, at + 1, rides, lane, size)
+            is_same = end - at - 2 == size and is_ride_of(text, at + 1, rides, lane, size)
             value = ride_codes[lane] if is_same else PENDING
             spans[i, 0], spans[i, 1] = at + 1, end - 1
         if end < 0:
@@ -309,3 +270,6 @@ def _scan(
             is_scanned[i] = _scan_sample(
                 text, words, starts[i], starts[i + 1] - 1, lane, cars, rides, ride_sizes, ride_codes, table, spans, i
             )
+
+
+watch_sources(_scan, name_lookup)

@@ -33,7 +33,7 @@ class Message(NamedTuple):
     key : str
         Zenoh key expression, or MCAP topic.
     payload : bytes
-        UTF-8 JSON, verbatim.
+        UTF-8 JSON, or a batch in Arrow's stream format, verbatim.
     receipt_ns : int
         Unix time of receipt. [ns]
     """
@@ -385,12 +385,14 @@ OF_VEHICLES: Final[dict[str, type[Wire]]] = {
     "forecast": Forecast,
 }
 """Last chunk of a vehicle's key -> struct of its message."""
+BATCH: Final = "batch"
+"""Last chunk of the key of a gateway's batches, whose payload is Arrow and no struct, see `core.wire.arrow_batch`."""
 KINDS: Final[dict[str, type[Wire]]] = OF_VEHICLES | {"weather": Weather, "errors": ModelErrors, "finding": Finding}
 """Kind of message -> its struct."""
 
 
 class Address(NamedTuple):
-    """Parts of a key: the kind of message, and the vehicle, station, model or finding that it is about.
+    """Parts of a key: the kind of message, and the vehicle, gateway, station, model or finding that it is about.
 
     A model includes its version, and a finding consists of who and effect.
     """
@@ -411,13 +413,16 @@ def address(key: str) -> Address | None:
     Address(kind='errors', identity='hybrid/2')
     >>> address("findings/taxi-7/tyre_pressure")
     Address(kind='finding', identity='taxi-7/tyre_pressure')
+    >>> address("fleet/depot-3/batch")
+    Address(kind='batch', identity='depot-3')
     >>> address("fleet/taxi-7/lunch") is None
     True
     """
     chunks = key.split("/")
     if len(chunks) >= 2 and chunks[-2] == "weather" and IDENTITY.fullmatch(chunks[-1]):
         return Address("weather", chunks[-1])
-    if len(chunks) >= 3 and chunks[-3] == "fleet" and chunks[-1] in OF_VEHICLES and IDENTITY.fullmatch(chunks[-2]):
+    is_of_fleet = len(chunks) >= 3 and chunks[-3] == "fleet" and (chunks[-1] in OF_VEHICLES or chunks[-1] == BATCH)
+    if is_of_fleet and IDENTITY.fullmatch(chunks[-2]):
         return Address(chunks[-1], chunks[-2])
     if (
         len(chunks) >= 4

@@ -15,7 +15,7 @@ from tools.bench.daily_update import measure_daily_update
 from tools.bench.filters import measure_filters
 from tools.bench.hidden.page import SECTION, read_section, replace_section
 from tools.bench.learning import measure_fit, measure_fit_memory
-from tools.bench.live import measure_live
+from tools.bench.live import measure_batches, measure_live
 from tools.bench.measures import Measure, measure_arrays, measure_replay, measure_scale
 from tools.bench.nothing_hidden import SECTION as NOTHING
 from tools.bench.security import measure_security
@@ -25,6 +25,7 @@ from tools.terminal.rich_table import Column, make_table
 
 MEASURES: tuple[Callable[[], Measure], ...] = (
     measure_live,
+    measure_batches,
     measure_security,
     measure_replay,
     measure_arrays,

@@ -190,7 +190,7 @@ def _refuse_weather(decoder: Decoder, events: list[Event], refusals: list[Refuse
 
 
 class _Items(NamedTuple):
-    """Hold the items of messages: a sample of a list is an item, and so is any other message.
+    """Hold the items of messages: a sample of a list or a batch is an item, and so is any other message.
 
     `kind` and `message` have an entry for each item, `of_events` the item of each event.
     """
@@ -201,7 +201,10 @@ class _Items(NamedTuple):
 
 
 def _number_items(
-    messages: Sequence[Message], samples: list[list[Any]] | None, events: Sequence[Event], refusals: Sequence[Refused]
+    messages: Sequence[Message],
+    samples: list[Sequence[Any]] | None,
+    events: Sequence[Event],
+    refusals: Sequence[Refused],
 ) -> _Items:
     """Return what becomes of each item of messages."""
     sizes = np.ones(len(messages), np.int64) if samples is None else np.array([len(part) for part in samples], np.int64)
@@ -214,8 +217,9 @@ def _number_items(
         if bad is None or samples is None:
             kind[first : ends[i]] = REFUSED
         else:
-            kinds = set(map(bytes, bad))
-            kind[first : ends[i]] = [REFUSED if bytes(sample) in kinds else SAMPLE for sample in samples[i]]
+            of_message = samples[i] if isinstance(samples[i], range) else [bytes(sample) for sample in samples[i]]
+            refused = set(bad if isinstance(samples[i], range) else map(bytes, bad))
+            kind[first : ends[i]] = [REFUSED if sample in refused else SAMPLE for sample in of_message]
     of_events = np.array([ends[number[id(event.message)]] - 1 for event in events], np.int64)
     kind[of_events] = EVENT
     return _Items(kind, np.repeat(np.arange(len(messages)), sizes), of_events)

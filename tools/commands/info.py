@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from core.wire.messages import OF_VEHICLES, address
+from core.wire.messages import BATCH, OF_VEHICLES, address
 from stream.mcap_reader import McapSource
 from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
@@ -59,9 +59,9 @@ def describe_recording(source: McapSource, step: Callable[[], None] = lambda: No
     -------
     dict
         `path`, `bytes`, `chunks`, `messages`, `begin`, `end` (ISO 8601, None for an empty recording), `duration_s`,
-        `vehicles`, `stations`, `kinds`, `topics` (`messages` and `schema` each), `viewer_topics` (likewise; their
-        messages are for viewers, and no command reads them), `metadata` (what wrote the recording; empty if the file
-        does not say) and `losses`.
+        `vehicles` (that have keys of their own), `stations`, `gateways` (that send batches), `kinds`, `topics`
+        (`messages` and `schema` each), `viewer_topics` (likewise; their messages are for viewers, and no command reads
+        them), `metadata` (what wrote the recording; empty if the file does not say) and `losses`.
     """
     counts: Counter[str] = Counter()
     first = last = None
@@ -74,6 +74,7 @@ def describe_recording(source: McapSource, step: Callable[[], None] = lambda: No
     addresses = {topic: address(topic) for topic in counts}
     kinds: Counter[str] = Counter()
     named: dict[str, set[str]] = {"vehicle": set(), "weather": set(), "errors": set(), "finding": set()}
+    named[BATCH] = set()
     for topic, count in counts.items():
         where = addresses[topic]
         kinds[where.kind if where else OTHER] += count
@@ -89,6 +90,7 @@ def describe_recording(source: McapSource, step: Callable[[], None] = lambda: No
         "duration_s": (last - first) * 1e-9 if first is not None and last is not None else 0.0,
         "vehicles": sorted(named["vehicle"]),
         "stations": sorted(named["weather"]),
+        "gateways": sorted(named[BATCH]),
         "kinds": dict(kinds),
         "topics": _describe_topics(source, counts),
         "viewer_topics": _describe_topics(source, source.viewer_messages),

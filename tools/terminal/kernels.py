@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
+import pyarrow as pa
 from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
@@ -22,6 +23,7 @@ from core.models import EXTENDED_PHYSICAL, Model
 from core.models.trees import Trees
 from core.pipeline import Pipeline
 from core.settings import Limits, Settings
+from core.wire.arrow_batch import write_rows
 from core.wire.decoder import Decoder
 from core.wire.messages import Message, Telemetry, Weather, encode
 from stream.structured_log import log_lines
@@ -127,6 +129,7 @@ def _run_kernels(model: Model, *shadows: Model) -> None:
     messages = [
         Message("weather/compile", encode(first), 0),
         *(Message("fleet/compile/telemetry", encode(sample), 0) for sample in samples),
+        Message("fleet/compile/batch", write_rows(pa.table({"vehicle_id": ["compile"], "time_s": [START]})), 0),
         Message("fleet/compile/telemetry", b"{", 0),  # refused messages have a kernel, too
     ]
     live = Pipeline(model, shadows=shadows, limits=Limits(key_rate=1000.0))

@@ -188,7 +188,7 @@ def test_state_and_recording_are_the_same_for_any_division_whatever_is_refused_a
 
 def list_samples(messages):
     """Return key and bytes of each sample of messages."""
-    return [(m.key, bytes(each)) for m in messages for each in DuplicateFilter(Lanes())._split_list(m)]
+    return [(m.key, bytes(each)) for m in messages for each in DuplicateFilter(Lanes())._split_samples(m)[0]]
 
 
 def count_remembered(pipeline):

@@ -11,6 +11,7 @@ from core.batch import Lanes
 from core.wire.decoder import Decoder
 from core.wire.json_scanner import JsonScanner
 from core.wire.messages import Message, Telemetry, encode
+from core.wire.name_lookup import NameLookup
 
 CARS = "a", "taxi-7", "x" * 64
 FIELDS = Telemetry.__struct_fields__
@@ -88,7 +89,7 @@ def test_numbers_of_up_to_15_digits_are_scanned_to_the_bit():
     texts = [f"{value:.{places}f}" for value, places in zip(values, rng.integers(0, 9, 5000), strict=True)]
     texts = [text for text in texts if sum(map(str.isdigit, text)) <= 15 and float(text)]
     payloads = [b'{"vehicle_id":"a","time_s":1,"elevation_m":%s}' % text.encode() for text in texts]
-    scan = JsonScanner(decoder.lanes).scan(payloads, np.zeros(len(texts), np.int64))
+    scan = JsonScanner(NameLookup(decoder.lanes)).scan(payloads, np.zeros(len(texts), np.int64))
     assert scan.is_scanned.all()
     batch, _ = decoder.decode([Message("fleet/a/telemetry", payload, 0) for payload in payloads])
     assert batch.elevation.tolist() == [float(text) for text in texts]
@@ -98,7 +99,7 @@ def test_usual_samples_of_known_vehicles_are_scanned():
     lanes = Lanes(["a"])
     payloads = [encode(Telemetry("a", 3.0 * i, ride_id="r", speed_kmh=12.3)) for i in range(5)]
     payloads.append(json.dumps({"vehicle_id": "a", "time_s": 15.25, "charging": True, "seq": None}).encode())
-    scan = JsonScanner(lanes).scan(payloads, np.zeros(6, np.int64))
+    scan = JsonScanner(NameLookup(lanes)).scan(payloads, np.zeros(6, np.int64))
     assert scan.is_scanned.all()
     assert scan.list_pending() == [(i, "r") for i in range(5)]
 

@@ -1,0 +1,282 @@
+"""Read and write batches of samples in Arrow's stream format, `application/vnd.apache.arrow.stream`.
+
+A payload of this form begins with `PREFIX`, which no JSON text does. Its columns have the names of the fields of
+`core.wire.messages.Telemetry`; other columns are ignored. The payload may come from a stranger: its buffers must not be
+compressed, because what they expand to is unknown before, and its columns are checked in full before they are used.
+"""
+
+import struct
+from collections.abc import Iterator, Sequence
+from math import inf
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numba import njit
+from numpy.typing import NDArray
+
+from core.batch import Batch, Floats
+from core.wire.json_scanner import POSITION
+from core.wire.name_lookup import Texts
+
+PREFIX: Final = b"\xff\xff\xff\xff"
+"""First bytes of a payload: the mark of a message in Arrow's stream format since version 0.15."""
+
+_NAMES: Final = "vehicle_id", "ride_id"
+_NUMBERS: Final = tuple(name for name in POSITION if name not in _NAMES)
+_COUNTS: Final = "seq", "occupants"
+_MOST_COUNT: Final = 2.0**53
+_DAMAGE: Final = (pa.ArrowException, ValueError, TypeError, LookupError, OSError, MemoryError, struct.error)
+
+
+class BatchError(ValueError):
+    """Tell why a batch cannot be used at all: its message is the cause, as the decoder counts it."""
+
+
+class ArrowRows(NamedTuple):
+    """Hold the samples of a batch.
+
+    Parameters
+    ----------
+    table : (columns, n) float
+        Samples in wire units, as columns of a `Batch`, NaN where unknown. Lanes and codes of rides are not written.
+    vehicles, rides : Texts
+        Names of the vehicle and of the ride of each row.
+    is_usable : (n,) bool
+        Whether the row has a name and a time, and the values of all fields are possible.
+    """
+
+    table: Floats
+    vehicles: Texts
+    rides: Texts
+    is_usable: NDArray[np.bool_]
+
+    def hash(self) -> NDArray[np.uint64]:
+        """Return a hash of each row, which tells the car and its values and not the batch or the gateway."""
+        out = np.zeros(len(self.is_usable), np.uint64)
+        _hash_texts(*self.vehicles, out)
+        _hash_texts(*self.rides, out)
+        _hash_numbers(self.table.view(np.uint64), out)
+        return out
+
+
+class BatchReader:
+    """Read batches once for both the filter of repetitions and the decoder.
+
+    Parameters
+    ----------
+    most : float
+        Largest number of rows of a batch.
+    """
+
+    def __init__(self, most: float) -> None:
+        self._most = most
+        self._read: dict[int, tuple[bytes, ArrowRows | str]] = {}
+
+    def read(self, payload: bytes) -> ArrowRows | str:
+        """Return the samples of a batch, or the cause for which none can be used, see `read_rows`."""
+        known = self._read.get(id(payload))
+        if known is None or known[0] is not payload:
+            try:
+                known = payload, read_rows(payload, self._most)
+            except BatchError as error:
+                known = payload, str(error)
+            self._read[id(payload)] = known
+        return known[1]
+
+    def forget(self) -> None:
+        """Forget the batches that were read."""
+        self._read.clear()
+
+
+def read_rows(payload: bytes, most: float) -> ArrowRows:
+    """Return the samples of a batch.
+
+    Parameters
+    ----------
+    payload : bytes
+        Batch in Arrow's stream format.
+    most : float
+        Largest number of rows.
+
+    Raises
+    ------
+    BatchError
+        `not_arrow`, `compressed`, `too_many_samples`, `empty_list`, or `wrong_type` where a column is missing or has
+        another type than numbers or text.
+    """
+    table = _read_table(payload, most)
+    names = table.column_names
+    if len(set(names)) < len(names) or not {"vehicle_id", "time_s"} <= set(names):
+        raise BatchError("wrong_type")
+    values = np.full((len(Batch._fields), table.num_rows), np.nan)
+    try:
+        for name in _NUMBERS:
+            if name in names:
+                values[POSITION[name]] = _read_numbers(name, table.column(name))
+        vehicles, rides = _read_texts(table, "vehicle_id"), _read_texts(table, "ride_id")
+    except _DAMAGE as error:
+        raise BatchError("wrong_type") from error
+    values[np.isnan(values)] = np.nan  # one form of NaN, as its bits are hashed
+    counts = values[[POSITION[name] for name in _COUNTS]]
+    is_count = np.isnan(counts) | ((counts >= 0.0) & (counts <= _MOST_COUNT) & (counts == np.floor(counts)))
+    is_usable = ~np.isnan(values[POSITION["time_s"]]) & ~np.isinf(values).any(axis=0) & is_count.all(axis=0)
+    return ArrowRows(values, vehicles, rides, is_usable & vehicles.is_known)
+
+
+def select_rows(payload: bytes, mask: Sequence[bool]) -> bytes:
+    """Return a batch with some of its rows only, and without columns that are no fields of telemetry.
+
+    Parameters
+    ----------
+    payload : bytes
+        Batch that `read_rows` has read.
+    mask : (n,) bool
+        Rows to keep.
+    """
+    return write_rows(_read_table(payload, inf).filter(pa.array(mask)))
+
+
+def write_rows(table: pa.Table) -> bytes:
+    """Return a table of samples as the payload of a batch.
+
+    Examples
+    --------
+    >>> write_rows(pa.table({"vehicle_id": ["taxi-7"], "time_s": [1.7e9], "soc_pct": [55.5]})).startswith(PREFIX)
+    True
+    """
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema) as writer:
+        writer.write_table(table)
+    payload: bytes = sink.getvalue().to_pybytes()
+    return payload
+
+
+def _read_table(payload: bytes, most: float) -> pa.Table:
+    """Return the columns of a batch that are fields of telemetry, checked."""
+    try:
+        is_compressed = _is_compressed(payload)
+        batches = [] if is_compressed else list(_read_batches(payload, most))
+    except _DAMAGE as error:
+        raise BatchError("not_arrow") from error
+    if is_compressed:
+        raise BatchError("compressed")
+    if sum(batch.num_rows for batch in batches) > most:
+        raise BatchError("too_many_samples")
+    if not any(batch.num_rows for batch in batches):
+        raise BatchError("empty_list")
+    return pa.Table.from_batches(batches)
+
+
+def _read_batches(payload: bytes, most: float) -> Iterator[pa.RecordBatch]:
+    """Yield the parts of a batch up to the one that exceeds the largest number of rows."""
+    rows = 0
+    with pa.ipc.open_stream(pa.py_buffer(payload)) as reader:
+        for batch in reader:
+            kept = batch.select([i for i, name in enumerate(batch.schema.names) if name in POSITION])
+            rows += batch.num_rows
+            if rows <= most:
+                kept.validate(full=True)
+            yield kept
+            if rows > most:
+                return
+
+
+def _read_numbers(name: str, column: pa.ChunkedArray) -> Floats:
+    """Return a column of numbers, NaN where unknown; truth values only where the field is one."""
+    kind = column.type
+    is_flag = name == "charging"
+    if pa.types.is_null(kind):
+        return np.full(len(column), np.nan)
+    if not (pa.types.is_boolean(kind) if is_flag else pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+        raise TypeError(f"{name} is of type {kind}")
+    return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(), np.float64)
+
+
+def _read_texts(table: pa.Table, name: str) -> Texts:
+    """Return a column of text."""
+    if name not in table.column_names or pa.types.is_null(table.column(name).type):
+        none = np.zeros(table.num_rows + 1, np.int64)
+        return Texts(none, np.zeros(1, np.uint8), np.zeros(table.num_rows, np.bool_))
+    column = table.column(name)
+    kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
+        raise TypeError(f"{name} is of type {column.type}")
+    texts = pa.concat_arrays(column.cast(pa.large_string()).chunks)
+    _, ends, text = texts.buffers()
+    ends = np.frombuffer(ends, np.int64)[texts.offset : texts.offset + len(texts) + 1]
+    text = np.frombuffer(text, np.uint8) if text else np.zeros(1, np.uint8)
+    return Texts(ends, text, texts.is_valid().to_numpy(zero_copy_only=False))
+
+
+def _is_compressed(payload: bytes) -> bool:
+    """Return whether a part of a stream has compressed buffers, by the metadata of each (a flatbuffer).
+
+    References
+    ----------
+    Apache Arrow, format/Message.fbs.
+    """
+    at = 0
+    while at + 8 <= len(payload):
+        mark, size = struct.unpack_from("<Ii", payload, at)
+        if mark != 0xFFFFFFFF or size < 0:
+            raise ValueError("no mark of a message")
+        if size == 0:
+            return False
+        message = payload[at + 8 : at + 8 + size]
+        root = _follow(message, 0)
+        kind = _find_member(message, root, 1)
+        header = _find_member(message, root, 2)
+        body = _find_member(message, root, 3)
+        table = _follow(message, header) if header else 0
+        if header and kind and message[kind] == _DICTIONARY and (data := _find_member(message, table, 1)):
+            table = _follow(message, data)
+        if header and kind and message[kind] in {_RECORDS, _DICTIONARY} and _find_member(message, table, 3):
+            return True
+        length = struct.unpack_from("<q", message, body)[0] if body else 0
+        if length < 0:
+            raise ValueError("a body of negative size")
+        at += 8 + size + length
+    return False
+
+
+_DICTIONARY, _RECORDS = 2, 3
+
+
+def _follow(data: bytes, at: int) -> int:
+    """Return the place to which an offset of a flatbuffer leads."""
+    return at + int(struct.unpack_from("<I", data, at)[0])
+
+
+def _find_member(data: bytes, table: int, number: int) -> int:
+    """Return the place of a member of a table of a flatbuffer, 0 if it is absent."""
+    members = table - struct.unpack_from("<i", data, table)[0]
+    if members < 0:
+        raise ValueError("a table of members outside the message")
+    if 4 + 2 * number + 2 > struct.unpack_from("<H", data, members)[0]:
+        return 0
+    offset = int(struct.unpack_from("<H", data, members + 4 + 2 * number)[0])
+    return table + offset if offset else 0
+
+
+@njit(cache=True)
+def _hash_texts(ends: Any, text: Any, is_known: Any, out: Any) -> None:
+    """Add texts to the hashes of their rows."""
+    factor, shift = np.uint64(0x9E3779B97F4A7C15), np.uint64(29)
+    for i in range(len(out)):
+        mixed = (out[i] ^ np.uint64(is_known[i])) * factor
+        if is_known[i]:
+            for at in range(ends[i], ends[i + 1]):
+                mixed = (mixed ^ np.uint64(text[at])) * factor
+                mixed ^= mixed >> shift
+        out[i] = (mixed ^ factor) * factor
+
+
+@njit(cache=True)
+def _hash_numbers(values: Any, out: Any) -> None:
+    """Add the bits of numbers to the hashes of their rows."""
+    factor, shift = np.uint64(0x9E3779B97F4A7C15), np.uint64(29)
+    for k in range(2, len(values)):  # the first columns are the lane and the code of the ride
+        for i in range(len(out)):
+            mixed = (out[i] ^ values[k, i]) * factor
+            out[i] = mixed ^ (mixed >> shift)
