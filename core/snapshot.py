@@ -34,7 +34,7 @@ from core.totals.display_yield import LANE_YIELD
 from core.wire.sample_losses import SAMPLE_LOSS
 from core.wire.state_schema import Anything, ByName, Fault, Many, Maybe, Named, Number, Packed, Row, Schema, Sizes, Text
 
-SNAPSHOT: Final = 24
+SNAPSHOT: Final = 25
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 """Names of the fields in the arrays of a snapshot."""
@@ -131,13 +131,10 @@ def _pack(count: int, *, low: float = -inf) -> Schema:
     return Packed("f8", count=count, limits={"": Number(low, unknown=False)})
 
 
-_SUMS: Final = Named(
-    **dict.fromkeys(("ride_amounts", "ride_energy", "idle_energy", "standing"), Packed("f8")),
-    **dict.fromkeys(("matrix", "right", "first_edge", "last_edge"), Packed("f8")),
-    rides=_COUNT,
-    idle_periods=_COUNT,
-)
-_BY_PACE, _BY_TEMPERATURE = _grid(len(PACES)), Many(Number(unknown=False), count=len(TEMPERATURES))
+_EXACT: Final = Packed("i8")
+_SUMS: Final = Row(_EXACT, *(Packed("f8", count=len(EDGES)) for _ in range(2)))
+_BY_PACE = _grid(len(PACES))
+_BY_TEMPERATURE: Final = Many(Number(-1e12, 1e12, unknown=False), count=len(TEMPERATURES))
 _TABLES: Final = Named(
     leg_energy_per_km=_grid(len(PACES), len(TEMPERATURES)),
     **dict.fromkeys(("climbed_per_km", "descended_per_km"), _BY_PACE),
@@ -146,21 +143,20 @@ _TABLES: Final = Named(
     **dict.fromkeys(("standing_power", "approach_energy", "ride_factor", "ride_power", "relative_sd"), _BY_TEMPERATURE),
     **dict.fromkeys(("idle_factor", "idle_power", "energy_per_km", "mean_power"), _BY_TEMPERATURE),
 )
-_SHIFTS: Final = Many(_COUNT, count=BASES)
 _CLASSES: Final = BASES * len(DISTANCE_CLASSES) * len(TEMPERATURE_CLASSES)
 _CONFORMAL: Final = Row(
-    _SHIFTS,
+    _EXACT,
     Packed(BOUND_PAIR, count=_CLASSES, limits={"": Number(unknown=False)}),
     Row(
-        *(_pack(_CLASSES * len(SCORES), low=0.0) for _ in range(2)),
-        *(_pack(2 * count) for count in (_CLASSES, BASES * len(DISTANCE_CLASSES), BASES * len(TEMPERATURE_CLASSES))),
+        _pack(_CLASSES * len(SCORES), low=0.0),
+        *(_pack(2 * count) for count in (BASES * len(DISTANCE_CLASSES), BASES * len(TEMPERATURE_CLASSES))),
         _pack(_CLASSES * len(LEVELS)),
     ),
 )
-_CORRECTION: Final = Row(_SHIFTS, Row(*(_pack(BASES * count) for count in 2 * (COEFFICIENTS**2, COEFFICIENTS))))
+_CORRECTION: Final = Row(_EXACT, Row(*(_pack(BASES * count) for count in (COEFFICIENTS**2, COEFFICIENTS))))
 _STATISTICS: Final = Row(
     Row(
-        Row(ByName(_SUMS), ByName(_TABLES)),
+        Row(ByName(_SUMS), ByName(_SUMS), ByName(_TABLES)),
         Row(
             Many(Row(_LANE, _FACTOR)),
             Many(Row(_COUNT, _FACTOR)),
@@ -168,10 +164,11 @@ _STATISTICS: Final = Row(
         ),
         _CONFORMAL,
         _CORRECTION,
-        _grid(4, HOURS),
-        Many(Row(_AMOUNT, _REAL, _AMOUNT, _REAL, _REAL, _AMOUNT), count=2),
+        Row(_EXACT, _grid(2, HOURS)),
+        Row(Row(_AMOUNT, _REAL, _AMOUNT, _REAL, _REAL, _AMOUNT), _EXACT),
     ),
-    Many(Row(_LANE, Maybe(_COUNT), *4 * (_REAL,), Number(0, "kinds", whole=True), _REAL, _REAL, Number(0, 1))),
+    Many(Row(_LANE, Maybe(_COUNT), *4 * (_REAL,), _TEXT, _REAL, _REAL, Number(0, 1))),
+    Many(Row(_LANE, Row(_REAL, _REAL))),
     Packed(LOG_FACTOR_PRIOR, by_lane="predicted", limits={"variance": Number(1e-9, 1e9)}),
     Packed(SHIFT_PATTERN, by_lane="predicted"),
     Packed("i8", count=3 * BASES, limits={"": _COUNT}),

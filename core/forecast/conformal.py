@@ -27,6 +27,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from core.batch import Floats, Ints
+from core.stats.exact_sums import DaySums, FloatSums
 
 BY_PLAN: Final = 0
 """Basis of a forecast: the plan."""
@@ -69,10 +70,7 @@ DAY_CORRELATION: Final = 0.3
 DAY_MEMORY: Final = 0.98
 """Weight of a day's shifts one day later."""
 
-_ARRAYS: Final = (
-    *("_counts", "_today", "_missed_today", "_widening_by_distance", "_widening_by_temperature"),
-    "table",
-)
+_ARRAYS: Final = "_counts", "_widening_by_distance", "_widening_by_temperature", "table"
 BOUND_PAIR: Final = np.dtype([("lower", "f8"), ("upper", "f8")])
 """A value for each of the two bounds of an interval."""
 
@@ -99,19 +97,25 @@ class ConformalIntervals:
         Quantiles of the standardised error. [1]
     bounds : (bases, distances, temperatures) BOUND_PAIR
         Bounds that contain the standardised error with 90 %. [1]
+    today : DaySums
+        Shifts since the last daily update, see `make_day`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, sums: type[DaySums] = FloatSums) -> None:
         self.shape = BASES, len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
         self._counts = np.zeros((*self.shape, len(SCORES)))
-        self._today = np.zeros((*self.shape, len(SCORES)))
-        self._shifts_today = np.zeros(BASES, np.int64)
-        self._missed_today = np.zeros((*self.shape, 2))  # share of misses beyond the intended, below and above
+        self.today = self.make_day(sums)
         self._widening_by_distance = np.zeros((*self.shape[:2], 2))  # of the lower and of the upper bound
         self._widening_by_temperature = np.zeros((*self.shape[::2], 2))
         self.table = np.zeros((*self.shape, len(LEVELS)))
         self.bounds = np.zeros(self.shape, BOUND_PAIR)
         self._compute_quantiles(range(BASES))
+
+    @staticmethod
+    def make_day(sums: type[DaySums] = FloatSums) -> DaySums:
+        """Return the sums of a day: number of shifts, scores, and misses beyond the intended share, below and above."""
+        shape = BASES, len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
+        return sums(shifts=(BASES,), scores=(*shape, len(SCORES)), missed=(*shape, 2))
 
     def add_shift(self, basis: int, ahead_km: Floats, ambient_c: Floats, scores: Floats) -> None:
         """Count the standardised errors of one shift's forecasts, for the next daily update.
@@ -127,24 +131,25 @@ class ConformalIntervals:
             Standardised errors. [1] Each class that the shift touches counts it as one shift.
         """
         distance, temperature = classify(ahead_km, ambient_c)
-        self._shifts_today[basis] += 1
+        self.today.add("shifts", 1.0, (basis,))
         for place in sorted(set(zip(distance.tolist(), temperature.tolist(), strict=True))):
             of_class = scores[(distance == place[0]) & (temperature == place[1])]
-            self._today[basis, *place] += count_scores(of_class)
+            self.today.add("scores", count_scores(of_class), (basis, *place))
             bounds = self.bounds[basis, *place]
             missed = np.array([np.mean(of_class < bounds["lower"]), np.mean(of_class > bounds["upper"])])
-            self._missed_today[basis, *place] += missed - LOWER_LEVEL
+            self.today.add("missed", missed - LOWER_LEVEL, (basis, *place))
 
     def apply_daily_update(self) -> None:
         """Let the shifts since the last daily update take effect."""
-        taught = np.flatnonzero(self._shifts_today).tolist()
+        shifts, scores, missed = map(self.today.get, ("shifts", "scores", "missed"))
+        taught = np.flatnonzero(shifts).tolist()
         for basis in taught:
-            weight = weigh_day(int(self._shifts_today[basis]))
-            self._counts[basis] = DAY_MEMORY * self._counts[basis] + weight * self._today[basis]
+            weight = weigh_day(int(shifts[basis]))
+            self._counts[basis] = DAY_MEMORY * self._counts[basis] + weight * scores[basis]
             for axis, widening in enumerate((self._widening_by_distance, self._widening_by_temperature)):
-                step = ADAPTATION_RATE * weight * self._missed_today[basis].sum(axis=1 - axis)
+                step = ADAPTATION_RATE * weight * missed[basis].sum(axis=1 - axis)
                 widening[basis] = np.clip(widening[basis] + step, -LARGEST_ADAPTATION, LARGEST_ADAPTATION)
-        self._today[:], self._missed_today[:], self._shifts_today[:] = 0.0, 0.0, 0
+        self.today.clear()
         self._compute_quantiles(taught)
 
     def _compute_quantiles(self, bases: Sequence[int]) -> None:
@@ -185,12 +190,14 @@ class ConformalIntervals:
     def dump(self) -> Any:
         """Return the state as plain values."""
         arrays = (getattr(self, name) for name in _ARRAYS)
-        return self._shifts_today.tolist(), self.bounds.tobytes(), [array.tobytes() for array in arrays]
+        return self.today.dump(), self.bounds.tobytes(), [array.tobytes() for array in arrays]
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        shifts_today, bounds, arrays = state
-        self._shifts_today = np.array(shifts_today, dtype=np.int64)
+        today, bounds, arrays = state
+        self.today.load(today)
+        if self.today.get("scores").min() < 0.0:
+            raise ValueError("a negative number of shifts")
         self.bounds = np.frombuffer(bounds, BOUND_PAIR).reshape(self.shape).copy()
         for name, dumped in zip(_ARRAYS, arrays, strict=True):
             setattr(self, name, np.frombuffer(dumped).reshape(getattr(self, name).shape).copy())

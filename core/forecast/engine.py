@@ -341,7 +341,7 @@ class ForecastEngine:
                 model_kwh=float(shift["model_predicted"]),
                 used_kwh=used,
                 capacity_kwh=capacity,
-                kind=kind,
+                model=self._cars.name(kind) or "",
                 hours=float(shift["hours"]),
                 ambient=float(ambient[0]),
                 is_corrected=bool(shift["uncorrected"] == 0.0),

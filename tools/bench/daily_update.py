@@ -100,7 +100,7 @@ def _end(pipeline: Pipeline, cars: int) -> None:
     engine = pipeline.engine
     for lane in range(cars):
         engine.statistics.add_errors(engine.log.evaluate_shift(lane, 0.38, nan))
-        kind = int(engine.context.cars.of_lane[lane])
+        model = engine.context.cars.name(int(engine.context.cars.of_lane[lane])) or ""
         for _ in range(KEPT_SHIFTS):
-            energy = ShiftEnergy(lane, None, 20.0, 20.0, 21.0, 24.0, kind, 10.0, 280.0, is_corrected=True)
+            energy = ShiftEnergy(lane, None, 20.0, 20.0, 21.0, 24.0, model, 10.0, 280.0, is_corrected=True)
             engine.statistics.add_shift(energy, ShiftPattern(10.0, 1.0))

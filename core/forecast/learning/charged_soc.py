@@ -20,6 +20,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.forecast.conformal import DAY_MEMORY
+from core.stats.exact_sums import DaySums, FloatSums
 
 CENTRE: Final = 0.8
 """Planned charge at which the slope has no effect. [1]"""
@@ -44,24 +45,32 @@ class ChargedSoc:
         Of both.
     variance : float
         Of the noise. [1]
+    today : DaySums
+        Charges since the last daily update, see `make_day`.
     """
 
-    def __init__(self) -> None:
-        self._sums, self._today = np.zeros(_SUMS), np.zeros(_SUMS)
+    def __init__(self, sums: type[DaySums] = FloatSums) -> None:
+        self._sums, self.today = np.zeros(_SUMS), self.make_day(sums)
         self._fit()
+
+    @staticmethod
+    def make_day(sums: type[DaySums] = FloatSums) -> DaySums:
+        """Return the sums of a day: number of charges, and sums of x, x^2, y, x y and y^2."""
+        return sums(sums=(_SUMS,))
 
     def add_charges(self, outcomes: Sequence[tuple[float, float]]) -> None:
         """Add planned charges with the charge that the car departed with, for the next daily update. [1]"""
         for planned, reached in outcomes:
             if np.isfinite(planned) and np.isfinite(reached):
                 x, y = planned - CENTRE, reached - planned
-                self._today += np.array([1.0, x, x * x, y, x * y, y * y])
+                self.today.add("sums", [1.0, x, x * x, y, x * y, y * y])
 
     def apply_daily_update(self) -> None:
         """Let the charges since the last daily update take effect."""
-        if self._today[0]:
-            self._sums = DAY_MEMORY * self._sums + self._today
-            self._today = np.zeros(_SUMS)
+        today = self.today.get("sums")
+        if today[0]:
+            self._sums = DAY_MEMORY * self._sums + today
+            self.today.clear()
             self._fit()
 
     def _fit(self) -> None:
@@ -106,9 +115,11 @@ class ChargedSoc:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return self._sums.tolist(), self._today.tolist()
+        return self._sums.tolist(), self.today.dump()
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        self._sums, self._today = (np.array(part, dtype=np.float64) for part in state)
+        sums, today = state
+        self._sums = np.array(sums, np.float64)
+        self.today.load(today)
         self._fit()

@@ -12,6 +12,7 @@ import numpy as np
 from core.batch import Floats
 from core.columns import SECONDS_PER_DAY
 from core.forecast.conformal import DAY_MEMORY
+from core.stats.exact_sums import DaySums, FloatSums
 
 HOURS: Final = 24
 """Number of hours of a day."""
@@ -26,12 +27,23 @@ LARGEST_RATE: Final = 6.0
 
 
 class DailyCycle:
-    """Learn the mean rate of change of the outside temperature in each hour of the day."""
+    """Learn the mean rate of change of the outside temperature in each hour of the day.
 
-    def __init__(self) -> None:
-        self._change, self._seconds = np.zeros(HOURS), np.zeros(HOURS)  # of today, of all shifts [K], [s]
+    Attributes
+    ----------
+    today : DaySums
+        Changes since the last daily update, see `make_day`.
+    """
+
+    def __init__(self, sums: type[DaySums] = FloatSums) -> None:
+        self.today = self.make_day(sums)
         self._rates, self._days = np.zeros(HOURS), np.zeros(HOURS)  # weighted sum of the days' rates [K/h], weights
         self._compute_change()
+
+    @staticmethod
+    def make_day(sums: type[DaySums] = FloatSums) -> DaySums:
+        """Return the sums of a day by hour, of all shifts: change of the temperature [K], and the time of it [s]."""
+        return sums(change=(HOURS,), seconds=(HOURS,))
 
     def add_shift(self, time: Floats, celsius: Floats) -> None:
         """Add the outside temperatures of a shift, for the next daily update.
@@ -44,17 +56,18 @@ class DailyCycle:
         step, change = np.diff(time), np.diff(celsius)
         usable = (step > 0.0) & (step <= LONGEST_STEP) & (np.abs(change) * 3600.0 <= LARGEST_RATE * step)
         hour = ((time[:-1] + 0.5 * step) % SECONDS_PER_DAY / 3600.0).astype(np.int64)[usable]
-        self._change += np.bincount(hour, change[usable], HOURS)
-        self._seconds += np.bincount(hour, step[usable], HOURS)
+        self.today.add("change", np.bincount(hour, change[usable], HOURS))
+        self.today.add("seconds", np.bincount(hour, step[usable], HOURS))
 
     def apply_daily_update(self) -> None:
         """Let the shifts since the last daily update take effect."""
-        if self._seconds.any():
-            weight = np.minimum(self._seconds / WHOLE_OBSERVATION, 1.0)
-            rate = 3600.0 * np.divide(self._change, self._seconds, out=np.zeros(HOURS), where=self._seconds > 0.0)
+        change, seconds = self.today.get("change"), self.today.get("seconds")
+        if seconds.any():
+            weight = np.minimum(seconds / WHOLE_OBSERVATION, 1.0)
+            rate = 3600.0 * np.divide(change, seconds, out=np.zeros(HOURS), where=seconds > 0.0)
             self._rates = DAY_MEMORY * self._rates + weight * rate
             self._days = DAY_MEMORY * self._days + weight
-        self._change, self._seconds = np.zeros(HOURS), np.zeros(HOURS)
+        self.today.clear()
         self._compute_change()
 
     def _compute_change(self) -> None:
@@ -82,9 +95,11 @@ class DailyCycle:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return [part.tolist() for part in (self._change, self._seconds, self._rates, self._days)]
+        return self.today.dump(), [self._rates.tolist(), self._days.tolist()]
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        self._change, self._seconds, self._rates, self._days = (np.array(part) for part in state)
+        today, rates = state
+        self.today.load(today)
+        self._rates, self._days = map(np.array, rates)
         self._compute_change()

@@ -22,6 +22,7 @@ import numpy as np
 from core.batch import Floats
 from core.forecast.conformal import DAY_MEMORY, weigh_day
 from core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
+from core.stats.exact_sums import DaySums, FloatSums
 
 MILD: Final = 14.0, 21.0
 """Temperatures between which neither cold nor heat counts. [°C]"""
@@ -43,7 +44,7 @@ LARGEST_RESIDUAL_SDS: Final = 3.0
 """A larger error counts as this one. [standard deviations]"""
 FACTOR_LIMITS: Final = 0.5, 2.0
 """Limits of the correction of a part. [1]"""
-_ARRAYS: Final = "_matrix", "_right", "_matrix_today", "_right_today"
+_ARRAYS: Final = "_matrix", "_right"
 
 
 class PartForecasts(NamedTuple):
@@ -78,14 +79,20 @@ class EnergyCorrection:
         Factors of driving and waiting at each knot of temperature. [1]
     covariance : (bases, temperatures, 2, 2) float
         Covariance of both at each knot.
+    today : DaySums
+        Shifts since the last daily update, see `make_day`.
     """
 
-    def __init__(self, bases: int) -> None:
+    def __init__(self, bases: int, sums: type[DaySums] = FloatSums) -> None:
         self._matrix = np.zeros((bases, COEFFICIENTS, COEFFICIENTS))  # of the normal equations
         self._right = np.zeros((bases, COEFFICIENTS))
-        self._matrix_today, self._right_today = np.zeros_like(self._matrix), np.zeros_like(self._right)
-        self._shifts_today = np.zeros(bases, np.int64)
+        self.today = self.make_day(bases, sums)
         self._compute_factors()
+
+    @staticmethod
+    def make_day(bases: int, sums: type[DaySums] = FloatSums) -> DaySums:
+        """Return the sums of a day: number of shifts, and matrix and right side of the normal equations, by basis."""
+        return sums(shifts=(bases,), matrix=(bases, COEFFICIENTS, COEFFICIENTS), right=(bases, COEFFICIENTS))
 
     def add_shift(self, basis: int, forecasts: PartForecasts) -> None:
         """Add the forecasts of a shift, all together with the weight of one, for the next daily update."""
@@ -97,18 +104,19 @@ class EnergyCorrection:
         terms = np.concatenate([driving[:, np.newaxis] * shapes, waiting[:, np.newaxis] * shapes], axis=1)
         terms /= sd[:, np.newaxis]
         residual = np.clip((fall - driving - waiting) / sd, -LARGEST_RESIDUAL_SDS, LARGEST_RESIDUAL_SDS)
-        self._matrix_today[basis] += terms.T @ terms / len(sd)
-        self._right_today[basis] += terms.T @ residual / len(sd)
-        self._shifts_today[basis] += 1
+        self.today.add("matrix", terms.T @ terms / len(sd), (basis,))
+        self.today.add("right", terms.T @ residual / len(sd), (basis,))
+        self.today.add("shifts", 1.0, (basis,))
 
     def apply_daily_update(self) -> None:
         """Let the shifts since the last daily update take effect."""
-        for basis, shifts in enumerate(self._shifts_today.tolist()):
+        number, matrix, right = map(self.today.get, ("shifts", "matrix", "right"))
+        for basis, shifts in enumerate(number.tolist()):
             if shifts:
-                weight = weigh_day(shifts)
-                self._matrix[basis] = DAY_MEMORY * self._matrix[basis] + weight * self._matrix_today[basis]
-                self._right[basis] = DAY_MEMORY * self._right[basis] + weight * self._right_today[basis]
-        self._matrix_today[:], self._right_today[:], self._shifts_today[:] = 0.0, 0.0, 0
+                weight = weigh_day(int(shifts))
+                self._matrix[basis] = DAY_MEMORY * self._matrix[basis] + weight * matrix[basis]
+                self._right[basis] = DAY_MEMORY * self._right[basis] + weight * right[basis]
+        self.today.clear()
         self._compute_factors()
 
     def _compute_factors(self) -> None:
@@ -122,12 +130,12 @@ class EnergyCorrection:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return self._shifts_today.tolist(), [getattr(self, name).tobytes() for name in _ARRAYS]
+        return self.today.dump(), [getattr(self, name).tobytes() for name in _ARRAYS]
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        shifts_today, arrays = state
-        self._shifts_today = np.array(shifts_today, dtype=np.int64)
+        today, arrays = state
+        self.today.load(today)
         for name, dumped in zip(_ARRAYS, arrays, strict=True):
             setattr(self, name, np.frombuffer(dumped).reshape(getattr(self, name).shape).copy())
         self._compute_factors()

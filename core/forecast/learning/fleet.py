@@ -25,6 +25,7 @@ from core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
 from core.forecast.learning.ride_stats import RideStatistics
 from core.forecast.outlook import UsualConsumption, compute_temperature_weights
 from core.forecast.soc_filter import WARM_UP_TIME
+from core.stats.exact_sums import DaySums, FloatSums
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
 from core.totals.measured_energy import compute_largest_energy, measure_energy
@@ -57,8 +58,8 @@ class ShiftEnergy(NamedTuple):
         Energy as predicted and corrected, as predicted by the model alone, and by the charge. [kWh]
     capacity_kwh : float
         Nominal usable capacity. [kWh]
-    kind : int
-        Kind of the car.
+    model : str
+        Vehicle model, empty where it is unknown.
     hours : float
         Duration. [h]
     ambient : float
@@ -73,7 +74,7 @@ class ShiftEnergy(NamedTuple):
     model_kwh: float
     used_kwh: float
     capacity_kwh: float
-    kind: int
+    model: str
     hours: float
     ambient: float
     is_corrected: bool
@@ -104,6 +105,8 @@ class FleetStatistics:
     context : RunContext
     width : int
         Number of amounts that are summed of a ride.
+    sums : type
+        Type of the sums of a day, exact where those of several consumers are merged.
 
     Attributes
     ----------
@@ -113,15 +116,16 @@ class FleetStatistics:
         Numbers of evaluated forecasts with the outcome below, inside and above their published interval.
     """
 
-    def __init__(self, context: RunContext, width: int) -> None:
+    def __init__(self, context: RunContext, width: int, sums: type[DaySums] = FloatSums) -> None:
         self._context, self._cars = context, context.cars
-        self.rides, self.factors = RideStatistics(width), ConsumptionFactors()
-        self.conformal, self.correction = ConformalIntervals(), EnergyCorrection(BASES)
-        self.daily_cycle, self.charged_soc = DailyCycle(), ChargedSoc()
+        self.rides, self.factors = RideStatistics(width, sums), ConsumptionFactors()
+        self.conformal, self.correction = ConformalIntervals(sums), EnergyCorrection(BASES, sums)
+        self.daily_cycle, self.charged_soc = DailyCycle(sums), ChargedSoc(sums)
         self.interval_outcomes: Ints = np.zeros((BASES, 3), np.int64)
         self.prior = np.zeros(0, LOG_FACTOR_PRIOR)
         self._patterns = np.zeros(0, SHIFT_PATTERN)
-        self._waiting: list[ShiftEnergy] = []  # until the daily update
+        self._shifts: list[ShiftEnergy] = []  # until the daily update, as the next ones
+        self._new_patterns: list[tuple[int, ShiftPattern]] = []
         self._tables: list[LegEnergyTables | None] = []  # of each kind of car, None for unknown vehicle models
         self._rows = _stack_tables(self._tables)
 
@@ -164,17 +168,20 @@ class FleetStatistics:
 
         The consumption factors wait for the daily update, because they are read when a driver is named.
         """
-        self._waiting.append(energy)
+        self._shifts.append(energy)
         if pattern is not None:
-            self.factors.add_pattern(energy.lane, pattern)
+            self._new_patterns.append((energy.lane, pattern))
 
     def apply_daily_update(self) -> None:
         """Let everything that was collected take effect."""
         self.rides.update_tables(self._context)
         self._tables = []
-        for energy in self._waiting:
-            self._learn_factors(energy)
-        self._waiting = []
+        for energy in self._shifts:
+            if (predicted := self.correct_prediction(energy)) is not None:
+                self.factors.add_shift(energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh)
+        for lane, pattern in self._new_patterns:
+            self.factors.add_pattern(lane, pattern)
+        self._shifts, self._new_patterns = [], []
         self.conformal.apply_daily_update()
         self.correction.apply_daily_update()
         self.daily_cycle.apply_daily_update()
@@ -183,24 +190,20 @@ class FleetStatistics:
             self.prior[lane] = self.factors.expect(lane)
             self._patterns[lane] = self.factors.get_usual_pattern(lane)
 
-    def _learn_factors(self, energy: ShiftEnergy) -> None:
-        """Learn the factors of a car and its driver from a shift.
+    def correct_prediction(self, energy: ShiftEnergy) -> float | None:
+        """Return the predicted energy of a shift, from which factors are learned; None where they cannot be. [kWh]
 
         Without learned tables, the used over the predicted energy tells about the tables, and not about the car. Where
         the tables were learned since, they correct what the model predicted.
         """
-        predicted = energy.predicted_kwh
-        if not energy.is_corrected:
-            if not self.has_learned_tables(energy.kind):
-                return
-            weights = compute_temperature_weights(np.array([energy.ambient]))
-            learned = self.compute_corrections(np.array([energy.kind]), np.array([True]), weights)
-            predicted = float(learned.factor[0]) * energy.model_kwh + float(learned.power[0]) * energy.hours
-        self.factors.add_shift(energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh)
-
-    def has_learned_tables(self, kind: int) -> bool:
-        """Return whether the tables of a kind of car were learned from its rides."""
-        return (self._cars.name(kind) or "") in self.rides.tables
+        if energy.is_corrected:
+            return energy.predicted_kwh
+        learned = self.rides.tables.get(energy.model)
+        if learned is None:
+            return None
+        weights = compute_temperature_weights(np.array([energy.ambient]))
+        factor, power = (np.einsum("ij,ij->i", each[np.newaxis], weights)[0] for each in learned.get_ride_correction())
+        return float(factor) * energy.model_kwh + float(power) * energy.hours
 
     def get_tables(self, lane: int, kind: int | None = None) -> LegEnergyTables | None:
         """Return the tables of the vehicle model of a kind of car, by default that of a lane; None without tables."""
@@ -291,11 +294,11 @@ class FleetStatistics:
         learning = self.rides, self.factors, self.conformal, self.correction
         parts = [part.dump() for part in (*learning, self.daily_cycle, self.charged_soc)]
         arrays = self.prior.tobytes(), self._patterns.tobytes(), self.interval_outcomes.tobytes()
-        return parts, self._waiting, *arrays
+        return parts, self._shifts, self._new_patterns, *arrays
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, once the cars are known."""
-        (rides, factors, conformal, correction, daily_cycle, charged), waiting, prior, patterns, outcomes = state
+        (rides, factors, conformal, correction, daily_cycle, charged), shifts, new, prior, patterns, outcomes = state
         self.rides.load(rides)
         self.factors.load(factors)
         self.conformal.load(conformal)
@@ -303,7 +306,8 @@ class FleetStatistics:
         self.daily_cycle.load(daily_cycle)
         self.charged_soc.load(charged)
         self._tables = []
-        self._waiting = [ShiftEnergy(*each) for each in waiting]
+        self._shifts = [ShiftEnergy(*each) for each in shifts]
+        self._new_patterns = [(lane, ShiftPattern(*pattern)) for lane, pattern in new]
         self.prior = np.frombuffer(prior, LOG_FACTOR_PRIOR).copy()
         self._patterns = np.frombuffer(patterns, SHIFT_PATTERN).copy()
         self.interval_outcomes = np.frombuffer(outcomes, np.int64).reshape(BASES, 3).copy()

@@ -107,6 +107,10 @@ class LegEnergyTables(NamedTuple):
     driven_energy_per_km: float = 0.0
     level_sd: float = 0.0
 
+    def get_ride_correction(self) -> tuple[Floats, Floats]:
+        """Return the factor and the power that correct the predicted energy of rides at each temperature."""
+        return self.ride_factor, self.ride_power
+
     def is_plausible(self) -> bool:
         """Return whether the consumption is positive and possible at every temperature; else no car has such tables."""
         limits = (self.energy_per_km, LARGEST_PER_KM), (self.mean_power, LARGEST_POWER)

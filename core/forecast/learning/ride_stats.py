@@ -7,7 +7,6 @@ leg energy.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -33,6 +32,7 @@ from core.forecast.learning.leg_energy_fit import (
     fit_leg_energy,
 )
 from core.forecast.soc_filter import ENERGY_SD
+from core.stats.exact_sums import DaySums, ExactSums, FloatSums
 from core.totals.accumulator import EDGES, Totals
 from core.totals.context import RunContext
 
@@ -40,84 +40,110 @@ LEAST_RIDES: Final = 12
 """Rides of a vehicle model below which it has no tables of its own."""
 RIDES_OF_A_DAY: Final = 15.0
 """Number of rides that share the weather, the traffic and the car, so that they count as one observation."""
+_ENERGIES: Final = ENERGY_SUMS.itemsize // 8
+_TIME: Final = EDGES.index("time")
+_NUMBERED: Final = [EDGES.index("code"), EDGES.index("kind")]
+"""Edges that are numbers of this process."""
 STANDING_DISTANCE: Final = 60.0
 """A car that moved less in an idle period stood, as positions wander. [m]"""
 
 
-@dataclass
 class ModelSums:
     """Hold sums over the rides and idle periods of a vehicle model.
 
     Parameters
     ----------
-    ride_amounts : (paces * temperatures, amounts) float
-    ride_energy : (paces * temperatures,) ENERGY_SUMS
-    idle_energy : (temperatures,) ENERGY_SUMS
-    standing : (temperatures,) IDLE_SUMS
-    matrix, right : (TERMS, TERMS) and (TERMS,) float
-        Normal equations, see `core.forecast.learning.leg_energy_fit.LegEquations`.
+    width : int
+        Number of amounts that are summed of a ride.
+    sums : type
+        Type of the sums.
+
+    Attributes
+    ----------
+    sums : DaySums
+        Sums by pace and temperature, and those of the normal equations.
     first_edge, last_edge : (edges,) float
         First and last sample of the newest ride.
-    rides : int
-        Number of rides.
-    idle_periods : int
-        Number of idle periods with a measured energy.
     """
 
-    ride_amounts: Floats
-    ride_energy: NDArray[np.void]
-    idle_energy: NDArray[np.void]
-    standing: NDArray[np.void]
-    matrix: Floats
-    right: Floats
-    first_edge: Floats
-    last_edge: Floats
-    rides: int = 0
-    idle_periods: int = 0
-
-    @classmethod
-    def create(cls, width: int) -> "ModelSums":
-        """Return the sums before the first ride, for rides of `width` amounts."""
+    def __init__(self, width: int, sums: type[DaySums] = FloatSums) -> None:
         knots = len(TEMPERATURES)
-        return cls(
-            ride_amounts=np.zeros((CELLS, width)),
-            ride_energy=np.zeros(CELLS, ENERGY_SUMS),
-            idle_energy=np.zeros(knots, ENERGY_SUMS),
-            standing=np.zeros(knots, IDLE_SUMS),
-            matrix=np.zeros((TERMS, TERMS)),
-            right=np.zeros(TERMS),
-            first_edge=np.zeros(len(EDGES)),
-            last_edge=np.zeros(len(EDGES)),
+        self.sums: DaySums = sums(
+            ride_amounts=(CELLS, width),
+            ride_energy=(CELLS, _ENERGIES),
+            idle_energy=(knots, _ENERGIES),
+            standing=(knots, IDLE_SUMS.itemsize // 8),
+            matrix=(TERMS, TERMS),
+            right=(TERMS,),
+            counts=(2,),  # of rides, and of idle periods with a measured energy
         )
+        self.first_edge, self.last_edge = np.zeros(len(EDGES)), np.zeros(len(EDGES))
+
+    @property
+    def rides(self) -> int:
+        """Return the number of rides."""
+        return int(self.sums.get("counts")[0])
+
+    @property
+    def idle_periods(self) -> int:
+        """Return the number of idle periods with a measured energy."""
+        return int(self.sums.get("counts")[1])
+
+    @property
+    def equations(self) -> LegEquations:
+        """Return the normal equations of the terms of rides."""
+        return LegEquations(self.sums.get("matrix"), self.sums.get("right"))
+
+    @property
+    def ride_sums(self) -> RideSums:
+        """Return the sums over rides."""
+        return RideSums(self.sums.get("ride_amounts"), self.sums.get("ride_energy").view(ENERGY_SUMS)[:, 0])
+
+    @property
+    def idle_sums(self) -> IdleSums:
+        """Return the sums over idle periods."""
+        energy, standing = self.sums.get("idle_energy").view(ENERGY_SUMS), self.sums.get("standing").view(IDLE_SUMS)
+        return IdleSums(energy[:, 0], standing[:, 0], float(self.idle_periods))
+
+    def add_weighted(self, name: str, weights: Floats, row: Floats) -> None:
+        """Add a row to each row of sums of which the weight is not 0, multiplied by its weight."""
+        which = np.flatnonzero(weights)
+        self.sums.add(name, weights[which, np.newaxis] * row, (which,))
+
+    def note_ride(self, first: Floats, last: Floats) -> None:
+        """Keep the first and last sample of a ride, of exact sums only if it is newer; values decide a tie."""
+        is_ordered = isinstance(self.sums, FloatSums)
+        if is_ordered or _rank(first, last) > _rank(self.first_edge, self.last_edge):
+            self.first_edge[:], self.last_edge[:] = first, last
+
+    def merge(self, other: "ModelSums") -> None:
+        """Add the exact sums of another instance."""
+        assert isinstance(self.sums, ExactSums)
+        assert isinstance(other.sums, ExactSums)
+        self.sums.merge(other.sums)
+        self.note_ride(other.first_edge, other.last_edge)
 
     def build_tables(self, context: RunContext) -> LegEnergyTables | None:
         """Return the tables of leg energy by the model of `context`, None where there are too few plausible rides."""
         if self.rides < LEAST_RIDES:
             return None
-        rides, idle = (
-            RideSums(self.ride_amounts, self.ride_energy),
-            IdleSums(self.idle_energy, self.standing, float(self.idle_periods)),
-        )
-        tables = build_leg_energy_tables(rides, idle, RideEdges(self.first_edge, self.last_edge), context)
+        edges = RideEdges(self.first_edge, self.last_edge)
+        tables = build_leg_energy_tables(self.ride_sums, self.idle_sums, edges, context)
         if tables is None or not tables.is_plausible():
             return None
-        fitted = fit_leg_energy(tables, LegEquations(self.matrix, self.right))
+        fitted = fit_leg_energy(tables, self.equations)
         shared = FIRST_RELATIVE_SD / np.sqrt(1.0 + self.rides / RIDES_OF_A_DAY)
         return fitted._replace(relative_sd=np.hypot(fitted.relative_sd, shared))
 
     def dump(self) -> Any:
         """Return the sums as plain values."""
-        values = vars(self)
-        return {name: value if isinstance(value, int) else value.tobytes() for name, value in values.items()}
+        return self.sums.dump(), self.first_edge.tobytes(), self.last_edge.tobytes()
 
     def load(self, state: Any) -> None:
         """Replace the sums by those that `dump` returned, of rides of as many amounts."""
-        for name, value in state.items():
-            if isinstance(value, int):
-                setattr(self, name, value)
-            else:
-                array = getattr(self, name)
-                setattr(self, name, np.frombuffer(value, array.dtype).reshape(array.shape).copy())
+        sums, first, last = state
+        self.sums.load(sums)
+        self.first_edge[:], self.last_edge[:] = np.frombuffer(first), np.frombuffer(last)
 
 
 class RideStatistics:
@@ -127,16 +153,21 @@ class RideStatistics:
     ----------
     width : int
         Number of amounts that are summed of a ride.
+    sums : type
+        Type of the sums: `FloatSums`, or `ExactSums` where the sums of several consumers are merged.
 
     Attributes
     ----------
     tables : dict of str to LegEnergyTables
         By vehicle model.
+    today : dict of str to ModelSums
+        Sums since the last daily update, by vehicle model.
     """
 
-    def __init__(self, width: int) -> None:
-        self._width = width
+    def __init__(self, width: int, sums: type[DaySums] = FloatSums) -> None:
+        self._width, self._type = width, sums
         self._sums: dict[str, ModelSums] = {}
+        self.today = {} if sums is ExactSums else self._sums  # sums of floats are added in the order of rides
         self.tables: dict[str, LegEnergyTables] = {}
 
     def add_rides(self, models: Sequence[str], rides: Totals, predicted: Floats, measured: Floats) -> None:
@@ -160,17 +191,17 @@ class RideStatistics:
             sums = self._get_sums(model)
             if driving[i]:
                 weights = np.outer(paces[i], ambient[i]).ravel()
-                _add_weighted(sums.ride_amounts, weights, amounts[i])
-                _add_weighted(as_matrix(sums.ride_energy), weights, as_matrix(energy)[i])
+                sums.add_weighted("ride_amounts", weights, amounts[i])
+                sums.add_weighted("ride_energy", weights, as_matrix(energy)[i])
             if model in self.tables and np.isfinite(measured[i]):
                 self._add_to_equations(model, rides.rows(np.array([i])), ambient[i], measured[i])
-            sums.first_edge[:], sums.last_edge[:] = rides.first[i], rides.last[i]
-            sums.rides += 1
+            sums.note_ride(rides.first[i], rides.last[i])
+            sums.sums.add("counts", 1.0, (0,))
 
     def _add_to_equations(self, model: str, ride: Totals, ambient: Floats, measured: float) -> None:
         """Add a ride to the normal equations of its terms, with the variance that the present tables predict."""
         km, seconds = ride.amount("distance") / 1000.0, ride.amount("duration")
-        tables, sums = self.tables[model], self._sums[model]
+        tables, sums = self.tables[model], self.today[model].sums
         terms = tables.compute_terms(km, seconds, ride.amount("gained"), ride.amount("lost"))
         waited = float(terms.waiting[0] * (tables.standing_power @ ambient))
         row = np.zeros(1, FIT_TERMS)
@@ -179,8 +210,9 @@ class RideStatistics:
         expected = float((row["km"][0] * tables.leg_energy_per_km).sum()) + waited
         weight = 1.0 / (ENERGY_SD**2 * max(expected, 0.0) + READING_ENERGY_SD**2)
         values = as_matrix(row)[0]
-        sums.matrix += weight * np.outer(values, values)
-        sums.right += weight * (values * (measured - waited))
+        which = np.flatnonzero(values)
+        sums.add("matrix", weight * np.outer(values[which], values[which]), np.ix_(which, which))
+        sums.add("right", weight * (values[which] * (measured - waited)), (which,))
 
     def add_idle_periods(self, models: Sequence[str], idle: Totals, predicted: Floats, measured: Floats) -> None:
         """Add idle periods that have ended; the parameters are those of `add_rides`."""
@@ -191,19 +223,23 @@ class RideStatistics:
         standing["standing_energy"], standing["standing_hours"] = stood * measured, stood * standing["hours"]
         for i, model in enumerate(models):
             sums = self._get_sums(model)
-            _add_weighted(as_matrix(sums.idle_energy), ambient[i], as_matrix(energy)[i])
+            sums.add_weighted("idle_energy", ambient[i], as_matrix(energy)[i])
             if np.isfinite(measured[i]):
-                _add_weighted(as_matrix(sums.standing), ambient[i], as_matrix(standing)[i])
-                sums.idle_periods += 1
+                sums.add_weighted("standing", ambient[i], as_matrix(standing)[i])
+                sums.sums.add("counts", 1.0, (1,))
 
     def _get_sums(self, model: str) -> ModelSums:
-        """Return the sums of a vehicle model."""
-        if model not in self._sums:
-            self._sums[model] = ModelSums.create(self._width)
-        return self._sums[model]
+        """Return the sums of a vehicle model since the last daily update."""
+        if model not in self.today:
+            self.today[model] = ModelSums(self._width, self._type)
+        return self.today[model]
 
     def update_tables(self, context: RunContext) -> None:
         """Compute the tables of every vehicle model from its sums, for forecasts by the model of `context`."""
+        if self.today is not self._sums:
+            for name, sums in sorted(self.today.items()):
+                self._sums.setdefault(name, ModelSums(self._width, self._type)).merge(sums)
+            self.today.clear()
         built = ((name, sums.build_tables(context)) for name, sums in self._sums.items())
         self.tables = {name: tables for name, tables in built if tables is not None}
 
@@ -213,14 +249,26 @@ class RideStatistics:
             name: {field: np.asarray(value).tolist() for field, value in known._asdict().items()}
             for name, known in sorted(self.tables.items())
         }
-        return {name: sums.dump() for name, sums in sorted(self._sums.items())}, tables
+        today = {} if self.today is self._sums else self.today
+        return self.dump_sums(self._sums), self.dump_sums(today), tables
+
+    @staticmethod
+    def dump_sums(sums: dict[str, ModelSums]) -> Any:
+        """Return sums by vehicle model as plain values, ordered by name."""
+        return {name: each.dump() for name, each in sorted(sums.items())}
+
+    def load_sums(self, state: Any) -> dict[str, ModelSums]:
+        """Return the sums that `dump_sums` returned as plain values."""
+        out = {name: ModelSums(self._width, self._type) for name in state}
+        for name, sums in out.items():
+            sums.load(state[name])
+        return out
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        dumped, tables = state
-        self._sums = {name: ModelSums.create(self._width) for name in dumped}
-        for name, sums in self._sums.items():
-            sums.load(dumped[name])
+        sums, today, tables = state
+        self._sums = self.load_sums(sums)
+        self.today = self.load_sums(today) if self._type is ExactSums else self._sums
         self.tables = {name: _load_tables(fields) for name, fields in tables.items()}
 
 
@@ -258,6 +306,6 @@ def _compute_energy_sums(totals: Totals, predicted: Floats, measured: Floats) ->
     return out
 
 
-def _add_weighted(sums: Floats, weights: Floats, row: Floats) -> None:
-    """Add a row to each row of sums, multiplied by its weight."""
-    sums += weights[:, np.newaxis] * row
+def _rank(first: Floats, last: Floats) -> tuple[float, bytes]:
+    """Return a rank of rides by the time of the last sample; that of equally new ones is decided by all values."""
+    return float(last[_TIME]), np.delete([first, last], _NUMBERED, axis=1).tobytes()

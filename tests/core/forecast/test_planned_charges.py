@@ -126,7 +126,7 @@ def test_short_plugging_in_and_a_charge_before_the_plan_use_up_no_charge():
 
 def learned_of(pipeline):
     """Return the number of forecasts by basis that the day's shifts have taught."""
-    return pipeline.engine.statistics.conformal._shifts_today.tolist()
+    return pipeline.engine.statistics.conformal.today.get("shifts").astype(int).tolist()
 
 
 def test_errors_before_and_over_a_charge_count_for_classes_of_their_own():

@@ -24,9 +24,14 @@ from tests.support.fleet_days import (
 from tests.support.telemetry import make_message, telemetry
 
 
+def list_sums(statistics):
+    """Return the sums of all vehicle models, of earlier days and of today."""
+    return (statistics.rides._sums | statistics.rides.today).values()
+
+
 def count_learned(statistics):
     """Return the number of rides and of idle periods in the statistics."""
-    sums = statistics.rides._sums.values()
+    sums = list_sums(statistics)
     return [sum(each.rides for each in sums), sum(each.idle_periods for each in sums)]
 
 
@@ -93,8 +98,8 @@ def test_charging_and_silent_idle_periods_do_not_count():
 
 def rests(statistics):
     """Return the number of idle periods in the statistics, and their total time. [s]"""
-    sums = statistics.rides._sums.values()
-    return np.array([count_learned(statistics)[1], 3600.0 * sum(each.standing["hours"].sum() for each in sums)])
+    hours = sum(each.idle_sums.standing["hours"].sum() for each in list_sums(statistics))
+    return np.array([count_learned(statistics)[1], 3600.0 * hours])
 
 
 def late(sent, at, seconds):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from core.forecast.learning.first_tables import FIRST_RELATIVE_SD
 from core.forecast.learning.leg_energy import PACES, STEEPEST_DESCENT, TEMPERATURES, compute_knot_weights
-from core.forecast.learning.leg_energy_fit import LegEquations, fit_leg_energy
+from core.forecast.learning.leg_energy_fit import fit_leg_energy
 from core.forecast.learning.ride_stats import LEAST_RIDES, RideStatistics
 from core.pipeline import Pipeline
 from core.totals.accumulator import AMOUNTS, EDGES, Totals
@@ -192,7 +192,7 @@ def driven(known, rides, rng):
 
 def equations_of(statistics):
     """Return the normal equations of the model."""
-    return LegEquations(statistics._sums[MODEL].matrix, statistics._sums[MODEL].right)
+    return (statistics._sums | statistics.today)[MODEL].equations
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -226,9 +226,10 @@ def test_ride_that_mostly_waited_counts_for_no_pace():
     rides.amounts[0, AMOUNTS.index("duration")] = 3600.0 * 8.0
     statistics = RideStatistics(len(AMOUNTS))
     statistics.add_rides([MODEL], rides, used, used)
-    assert not statistics._sums[MODEL].ride_amounts.any()
-    assert not statistics._sums[MODEL].ride_energy["hours"].any()
-    assert statistics._sums[MODEL].rides == 1
+    sums = statistics.today[MODEL]
+    assert not sums.ride_sums.amounts.any()
+    assert not sums.ride_sums.energy["hours"].any()
+    assert sums.rides == 1
 
 
 def test_mean_pause_is_that_of_idle_periods():
@@ -241,8 +242,8 @@ def test_tables_are_averages_fitted_to_the_measured_rides():
     plain = RideStatistics(pipeline.accumulator.width)
     plain.load(statistics.dump())
     equations = LegEquations(*(part.copy() for part in equations_of(plain)))
-    plain._sums[MODEL].matrix[:] = 0.0
-    plain._sums[MODEL].right[:] = 0.0
+    for name in ("matrix", "right"):
+        plain._sums[MODEL].sums._parts[name][:] = 0
     plain.update_tables(pipeline.context)
     averages, fitted = plain.tables[MODEL], statistics.tables[MODEL]
     assert not all(np.allclose(a, b) for a, b in zip(averages, fitted, strict=True))
