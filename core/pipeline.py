@@ -94,6 +94,8 @@ class Pipeline:
         If two models have the same name and version.
     """
 
+    of_lanes: Sequence[str] = OF_LANES
+
     def __init__(
         self,
         model: Model = EXTENDED_PHYSICAL,
@@ -228,14 +230,22 @@ class Pipeline:
             if self.deferred is not None:
                 self._take_released(self.deferred, self.deferred.add(rows))
                 continue
-            self._take_closed(sums := self.displays.attach(self.sum_up(rows), len(self.lanes)))
-            if self.keep_forecasts:
-                self._pending.add_sums(sums, end - at)
-                if self._pending.size >= BLOCK:
-                    self._update_forecasts(order.of_row(end))
+            self._add_rows(rows)
+            if self._pending.size >= BLOCK:
+                self._update_forecasts(order.of_row(end))
         for value in (value for row, value in piece.observations if row == stop):
             self.stations.observe(value)
         return Piece(stop, [], [], [])
+
+    def _add_rows(self, rows: CleanRows) -> None:
+        """Sum up cleaned rows, and take the totals."""
+        self._take_sums(self.displays.attach(self.sum_up(rows), len(self.lanes)), rows.size)
+
+    def _take_sums(self, sums: Sums, rows: int) -> None:
+        """Take the totals of a number of rows."""
+        self._take_closed(sums)
+        if self.keep_forecasts:
+            self._pending.add_sums(sums, rows)
 
     def clean_up(
         self,
@@ -249,16 +259,12 @@ class Pipeline:
 
         Parameters
         ----------
-        batch : Batch
-            n rows.
-        kind : (n,) int
-            Kind of car of each row.
-        place : (n,) int, optional
-            Place of each row among the messages of the batch; its number without it.
+        batch : Batch of n rows
+        kind, place : (n,) int
+            Kind of car, and place among the messages of the batch; the number of the row without it.
         ride_events : (events,) RIDE_EVENT
-            Beginnings and ends of rides from dispatch, between the rows.
         observations : sequence of (row, Weather)
-            Observations of the weather, each with the row before which it came.
+            Each with the row before which it came.
         """
         place = np.arange(batch.size) if place is None else place
         of_cars = self.cars.capacity.take(kind) * JOULES_PER_KWH, self.cars.period.take(kind)
@@ -309,15 +315,19 @@ class Pipeline:
     def _take_daily_update(self, place: int, midnight: float, rest: RestOfBatch) -> None:
         """Run the daily update at a place in the batch, and forget what has been silent for days."""
         self._update_forecasts(place)
-        pool = partial(self.deferred.add_daily_update, place) if self.deferred else self.displays.apply_daily_update
-        pool(self.cars.of_lane)
-        self.engine.apply_daily_update(midnight)
+        self._learn_from_day(place, midnight)
         since = midnight - self.limits.silent_days * SECONDS_PER_DAY
         self.stations.forget_silent(since)
         kept = self.silent_cars.begin_day(midnight, since, self.closed.get_lanes())
         if kept is not None and not self.keep_outlooks and not self.deferred:
             self._due.build_all()
-            forget_lanes(kept, rest, self.lanes, self.day_rollover, [getattr(self, name) for name in OF_LANES])
+            forget_lanes(kept, rest, self.lanes, self.day_rollover, [getattr(self, name) for name in self.of_lanes])
+
+    def _learn_from_day(self, place: int, midnight: float) -> None:
+        """Let what was learned of the day take effect."""
+        pool = partial(self.deferred.add_daily_update, place) if self.deferred else self.displays.apply_daily_update
+        pool(self.cars.of_lane)
+        self.engine.apply_daily_update(midnight)
 
     def _take_ride(self, place: int, lane: int, ride: Ride) -> tuple[float, float, bool]:
         """Take the driver of a ride; return the code of its name, when it begins or ends, and whether it ends."""

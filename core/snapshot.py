@@ -220,10 +220,13 @@ SCHEMAS: Final[dict[str, Schema]] = {
     "stations": Many(Row(_TEXT, Many(_UNIX), Many(Many(_REAL)), _LATITUDE, _LONGITUDE)),
     "accumulator": OpenTotals(),
     "displays": Row(
-        Packed(LANE_YIELD, by_lane="summed", limits={"pooled_model": Number(-1, "models")}),
+        Packed(
+            LANE_YIELD,
+            by_lane="summed",
+            limits=dict.fromkeys(("pooled_model", "next_model"), Number(-1, "models")),
+        ),
         Many(_TEXT, unique=True),
-        Many(Row(_REAL, _REAL)),
-        Many(Row(_REAL, _REAL), count="pooled"),
+        *(Many(Row(_REAL, _REAL), count=count) for count in (None, "pooled", "pooled")),
     ),
     "counters": Row(Many(_COUNT, count=len(CAUSES)), _COUNT, _COUNTS, _COUNTS),
     "engine": Row(
@@ -250,6 +253,7 @@ SCHEMAS: Final[dict[str, Schema]] = {
         Packed("i8", count="noted", limits={"": Number(-_WHOLE, _WHOLE)}),
     ),
     "deferred": _ANYTHING,
+    "days": _ANYTHING,
     "shadows": Row(
         _TEXT,
         _REAL,
@@ -284,7 +288,11 @@ def load_components(components: Mapping[str, Stateful], content: dict[str, Any])
     """
     name, state = "state", content.get("state")
     try:
-        if not isinstance(state, dict) or (set(state) ^ set(components)) - {"deferred"}:
+        if (
+            not isinstance(state, dict)
+            or (set(state) ^ set(components)) - {"deferred"}
+            or ("days" in state) != ("days" in components)
+        ):
             raise Fault("it has other components than this version")
         name = "sizes"
         sizes = _measure_state(state) | {"effects": len(content["effects"])}

@@ -23,6 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from core.batch import NO_RIDE
 from core.cleaning.segmentation import finish_ride
 
 FIELDS: Final = ("heard",)
@@ -86,6 +87,25 @@ def advance_fleet_clock(clock: Any, time: float, dt: float, longest: float) -> b
             clock.front = time
             clock.behind = 0.0
     return bool(clock.progress > clock.check)
+
+
+def end_open_rides(states: NDArray[Any], lanes: NDArray[np.int64], place: int) -> NDArray[np.void]:
+    """End the open rides of cars before a row, in place; return the ends, (n,) RIDE_END.
+
+    Parameters
+    ----------
+    states : (lanes,) STATE
+        Changed in place.
+    lanes : (n,) int
+    place : int
+        Place of the ends among the messages of the batch.
+    """
+    lanes = lanes[lanes < len(states)]
+    lanes = lanes[states["riding"][lanes] == 1.0]
+    states["riding"][lanes], states["idle"][lanes], states["code"][lanes] = 0.0, 0.0, NO_RIDE
+    ends = np.zeros(len(lanes), RIDE_END)
+    ends["lane"], ends["place"] = lanes, place
+    return ends
 
 
 @njit(cache=False)

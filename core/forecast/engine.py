@@ -6,7 +6,7 @@ cut into batches, nor on which other cars sent samples a moment earlier.
 """
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from math import inf, nan
 from operator import attrgetter
 from typing import Any, Final, NamedTuple
@@ -61,6 +61,8 @@ class PendingInput:
     ----------
     size : int
         Number of pending samples and messages.
+    before : int
+        Number of messages since the first pending batch, before the present one.
     """
 
     def __init__(self, none: Totals) -> None:
@@ -69,37 +71,37 @@ class PendingInput:
         self._arrivals: list[PlanArrival | DriverNamed | ForecastArrival] = []
         self._replaced: list[ReplacedKind] = []
         self.size = 0
-        self._before = 0  # messages of batches before the present one
+        self.before = 0  # messages of batches before the present one
 
     def __bool__(self) -> bool:
         return bool(self._sums or self._arrivals)
 
     def add_sums(self, sums: Sums, rows: int) -> None:
         """Add the sums of a number of rows."""
-        self._sums.append(Sums(*(totals._replace(at=totals.at + self._before) for totals in sums)))
+        self._sums.append(Sums(*(totals._replace(at=totals.at + self.before) for totals in sums)))
         self.size += rows
 
     def add_arrival(self, message: PlanArrival | DriverNamed | ForecastArrival) -> None:
         """Add a plan, the name of a driver or a weather forecast, in the order of their arrival."""
-        self._arrivals.append(message._replace(at=self._before + message.at))
+        self._arrivals.append(message._replace(at=self.before + message.at))
         self.size += 1
 
     def add_replaced(self, kinds: Sequence[ReplacedKind]) -> None:
         """Add the kinds of car that vehicle messages replaced, in the order of their arrival."""
-        self._replaced += [each._replace(at=self._before + each.at) for each in kinds]
+        self._replaced += [each._replace(at=self.before + each.at) for each in kinds]
 
     def end_batch(self, messages: int) -> None:
         """Mark the end of a batch with a number of messages."""
-        self._before = self._before + messages if self else 0
+        self.before = self.before + messages if self else 0
         if not self:
             self._replaced = []
 
     def take(self, end: int) -> "DueInput":
         """Return and drop all sums, joined, and the messages up to the place `end` in the batch."""
         sums, self._sums, self.size = self._sums, [], 0
-        due = [each for each in self._arrivals if each.at <= self._before + end]
+        due = [each for each in self._arrivals if each.at <= self.before + end]
         self._arrivals = self._arrivals[len(due) :]
-        replaced, self._replaced = self._replaced, [each for each in self._replaced if each.at > self._before + end]
+        replaced, self._replaced = self._replaced, [each for each in self._replaced if each.at > self.before + end]
         plans = [each for each in due if isinstance(each, PlanArrival)]
         drivers = [each for each in due if isinstance(each, DriverNamed)]
         forecasts = [each for each in due if isinstance(each, ForecastArrival)]
@@ -178,6 +180,9 @@ class ForecastEngine:
     plans : PlanTracker
     weather : WeatherForecasts
     log : ForecastLog
+    divide : callable, optional
+        Function that yields the parts of an input by the statistics that their cars use, with the numbers of their
+        running rows, and replaces `statistics` before each.
     state : (lanes,) FILTER_STATE
     ends : (lanes,) END_OF_SHIFT
         Newest forecast of each lane's charge at the end of the shift, NaN before the first one and after a restart.
@@ -186,8 +191,9 @@ class ForecastEngine:
     """
 
     def __init__(self, context: RunContext, width: int) -> None:
-        self.context, self._cars = context, context.cars
+        self.context, self._cars, self.width = context, context.cars, width
         self.statistics = FleetStatistics(context, width)
+        self.divide: Callable[[DueInput], Iterable[tuple[Ints, DueInput]]] | None = None
         self.plans, self.weather, self.log = PlanTracker(), WeatherForecasts(), ForecastLog()
         self.state = create_filter_state(0)
         self.ends = np.zeros(0, END_OF_SHIFT)
@@ -195,6 +201,13 @@ class ForecastEngine:
 
     def process(self, due: DueInput) -> ForecastRows:
         """Process the totals and dispatch messages of a batch; return the forecasts at each of its running rows."""
+        if self.divide is None:
+            return self._process(due)
+        numbers, parts = zip(*((numbers, self._process(part)) for numbers, part in self.divide(due)), strict=True)
+        return parts[0] if len(parts) == 1 else ForecastRows.join(parts).rows(np.argsort(np.concatenate(numbers)))
+
+    def _process(self, due: DueInput) -> ForecastRows:
+        """Process totals and messages of cars that use the same statistics."""
         sums, kinds = due.sums, KindHistory(self._cars, due.replaced)
         lanes = len(self.context.lanes)
         self._grow(lanes)

@@ -84,7 +84,7 @@ class ShadowModels:
     def __init__(self, models: Sequence[Model], prefix: str = "", *, keep: bool = True) -> None:
         shadows = len(models) - 1
         level = 1.0 - (1.0 - LEVEL) / max(1, shadows)
-        self._prefix, self._keep = prefix, keep
+        self.prefix, self._keep = prefix, keep
         self.monitors = [ModelMonitor(model, level if place else None) for place, model in enumerate(models)]
         self._check_identities()
         self.faults: Counter[str] = Counter()
@@ -216,7 +216,7 @@ class ShadowModels:
             taken = taken[-len(self.monitors) :]
         return [
             Message(
-                f"{self._prefix}models/{identify_model(errors.model)}/errors", encode(errors), int(errors.time_s * 1e9)
+                f"{self.prefix}models/{identify_model(errors.model)}/errors", encode(errors), int(errors.time_s * 1e9)
             )
             for errors in taken
         ]

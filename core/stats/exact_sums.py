@@ -1,8 +1,8 @@
 """Named arrays of sums: of floats, and exact ones that do not depend on the order or the grouping of what is added.
 
-For an exact sum, each value is rounded down to a multiple of 2^-80 and split into four whole numbers, which are added as
-integers. Sums of parts of a fleet can therefore be added up to that of the whole fleet, to the bit, however the fleet
-was divided.
+For an exact sum, each value is rounded down to a multiple of 2^-80 and split into four whole numbers, which are added
+as integers. Sums of parts of a fleet can therefore be added up to that of the whole fleet, to the bit, however the
+fleet was divided.
 
 References
 ----------
@@ -131,8 +131,8 @@ class ExactSums:
         if self._added >= _CARRY_AFTER:
             self._carry()
 
-    def merge(self, other: "ExactSums") -> None:
-        """Add the sums of another instance with the same arrays."""
+    def merge(self, other: DaySums) -> None:
+        """Add the exact sums of another instance with the same arrays."""
         self._carry()
         self._limbs += np.frombuffer(other.dump(), np.int64).reshape(self._limbs.shape)
         self._carry()
@@ -154,7 +154,14 @@ class ExactSums:
         return self._limbs.tobytes()
 
     def load(self, state: bytes) -> None:
-        """Replace the sums by those that `dump` returned; raise ValueError where they are none."""
+        """Replace the sums by those that `dump`, or that of `FloatSums`, returned; raise ValueError for others."""
+        if len(state) == 8 * self._limbs.shape[1]:
+            floats = FloatSums(**{name: part.shape[1:] for name, part in self._parts.items()})
+            floats.load(state)
+            self.clear()
+            for name in self._parts:
+                self.add(name, floats.get(name))
+            return
         limbs = np.frombuffer(state, np.int64).reshape(self._limbs.shape)
         if limbs.size and max(-int(limbs.min()), int(limbs.max())) > _LARGEST_LIMB:
             raise ValueError("a sum is too large")

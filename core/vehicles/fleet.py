@@ -164,7 +164,7 @@ class Cars:
             return before
         applied: list[tuple[int, int, int]] = []
         for row, who, message, place in changes:
-            kind, known = self._find_kind(message), int(self.of_lane[who])
+            kind, known = self.find_kind(message), int(self.of_lane[who])
             why = TOO_MANY_MODELS if kind is None else self._reasons[kind]
             if why is not None:
                 self.unpredictable[why] += 1
@@ -175,7 +175,7 @@ class Cars:
                     replaced.append(ReplacedKind(place, who, known))
         return _apply_changes(before, lane, applied) if applied else before
 
-    def _find_kind(self, message: Vehicle) -> int | None:
+    def find_kind(self, message: Vehicle) -> int | None:
         """Return the kind that a message describes, and add it if it is new; None where there are too many."""
         content = _strip_identity(message)
         key = msgspec.json.encode(content)
@@ -216,7 +216,7 @@ class Cars:
         limits = self._limits
         self.__init__(limits._replace(vehicles=inf, vehicle_models=inf))  # type: ignore[misc]
         for message in state[0]:
-            self._find_kind(msgspec.convert(message, Vehicle))
+            self.find_kind(msgspec.convert(message, Vehicle))
         self.of_lane = np.array(state[1], np.int64)
         self.unpredictable = Counter(state[2])
         self._limits = limits

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from core.batch import Floats, Ints, grown, take_lanes
 from core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals
 from core.forecast.filter_state import LOG_FACTOR_PRIOR
-from core.forecast.learning.car_driver import ConsumptionFactors, ShiftPattern
+from core.forecast.learning.car_driver import ConsumptionFactors, GuestShift, LogFactor, ShiftPattern
 from core.forecast.learning.charged_soc import ChargedSoc
 from core.forecast.learning.daily_cycle import DailyCycle
 from core.forecast.learning.energy_correction import EnergyCorrection
 from core.forecast.learning.first_tables import make_first_tables
 from core.forecast.learning.forecast_errors import ShiftErrors
 from core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
-from core.forecast.learning.ride_stats import RideStatistics
+from core.forecast.learning.ride_stats import ModelSums, RideStatistics
 from core.forecast.outlook import UsualConsumption, compute_temperature_weights
 from core.forecast.soc_filter import WARM_UP_TIME
-from core.stats.exact_sums import DaySums, FloatSums
+from core.stats.exact_sums import DaySums, ExactSums, FloatSums
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
 from core.totals.measured_energy import compute_largest_energy, measure_energy
@@ -78,6 +78,73 @@ class ShiftEnergy(NamedTuple):
     hours: float
     ambient: float
     is_corrected: bool
+
+
+class GuestCar(NamedTuple):
+    """Hold a car whose drivers the whole fleet learns of, with its part before its shifts, and its shifts in order."""
+
+    name: str
+    part: LogFactor
+    shifts: Sequence[ShiftEnergy]
+
+
+class FleetDay:
+    """Hold what the cars of a consumer contribute to a daily update of a divided fleet.
+
+    Parameters
+    ----------
+    rides : RideStatistics
+        Makes the sums of a vehicle model.
+
+    Attributes
+    ----------
+    rides : dict of str to ModelSums
+    sums : dict of str to DaySums
+        Exact ones, by the name of the component that takes them.
+    shifts : list of ShiftEnergy
+    patterns : list of (int, ShiftPattern)
+        By lane.
+    """
+
+    def __init__(self, state: Any = None, rides: RideStatistics | None = None) -> None:
+        self.rides: dict[str, ModelSums] = {}
+        self.sums: dict[str, DaySums] = {
+            "conformal": ConformalIntervals.make_day(ExactSums),
+            "correction": EnergyCorrection.make_day(BASES, ExactSums),
+            "daily_cycle": DailyCycle.make_day(ExactSums),
+            "charged_soc": ChargedSoc.make_day(ExactSums),
+        }
+        self.shifts: list[ShiftEnergy] = []
+        self.patterns: list[tuple[int, ShiftPattern]] = []
+        if state is not None and rides is not None:
+            models, sums, shifts, patterns = state
+            self.rides = rides.load_sums(models)
+            for name, of_component in self.sums.items():
+                of_component.load(sums[name])
+            self.shifts = [ShiftEnergy(*each) for each in shifts]
+            self.patterns = [(lane, ShiftPattern(*each)) for lane, each in patterns]
+
+    def merge(self, other: "FleetDay") -> None:
+        """Add the sums of another consumer, but no shifts and patterns."""
+        for name, of_component in self.sums.items():
+            assert isinstance(of_component, ExactSums)
+            of_component.merge(other.sums[name])
+        for name, of_model in other.rides.items():
+            if name in self.rides:
+                self.rides[name].merge(of_model)
+            else:
+                self.rides[name] = of_model
+
+    def keep(self, lanes: Ints) -> None:
+        """Keep what belongs to some lanes only, in their order, beside the sums."""
+        number = {lane: new for new, lane in enumerate(lanes.tolist())}
+        self.shifts = [each._replace(lane=number[each.lane]) for each in self.shifts if each.lane in number]
+        self.patterns = [(number[lane], each) for lane, each in self.patterns if lane in number]
+
+    def dump(self) -> Any:
+        """Return the state as plain values."""
+        models = RideStatistics.dump_sums(self.rides)
+        return models, {name: each.dump() for name, each in self.sums.items()}, self.shifts, self.patterns
 
 
 class EnergyCorrections(NamedTuple):
@@ -172,10 +239,26 @@ class FleetStatistics:
         if pattern is not None:
             self._new_patterns.append((energy.lane, pattern))
 
-    def apply_daily_update(self) -> None:
-        """Let everything that was collected take effect."""
+    def use_day(self, day: FleetDay) -> None:
+        """Collect what follows for a daily update of a divided fleet."""
+        self.rides.today = day.rides
+        for name, sums in day.sums.items():
+            getattr(self, name).today = sums
+        self._shifts, self._new_patterns = day.shifts, day.patterns
+
+    def apply_daily_update(self, guests: Sequence[GuestCar] = ()) -> None:
+        """Let everything that was collected take effect, after the shifts of cars whose drivers all consumers share."""
         self.rides.update_tables(self._context)
         self._tables = []
+        for guest in guests:
+            pairs = [(each, self.correct_prediction(each)) for each in guest.shifts]
+            known = [GuestShift(e.driver, p, e.used_kwh, e.capacity_kwh) for e, p in pairs if p is not None]
+            lane = self._context.lanes.find(guest.name)
+            if lane is None:
+                self.factors.add_guest_shifts(guest.part, known)
+            else:
+                for shift in known:
+                    self.factors.add_shift(lane, *shift)
         for energy in self._shifts:
             if (predicted := self.correct_prediction(energy)) is not None:
                 self.factors.add_shift(energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh)

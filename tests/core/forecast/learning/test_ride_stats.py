@@ -241,7 +241,7 @@ def test_tables_are_averages_fitted_to_the_measured_rides():
     statistics = pipeline.engine.statistics.rides
     plain = RideStatistics(pipeline.accumulator.width)
     plain.load(statistics.dump())
-    equations = LegEquations(*(part.copy() for part in equations_of(plain)))
+    equations = type(equations_of(plain))(*(part.copy() for part in equations_of(plain)))
     for name in ("matrix", "right"):
         plain._sums[MODEL].sums._parts[name][:] = 0
     plain.update_tables(pipeline.context)

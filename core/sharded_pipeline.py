@@ -1,0 +1,119 @@
+"""Run all steps for a share of a fleet, and exchange what is learned of it with the pipelines of the other shares."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from core.batch import Stateful
+from core.cleaning.fleet_clock import end_open_rides
+from core.columns import SECONDS_PER_DAY
+from core.forecast.day_rollover import DayRollover
+from core.forecast.shard_days import SEAL_LEAD, SPACE, ShardDays
+from core.models import EXTENDED_PHYSICAL, Model
+from core.pipeline import OF_LANES, Pipeline
+from core.settings import Settings
+from core.totals.clean_rows import CleanRows
+from core.wire.decoder import Refused
+from core.wire.messages import Leg, Message, Outlook, Plan
+from core.wire.shard import Shard
+
+
+class ShardedPipeline(Pipeline):
+    """Run all steps from messages to forecasts for the cars of a shard.
+
+    The forecasts of a car are the same, to the bit, however the fleet is divided, also if one shard has all cars. See
+    `core.forecast.shard_days` for the daily update, and `Pipeline` for the other parameters.
+
+    Parameters
+    ----------
+    shard : Shard
+
+    Attributes
+    ----------
+    days : ShardDays
+    """
+
+    of_lanes = (*OF_LANES, "days")
+
+    def __init__(
+        self,
+        shard: Shard,
+        model: Model = EXTENDED_PHYSICAL,
+        settings: Settings = Settings(),  # noqa: B008 - immutable
+        prefix: str = "",
+        **options: Any,
+    ) -> None:
+        super().__init__(model, settings, prefix, **options)
+        self.shard, self.day_rollover = shard, DayRollover(SEAL_LEAD)
+        self.shadows.prefix = f"{prefix}{SPACE}{shard.chunk}/"
+        self.days = ShardDays(shard, self.engine, self.displays, prefix)
+
+    def model_errors(self, *, newest_only: bool = False) -> list[Message]:
+        """Return the running errors of models, as `Pipeline` does, and what this shard contributes to daily updates."""
+        return super().model_errors(newest_only=newest_only) + self.days.take_outgoing()
+
+    def ask(self, vehicle_id: str, leg: Leg | None = None, plan: Plan | None = None) -> Outlook:
+        """Return the outlook on the rest of a vehicle's shift, see `Pipeline.ask`."""
+        self._update_forecasts()
+        lane = self.lanes.find(vehicle_id)
+        if lane is not None:
+            self.days.select_of(lane)
+        return super().ask(vehicle_id, leg, plan)
+
+    def learn_from(self, earlier: Pipeline) -> None:
+        """Take over what another pipeline has learned, and of its cars those of this shard, see `Pipeline`."""
+        super().learn_from(earlier)
+        self.days.learn()
+        if self.shard.by == "name":
+            kept = np.array([lane for lane, name in enumerate(self.lanes.names) if self.shard.has(name)], np.int64)
+            for name in self.of_lanes:
+                getattr(self, name).keep(kept)
+            self.lanes.keep(kept)
+
+    def snapshot(self, note: Any = None) -> bytes:
+        """Return the state of every vehicle and of the exchange, and a plain note, see `Pipeline.snapshot`."""
+        self._update_forecasts()
+        self.days.release()
+        sealed = super().snapshot(note)
+        self.days.select(3)
+        return sealed
+
+    def _use(self, messages: Sequence[Message], record: Callable[[Sequence[Message]], None] | None) -> list[Refused]:
+        """Record new messages, take contributions of other shards, and run all steps on the other messages."""
+        if record is not None:
+            record(messages)
+        messages, begun = self.days.take_messages(messages)
+        for day in begun or ():
+            self._end_day(day, -1)
+        if begun is not None:
+            self._update_forecasts()
+            self.days.complete()
+        refusals = super()._use(messages, None)
+        if not self._pending:
+            self.days.cars.settle()
+        return refusals
+
+    def _add_rows(self, rows: CleanRows) -> None:
+        """Sum up cleaned rows, and take the totals, while cars begin their days between them."""
+        offset, lanes = self._pending.before, len(self.lanes)
+        moved = self.days.add_rows(rows, offset, lanes)
+        for number, part in enumerate(self.days.attach(self.sum_up(rows), lanes, moved, offset)):
+            self._take_sums(part, 0 if number else rows.size)
+
+    def _learn_from_day(self, place: int, midnight: float) -> None:
+        """End the day, and contribute what was learned of it."""
+        self._end_day(int(midnight / SECONDS_PER_DAY) - 1, place)
+        self.engine.weather.forget_before(midnight - SECONDS_PER_DAY)
+
+    def _end_day(self, day: int, place: int) -> None:
+        """End the day before a day, and the rides of cars that have been silent for long, at a place in the batch."""
+        batch, _ = self.decoder.decode([])
+        empty, none = self.clean_up(batch, np.zeros(0, np.int64)), self.days.list_behind(day)
+        self._add_rows(empty._replace(ends=end_open_rides(self.cleaner.state, none, place)))
+        self._update_forecasts(max(place, 0))
+        self.days.end_day(day)
+
+    def _components(self) -> dict[str, Stateful]:
+        """Return every component that has a state, in the order in which they must load."""
+        return super()._components() | {"days": self.days}
