@@ -356,12 +356,9 @@ class Pipeline:
             self._pending.add_arrival(ForecastArrival(place, value))
 
     def forecasts(self, *, newest_only: bool = False) -> list[Message]:
-        """Return the forecasts that have become due since the last call, in that order.
+        """Return the forecasts since the last call, in the order in which they became due.
 
-        Parameters
-        ----------
-        newest_only : bool
-            Return only the last of several forecasts of a vehicle, for a live consumer.
+        With `newest_only` only the last of several forecasts of a vehicle is returned, for a live consumer.
         """
         self._update_forecasts()
         return self._due.take(newest_only=newest_only)
@@ -452,10 +449,7 @@ class Pipeline:
     def learn_from(self, earlier: "Pipeline") -> None:
         """Take over the cars of another pipeline and what it has learned, but no ride, before the first message.
 
-        Parameters
-        ----------
-        earlier : Pipeline
-            Pipeline that sums the same effects in the same order.
+        Both pipelines must sum the same effects in the same order.
         """
         earlier._update_forecasts()  # noqa: SLF001 - another instance of this class
         self.lanes.load(earlier.lanes.dump())

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from core.batch import Floats, Ints
-from core.stats.exact_sums import DaySums, FloatSums
+from core.totals.exact_sums import DaySums, FloatSums
 
 BY_PLAN: Final = 0
 """Basis of a forecast: the plan."""

@@ -1,6 +1,6 @@
 """The daily update of a fleet that several consumers divide.
 
-Each consumer collects what its own cars contribute, as exact sums, see `core.stats.exact_sums`. Before midnight UTC it
+Each consumer collects what its own cars contribute, as exact sums, see `core.totals.exact_sums`. Before midnight UTC it
 ends the day and publishes its contribution. Once it has those of all shards, it makes the tables of the new day of
 their sum, which are the same in all shards, however the fleet is divided. A car uses them from its own midnight on, see
 `core.forecast.car_days`. A shard whose contribution is missing blocks nothing: forecasts go on with the tables of the
@@ -24,10 +24,10 @@ from core.forecast.car_days import LAST_DAY, CarDays
 from core.forecast.engine import DueInput, ForecastEngine
 from core.forecast.learning.car_driver import LogFactor
 from core.forecast.learning.fleet import FleetDay, FleetStatistics, GuestCar, ShiftEnergy
-from core.stats.exact_sums import ExactSums
 from core.totals.accumulator import EDGES, Sums
 from core.totals.clean_rows import CleanRows
 from core.totals.display_yield import DisplayYields
+from core.totals.exact_sums import ExactSums
 from core.wire.messages import Message, Vehicle
 from core.wire.shard import Shard
 

@@ -32,9 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown, take_lanes
-from core.stats.exact_sums import ExactSums
 from core.totals.accumulator import Sums, Totals
 from core.totals.display_record import create_unknown_yields
+from core.totals.exact_sums import ExactSums
 from core.totals.measured_energy import (
     METER_GAIN,
     RIDE_SD,

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from core.sharded_pipeline import ShardedPipeline
 from core.wire.messages import Message
 from core.wire.shard import Shard
+from stream.sharded_pipeline import ShardedPipeline
 
 
 def is_of(message: Message, shard: Shard) -> bool:

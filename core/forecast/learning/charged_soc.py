@@ -20,7 +20,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.forecast.conformal import DAY_MEMORY
-from core.stats.exact_sums import DaySums, FloatSums
+from core.totals.exact_sums import DaySums, FloatSums
 
 CENTRE: Final = 0.8
 """Planned charge at which the slope has no effect. [1]"""

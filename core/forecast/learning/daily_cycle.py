@@ -12,7 +12,7 @@ import numpy as np
 from core.batch import Floats
 from core.columns import SECONDS_PER_DAY
 from core.forecast.conformal import DAY_MEMORY
-from core.stats.exact_sums import DaySums, FloatSums
+from core.totals.exact_sums import DaySums, FloatSums
 
 HOURS: Final = 24
 """Number of hours of a day."""

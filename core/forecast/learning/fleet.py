@@ -25,9 +25,9 @@ from core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
 from core.forecast.learning.ride_stats import ModelSums, RideStatistics
 from core.forecast.outlook import UsualConsumption, compute_temperature_weights
 from core.forecast.soc_filter import WARM_UP_TIME
-from core.stats.exact_sums import DaySums, ExactSums, FloatSums
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
+from core.totals.exact_sums import DaySums, ExactSums, FloatSums
 from core.totals.measured_energy import compute_largest_energy, measure_energy
 from core.totals.tables import unfit_reason
 from core.vehicles.fleet import UNKNOWN

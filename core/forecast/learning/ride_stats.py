@@ -32,9 +32,9 @@ from core.forecast.learning.leg_energy_fit import (
     fit_leg_energy,
 )
 from core.forecast.soc_filter import ENERGY_SD
-from core.stats.exact_sums import DaySums, ExactSums, FloatSums
 from core.totals.accumulator import EDGES, Totals
 from core.totals.context import RunContext
+from core.totals.exact_sums import DaySums, ExactSums, FloatSums
 
 LEAST_RIDES: Final = 12
 """Rides of a vehicle model below which it has no tables of its own."""
