@@ -16,6 +16,7 @@ from stream.checkpoints import Checkpoints
 from stream.loop import Tally
 from stream.query_service import QueryService
 from stream.recorder import Recorder
+from stream.sharded_pipeline import ShardedPipeline
 
 ACTIVE_S: Final = 300.0
 """Age of its newest sample up to which a vehicle is active. [s]"""
@@ -115,6 +116,14 @@ class ServiceSnapshot:
         Time of the last state and of the last sync of the recording. [Unix s]
     publishes : bool, optional
         Whether this consumer publishes, where one of several does.
+    shard : str
+        Share of the fleet that is served, such as `2/4`; empty without shards.
+    absent_shards : tuple of int, optional
+        Shards whose contribution to the daily update is missing.
+    tables_of : int, optional
+        Day of the tables that forecasts use, as a number since 1970; -1 before the first sample.
+    left_out_contributions : int, optional
+        Contributions of shards that daily updates left out.
     obstacle : str
         Why the service is not ready although its loop moves; empty where it is.
     of_vehicles : VehicleSnapshot, optional
@@ -154,6 +163,10 @@ class ServiceSnapshot:
     saved_s: float | None = None
     recorded_s: float | None = None
     publishes: bool | None = None
+    shard: str = ""
+    absent_shards: tuple[int, ...] | None = None
+    tables_of: int | None = None
+    left_out_contributions: int | None = None
     obstacle: str = ""
     of_vehicles: VehicleSnapshot | None = None
 
@@ -257,6 +270,7 @@ class SnapshotTaker:
             refused_queries=dict(queries.refused) if queries else {},
             publishes=self._candidate.is_active if self._candidate else None,
             obstacle=self._candidate.failure if self._candidate else "",
+            **_read_days(self._pipeline),
             **_read_quality(self._pipeline.quality()),
             **self._read_vehicles(),
             **self._read_models(),
@@ -315,6 +329,19 @@ class SnapshotTaker:
         for basis, name in names.items():
             for place, count in zip(PLACES, outcomes[basis].tolist(), strict=True):
                 yield (name, place), count
+
+
+def _read_days(pipeline: Pipeline) -> dict[str, Any]:
+    """Return what the exchange between shards tells; nothing without shards."""
+    if not isinstance(pipeline, ShardedPipeline):
+        return {}
+    days = pipeline.days
+    return {
+        "shard": str(days.shard),
+        "absent_shards": days.absent,
+        "tables_of": days.tables_of,
+        "left_out_contributions": days.left_out,
+    }
 
 
 def _read_quality(quality: dict[str, Any]) -> dict[str, Any]:

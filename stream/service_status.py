@@ -149,11 +149,18 @@ def describe_snapshot(snapshot: ServiceSnapshot) -> str:
 
 
 def describe_role(snapshot: ServiceSnapshot) -> str:
-    """Return whether a service publishes, where one of several does; an empty text where it is alone.
+    """Return whether a service publishes, where one of several does, and its shard; an empty text where it is alone.
 
     Examples
     --------
     >>> describe_role(ServiceSnapshot(publishes=False)), describe_role(ServiceSnapshot())
     ('on standby', '')
+    >>> describe_role(ServiceSnapshot(shard="2/4", absent_shards=(1, 3)))
+    'shard 2/4, with tables of yesterday: nothing from shards 1, 3'
     """
-    return {None: "", True: "publishes", False: "on standby"}[snapshot.publishes]
+    words = [{None: "", True: "publishes", False: "on standby"}[snapshot.publishes]]
+    words.append(f"shard {snapshot.shard}" if snapshot.shard else "")
+    if snapshot.absent_shards:
+        absent = ", ".join(map(str, snapshot.absent_shards))
+        words.append(f"with tables of yesterday: nothing from shard{'s'[: len(snapshot.absent_shards) > 1]} {absent}")
+    return ", ".join(filter(None, words))

@@ -151,10 +151,14 @@ class ShardDays:
         self._sealed[day], self.ended = sealed, day
         content = self._describe(sealed)
         self._contents.setdefault(day, {})[self.shard.index] = content
+        self._publish(day, content)
+        self.complete()
+
+    def _publish(self, day: int, content: _Content) -> None:
+        """Let a contribution be published."""
         packed = base64.b64encode(zlib.compress(msgspec.msgpack.encode(content), 6)).decode()
         payload = msgspec.json.encode(Contribution(str(self.shard), day, packed))
         self._outgoing.append(Message(f"{self._keys}{self.shard.chunk}", payload, round(day * SECONDS_PER_DAY * 1e9)))
-        self.complete()
 
     def complete(self) -> None:
         """Make the tables of the day that has begun, if all contributions are there; nothing may be pending."""
@@ -368,6 +372,8 @@ class ShardDays:
         self._sealed = {int(day): FleetDay(each, newest.rides) for day, each in sealed.items()}
         self._contents = {day: {index: _Content(*each) for index, each in known} for day, known in contents}
         self.select(3)
+        if (own := self._contents.get(self.ended, {}).get(self.shard.index)) is not None:
+            self._publish(self.ended, own)  # it may not have reached the others
 
 
 def _locate(messages: Sequence[Any]) -> tuple[Ints, Ints]:

@@ -43,6 +43,9 @@ FULL = ServiceSnapshot(
     saved_s=90.0,
     recorded_s=99.0,
     publishes=True,
+    absent_shards=(),
+    tables_of=0,
+    left_out_contributions=1,
     of_vehicles=VehicleSnapshot(("car-1", "car-2"), (100.0, 40.0), (5, 0)),
 )
 """Snapshot with a value of every metric."""

@@ -1,7 +1,8 @@
 """The options that `live` and `replay` share: models, settings of cleaning, key prefix and warm-up recordings."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,9 +11,11 @@ import typer
 from core.models import LinearModel
 from core.pipeline import Pipeline
 from core.settings import Limits, Settings
+from core.wire.shard import Shard
 from stream.elevation_files import open_elevation
 from stream.mcap_reader import McapSource
 from stream.recording_metadata import list_changed_settings, make_metadata
+from stream.sharded_pipeline import ShardedPipeline
 from stream.zenoh_session import parse_prefix
 from tools.terminal.cleaning_options import insert_cleaning_options
 from tools.terminal.elevation_option import ElevationFiles
@@ -95,6 +98,7 @@ def make_pipeline(
     replayed: Sequence[McapSource] = (),
     warm: bool = True,
     keep_outlooks: bool = False,
+    shard: Shard | None = None,
 ) -> Pipeline:
     """Return a pipeline that cleans and forecasts with the values of the options.
 
@@ -112,6 +116,8 @@ def make_pipeline(
         Whether to learn from the recordings of `--warm-up`.
     keep_outlooks : bool
         Whether to keep every outlook for `Pipeline.take_outlooks`.
+    shard : Shard, optional
+        Share of the fleet that the pipeline serves.
 
     Returns
     -------
@@ -129,7 +135,8 @@ def make_pipeline(
     elevation_map = open_elevation(options.elevation)
     earlier = options.warm_up if warm else None
     learned = learn_from_recordings(first, shadows, options.settings, earlier, replayed, elevation_map)
-    pipeline = Pipeline(
+    make: Callable[..., Pipeline] = partial(ShardedPipeline, shard) if shard else Pipeline
+    pipeline = make(
         first,
         options.settings,
         prefix,

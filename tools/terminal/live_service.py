@@ -30,6 +30,7 @@ from stream.state_file import StateFile
 from stream.structured_log import event_fields
 from stream.zenoh_queryable import ZenohQueryable
 from stream.zenoh_session import Connection, Node
+from stream.zenoh_shards import ShardedSource
 from stream.zenoh_sink import ZenohSink
 from stream.zenoh_source import ZenohSource
 from stream.zenoh_standby import LEASE_S, FencedSink, Standby, StandbyQueryable, TakeoverSink
@@ -113,7 +114,7 @@ class ServiceParts:
     Parameters
     ----------
     monitor : ServiceMonitor
-    source : ZenohSource
+    source : ZenohSource or ShardedSource
     pipeline : Pipeline
     sink : Sink
         Sink of what is published.
@@ -126,7 +127,7 @@ class ServiceParts:
     """
 
     monitor: ServiceMonitor
-    source: ZenohSource
+    source: ZenohSource | ShardedSource
     pipeline: Pipeline
     sink: Sink
     queries: QueryService
@@ -181,11 +182,12 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
     role = ending.enter_context(Standby(node)) if options.standby else None
     queryable, sink, watches = _open_outputs(node, ending, role, options.limits)
     source = ZenohSource(node, stop, options.limits.queue_bytes)
+    received = ShardedSource(source, node, options.shard) if options.shard else source
     _log_start(node, pipeline, models, monitor)
     sink.put(first)
     parts = ServiceParts(
         monitor,
-        source,
+        received,
         pipeline,
         sink,
         QueryService(queryable, pipeline),
@@ -264,7 +266,7 @@ def _make_pipeline(options: LiveOptions, models: Sequence[LinearModel], storage:
         _log.warning(
             "--warm-up is ignored: the consumer continues from --state", extra=event_fields(state=str(options.state))
         )
-    return make_pipeline(options.forecast, models, options.limits, warm=not storage.has_state)
+    return make_pipeline(options.forecast, models, options.limits, warm=not storage.has_state, shard=options.shard)
 
 
 def _restore(pipeline: Pipeline, checkpoints: Checkpoints | None) -> list[Message]:
