@@ -48,6 +48,18 @@ class ShardedPipeline(Pipeline):
         self.shard, self.day_rollover = shard, DayRollover(SEAL_LEAD)
         self.shadows.prefix = f"{prefix}{SPACE}{shard.chunk}/"
         self.days = ShardDays(shard, self.engine, self.displays, prefix)
+        self._is_idle = True
+
+    def forecasts(self, *, newest_only: bool = False) -> list[Message]:
+        """Return the forecasts since the last call, as `Pipeline` does.
+
+        Where nothing came since then, a day that has begun in other shards begins here too. A consumer that is behind
+        still receives what belongs to the day before.
+        """
+        for day in self.days.begun if self._is_idle else ():
+            self._end_day(day, -1)
+        self._is_idle = True
+        return super().forecasts(newest_only=newest_only)
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
         """Return the running errors of models, as `Pipeline` does, and what this shard contributes to daily updates."""
@@ -83,13 +95,12 @@ class ShardedPipeline(Pipeline):
         """Record new messages, take contributions of other shards, and run all steps on the other messages."""
         if record is not None:
             record(messages)
-        messages, begun = self.days.take_messages(messages)
-        for day in begun or ():
-            self._end_day(day, -1)
-        if begun is not None:
+        left = self.days.take_messages(messages)
+        if len(left) < len(messages):
             self._update_forecasts()
             self.days.complete()
-        refusals = super()._use(messages, None)
+        self._is_idle &= not left
+        refusals = super()._use(left, None)
         if not self._pending:
             self.days.cars.settle()
         return refusals

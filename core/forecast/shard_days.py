@@ -116,13 +116,19 @@ class ShardDays:
         known = self._contents.get(self.ended, {}) if self.ended > self.tables_of else None
         return () if known is None else tuple(each for each in range(1, self.shard.count + 1) if each not in known)
 
-    def take_messages(self, messages: Sequence[Message]) -> tuple[Sequence[Message], list[int] | None]:
-        """Return the messages that are no contributions, and the days that contributions begin; None without any."""
+    @property
+    def begun(self) -> list[int]:
+        """Return the days that have begun in other shards and not yet in this one, in order."""
+        return sorted(day for day in self._contents if day > self.ended >= 0)
+
+    def take_messages(self, messages: Sequence[Message]) -> Sequence[Message]:
+        """Keep contributions, and return the other messages."""
         if not any(message.key.startswith(self._keys) for message in messages):
-            return messages, None
-        days = {self._read(message) for message in messages if message.key.startswith(self._keys)}
-        left = [message for message in messages if not message.key.startswith(self._keys)]
-        return left, sorted(day for day in days if day is not None and day > self.ended >= 0)
+            return messages
+        for message in messages:
+            if message.key.startswith(self._keys):
+                self._read(message)
+        return [message for message in messages if not message.key.startswith(self._keys)]
 
     def take_outgoing(self) -> list[Message]:
         """Return and drop what is to be published."""
@@ -268,21 +274,20 @@ class ShardDays:
         displays = {name: sums.dump() for name, sums in self._displays.contribute().items()}
         return _Content(day.dump(), vehicles, displays, msgspec.to_builtins(shifts), len(factors))
 
-    def _read(self, message: Message) -> int | None:
-        """Keep a contribution, and return its day; None for one that cannot be used."""
+    def _read(self, message: Message) -> None:
+        """Keep a contribution that can be used."""
         try:
             sent = msgspec.json.decode(message.payload, type=Contribution)
             index = int(sent.shard.partition("/")[0])
             fits = sent.shard == f"{index}/{self.shard.count}" and 1 <= index <= self.shard.count
             if not fits or index == self.shard.index or not self.tables_of < sent.day <= LAST_DAY:
-                return None
+                return
             plain = zlib.decompressobj().decompress(base64.b64decode(sent.content), LARGEST)
             content = _Content(*msgspec.msgpack.decode(plain))
             self._load_day(content)
         except (ValueError, TypeError, LookupError, zlib.error, msgspec.MsgspecError):
-            return None
+            return
         self._contents.setdefault(sent.day, {})[index] = content
-        return sent.day
 
     def _load_day(self, content: _Content) -> FleetDay:
         """Return the sums of a contribution, with the numbers of this process for its kinds of cars."""

@@ -346,7 +346,9 @@ class DisplayYields:
         anew = (known["pooled_anew"] > 0.0)[:, np.newaxis]
         weight, total = np.where(anew, self._pooled_anew[code], self._pooled[code]).T
         itself = (known["pooled_weight"] > 0.0) & (known["pooled_model"] == code)
-        precision = weight - np.where(itself, known["pooled_weight"], 0.0) + 1.0 / MODEL_SD**2
+        others = weight - np.where(itself, known["pooled_weight"], 0.0)
+        others[known["pooled_anew"] > 0.0] = np.maximum(others, 0.0)[known["pooled_anew"] > 0.0]  # an update came late
+        precision = others + 1.0 / MODEL_SD**2
         factor = (total - np.where(itself, known["pooled_sum"], 0.0) + 1.0 / MODEL_SD**2) / precision
         catalogue = self._cars.capacity[kinds]
         return factor / catalogue, (CAR_SD**2 + 1.0 / precision) / catalogue**2

@@ -34,12 +34,15 @@ def run_divided(
         part = messages[start : start + size]
         for pipeline in shards:
             out += pipeline.push([message for message in part if is_of(message, pipeline.shard)])
-        exchange(shards)
+        out += exchange(shards)
     return out, shards
 
 
-def exchange(shards: Sequence[ShardedPipeline]) -> None:
-    """Give each shard what the others contribute, until nobody has anything to say."""
+def exchange(shards: Sequence[ShardedPipeline]) -> list[Message]:
+    """Give each shard what the others contribute, until nobody has anything to say; return forecasts, where any."""
+    out: list[Message] = []
     while sent := [message for pipeline in shards for message in pipeline.days.take_outgoing()]:
         for pipeline in shards:
             pipeline.take([message for message in sent if not message.key.endswith(pipeline.shard.chunk)])
+        out += [message for pipeline in shards for message in pipeline.forecasts()]
+    return out

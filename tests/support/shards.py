@@ -14,7 +14,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from subprocess import Popen
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -77,7 +76,7 @@ class Fleet:
         self.node.session.declare_subscriber(
             "socast/shards/*", lambda s: self.contributions.append((str(s.key_expr), s.payload.to_bytes()))
         )
-        self.running: dict[tuple[int, int], tuple[Popen[bytes], Path]] = {}
+        self.running: dict[tuple[int, int], tuple[Any, Path]] = {}
         for member in (0, 1):
             for shard in range(1, count + 1):
                 if member == 0 or shard in standbys:
@@ -129,12 +128,17 @@ class Fleet:
         return (find_first() or 0.0) - began
 
     def end(self) -> list[dict[str, Any]]:
-        """Stop the consumers that run; return the last counters of each."""
-        left = [(process, log) for process, log in self.running.values() if process.poll() is None]
-        for process, _ in left:
+        """Stop the consumers that run; return the last counters of one consumer of each shard."""
+        left = [process for process, _ in self.running.values() if process.poll() is None]
+        for process in left:
             process.terminate()
-        assert [process.wait(120) for process, _ in left] == [0] * len(left)
-        return [next(e for e in reversed(logged(log)) if e["event"] == "finished") for _, log in left]
+        assert [process.wait(120) for process in left] == [0] * len(left)
+        last = {
+            shard: next(e for e in reversed(logged(log)) if e["event"] == "finished")
+            for (shard, _), (process, log) in self.running.items()
+            if process.returncode == 0
+        }
+        return list(last.values())
 
     def close(self) -> None:
         """End everything."""
@@ -218,6 +222,7 @@ def compare(outcome: Outcome, messages: Sequence[Message], fleet: Fleet) -> None
     outcome.forecasts_after_midnight = sum(reference.get(each, 0) >= MIDNIGHT_NS for each in published)
     alone = {(m.key.split("/")[1], m.payload) for m in ShardedPipeline(Shard(1, 2)).push(messages)}
     outcome.different_without_exchange = len(published - alone)
+    outcome.lost -= int(one.decoder.losses.lost().sum())  # those that the loggers left out
     outcome.contributions = len(fleet.contributions)
     outcome.contribution_bytes = max((len(payload) for _, payload in fleet.contributions), default=0)
 
