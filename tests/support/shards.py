@@ -151,7 +151,9 @@ class Fleet:
 
 
 def make_night(path: Path, cars: int, before_s: float, after_s: float, seed: int = 3) -> list[Message]:
-    """Return the messages of a simulated fleet around midnight UTC.
+    """Return the messages of a simulated fleet around midnight UTC, the weather first.
+
+    Nothing orders weather and samples on the way to two consumers, so that they may disagree for a few samples.
 
     Parameters
     ----------
@@ -168,7 +170,9 @@ def make_night(path: Path, cars: int, before_s: float, after_s: float, seed: int
     begin = datetime.fromtimestamp(MIDNIGHT_NS / 1e9 - before_s, UTC)
     simulate_fleet(path, vehicles=cars, shift_hours=(before_s + after_s) / 3600.0, start=begin, seed=seed)
     last = MIDNIGHT_NS + int(after_s * 1e9)
-    return [m for batch in McapSource(path) for m in batch if m.receipt_ns < last]
+    messages = [m for batch in McapSource(path) for m in batch if m.receipt_ns < last]
+    weather = [m._replace(receipt_ns=messages[0].receipt_ns) for m in messages if m.key.startswith("weather/")]
+    return weather + [m for m in messages if not m.key.startswith("weather/")]
 
 
 def run_shards(folder: Path, messages: Sequence[Message], count: int, *, kill: bool, rate: float) -> Outcome:
