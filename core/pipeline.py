@@ -239,10 +239,10 @@ class Pipeline:
 
     def _add_rows(self, rows: CleanRows) -> None:
         """Sum up cleaned rows, and take the totals."""
-        self._take_sums(self.displays.attach(self.sum_up(rows), len(self.lanes)), rows.size)
+        self._take_attached(self.displays.attach(self.sum_up(rows), len(self.lanes)), rows.size)
 
-    def _take_sums(self, sums: Sums, rows: int) -> None:
-        """Take the totals of a number of rows."""
+    def _take_attached(self, sums: Sums, rows: int) -> None:
+        """Take the totals of rows."""
         self._take_closed(sums)
         if self.keep_forecasts:
             self._pending.add_sums(sums, rows)
@@ -263,8 +263,7 @@ class Pipeline:
         kind, place : (n,) int
             Kind of car, and place among the messages of the batch; the number of the row without it.
         ride_events : (events,) RIDE_EVENT
-        observations : sequence of (row, Weather)
-            Each with the row before which it came.
+        observations : sequence of (row, Weather), each with the row before which it came
         """
         place = np.arange(batch.size) if place is None else place
         of_cars = self.cars.capacity.take(kind) * JOULES_PER_KWH, self.cars.period.take(kind)
@@ -447,10 +446,7 @@ class Pipeline:
         return build_statuses(totals, names, self.context, predicted, self.engine.get_ends(lanes))
 
     def learn_from(self, earlier: "Pipeline") -> None:
-        """Take over the cars of another pipeline and what it has learned, but no ride, before the first message.
-
-        Both pipelines must sum the same effects in the same order.
-        """
+        """Take over the cars and the knowledge of a pipeline that sums the same effects, but no ride."""
         earlier._update_forecasts()  # noqa: SLF001 - another instance of this class
         self.lanes.load(earlier.lanes.dump())
         self.cars.load(earlier.cars.dump())

@@ -110,7 +110,7 @@ class ShardedPipeline(Pipeline):
         offset, lanes = self._pending.before, len(self.lanes)
         moved = self.days.add_rows(rows, offset, lanes)
         for number, part in enumerate(self.days.attach(self.sum_up(rows), lanes, moved, offset)):
-            self._take_sums(part, 0 if number else rows.size)
+            self._take_attached(part, 0 if number else rows.size)
 
     def _learn_from_day(self, place: int, midnight: float) -> None:
         """End the day, and contribute what was learned of it."""
