@@ -57,6 +57,8 @@ class ShardedPipeline(Pipeline):
         still receives what belongs to the day before.
         """
         for day in self.days.begun if self._is_idle else ():
+            if self.days.ended < 0:  # no car of this shard has sent anything so far
+                self.days.end_day(day - 1)
             self._end_day(day, -1)
         self._is_idle = True
         return super().forecasts(newest_only=newest_only)

@@ -119,7 +119,7 @@ class ShardDays:
     @property
     def begun(self) -> list[int]:
         """Return the days that have begun in other shards and not yet in this one, in order."""
-        return sorted(day for day in self._contents if day > self.ended >= 0)
+        return sorted(day for day in self._contents if day > self.ended)
 
     def take_messages(self, messages: Sequence[Message]) -> Sequence[Message]:
         """Keep contributions, and return the other messages."""
@@ -145,8 +145,9 @@ class ShardDays:
 
         Nothing may be pending.
         """
-        if self.ended < 0 or day <= self.ended:  # the first day, or a day that began by mistake
-            self.ended = self.tables_of = day
+        if self.ended < 0 or day <= self.ended:
+            if day != self.ended:  # the first day, or a day that began by mistake
+                self.ended = self.tables_of = day
             return
         if self.ended > self.tables_of:
             self._make_tables(self.ended)

@@ -18,6 +18,7 @@ from stream.zenoh_sink import ZenohSink
 from stream.zenoh_source import ZenohSource
 from stream.zenoh_standby import Standby
 from tests.support.commands import refused
+from tests.support.shards import make_night, run_shards
 from tests.support.zenoh_sessions import Consumer, eventually, router
 
 
@@ -86,3 +87,13 @@ def test_a_shard_needs_a_router_that_all_join(capsys):
 
 def test_what_divides_the_fleet_needs_a_shard(capsys):
     assert "give --shard I/N too" in refused(capsys, "live", "--shard-by", "chunk")
+
+
+def test_a_killed_shard_is_served_by_its_standby_and_all_forecasts_are_those_of_one_consumer(tmp_path):
+    messages = make_night(tmp_path / "night.mcap", 5, 2400.0, 600.0)
+    outcome = run_shards(tmp_path, messages, 2, kill=True, rate=800.0)
+    assert outcome.cars_with_forecasts == outcome.cars == 5
+    assert outcome.forecasts > 40
+    assert outcome.forecasts_after_midnight > 5
+    assert outcome.takeover_s is not None
+    assert (outcome.different, outcome.lost) == (0, 0)

@@ -41,8 +41,10 @@ def run_divided(
 def exchange(shards: Sequence[ShardedPipeline]) -> list[Message]:
     """Give each shard what the others contribute, until nobody has anything to say; return forecasts, where any."""
     out: list[Message] = []
-    while sent := [message for pipeline in shards for message in pipeline.days.take_outgoing()]:
+    while True:
+        sent = [message for pipeline in shards for message in pipeline.days.take_outgoing()]
+        if not sent:
+            return out
         for pipeline in shards:
             pipeline.take([message for message in sent if not message.key.endswith(pipeline.shard.chunk)])
-        out += [message for pipeline in shards for message in pipeline.forecasts()]
-    return out
+            out += pipeline.forecasts()
