@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from core.errors import SettingsError, read_input
-from tools.security.access import CONSUMER
+from tools.security.access import CONSUMER, GATEWAY
 from tools.security.certificates import Issued, now_utc
 from tools.security.folder import RENEW_DAYS, ROUTER, SecureFolder, shorten_name
 from tools.security.zenoh_settings import PORT
@@ -29,6 +29,9 @@ Cars = Annotated[list[str] | None, typer.Option("--car", metavar="ID", help="Ide
 CarFile = Annotated[
     Path | None, typer.Option("--cars", metavar="FILE", help="File with one identifier of a car a line.")
 ]
+Gateways = Annotated[
+    list[str] | None, typer.Option("--gateway", metavar="ID", help="Identifier of a gateway; repeatable.")
+]
 AuthorityKey = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Private key of the authority. [default: DIR/authority/authority.key]"),
@@ -45,13 +48,15 @@ def initialise(
     port: Annotated[int, typer.Option(min=1, max=65535, metavar="N", help="TCP port of the router.")] = PORT,
     car: Cars = None,
     car_file: CarFile = None,
+    gateway: Gateways = None,
     prefix: Annotated[str, typer.Option(metavar="P", help="Key chunks before `fleet`, such as montreal.")] = "",
     days: Annotated[float, typer.Option(min=1.0, max=3650.0, metavar="N", help="Validity of certificates.")] = DAYS,
 ) -> None:
     """Make a certificate authority, and a configuration with mutual TLS for each node of a fleet.
 
-    The router then accepts nobody without a certificate of this authority. A car publishes under its own key only, the
-    consumer alone publishes forecasts, and dispatch alone publishes rides and plans and asks for outlooks.
+    The router then accepts nobody without a certificate of this authority. A car publishes under its own key only, a
+    gateway publishes batches, which may hold samples of any cars, the consumer alone publishes forecasts, and dispatch
+    alone publishes rides and plans and asks for outlooks.
 
     Each configuration is one file that holds its certificate and its private key. Copy it to its machine over a safe
     channel, and keep it secret there. Without --router, the router is reached on this machine only.
@@ -62,7 +67,8 @@ def initialise(
     socast secure init fleet-keys --router router.example --router 10.0.0.5 --cars cars.txt --prefix montreal
     """
     hosts = router or ["localhost", "127.0.0.1"]
-    made = SecureFolder.create(folder, hosts, read_cars(car, car_file), port=port, prefix=prefix, days=days)
+    cars, gateways = read_cars(car, car_file), gateway or []
+    made = SecureFolder.create(folder, hosts, cars, gateways=gateways, port=port, prefix=prefix, days=days)
     console = make_console()
     number = len(made.list_certificates())
     option = f" --prefix {made.prefix.rstrip('/')}" if made.prefix else ""
@@ -77,20 +83,30 @@ def initialise(
 
 
 @app.command("add")
-def add_cars(folder: Folder, car: Cars = None, car_file: CarFile = None, authority_key: AuthorityKey = None) -> None:
-    """Make certificates and configurations of more cars; the router accepts them once it has started again.
+def add_cars(
+    folder: Folder,
+    car: Cars = None,
+    car_file: CarFile = None,
+    gateway: Gateways = None,
+    authority_key: AuthorityKey = None,
+) -> None:
+    """Make certificates and configurations of more cars and gateways; the router accepts them once it starts again.
 
     Examples
     --------
     socast secure add fleet-keys --car taxi-003
+    socast secure add fleet-keys --gateway depot-3
     socast secure add fleet-keys --cars new.txt --authority-key /media/vault/authority.key
     """
     cars = read_cars(car, car_file)
-    if not cars:
-        raise SettingsError("no car is given; name one with --car ID, or a file of names with --cars FILE")
+    gateways = gateway or []
+    if not cars and not gateways:
+        raise SettingsError(
+            "no car is given; name one with --car ID, a file of names with --cars FILE, or a gateway with --gateway ID"
+        )
     made = SecureFolder(folder, authority_key)
-    made.add(cars)
-    _advise(made, "added", cars)
+    made.add(cars, gateways)
+    _advise(made, "added", [*cars, *(GATEWAY + each for each in gateways)])
 
 
 @app.command("list")

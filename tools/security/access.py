@@ -22,6 +22,8 @@ DISPATCH: Final = "socast dispatch"
 """Name of the identity that plans."""
 WEATHER: Final = "socast weather"
 """Name of the identity that observes the weather."""
+GATEWAY: Final = "gateway "
+"""Begin of the name of a gateway's identity; the blank keeps it apart from any car."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,17 @@ def make_car_access(car: str) -> Access:
     )
 
 
+def make_gateway_access(gateway: str) -> Access:
+    """Return what a gateway may say: batches under its own name, which may hold samples of any cars.
+
+    Parameters
+    ----------
+    gateway : str
+        Identifier of the gateway.
+    """
+    return Access(puts=(f"fleet/{gateway}/batch",))
+
+
 def make_access_control(identities: Iterable[tuple[str, Sequence[str]]], prefix: str = "") -> dict[str, Any]:
     """Return the setting `access_control` of the router, which denies whatever no rule allows.
 
@@ -90,7 +103,7 @@ def make_access_control(identities: Iterable[tuple[str, Sequence[str]]], prefix:
     ----------
     identities : iterable of tuple of (str, sequence of str)
         Name of each identity, and the common names of its certificates. Any other name than those of `SERVICES` is a
-        car.
+        gateway, if it begins with `GATEWAY`, or else a car.
     prefix : str
         Key chunks before `fleet`, with a slash at the end; empty without any.
 
@@ -102,7 +115,9 @@ def make_access_control(identities: Iterable[tuple[str, Sequence[str]]], prefix:
     subjects: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
     for name, common_names in identities:
-        access = SERVICES.get(name) or make_car_access(name)
+        is_gateway = name.startswith(GATEWAY)
+        access = make_gateway_access(name.removeprefix(GATEWAY)) if is_gateway else make_car_access(name)
+        access = SERVICES.get(name, access)
         made = list(_make_rules(name, access, prefix))
         rules += made
         subjects.append({"id": name, "cert_common_names": list(common_names)})

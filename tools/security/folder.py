@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from core.errors import SettingsError, suggest_names
 from stream.zenoh_session import parse_prefix
-from tools.security.access import CONSUMER, DISPATCH, SERVICES, WEATHER, make_access_control
+from tools.security.access import CONSUMER, DISPATCH, GATEWAY, SERVICES, WEATHER, make_access_control
 from tools.security.certificates import Authority, Credential, Issued, now_utc, read_certificate
 from tools.security.zenoh_settings import make_client_settings, make_router_settings, make_tls
 
@@ -73,6 +73,7 @@ class SecureFolder:
         port: int,
         prefix: str = "",
         days: float,
+        gateways: Sequence[str] = (),
         clock: Callable[[], datetime] = now_utc,
     ) -> "SecureFolder":
         """Make a folder with a new authority, and the certificates and configurations of all identities.
@@ -91,6 +92,8 @@ class SecureFolder:
             Key chunks before `fleet`.
         days : float
             Validity of the certificates. [d]
+        gateways : sequence of str
+            Identifiers of the gateways, which send batches.
         clock : callable
             Current time with its time zone.
 
@@ -106,7 +109,7 @@ class SecureFolder:
         for host in hosts:
             if not _HOST.fullmatch(host):
                 raise SettingsError(f"--router is {host!r}; give a host name or an address without scheme and port")
-        cars = _check_cars(cars)
+        names = _check_names(cars, gateways)
         prefix = parse_prefix(prefix)
         try:
             path.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -122,7 +125,7 @@ class SecureFolder:
         _write_new(path / _SETTINGS, _format(settings))
         folder = cls(path, clock=clock)
         authority = folder._open_authority()
-        for name in (CONSUMER, DISPATCH, WEATHER, *cars):
+        for name in (CONSUMER, DISPATCH, WEATHER, *names):
             folder._issue_client(authority, name)
         router = folder._issue(authority, ROUTER)
         access = folder._make_access_control()
@@ -146,29 +149,29 @@ class SecureFolder:
         """
         return self.path / f"{_find_stem(name)}.json5"
 
-    def add(self, cars: Sequence[str]) -> None:
-        """Make certificates and configurations of more cars, and let the router accept them.
+    def add(self, cars: Sequence[str], gateways: Sequence[str] = ()) -> None:
+        """Make certificates and configurations of more cars and gateways, and let the router accept them.
 
         Parameters
         ----------
-        cars : sequence of str
-            Identifiers of the cars.
+        cars, gateways : sequence of str
+            Identifiers of the cars, and of the gateways.
 
         Raises
         ------
         SettingsError
             If a name is invalid or in use, or if the key of the authority is not there.
         """
-        cars = _check_cars(cars)
+        names = _check_names(cars, gateways)
         known = {each.name for each in self.list_certificates()}
-        if taken := [car for car in cars if car in known]:
+        if taken := [name for name in names if name in known]:
             raise SettingsError(
                 f"{taken[0]} has a certificate; give it another with: socast secure renew {self.path} {taken[0]}"
             )
         authority = self._open_authority()
         router = self._read_router()
-        for car in cars:
-            self._issue_client(authority, car)
+        for name in names:
+            self._issue_client(authority, name)
         self._replace(ROUTER, router | {_ACCESS: self._make_access_control()})
 
     def renew(self, names: Sequence[str] = (), *, revoke: bool = False) -> list[str]:
@@ -346,19 +349,23 @@ def shorten_name(name: str) -> str:
     return next((short for short, full in SHORT_NAMES.items() if full == name), name)
 
 
-def _check_cars(cars: Sequence[str]) -> list[str]:
-    """Return the names of cars, each once; raise `SettingsError` if one is invalid."""
-    for car in cars:
-        if not _CAR.fullmatch(car) or car in SHORT_NAMES or car in {".", ".."}:
-            raise SettingsError(
-                f"--car is {car!r}; give 1 to {LONGEST_CAR} letters, digits, `_`, `.` and `-`, and none of "
-                f"{', '.join(SHORT_NAMES)}"
-            )
-    return list(dict.fromkeys(cars))
+def _check_names(cars: Sequence[str], gateways: Sequence[str]) -> list[str]:
+    """Return the names of cars and gateways, each once; raise `SettingsError` if one is invalid."""
+    longest = LONGEST_CAR - len(GATEWAY)
+    for option, most, names in (("--car", LONGEST_CAR, cars), ("--gateway", longest, gateways)):
+        for name in names:
+            if not _CAR.fullmatch(name) or len(name) > most or name in SHORT_NAMES or name in {".", ".."}:
+                raise SettingsError(
+                    f"{option} is {name!r}; give 1 to {most} letters, digits, `_`, `.` and `-`, and none of "
+                    f"{', '.join(SHORT_NAMES)}"
+                )
+    return list(dict.fromkeys([*cars, *(GATEWAY + gateway for gateway in gateways)]))
 
 
 def _find_stem(name: str) -> str:
     """Return the path of the files of an identity in the folder, without its ending."""
+    if name.startswith(GATEWAY):
+        return f"gateways/{name.removeprefix(GATEWAY)}"
     short = shorten_name(name)
     return short if short != name else f"cars/{name}"
 

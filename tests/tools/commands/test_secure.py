@@ -77,6 +77,18 @@ def test_router_accepts_the_certificates_in_force_and_no_others(folder):
     assert "taxi-1/1" not in accepted(folder)
 
 
+def test_gateway_sends_batches_alone_and_no_car_sends_any(folder):
+    done("secure", "add", folder, "--gateway", "depot-3")
+    assert (folder / "gateways" / "depot-3.json5").exists()
+    rules = json.loads((folder / "router.json5").read_text())["access_control"]["rules"]
+    puts = [rule for rule in rules if "put" in rule["messages"] and "ingress" in rule["flows"]]
+    batches = {rule["id"].partition(":")[0]: rule["key_exprs"] for rule in puts if "batch" in str(rule["key_exprs"])}
+    key = "montreal/fleet/depot-3/batch"
+    assert batches == {"gateway depot-3": [key, f"{key}/@adv/**"]}
+    done("secure", "renew", folder, "gateway depot-3")
+    assert {"gateway depot-3/1", "gateway depot-3/2"} <= accepted(folder)
+
+
 def test_router_file_has_a_line_for_each_rule(folder):
     text = (folder / "router.json5").read_text()
     rules = json.loads(text)["access_control"]["rules"]
