@@ -18,12 +18,13 @@ from core.wire.messages import IDENTITY, Message, Telemetry, encode
 from tools.bridge.signals import FIX, FLAGS
 from tools.importers.table.column_map import NOMINAL_VOLTAGE
 from tools.importers.table.row_messages import DECIMALS_OF_TABLES, introduce_vehicle
+from tools.importers.table.sampling import find_holds
 from tools.importers.table.units import POWER
 
 PERIOD_S: Final = 1.0
 """Default time that a row covers. [s]"""
-HOLD_S: Final = 60.0
-"""Default time for which a signal without news is held. [s]"""
+HOLD_S: Final = 1500.0
+"""Default time for which a signal without news is held: OVMS modules repeat all metrics after 1200 s. [s]"""
 PREFER_S: Final = 600.0
 """Time for which the other sources of a field are ignored after its preferred one. [s]"""
 FORGET_S: Final = 7 * 86400.0
@@ -35,11 +36,10 @@ EARLIEST_S: Final = 978_307_200.0
 LATEST_S: Final = 4_102_444_800.0
 """Latest credible time of a car, 1 January 2100. [Unix s]"""
 
-NEVER_HELD: Final = frozenset({"latitude_deg", "longitude_deg", "odometer_km"})
-"""Fields that change while a car drives. A coordinate is held only beside news of the other one."""
-ALWAYS_HELD: Final = frozenset({"charging", "occupants"})
-"""Fields that stay until they change."""
 POSITION: Final = "latitude_deg", "longitude_deg"
+"""Fields of which one that did not change is held beside news of the other."""
+FAST: Final = "speed_kmh"
+"""A field that changes fast."""
 
 
 class Value(NamedTuple):
@@ -105,7 +105,8 @@ class RowAssembler:
     period_s : float
         Time that a row covers, which is the shortest time between two rows of a car. [s]
     hold_s : float
-        Longest time for which a signal without news is held. [s]
+        Longest time for which a signal without news is held, if it changes fast; see
+        `tools.importers.table.sampling.find_holds`. [s]
     models : mapping of str to str
         Vehicle model by car; the key `*` is for all others. A car with a model is introduced by a vehicle message.
     nominal_voltage : float
@@ -126,7 +127,7 @@ class RowAssembler:
         nominal_voltage: float = NOMINAL_VOLTAGE,
     ) -> None:
         self.counts: Counter[str] = Counter()
-        self._period, self._hold, self._voltage = period_s, hold_s, nominal_voltage
+        self._period, self._holds, self._voltage = period_s, find_holds(hold_s), nominal_voltage
         self._models = models or {}
         self._cars: dict[str, _Car] = {}
         self._open: dict[str, _Car] = {}
@@ -316,9 +317,8 @@ class RowAssembler:
         yield from row.values.items()
         has_position = any(name in row.values for name in POSITION)
         for name, (number, time_s) in car.held.items():
-            if name in row.values or (name in NEVER_HELD and not (has_position and name in POSITION)):
-                continue
-            if name in ALWAYS_HELD or 0.0 <= row.time_s - time_s <= self._hold:
+            hold = self._holds[FAST if has_position and name in POSITION else name]
+            if name not in row.values and 0.0 <= row.time_s - time_s <= hold and hold:
                 yield name, number
 
     def _to_wire(self, values: dict[str, float]) -> dict[str, Any]:

@@ -125,6 +125,15 @@ def test_coordinate_that_did_not_change_is_held_beside_the_other_one():
     assert "longitude_deg" not in alone
 
 
+def test_fast_signal_is_held_as_long_as_told_and_a_slow_one_longer():
+    assembler = RowAssembler(hold_s=10.0)
+    take(assembler, "battery_current_a", 20.0)
+    take(assembler, "ambient_c", -5.0)
+    take(assembler, "soc_pct", 80.0, 20.0)
+    assembler.close_due()
+    assert rows(assembler)[1].keys() == {"vehicle_id", "time_s", "seq", "soc_pct", "ambient_c"}
+
+
 def test_position_without_a_fix_is_left_out():
     assembler = RowAssembler()
     take(assembler, FIX, 0.0)
