@@ -60,8 +60,8 @@ def measure_fit(repeats: int = 3) -> Measure:
         f"fitting {RECIPE} to {MANY:,} rides, file to model",
         "scikit-learn's LinearRegression of the same columns in memory",
         plain / ours,
-        ">= 0.5",
-        plain >= 0.5 * ours,
+        ">= 0.6",
+        plain >= 0.6 * ours,
         {"fit_s": ours, "plain_s": plain, "terms": len(model.terms), "fits": len(model.fits)},
         "A fit makes three passes over the file: fills and accessory curve, normal equations, and residuals "
         "for the covariance. A fourth pass over a tenth of the rides gives the interval. Reading takes "

@@ -207,11 +207,12 @@ def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> Measur
         f"live consumer, decode to forecast, {cars:,} cars",
         "an idle Zenoh subscriber",
         idle_s / busy_s,
-        ">= 0.5",
-        idle_s / busy_s >= 0.5,
+        ">= 0.8",
+        idle_s / busy_s >= 0.8,
         {"live_samples_per_s": total / busy_s, "idle_samples_per_s": total / idle_s},
-        "Both cores are busy with the publisher, with Zenoh's receiving threads and with Python. Python takes "
-        "about 3 us per sample: 0.9 to take it out of Zenoh, 1.3 to decode it, 0.8 for everything else.",
+        "Both cores are busy with the publisher, with Zenoh's receiving threads and with Python. A full channel blocks "
+        "the publisher, which then takes nearly twice its processor time per sample. In the pipeline, decoding takes a "
+        "fifth of the time, the filter of repetitions a tenth, and the steps over arrays and the forecasts the rest.",
     )
 
 
@@ -238,6 +239,6 @@ def measure_batches(repeats: int = 3, cars: int = 1000, turns: int = 400) -> Mea
         ">= 5",
         single_s >= 5 * batch_s,
         {"batched_samples_per_s": total / batch_s, "single_samples_per_s": total / single_s},
-        "Zenoh and the reading of a batch take little of a sample's time. The steps over arrays, the filters and the "
-        "forecasts take the rest; they are the same for both.",
+        "The steps over arrays, the filters and the forecasts take three quarters of the time of a batch in the "
+        "pipeline, and they are the same for both.",
     )
