@@ -20,7 +20,7 @@ smartquotes = False  # two dashes begin an option
 
 html_theme = "pydata_sphinx_theme"
 html_title = "socast"
-html_sidebars = {page: [] for page in ("index", "missing-effect", "own-car", "glossary", "changelog")}
+html_sidebars = {page: [] for page in ("index", "missing-effect", "glossary", "changelog")}
 html_static_path = ["_static"]
 html_css_files = ["socast.css"]
 html_show_sourcelink = False
