@@ -486,7 +486,7 @@ class Pipeline:
 
     def _components(self) -> dict[str, Stateful]:
         """Return every component that has a state, in the order in which they must load."""
-        return {name: getattr(self, name) for name in SCHEMAS if self.deferred or name != "deferred"}
+        return {name: part for name in SCHEMAS if (part := getattr(self, name, None)) is not None}
 
     def _forget_ride_names(self) -> None:
         """Forget the names of rides that have ended, once there are many."""

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from core.batch import Stateful
 from core.cleaning.fleet_clock import end_open_rides
 from core.columns import SECONDS_PER_DAY
 from core.forecast.day_rollover import DayRollover
@@ -126,7 +125,3 @@ class ShardedPipeline(Pipeline):
         self._add_rows(empty._replace(ends=end_open_rides(self.cleaner.state, none, place)))
         self._update_forecasts(max(place, 0))
         self.days.end_day(day)
-
-    def _components(self) -> dict[str, Stateful]:
-        """Return every component that has a state, in the order in which they must load."""
-        return super()._components() | {"days": self.days}

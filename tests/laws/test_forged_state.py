@@ -8,6 +8,8 @@ import pytest
 from core.errors import SocastError
 from core.pipeline import Pipeline
 from core.snapshot import SCHEMAS
+from core.wire.shard import Shard
+from stream.sharded_pipeline import ShardedPipeline
 from tests.support.forged_states import COMPONENTS, forge, make_content, make_pipeline, nest, run
 
 MUTATIONS = 12
@@ -25,7 +27,8 @@ def test_every_component_has_a_schema():
     deferred = Pipeline(keep_forecasts=False, two_sided=True)
     for pipeline in (make_pipeline(), deferred):
         assert SCHEMAS.keys() >= pipeline._components().keys()
-    assert SCHEMAS.keys() == {*make_pipeline()._components(), *deferred._components()}
+    shard = ShardedPipeline(Shard(1, 1))
+    assert SCHEMAS.keys() == {*make_pipeline()._components(), *deferred._components(), *shard._components()}
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
