@@ -126,22 +126,28 @@ class DaskRunner:
         SocastError
             That of a task.
         """
-        from distributed import CancelledError, KilledWorker  # noqa: PLC0415 - an optional package
+        from distributed import CancelledError, KilledWorker, as_completed  # noqa: PLC0415 - an optional package
 
-        futures = [
+        pending = {
             self._client.submit(
                 _run_on_worker, stage, number, function, arguments, self._scratch, pure=False, priority=-number
             )
             for number, arguments in enumerate(tasks)
-        ]
+        }
+        ended: dict[int, Any] = {}
+        first = 0
         try:
-            for number, future in enumerate(futures):
-                record, result = future.result()
+            # a result that stayed on a worker would be lost with it
+            for future in as_completed(list(pending), loop=self._client.loop):
+                record, ended_result = future.result()
+                pending.discard(future)
+                ended[record.number] = ended_result
                 self.records.append(record)
                 if self._on_end:
                     self._on_end(record)
-                futures[number] = None  # the scheduler may forget it
-                yield result
+                while first in ended:
+                    yield ended.pop(first)
+                    first += 1
         except KilledWorker as error:
             raise SettingsError(
                 f"a task of the stage '{stage}' ended every worker that ran it; if it needs more memory, give each "
@@ -152,7 +158,7 @@ class DaskRunner:
                 f"the scheduler was lost in the stage '{stage}': {error}; run the command again"
             ) from error
         finally:
-            self._client.cancel([future for future in futures if future is not None])
+            self._client.cancel(list(pending))
 
     def count_repeats(self) -> dict[str, int]:
         """Return how often a task was begun once more, because its worker was lost, by stage."""

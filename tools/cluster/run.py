@@ -11,9 +11,9 @@ from typing import Any, Final
 from core.errors import SettingsError
 from core.settings import Settings
 from stream.mcap_reader import McapSource
-from tools.cluster.dask_runner import ClusterPlace, DaskRunner, open_runner
+from tools.cluster.dask_runner import ClusterPlace, open_runner
 from tools.cluster.job import Job
-from tools.cluster.runner import TaskRecord
+from tools.cluster.runner import Runner, TaskRecord
 from tools.cluster.tables import ClusterTables, choose_parts, make_tables
 from tools.terminal.cluster_option import show_stages
 from tools.terminal.output import write_json
@@ -80,7 +80,7 @@ def tabulate_by_workers(
     return tables
 
 
-def _report(runner: DaskRunner) -> dict[str, Any]:
+def _report(runner: Runner) -> dict[str, Any]:
     """Return what ran where: each task, and the sums of each worker process."""
     processes: dict[str, dict[str, Any]] = {}
     for record in runner.records:

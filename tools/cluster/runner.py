@@ -60,6 +60,9 @@ class Runner(Protocol):
     def run(self, stage: str, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
         """Yield the results of a function for the arguments of each task, in the order of the tasks."""
 
+    def count_repeats(self) -> dict[str, int]:
+        """Return how often a task was begun once more, because its worker was lost, by stage."""
+
 
 class InProcessRunner:
     """Run tasks one after the other in this process."""
@@ -75,6 +78,10 @@ class InProcessRunner:
             record, result = run_task(stage, number, "", function, arguments)
             self.records.append(record)
             yield result
+
+    def count_repeats(self) -> dict[str, int]:
+        """Return nothing, as no task is lost here."""
+        return {}
 
 
 def run_task(
