@@ -32,6 +32,7 @@ _GB: Final = 10**9
 _CONFIG: Final = {
     "distributed.comm.timeouts.connect": f"{CONNECT_S:.0f}s",
     "distributed.admin.tick.limit": "1h",
+    "distributed.worker.profile.enabled": False,
     **{f"distributed.{node}.http.routes": [] for node in ("scheduler", "worker", "nanny")},
 }
 

@@ -210,7 +210,7 @@ def _number_items(
     sizes = np.ones(len(messages), np.int64) if samples is None else np.array([len(part) for part in samples], np.int64)
     ends = np.cumsum(sizes)
     kind = np.full(int(sizes.sum()), SAMPLE, np.int8)
-    number = {id(message): i for i, message in enumerate(messages)} if events or refusals else {}
+    number = _find_messages(messages, [*(event.message for event in events), *(message for message, _ in refusals)])
     for message, bad in refusals:
         i = number[id(message)]
         first = ends[i] - sizes[i]
@@ -223,6 +223,13 @@ def _number_items(
     of_events = np.array([ends[number[id(event.message)]] - 1 for event in events], np.int64)
     kind[of_events] = EVENT
     return _Items(kind, np.repeat(np.arange(len(messages)), sizes), of_events)
+
+
+def _find_messages(messages: Sequence[Message], some: Sequence[Message]) -> dict[int, int]:
+    """Return the number of some messages among all, by their identity; most messages are samples."""
+    identities = np.fromiter(map(id, messages), np.int64, len(messages))
+    places = np.flatnonzero(np.isin(identities, np.array([id(message) for message in some], np.int64)))
+    return dict(zip(identities[places].tolist(), places.tolist(), strict=True))
 
 
 def _find_first(lane: Ints, lanes: int) -> NDArray[np.int32]:

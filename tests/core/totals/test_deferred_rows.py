@@ -104,6 +104,19 @@ def test_ride_without_end_is_released_when_it_is_too_long():
     assert len(deferred.ride_codes()) <= 120 + 50
 
 
+def test_pieces_of_a_long_ride_do_not_depend_on_the_releases():
+    rng = np.random.default_rng(3)
+    rows = rows_of(telemetry(drive(400, speed=10.0, elevation_m=50.0 + rng.normal(0.0, 3.0, 400))))
+    elevations = []
+    for least in (7, 130, 1000):
+        deferred = DeferredRows(least=least, longest=120)
+        parts = [*deferred.add(rows), *deferred.close()]
+        place = np.concatenate([part.place for part in parts])
+        elevations.append(np.concatenate([part.clean.elevation for part in parts])[np.argsort(place)])
+    for other in elevations[1:]:
+        np.testing.assert_array_equal(elevations[0], other)
+
+
 def test_memory_is_bounded_by_the_rows_of_open_rides():
     deferred, most = DeferredRows(least=60), 0
     rows = rows_of(fleet(5))
