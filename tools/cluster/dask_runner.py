@@ -139,7 +139,7 @@ class DaskRunner:
         first = 0
         try:
             # a result that stayed on a worker would be lost with it
-            for future in as_completed(list(pending), loop=self._client.loop):
+            for future in as_completed(list(pending), loop=self._client.loop):  # type: ignore[no-untyped-call]
                 record, ended_result = future.result()
                 pending.discard(future)
                 ended[record.number] = ended_result
