@@ -25,7 +25,8 @@ from tests.support.paths import ROOT
 
 MESSAGES: Final = 250
 """Number of messages that a restored pipeline takes."""
-COMPONENTS: Final = sorted(SCHEMAS.keys() - {"deferred"})
+COMPONENTS: Final = sorted(SCHEMAS.keys() - {"deferred", "days"})
+"""Components of a consumer of a whole fleet: without those of tables and of shards."""
 
 Path = tuple[Any, ...]
 
