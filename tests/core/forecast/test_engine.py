@@ -305,7 +305,7 @@ def test_shifts_are_evaluated_as_they_end_and_bounds_move_at_daily_update():
 
 def count_evaluated_shifts(pipeline):
     """Return the number of shifts of this day whose forecasts were evaluated."""
-    return int(pipeline.engine.statistics.conformal._shifts_today.sum())
+    return int(pipeline.engine.statistics.conformal.today.get("shifts").sum())
 
 
 def test_outcomes_of_published_intervals_are_counted_at_the_end_of_the_shift_and_kept():
