@@ -51,15 +51,22 @@ class Client:
         return self._send("POST", path, content, self.headers(**{"content_type": "application/json"} | changes))
 
     def _send(self, method: str, path: str, body: bytes | None, headers: dict[str, str]) -> Answer:
-        """Send a request over a connection of its own."""
+        """Send a request over a connection of its own, in one piece.
+
+        A server that refuses the head closes the connection. A body that came later would reset it before the answer.
+        """
+        parts: list[bytes] = []
         connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=10)
         try:
+            connection.connect()
+            connection.send = parts.append
             connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
             for name, value in headers.items():
                 connection.putheader(name, value)
             if body is not None:
                 connection.putheader("Content-Length", str(len(body)))
             connection.endheaders(body)
+            connection.sock.sendall(b"".join(parts))
             answer = connection.getresponse()
             return Answer(answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read())
         finally:
