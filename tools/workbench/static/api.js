@@ -15,7 +15,10 @@ async function send(path, options) {
     if (error.name === "AbortError") throw error;
     throw new ApiError("The server does not answer. Is `socast serve` still running?", 0);
   }
-  const record = await answer.json().catch(() => null);
+  const record = await answer.json().catch((error) => {
+    if (error.name === "AbortError") throw error; // the page was left while the answer was read
+    return null;
+  });
   if (!answer.ok) throw new ApiError(record?.error ?? `The server answered ${answer.status}.`, answer.status);
   return record;
 }

@@ -154,7 +154,9 @@ async function mountRides(body, { state, model, workspace, context }) {
 
   async function select() {
     put(filters, filterBar(now.filter, columns, values, setFilter));
+    const asked = now;
     const selection = await context.get(`/selection?${query({ model, filter: now.filter })}`);
+    if (asked.filter !== now.filter) return; // another filter was chosen meanwhile
     kept = now.filter ? new Set(selection.kept) : null;
     drawFigures(selection);
     drawScatter();
@@ -174,13 +176,14 @@ async function mountRides(body, { state, model, workspace, context }) {
       el("section", { class: "card span-6" }, list)),
     command(record.command),
   );
+  const draw = () => fill(list, "Measuring the errors", context, select);
   return {
-    draw: () => fill(list, "Measuring the errors", context, select),
+    draw,
     update(next) {
       const sorted = next.filter === now.filter;
       now = next;
       if (sorted) drawList();
-      else select();
+      else draw();
     },
     destroy() { plot?.destroy(); },
   };
