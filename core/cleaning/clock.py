@@ -37,8 +37,8 @@ Remaining error, for a period of 3 s and Gaussian errors of the stamps with stan
 A period other than the nominal one is followed from the first samples where there is a counter, to within 0.4 periods
 and soon better. Without a counter it is found after ten samples. Neither loses any time. A car may also announce its
 period, in its vehicle message, and that its logger has none: such a logger sends a sample when a value has changed. Its
-stamps are then used as they are, as long as they increase. Where they contradict the counter again and again, this is
-found without an announcement.
+stamps are then used as they are, as long as they increase. Such a logger is also found without an announcement, if its
+samples have a counter that many intervals between stamps contradict.
 
 References
 ----------
