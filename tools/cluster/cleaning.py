@@ -31,11 +31,11 @@ from tools.cluster.job import (
     load_surroundings,
     read_arrays,
     read_columns,
-    replacing,
     write_arrays,
     write_text,
 )
 from tools.cluster.ordering import Placed, Shared
+from tools.cluster.task_files import replacing
 
 LEAST_ROWS: Final = 20_000
 """Number of samples that pass through the pipeline at a time."""

@@ -24,7 +24,8 @@ from core.wire.duplicate_filter import DuplicateFilter
 from core.wire.messages import Message, Weather, address
 from stream.mcap_losses import Losses
 from stream.mcap_reader import McapSource
-from tools.cluster.job import Job, open_recording, replacing, write_arrays
+from tools.cluster.job import Job, open_recording, write_arrays
+from tools.cluster.task_files import replacing
 
 SPAN_BYTES: Final = 8 << 20
 """Size of the chunks of a span; 100,000 to 200,000 samples. [B]"""

@@ -17,8 +17,9 @@ from core.totals.display_record import create_unknown_yields
 from core.totals.display_yield import DisplayYields
 from core.vehicles.fleet import UNKNOWN
 from tools.cluster.cleaning import END, count_columns, read_totals
-from tools.cluster.job import Job, read_arrays, read_rows, read_text, replacing, write_text
+from tools.cluster.job import Job, read_arrays, read_rows, read_text, write_text
 from tools.cluster.ordering import Ordering
+from tools.cluster.task_files import replacing
 
 RIDES_AT_A_TIME: Final = 4000
 """Number of rides that are learned from at a time."""

@@ -1,8 +1,6 @@
 """What every task of a run needs to know, and the files by which tasks pass on what they have made."""
 
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +19,7 @@ from core.totals.context import Model
 from core.vehicles import add_vehicles
 from stream.elevation_files import open_elevation
 from stream.mcap_reader import McapSource
+from tools.cluster.task_files import replacing
 from tools.terminal.vehicle_files import load_vehicle_file
 
 COLUMNS: Final = (*Batch._fields, "item")
@@ -89,17 +88,6 @@ def load_surroundings(job: Job) -> tuple[Model, ElevationMap | None]:
 def open_recording(path: Path, size: int) -> McapSource:  # noqa: ARG001 - a file that has grown is opened anew
     """Return a recording of a size [B], whose index this process reads once."""
     return McapSource(path)
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield the name of a file that takes its place once it is complete, so that a killed task leaves nothing.
-
-    Two workers may run a task at once, after a connection was lost; both write the same bytes.
-    """
-    own = path.with_name(f"{path.name}.{os.getpid()}")
-    yield own
-    own.replace(path)
 
 
 def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:

@@ -1,9 +1,6 @@
 """Make tables by many workers, with progress in the terminal and a report of what ran where."""
 
-import shutil
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +12,7 @@ from tools.cluster.dask_runner import ClusterPlace, open_runner
 from tools.cluster.job import Job
 from tools.cluster.runner import Runner, TaskRecord
 from tools.cluster.tables import ClusterTables, choose_parts, make_tables
+from tools.cluster.task_files import make_scratch
 from tools.terminal.cluster_option import show_stages
 from tools.terminal.output import write_json
 from tools.terminal.recordings import refuse_unusable
@@ -64,7 +62,7 @@ def tabulate_by_workers(
     for source in sources:
         if source.path.suffix and not source.path.is_file():
             raise SettingsError(f"{source.path} is no file; --cluster reads files")
-    with _make_scratch(out) as scratch, open_runner(place, scratch, on_end) as runner, show_stages() as report:
+    with make_scratch(out) as scratch, open_runner(place, scratch, on_end) as runner, show_stages() as report:
         job = Job(
             tuple(source.path.resolve() for source in sources),
             scratch,
@@ -98,13 +96,3 @@ def _report(runner: Runner) -> dict[str, Any]:
         "processes": processes,
         "tasks": [asdict(record) for record in runner.records],
     }
-
-
-@contextmanager
-def _make_scratch(out: Path) -> Iterator[Path]:
-    """Yield a new folder beside the tables for intermediate files, which only this user can read."""
-    folder = Path(tempfile.mkdtemp(prefix=".scratch-", dir=out)).resolve()
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)

@@ -15,8 +15,9 @@ from core.totals.run_counters import RunCounters
 from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
 from tools.cluster.cleaning import count_columns, read_totals
 from tools.cluster.displays import Slice
-from tools.cluster.job import Job, load_surroundings, read_rows, read_text, replacing
+from tools.cluster.job import Job, load_surroundings, read_rows, read_text
 from tools.cluster.ordering import Shared
+from tools.cluster.task_files import replacing
 from tools.terminal.parquet_table import ParquetTable
 
 _MOST = Limits(vehicles=BOUNDS_OF_LIMITS["vehicles"][1], vehicle_models=BOUNDS_OF_LIMITS["vehicle_models"][1])

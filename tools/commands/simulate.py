@@ -1,21 +1,21 @@
 """`socast simulate`: simulate electric taxis in Montreal, and write a recording and its truth."""
 
+from contextlib import ExitStack
 from dataclasses import fields, replace
-from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from core.errors import SettingsError
-from stream.mcap_writer import McapSink
-from stream.recording_metadata import list_changed_settings, make_metadata
+from core.errors import RecordingError, SettingsError
+from tools.cluster.dask_runner import ClusterPlace, open_runner
+from tools.cluster.runner import InProcessRunner
+from tools.cluster.simulation import write_recording
+from tools.cluster.task_files import make_scratch
 from tools.simulator.bent_shapes import BENT
 from tools.simulator.conditions import CONDITION_NAMES, parse_conditions
-from tools.simulator.fleet import count_shifts
-from tools.simulator.fleet import simulate as simulate_messages
+from tools.simulator.fleet import prepare_fleet
 from tools.simulator.fleets import FLEETS, get_fleet
 from tools.simulator.hidden import EFFECTS
 from tools.simulator.hidden_shapes import OTHER
@@ -36,12 +36,12 @@ from tools.simulator.settings import (
     parse_start,
 )
 from tools.simulator.truth import Truth
+from tools.terminal.cluster_option import insert_cluster_options, show_stages
 
 FIRST_DAY = "2018-01-15"
-BLOCK = 4096
-"""Number of messages written at a time."""
 
 
+@insert_cluster_options
 def simulate(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="Recording to write.")],
     vehicles: Annotated[int | None, typer.Option(help="Number of cars. Default: 5.")] = None,
@@ -129,10 +129,14 @@ def simulate(
             f"Names: {', '.join(FLEETS)}.",
         ),
     ] = None,
+    place: ClusterPlace | None = None,
 ) -> None:
     """Simulate electric taxis; write a recording and its truth, FILE.truth.json.
 
-    Example: socast simulate --out small.mcap --vehicles 2 --shift-hours 2
+    Examples
+    --------
+    socast simulate --out small.mcap --vehicles 2 --shift-hours 2
+    socast simulate --out large.mcap --vehicles 1000 --days 6 --cluster local:2
     """
     size: dict[str, Any] = {
         "vehicles": vehicles,
@@ -162,7 +166,7 @@ def simulate(
             conditions=parse_conditions(conditions),
             **size,
         )
-    truth = write_simulation(simulation, out)
+    truth = write_simulation(simulation, out, place)
     total = truth.summary()
     per_km = 1000 * (total["kwh_per_km"] or 0)
     console = Console()
@@ -177,7 +181,7 @@ def simulate(
         console.print(f"hidden: {effect}, {what['absolute_share']:.2%} of the energy", markup=False, highlight=False)
 
 
-def write_simulation(simulation: Simulation, out: Path) -> Truth:
+def write_simulation(simulation: Simulation, out: Path, place: ClusterPlace | None = None) -> Truth:
     """Write the recording of a simulation, and its truth beside it.
 
     Parameters
@@ -186,6 +190,8 @@ def write_simulation(simulation: Simulation, out: Path) -> Truth:
         What to simulate.
     out : Path
         The recording; the truth goes to the same name with `.truth.json`.
+    place : ClusterPlace, optional
+        Where the cars are driven; None for this process.
 
     Returns
     -------
@@ -199,16 +205,11 @@ def write_simulation(simulation: Simulation, out: Path) -> Truth:
     RecordingError
         If the recording cannot be written.
     """
-    truth = Truth()
-    console = Console(stderr=True)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("driving shifts", total=count_shifts(simulation))
-        messages = simulate_messages(simulation, truth, lambda shifts: progress.advance(bar, shifts))
-        metadata = make_metadata("simulate", settings=list_changed_settings(simulation, Simulation()))
-        with McapSink(out, metadata=metadata) as sink:
-            while block := list(islice(messages, BLOCK)):
-                sink.put(block)
-                truth.messages += len(block)
-    truth.write(out.with_suffix(".truth.json"))
-    return truth
+    fleet = prepare_fleet(simulation)
+    folder = out.resolve().parent
+    if not folder.is_dir():
+        raise RecordingError(f"{out} cannot be written: {folder} is no folder; choose another place")
+    with make_scratch(folder) as scratch, ExitStack() as ending:
+        runner = InProcessRunner() if place is None else ending.enter_context(open_runner(place, scratch))
+        report = ending.enter_context(show_stages("simulation"))
+        return write_recording(fleet, out, runner, scratch, report)

@@ -2,8 +2,9 @@
 
 import heapq
 from collections import Counter
-from collections.abc import Callable, Iterator
-from operator import attrgetter
+from collections.abc import Iterator
+from itertools import chain, islice
+from operator import attrgetter, itemgetter
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -24,10 +25,12 @@ from tools.simulator.settings import NIGHT, UTC_OFFSET, Simulation
 from tools.simulator.shift import Orders, Shift, draw_orders, make_shift, stop_shift
 from tools.simulator.trace import Trace, make_trace
 from tools.simulator.truth import Truth
-from tools.simulator.weather import Sky, make_forecasts, make_observations, make_sky
+from tools.simulator.weather import Sky, make_sky, merge_weather
 
 PILOT: Final = 240
 """Largest number of shifts, evenly spread, that are driven to calibrate hidden effects."""
+BLOCK: Final = 4096
+"""Number of messages that are merged with the weather at a time."""
 
 
 class FleetCar(NamedTuple):
@@ -65,6 +68,31 @@ class FleetCar(NamedTuple):
         return simulation.days - self.first if self.planned_shifts is None else len(self.planned_shifts)
 
 
+class PreparedFleet(NamedTuple):
+    """Hold what all cars of a simulation share.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        What is simulated.
+    members : list of FleetCar
+        The cars.
+    sky : Sky
+        The weather.
+    factors : tuple of float
+        Factor of each hidden effect. [1]
+    """
+
+    simulation: Simulation
+    members: list[FleetCar]
+    sky: Sky
+    factors: tuple[float, ...]
+
+    def name_factors(self) -> dict[str, float]:
+        """Return the factor of each hidden effect by its name."""
+        return {hidden.effect: factor for hidden, factor in zip(self.simulation.hidden, self.factors, strict=True)}
+
+
 class DrivenShift(NamedTuple):
     """Hold a shift that was driven without hidden effects."""
 
@@ -72,9 +100,7 @@ class DrivenShift(NamedTuple):
     view: EffectInputs
 
 
-def simulate(
-    simulation: Simulation, truth: Truth | None = None, advance: Callable[[int], None] = lambda _: None
-) -> Iterator[Message]:
+def simulate(simulation: Simulation, truth: Truth | None = None) -> Iterator[Message]:
     """Yield all messages of a fleet and its weather stations in order of receipt.
 
     Parameters
@@ -83,8 +109,6 @@ def simulate(
         What to simulate.
     truth : Truth, optional
         Receives the true values; it is complete when the last message is taken.
-    advance : callable
-        Called with the number of finished shifts, for a progress bar.
 
     Yields
     ------
@@ -97,68 +121,49 @@ def simulate(
 
     Notes
     -----
-    The messages depend on the settings and the seed alone. Each shift of each car has its own random stream.
+    The messages depend on the settings and the seed alone. Each shift of each car has its own random stream. Memory
+    holds a shift of every car; `tools.cluster.simulation` writes fleets of any size.
     """
-    calibration.check_effects(simulation.hidden)
     record = Truth() if truth is None else truth
-    members = make_members(simulation)
-    sky = make_fleet_sky(simulation)
-    factors = _factors(simulation, members, sky)
-    record.describe(
-        simulation, {hidden.effect: factor for hidden, factor in zip(simulation.hidden, factors, strict=True)}
-    )
-    for member in members:
-        record.add_car(member.name, member.model, member.car, member.equipment)
-    streams = [_drive(simulation, member, sky, factors, record, advance) for member in members]
-    return merge_weather(heapq.merge(*streams, key=attrgetter("receipt_ns")), simulation, sky)
+    fleet = prepare_fleet(simulation)
+    describe_fleet(fleet, record)
+    streams = [chain.from_iterable(drive_car(fleet, member, record)) for member in fleet.members]
+    merged = heapq.merge(*streams, key=attrgetter("receipt_ns"))
+    blocks = iter(lambda: list(islice(merged, BLOCK)), [])
+    return chain.from_iterable(merge_weather(blocks, simulation, fleet.sky))
 
 
-def merge_weather(fleet: Iterator[Message], simulation: Simulation, sky: Sky) -> Iterator[Message]:
-    """Merge the observations and forecasts of the stations into the messages of a fleet.
-
-    Parameters
-    ----------
-    fleet : iterator of Message
-        Messages of the cars in order of receipt.
-    simulation : Simulation
-        What is simulated.
-    sky : Sky
-        The weather.
-
-    Yields
-    ------
-    Message
-        In order of receipt, from the hour before the first message of the fleet to its last message.
-    """
-    opening = next(fleet)
-    begin, end = opening.receipt_ns / 1e9, float(sky.time[-1])
-    published = make_observations(sky, begin, end, simulation.seed)
-    if simulation.conditions.weather_forecasts:
-        published += make_forecasts(sky, begin, end, simulation.seed)
-    weather = iter(sorted(published, key=attrgetter("receipt_ns")))
-    waiting = next(weather, None)
-    for message in _chain(opening, fleet):
-        while waiting is not None and waiting.receipt_ns <= message.receipt_ns:
-            yield waiting
-            waiting = next(weather, None)
-        yield message
-
-
-def _chain(first: Message, others: Iterator[Message]) -> Iterator[Message]:
-    """Yield one message and then the others."""
-    yield first
-    yield from others
-
-
-def count_shifts(simulation: Simulation) -> int:
-    """Return the number of shifts that the fleet will drive.
+def prepare_fleet(simulation: Simulation) -> PreparedFleet:
+    """Draw the cars and the weather, and calibrate the hidden effects.
 
     Parameters
     ----------
     simulation : Simulation
         What to simulate.
+
+    Raises
+    ------
+    SettingsError
+        If a model, an effect or a size does not exist.
     """
-    return sum(member.count_shifts(simulation) for member in make_members(simulation))
+    calibration.check_effects(simulation.hidden)
+    members, sky = make_members(simulation), make_fleet_sky(simulation)
+    return PreparedFleet(simulation, members, sky, tuple(_factors(simulation, members, sky)))
+
+
+def describe_fleet(fleet: PreparedFleet, truth: Truth) -> None:
+    """Record the settings of a simulation and its cars.
+
+    Parameters
+    ----------
+    fleet : PreparedFleet
+        The fleet.
+    truth : Truth
+        Receives them.
+    """
+    truth.describe(fleet.simulation, fleet.name_factors())
+    for member in fleet.members:
+        truth.add_car(member.name, member.model, member.car, member.equipment)
 
 
 def make_members(simulation: Simulation) -> list[FleetCar]:
@@ -327,33 +332,37 @@ def _begin(simulation: Simulation, day: int, hours: tuple[float, float], rng: np
     return float(np.floor(start + into))
 
 
-def _drive(
-    simulation: Simulation,
-    member: FleetCar,
-    sky: Sky,
-    factors: list[float],
-    truth: Truth,
-    advance: Callable[[int], None],
-) -> Iterator[Message]:
-    """Yield the messages of one car, shift after shift."""
+def drive_car(fleet: PreparedFleet, member: FleetCar, truth: Truth) -> Iterator[list[Message]]:
+    """Yield the messages of one car, shift after shift.
+
+    The cars of a fleet share the weather and the factors of hidden effects, and nothing else.
+
+    Parameters
+    ----------
+    fleet : PreparedFleet
+        The fleet.
+    member : FleetCar
+        The car.
+    truth : Truth
+        Receives the truth of each shift before its messages are yielded.
+
+    Yields
+    ------
+    list of Message
+        In order of receipt.
+    """
     odometer = member.car.odometer
-    for number in range(member.first, member.first + member.count_shifts(simulation)):
-        messages, odometer = _shift_messages(simulation, member, number, odometer, sky, factors, truth)
-        yield from messages
-        advance(1)
+    for number in range(member.first, member.first + member.count_shifts(fleet.simulation)):
+        messages, odometer = _shift_messages(fleet, member, number, odometer, truth)
+        yield messages
 
 
 def _shift_messages(
-    simulation: Simulation,
-    member: FleetCar,
-    number: int,
-    odometer: float,
-    sky: Sky,
-    factors: list[float],
-    truth: Truth,
+    fleet: PreparedFleet, member: FleetCar, number: int, odometer: float, truth: Truth
 ) -> tuple[list[Message], float]:
     """Return the messages of one car on a shift and its odometer [m] after it; record the truth."""
-    shift, view = drive_shift(simulation, member, number, sky)
+    simulation, factors = fleet.simulation, fleet.factors
+    shift, view = drive_shift(simulation, member, number, fleet.sky)
     state, energies = view.state, None
     if factors:
         scaled = zip(factors, simulation.hidden, strict=True)
@@ -427,7 +436,7 @@ def make_car_messages(
         None if member.equipment.period else 0.0,
     )
     reading = car.odometer + float(shift.timeline.moved.sum()) * car.speedometer
-    return list(heapq.merge(sent, logged, key=attrgetter("receipt_ns"))), reading, faults
+    return sorted([*sent, *logged], key=itemgetter(2)), reading, faults
 
 
 def _show_charge(

@@ -4,11 +4,12 @@ from collections import Counter
 from itertools import repeat
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from core.batch import Floats, Ints
 from core.columns import KMH
-from core.wire.messages import Message, Telemetry, encode
+from core.wire.messages import Message, Telemetry
 from tools.simulator.cars import Car
 from tools.simulator.physics import State
 from tools.simulator.settings import PERIOD, STEP, Faults
@@ -61,7 +62,11 @@ LONGEST_SILENCE: Final = 60.0
 DEADBANDS: Final = {"speed_kmh": 2.0, "battery_current_a": 5.0, "soc_pct": 0.5, "ambient_c": 1.0, "hvac_w": 300.0}
 """Change of each field from which such a logger sends a sample, in the unit of the field; also a change of the ride."""
 
+REPEATED_AFTER_NS: Final = 300_000_000
+"""Time after which a sample that is sent twice comes again. [ns]"""
+
 Columns = dict[str, Any]
+_encode: Final = msgspec.json.Encoder().encode
 
 
 class Equipment(NamedTuple):
@@ -147,10 +152,10 @@ def log_shift(
     kept = _drop(columns, faults, rng, counts)
     columns = {field: column[kept] for field, column in columns.items()}
     time = columns["time_s"]
-    rows = _tabulate(name, columns | {"time_s": _wrong_clock(time, faults, rng, counts)}, equipment, shift)
-    _spoil(rows, equipment, faults, rng, counts)
-    counts["samples_sent"] += len(rows)
-    payloads = [encode(Telemetry(*row)) for row in rows]
+    lists = _tabulate(name, columns | {"time_s": _wrong_clock(time, faults, rng, counts)}, equipment, shift)
+    _spoil(lists, equipment, faults, rng, counts)
+    counts["samples_sent"] += len(time)
+    payloads = list(map(_encode, map(Telemetry, *lists.values())))
     return _send(f"fleet/{name}/telemetry", payloads, time, faults, rng, counts), counts
 
 
@@ -267,41 +272,42 @@ def _drop(columns: Columns, faults: Faults, rng: np.random.Generator, counts: Co
     return kept
 
 
-def _tabulate(name: str, columns: Columns, equipment: Equipment, shift: Shift) -> list[list[Any]]:
-    """Return the fields of each sample in the order of the wire contract, rounded as loggers do."""
+def _tabulate(name: str, columns: Columns, equipment: Equipment, shift: Shift) -> dict[str, list[Any]]:
+    """Return the values of each field in the order of the wire contract, rounded as loggers do."""
     n = len(columns["seq"])
     rides: list[Any] = [trip.ride_id for trip in shift.trips] + [None]  # NO_RIDE is the last
-    lists: list[Any] = []
+    lists: dict[str, list[Any]] = {}
     for field in FIELDS:
         if field == "vehicle_id":
-            lists.append(repeat(name, n))
+            lists[field] = [name] * n
         elif field in equipment.lacks:
-            lists.append(repeat(None, n))
+            lists[field] = [None] * n
         elif field == "ride_id":
-            lists.append([rides[ride if ride != NO_RIDE else -1] for ride in columns[field].tolist()])
+            lists[field] = [rides[ride if ride != NO_RIDE else -1] for ride in columns[field].tolist()]
         elif columns[field].dtype == float:
-            lists.append(np.round(columns[field], DIGITS.get(field, 1)).tolist())
+            lists[field] = columns[field].round(DIGITS.get(field, 1)).tolist()
         else:
-            lists.append(columns[field].tolist())
-    return [list(row) for row in zip(*lists, strict=True)]
+            lists[field] = columns[field].tolist()
+    return lists
 
 
 def _spoil(
-    rows: list[list[Any]], equipment: Equipment, faults: Faults, rng: np.random.Generator, counts: Counter[str]
+    lists: dict[str, list[Any]], equipment: Equipment, faults: Faults, rng: np.random.Generator, counts: Counter[str]
 ) -> None:
     """Remove values from samples, move positions to 0/0, and put values out of range."""
-    draws = rng.uniform(size=(3, len(rows)))
-    present = [FIELDS.index(field) for field in FIELDS[3:] if field not in equipment.lacks]
+    draws = rng.uniform(size=(3, len(lists["time_s"])))
+    present = [field for field in FIELDS[3:] if field not in equipment.lacks]
     able = [field for field in SPIKES if field not in equipment.lacks]
-    for i in np.flatnonzero(draws[0] < faults.missing):
-        rows[i][present[int(rng.integers(len(present)))]] = None
+    for i in np.flatnonzero(draws[0] < faults.missing).tolist():
+        lists[present[int(rng.integers(len(present)))]][i] = None
         counts["missing"] += 1
-    for i in np.flatnonzero(draws[1] < faults.null_island):
-        rows[i][FIELDS.index("latitude_deg")] = rows[i][FIELDS.index("longitude_deg")] = 0.0
+    for i in np.flatnonzero(draws[1] < faults.null_island).tolist():
+        for field in ("latitude_deg", "longitude_deg"):
+            lists[field][i] = 0.0
         counts["null_island"] += 1
-    for i in np.flatnonzero(draws[2] < faults.spike):
+    for i in np.flatnonzero(draws[2] < faults.spike).tolist():
         field = able[int(rng.integers(len(able)))]
-        rows[i][FIELDS.index(field)] = SPIKES[field]
+        lists[field][i] = SPIKES[field]
         counts["spike"] += 1
 
 
@@ -318,16 +324,18 @@ def _send(
     receipt = time + 0.1 + 0.3 * delay + np.where(late, 10 + 80 * delay, np.where(overtaken, 3.4 + 3 * delay, 0.0))
     for i in np.flatnonzero(broken):
         payloads[i] = _broken(payloads[i], rng)
-    receipt_ns = np.round(receipt * 1e9).astype(np.int64).tolist()
-    messages = [Message(key, payload, received) for payload, received in zip(payloads, receipt_ns, strict=True)]
-    messages += [messages[i]._replace(receipt_ns=receipt_ns[i] + 300_000_000) for i in np.flatnonzero(twice)]
+    receipt_ns = np.round(receipt * 1e9).astype(np.int64)
+    again = np.flatnonzero(twice)
+    which, received = np.append(np.arange(n), again), np.append(receipt_ns, receipt_ns[again] + REPEATED_AFTER_NS)
+    order = np.argsort(received, kind="stable")
     counts.update(
         late=int(late.sum()),
         out_of_order=int((overtaken & ~late).sum()),
         duplicate=int(twice.sum()),
         undecodable=int(broken.sum()),
     )
-    return sorted(messages, key=lambda message: message.receipt_ns)
+    sent = [payloads[i] for i in which[order].tolist()]
+    return list(map(Message, repeat(key), sent, received[order].tolist()))
 
 
 def _broken(payload: bytes, rng: np.random.Generator) -> bytes:

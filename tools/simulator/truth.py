@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from core.batch import Floats
 from core.errors import SettingsError
 from tools.simulator.calibration import EffectEnergies
+from tools.simulator.car_files import ShiftTruth
 from tools.simulator.cars import Car
 from tools.simulator.conditions import NO_CONDITIONS
 from tools.simulator.logger import Equipment
@@ -169,6 +171,21 @@ class Truth:
                 "shown_pct": np.round(shown[at], 2).tolist(),
             }
         )
+
+    def take_shifts(self, shifts: Iterable[ShiftTruth], faults: Mapping[str, Counter[str]]) -> None:
+        """Take what was recorded of shifts elsewhere.
+
+        Parameters
+        ----------
+        shifts : iterable of ShiftTruth
+            In the order in which a simulation of the whole fleet drives them.
+        faults : mapping of str to Counter
+            Number of faults of the logger of each car, by kind.
+        """
+        for shift in shifts:
+            self.rides += shift.rides
+            self.displays += shift.displays
+        self.faults.update(faults)
 
     def summary(self) -> dict[str, Any]:
         """Return totals over all rides, and the size of each hidden effect."""

@@ -4,16 +4,20 @@ Every element is an autoregressive process about the normal value of the day of 
 normals 1981 to 2010, Montreal: January -10 °C, July 21 °C), after Richardson (1981), Water Resources Research 17:182.
 """
 
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from math import exp, radians
+from operator import attrgetter
 from typing import Final, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from core.batch import Floats
 from core.columns import SECONDS_PER_DAY
 from core.wire.messages import Message, Weather, encode
 from tools.simulator.conditions import Spell
-from tools.simulator.settings import UTC_OFFSET
+from tools.simulator.settings import UTC_OFFSET, Simulation
 from tools.simulator.world import ORIGIN
 
 HOUR: Final = 3600.0
@@ -250,6 +254,47 @@ def make_forecasts(sky: Sky, begin: float, end: float, seed: int) -> list[Messag
     return messages
 
 
+def merge_weather(blocks: Iterable[Sequence[Message]], simulation: Simulation, sky: Sky) -> Iterator[Sequence[Message]]:
+    """Merge the observations and forecasts of the stations into the messages of a fleet.
+
+    Parameters
+    ----------
+    blocks : iterable of sequence of Message
+        Messages of the cars in order of receipt, some at a time.
+    simulation : Simulation
+        What is simulated.
+    sky : Sky
+        The weather.
+
+    Yields
+    ------
+    sequence of Message
+        In order of receipt, from the hour before the first message of the fleet to its last message.
+    """
+    waiting: deque[Message] | None = None
+    for block in blocks:
+        if waiting is None:
+            waiting = _publish_weather(simulation, sky, block[0].receipt_ns / 1e9)
+        if not waiting or waiting[0].receipt_ns > max(message.receipt_ns for message in block):
+            yield block
+            continue
+        merged: list[Message] = []
+        for message in block:
+            while waiting and waiting[0].receipt_ns <= message.receipt_ns:
+                merged.append(waiting.popleft())
+            merged.append(message)
+        yield merged
+
+
+def _publish_weather(simulation: Simulation, sky: Sky, begin: float) -> deque[Message]:
+    """Return what the stations publish from a time [s] on, in order of receipt."""
+    end = float(sky.time[-1])
+    published = make_observations(sky, begin, end, simulation.seed)
+    if simulation.conditions.weather_forecasts:
+        published += make_forecasts(sky, begin, end, simulation.seed)
+    return deque(sorted(published, key=attrgetter("receipt_ns")))
+
+
 def _observation(sky: Sky, i: int, station: tuple[str, float, float], error: Floats, delay: float) -> Message:
     """Return the message of one station about one hour."""
     name, latitude, longitude = station
@@ -282,11 +327,16 @@ def draw_autoregressive(rng: np.random.Generator, n: int, keep: float) -> Floats
     keep : float
         Correlation between neighbours. [1]
     """
-    values = rng.normal(size=n).tolist()
-    fresh = (1 - keep * keep) ** 0.5
-    for i in range(1, n):
+    values = rng.normal(size=n)
+    _carry_on(values, keep, (1 - keep * keep) ** 0.5)
+    return values
+
+
+@njit(cache=True)
+def _carry_on(values: Floats, keep: float, fresh: float) -> None:
+    """Replace each value by a share of the one before and a fresh share."""
+    for i in range(1, len(values)):
         values[i] = keep * values[i - 1] + fresh * values[i]
-    return np.array(values)
 
 
 def _precipitation(seed: int, cloud: Floats) -> Floats:

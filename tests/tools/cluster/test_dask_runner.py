@@ -13,6 +13,10 @@ from tests.support.commands import refused
 from tests.support.mortal_tasks import die_once, fail
 from tests.support.paths import ROOT
 from tools.cluster.dask_runner import ClusterPlace, open_runner, parse_place
+from tools.cluster.runner import InProcessRunner
+from tools.cluster.simulation import TRUTH, write_recording
+from tools.simulator.fleet import prepare_fleet
+from tools.simulator.settings import Simulation
 
 SHIFT = ROOT / "recordings" / "shift.mcap"
 pytestmark = pytest.mark.long
@@ -45,6 +49,27 @@ def test_workers_give_the_serial_tables_while_one_is_killed(runner, tmp_path):
     assert_same(make_whole([SHIFT]), made)
     assert killed
     assert all(record.process != killed[0] for record in runner.records if record.stage in {"clean", "write"})
+
+
+def test_workers_give_the_serial_recording_while_one_is_killed(runner, tmp_path):
+    fleet = prepare_fleet(Simulation(vehicles=4, days=2, shift_hours=0.5, seed=3))
+    outs = [tmp_path / f"{name}.mcap" for name in ("serial", "parallel")]
+    killed = []
+
+    def kill(record):
+        if not killed:
+            killed.append(record.process)
+            os.kill(record.process, signal.SIGKILL)
+
+    for out, by in zip(outs, (InProcessRunner(), runner), strict=True):
+        runner._on_end = kill
+        (tmp_path / out.stem).mkdir()
+        write_recording(fleet, out, by, tmp_path / out.stem, lambda *_: None)
+    runner._on_end = None
+    assert killed
+    for suffix in (".mcap", TRUTH):
+        serial, parallel = (out.with_suffix(suffix).read_bytes() for out in outs)
+        assert serial == parallel
 
 
 def test_error_of_a_task_is_that_of_the_command(runner):

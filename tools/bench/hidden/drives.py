@@ -24,11 +24,11 @@ from tools.simulator.fleet import (
     make_car_messages,
     make_fleet_sky,
     make_members,
-    merge_weather,
 )
 from tools.simulator.hidden import EffectInputs
 from tools.simulator.hidden_shapes import get_power
 from tools.simulator.settings import PLAIN_PHENOMENA, STEPS_PER_SAMPLE, Faults, Hidden, Phenomena, Simulation
+from tools.simulator.weather import merge_weather
 
 BASE: Final = PLAIN_PHENOMENA._replace(payload=True)
 """Physics without hidden effects; passengers have the mass of 75 kg that the product assumes."""
@@ -264,8 +264,8 @@ def simulate_drives(simulation: Simulation, turns: int = 1) -> Drives:
             stream += messages
             first += legs[-1].samples
         streams.append(stream)
-    fleet = heapq.merge(*streams, key=attrgetter("receipt_ns"))
-    return Drives(simulation, legs, list(merge_weather(fleet, simulation, sky)))
+    fleet = list(heapq.merge(*streams, key=attrgetter("receipt_ns")))
+    return Drives(simulation, legs, [m for block in merge_weather([fleet], simulation, sky) for m in block])
 
 
 def _marked(driven: DrivenShift, first: int) -> DrivenShift:

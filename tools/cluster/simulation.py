@@ -1,0 +1,121 @@
+"""Write the recording of a simulated fleet of any size: cars are driven apart, and their messages merged from files.
+
+The cars of a simulation share its weather and the factors of hidden effects, which the command computes first. Each car
+has random streams of its own, so its messages do not depend on where it is driven. The recording and the truth equal
+those of a run in one process to the byte.
+"""
+
+import gc
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+from stream.mcap_writer import McapSink
+from stream.recording_metadata import list_changed_settings, make_metadata
+from tools.cluster.runner import Runner
+from tools.cluster.task_files import replacing
+from tools.simulator.car_files import CarFile, CarWriter, ShiftTruth, merge_cars, order_shifts, plan_merge
+from tools.simulator.fleet import PreparedFleet, describe_fleet, drive_car, make_fleet_sky, make_members
+from tools.simulator.settings import Simulation
+from tools.simulator.truth import Truth
+from tools.simulator.weather import merge_weather
+
+DRIVE, WRITE = "drive", "write"
+"""Stages: driving cars, by tasks; writing their messages, in the command itself."""
+TRUTH: Final = ".truth.json"
+
+
+def write_recording(
+    fleet: PreparedFleet, out: Path, runner: Runner, scratch: Path, report: Callable[[str, int, int], None]
+) -> Truth:
+    """Write the recording of a fleet, and its truth beside it.
+
+    Parameters
+    ----------
+    fleet : PreparedFleet
+        The fleet, with the factors of its hidden effects.
+    out : Path
+        The recording; the truth goes to the same name with `.truth.json`.
+    runner : Runner
+        Runs the tasks.
+    scratch : Path
+        Folder for the messages of each car, that all workers see.
+    report : callable
+        Function that receives a stage, the number of its tasks that have ended, and the number of all.
+
+    Returns
+    -------
+    Truth
+        The complete truth.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be written.
+    """
+    simulation, truth = fleet.simulation, Truth()
+    describe_fleet(fleet, truth)
+    tasks = [(simulation, fleet.factors, number, scratch) for number in range(len(fleet.members))]
+    metadata = make_metadata("simulate", settings=list_changed_settings(simulation, Simulation()))
+    with McapSink(out, metadata=metadata) as sink, _without_garbage_collection():
+        report(DRIVE, 0, len(tasks))
+        cars: list[CarFile] = []
+        for car in runner.run(DRIVE, write_car, tasks):
+            cars.append(car)
+            report(DRIVE, len(cars), len(tasks))
+        merges = len(plan_merge(cars))
+        report(WRITE, 0, merges)
+        for done, messages in enumerate(merge_weather(merge_cars(cars), simulation, fleet.sky)):
+            sink.put(messages)
+            truth.messages += len(messages)
+            report(WRITE, done + 1, merges)
+    truth.take_shifts(order_shifts(cars), {car.name: car.faults for car in cars})
+    truth.write(out.with_suffix(TRUTH))
+    return truth
+
+
+def write_car(simulation: Simulation, factors: tuple[float, ...], number: int, scratch: Path) -> CarFile:
+    """Drive a car, and write its messages to a file.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    factors : tuple of float
+        Factor of each hidden effect. [1]
+    number : int
+        Index of the car.
+    scratch : Path
+        Folder of the file.
+    """
+    fleet = _prepare(simulation, factors)
+    member, path = fleet.members[number], scratch / f"car-{number:06d}"
+    own, shifts = Truth(factors=fleet.name_factors(), faults={fleet.members[number].name: Counter()}), []
+    with replacing(path) as part, _without_garbage_collection():
+        writer = CarWriter(part)
+        for messages in drive_car(fleet, member, own):
+            writer.write(messages)
+            shifts.append(ShiftTruth(writer.last, own.rides, own.displays))
+            own.rides, own.displays = [], []
+        groups = writer.close()
+    return CarFile(member.name, path, groups, shifts, own.faults[member.name])
+
+
+@lru_cache(maxsize=1)
+def _prepare(simulation: Simulation, factors: tuple[float, ...]) -> PreparedFleet:
+    """Draw the cars and the weather once in a process."""
+    return PreparedFleet(simulation, make_members(simulation), make_fleet_sky(simulation), factors)
+
+
+@contextmanager
+def _without_garbage_collection() -> Iterator[None]:
+    """Leave cycles for later: messages are many and hold none, and to look for some takes a tenth of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
