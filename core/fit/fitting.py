@@ -1,6 +1,7 @@
 """Fit terms to a ride table in passes over its blocks: for each vehicle model, and for all rides together.
 
-The first pass determines the fills and the accessory curve, the latter by least squares in the model that contains it.
+The first pass reads and converts the table, and keeps the converted rides for the other passes in a temporary file. It
+determines the fills and the accessory curve, the latter by least squares in the model that contains it.
 Where all coefficients are 1, the curve explains the residual of the basic physical model. Where coefficients are
 fitted, the curve is fitted together with the coefficients of the road load. A curve fitted to the residual alone would
 take the error of the road load for standby power, and would bias the coefficients.
@@ -21,6 +22,7 @@ shape of the curve.
 
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
@@ -36,6 +38,7 @@ from core.batch import Floats
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
 from core.fit.accessory_curve import TemperatureBins, compute_slopes
+from core.fit.block_file import BlockFile
 from core.fit.regression import (
     LEAST_GROUPS,
     NO_VARIATION,
@@ -143,8 +146,8 @@ def fit_terms(plan: FitPlan, rides: RideSource, *, covariance: bool = True) -> L
     ModelError
         If a column is missing, if too few rides can be used for training, or if the rides do not vary.
     """
-    with limit_to_one_thread():
-        fitting = _Fitting(plan, rides, covariance=covariance)
+    fitting = _Fitting(plan, rides, covariance=covariance)
+    with limit_to_one_thread(), closing(fitting.kept):
         fitting.survey()
         fitting.solve()
         if covariance:
@@ -184,6 +187,7 @@ class _Fitting:
         raw = dict.fromkeys(name for column in read for name in list_raw_columns(column))
         basic = BASIC_PHYSICAL.needs if self.curved else ()
         self.columns = list(dict.fromkeys((*raw, *basic, ENERGY)))
+        self.kept = BlockFile((*raw, ENERGY))
         filled = dict.fromkeys((*read, *(ACCESSORY_NEEDS if self.curved else ())))
         self.road = [t for t in plan.terms if plan.free and t.columns and t.columns[0].startswith(EFFECT_PREFIX)]
         self.filled = [c for c in filled if (c in FEATURES and c not in CarParameters._fields) or c in DERIVED_COLUMNS]
@@ -198,7 +202,8 @@ class _Fitting:
 
     def survey(self) -> None:
         """Pass over the rides for the fills, the accessory curves and the description of the training."""
-        for block in self._read_blocks(note=True):
+        for block in self._read_blocks():
+            self.kept.append(block)
             for key, rows in _split(block):
                 self._note(self.groups.setdefault(key, self._make_group()), Columns(block, rows=rows))
         least = _RIDES_PER_COEFFICIENT * (len(self.terms) if self.plan.free else _CURVE_NUMBERS if self.curved else 1)
@@ -222,7 +227,7 @@ class _Fitting:
         """Pass over the rides for the normal equations, and solve them."""
         if not self.plan.free:
             return
-        for block in self._read_blocks():
+        for block in self.kept:
             for group, columns, _ in self._split_parts(block):
                 table = np.column_stack(
                     [self._design(columns), *self._differentiate_curve(group, columns), columns[ENERGY]]
@@ -236,7 +241,7 @@ class _Fitting:
 
     def residuals(self) -> None:
         """Pass over the rides for the residuals of the fits."""
-        for block in self._read_blocks():
+        for block in self.kept:
             days = assign_groups(block[VEHICLE], block["date"]) if VEHICLE in block and "date" in block else None
             for group, columns, rows in self._split_parts(block):
                 table = self._design(columns)
@@ -285,18 +290,15 @@ class _Fitting:
         """Return an empty group of rides."""
         return _GroupFit(temperatures=TemperatureBins(len(self.road)))
 
-    def _read_blocks(self, *, note: bool = False) -> Iterator[dict[str, NDArray[Any]]]:
-        """Yield the trainable rides of each block; with `note`, record the rides left out, dates and fingerprint."""
+    def _read_blocks(self) -> Iterator[dict[str, NDArray[Any]]]:
+        """Yield the trainable rides of each block, and record the rides left out, dates and fingerprint."""
         for block in self.rides.blocks(self.columns):
             good, left_out = select_trainable(block, self.columns)
-            if note:
-                self.left_out.update(left_out)
-            if not len(good):
-                continue
-            table = convert_to_arrays(good, self.columns)
-            if note:
+            self.left_out.update(left_out)
+            if len(good):
+                table = convert_to_arrays(good, self.columns)
                 self._digest(table)
-            yield table
+                yield table
 
     def _digest(self, block: dict[str, NDArray[Any]]) -> None:
         """Add rides to the fingerprint, and record their first and last dates."""

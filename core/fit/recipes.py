@@ -21,7 +21,7 @@ from core.fit.calibration import NEEDS as INTERVAL_NEEDS
 from core.fit.calibration import add_interval
 from core.fit.fitting import fit_terms
 from core.fit.pooled import POOLED_RECIPES
-from core.fit.ride_blocks import ENERGY, RideFrame, RideParquet
+from core.fit.ride_blocks import RideFrame, RideParquet, ThinnedRides
 from core.fit.window_recipe import WindowRecipe
 from core.models import BASIC_TERMS, LinearModel, Term, make_physical_term
 from core.models.features import ACCESSORIES_COLUMN, FEATURES, derive_coefficient_unit
@@ -114,11 +114,11 @@ class LinearRecipe:
             Fitted model.
         """
         rides = RideParquet(tuple(Path(path) for path in paths))
-        model = fit_terms(self, rides, covariance=covariance)
         if not covariance:
-            return model
-        some = rides.thinned(INTERVAL_RIDES, [*model.needs, *INTERVAL_NEEDS, ENERGY])
-        return add_interval(model, some, fitted=self.free)
+            return fit_terms(self, rides, covariance=False)
+        some = ThinnedRides(rides, INTERVAL_RIDES, INTERVAL_NEEDS)
+        model = fit_terms(self, some)
+        return add_interval(model, some.table(), fitted=self.free)
 
 
 def make_term(*columns: str) -> Term:

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -102,35 +103,49 @@ class RideParquet:
         """
         return pd.concat([block for path in self.paths for block in _read(path, None)], ignore_index=True)
 
-    def thinned(self, most: int, columns: Sequence[str]) -> pd.DataFrame:
-        """Return every k-th ride of the table, with the smallest k that respects a limit.
 
-        Parameters
-        ----------
-        most : int
-            Largest number of rides to return.
-        columns : sequence of str
-            Columns to read where present, besides those of `OPTIONAL`.
+class ThinnedRides:
+    """Iterate over a ride table in Parquet files, and keep every k-th ride, with the smallest k that respects a limit.
+
+    Parameters
+    ----------
+    rides : RideParquet
+        Ride table.
+    most : int
+        Largest number of rides to keep.
+    columns : sequence of str
+        Columns to keep where present, besides those that are read and those of `OPTIONAL`.
+
+    Raises
+    ------
+    ModelError
+        If a file cannot be read.
+    """
+
+    def __init__(self, rides: RideParquet, most: int, columns: Sequence[str]) -> None:
+        self._rides = rides
+        self._columns = columns
+        self._step = max(1, -(-sum(_count_rows(path) for path in rides.paths) // most))
+        self._kept: list[pd.DataFrame] = []
+
+    def blocks(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
+        """Yield the rows in blocks, see `RideSource.blocks`, and keep every k-th ride of this iteration."""
+        self._kept, seen = [], 0
+        for path in self._rides.paths:
+            for block in _read(path, columns, self._columns):
+                self._kept.append(block.iloc[-seen % self._step :: self._step].copy())  # a view keeps the whole block
+                seen += len(block)
+                yield block
+
+    def table(self) -> pd.DataFrame:
+        """Return the rides that the last iteration kept.
 
         Returns
         -------
         DataFrame
-            At most `most` rides.
-
-        Raises
-        ------
-        ModelError
-            If a file cannot be read.
+            At most `most` rides, with the columns that were read or are to be kept.
         """
-        files = [[pq.read_metadata(part) for part in list_parts(path)] for path in self.paths]
-        step = max(1, -(-sum(part.num_rows for parts in files for part in parts) // most))
-        kept, seen = [], 0
-        for path, parts in zip(self.paths, files, strict=True):
-            there = set(parts[0].schema.to_arrow_schema().names) if parts else set()
-            for block in _read(path, [name for name in columns if name in there]):
-                kept.append(block.iloc[-seen % step :: step].copy())  # a view would keep the whole block
-                seen += len(block)
-        return pd.concat(kept, ignore_index=True)
+        return pd.concat(self._kept, ignore_index=True)
 
 
 def list_parts(table: Path) -> list[Path]:
@@ -144,12 +159,12 @@ def list_parts(table: Path) -> list[Path]:
     return sorted(table.glob("*.parquet")) if table.is_dir() else [table]
 
 
-def _read(path: Path, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
+def _read(path: Path, columns: Sequence[str] | None, also: Sequence[str] = ()) -> Iterator[pd.DataFrame]:
     """Yield the rows of a table in blocks of one size, however they are divided into files and row groups."""
     held: list[pa.RecordBatch] = []
     size = 0
     batch = None
-    for batch in _read_batches(path, columns):
+    for batch in _read_batches(path, columns, also):
         held.append(batch)
         size += batch.num_rows
         while size >= _BLOCK:
@@ -165,15 +180,28 @@ def _read(path: Path, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
         yield batch.to_pandas()
 
 
-def _read_batches(path: Path, columns: Sequence[str] | None) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of the files of a table in batches, with these columns or with all."""
-    try:
+def _read_batches(path: Path, columns: Sequence[str] | None, also: Sequence[str]) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of the files of a table in batches, with these columns and the others present, or with all."""
+    with _explain_errors(path):
         for part in list_parts(path):
             with pq.ParquetFile(part, pre_buffer=False) as file:
-                names = None if columns is None else _present(columns, file.schema_arrow.names, str(part))
+                names = None if columns is None else _present(columns, file.schema_arrow.names, str(part), also)
                 yield from file.iter_batches(batch_size=_BLOCK, columns=names)
                 if not file.metadata.num_rows:
                     yield pa.RecordBatch.from_pylist([], schema=file.schema_arrow)
+
+
+def _count_rows(path: Path) -> int:
+    """Return the number of rows of a table."""
+    with _explain_errors(path):
+        return sum(pq.read_metadata(part).num_rows for part in list_parts(path))
+
+
+@contextmanager
+def _explain_errors(path: Path) -> Iterator[None]:
+    """Raise ModelError where a table cannot be read."""
+    try:
+        yield
     except OSError as error:
         reason = error.strerror or " ".join(str(error).split())
         raise ModelError(f"{path}: cannot read rides: {reason}; name one that `socast tables` made") from error
@@ -182,11 +210,13 @@ def _read_batches(path: Path, columns: Sequence[str] | None) -> Iterator[pa.Reco
         raise ModelError(f"{path}: no ride table: {words}; name a file that `socast tables` made") from error
 
 
-def _present(columns: Sequence[str], there: Sequence[str] | pd.Index, where: str) -> list[str]:
-    """Return the columns to read: all required ones, and the optional ones that are present."""
+def _present(
+    columns: Sequence[str], there: Sequence[str] | pd.Index, where: str, also: Sequence[str] = ()
+) -> list[str]:
+    """Return the columns to read: all required ones, and the others and optional ones that are present."""
     known = set(there)
-    wanted = dict.fromkeys((*columns, *OPTIONAL))
-    for name in wanted:
+    wanted = dict.fromkeys((*columns, *OPTIONAL, *also))
+    for name in columns:
         if name not in known and name not in OPTIONAL:
             raise ModelError(f"{where}: column {name!r} is missing: make the tables again with `socast tables`")
     return [name for name in wanted if name in known]

@@ -63,9 +63,9 @@ def measure_fit(repeats: int = 3) -> Measure:
         ">= 0.6",
         plain >= 0.6 * ours,
         {"fit_s": ours, "plain_s": plain, "terms": len(model.terms), "fits": len(model.fits)},
-        "A fit makes three passes over the file: fills and accessory curve, normal equations, and residuals "
-        "for the covariance. A fourth pass over a tenth of the rides gives the interval. Reading takes "
-        "two fifths of the time, and making the columns an eighth. Scikit-learn's figure covers the same five fits, "
+        "A fit reads the file once: for fills and accessory curve, and for the tenth of the rides that gives the "
+        "interval. The passes for normal equations and residuals read the converted columns from a temporary file. "
+        "Scikit-learn's figure covers the same five fits, "
         "one for each car model and one for all, without reading the file and making the columns; it "
         "decomposes the columns themselves.",
     )

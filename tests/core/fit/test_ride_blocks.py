@@ -10,7 +10,7 @@ import pytest
 from core.errors import ModelError
 from core.fit.fitting import fit_terms
 from core.fit.recipes import RECIPES
-from core.fit.ride_blocks import RideFrame, convert_to_arrays, get_names, select_trainable
+from core.fit.ride_blocks import RideFrame, RideParquet, ThinnedRides, convert_to_arrays, get_names, select_trainable
 from tests.support.planted_rides import noisy, physical_energy, rides
 
 
@@ -91,4 +91,25 @@ def test_fit_converts_each_column_of_a_block_once_for_all_vehicle_models(monkeyp
     assert len(set(table["vehicle_model"])) > 1
     several = count_reads(table)
     assert several == count_reads(table.assign(vehicle_model="one"))
-    assert several["duration_s"] == 3  # passes
+    assert several["duration_s"] == 1  # later passes read the converted rides
+
+
+@pytest.mark.parametrize(("most", "step"), [(20_000, 1), (10_000, 2), (9_999, 3)])
+def test_thinned_rides_pass_all_rides_on_and_keep_every_kth_across_files(most, step, tmp_path):
+    table = pd.DataFrame({"lost_m": np.arange(20_000.0), "distance_km": 1.0, "vehicle_id": "taxi-001"})
+    table[:9_001].to_parquet(tmp_path / "a.parquet")
+    table[9_001:].drop(columns="distance_km").to_parquet(tmp_path / "b.parquet")
+    rides = ThinnedRides(RideParquet((tmp_path / "a.parquet", tmp_path / "b.parquet")), most, ["distance_km", "absent"])
+    for _ in range(2):
+        passed = pd.concat(rides.blocks(["lost_m"]), ignore_index=True)
+        np.testing.assert_array_equal(passed["lost_m"], table["lost_m"])
+        kept = rides.table()
+        assert set(kept) == {"lost_m", "distance_km", "vehicle_id"}
+        np.testing.assert_array_equal(kept["lost_m"], table["lost_m"][::step])
+        assert int(kept["distance_km"].notna().sum()) == len(table[:9_001:step])
+
+
+def test_thinned_rides_of_an_unreadable_file_are_refused(tmp_path):
+    (tmp_path / "rides.parquet").write_text("no table")
+    with pytest.raises(ModelError, match=r"rides\.parquet: no ride table"):
+        ThinnedRides(RideParquet((tmp_path / "rides.parquet",)), 10, [])
