@@ -44,6 +44,7 @@ from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
 from core.vehicles.fleet import Cars, ReplacedKind
 from core.wire.decoder import Decoder, Event, Refused
 from core.wire.duplicate_filter import DuplicateFilter
+from core.wire.message_block import MessageBlock
 from core.wire.message_order import MessageOrder, Piece, Silence, VehicleChange
 from core.wire.messages import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
 from core.wire.rides import RideDrivers
@@ -133,9 +134,8 @@ class Pipeline:
         self._powers: list[PowerOfEffect] = [(effect.per, effect.power) for effect in first]
         self._powers += [(effect.per, partial(self.shadows.power, effect)) for effect in rest]
         self.engine = ForecastEngine(self.context, self.accumulator.width)
-        self._pending = PendingInput(self.accumulator.none())
+        self._pending, self._published = PendingInput(self.accumulator.none()), list[PublishedForecasts]()
         self._due = DueForecasts(self.accumulator.none(), self.context, self.decoder.rides, prefix)
-        self._published: list[PublishedForecasts] = []
 
     def push(self, messages: Sequence[Message]) -> list[Message]:
         """Take messages, and return the forecasts that have become due: `take` and then `forecasts`."""
@@ -155,6 +155,7 @@ class Pipeline:
         record : callable, optional
             Function that receives the messages that are new, before anything else uses them.
         """
+        messages = MessageBlock.of(messages)
         while messages:
             new, count = self.duplicates.select_new(messages)
             if again := self.duplicates.forget(self._use(new, record)):
@@ -175,7 +176,7 @@ class Pipeline:
         """Run all steps on decoded messages, in their order."""
         piece = Piece(0, [], [], [])
         for number, event in enumerate(events):
-            (row, lane, value, _), place = event, order.of_event(number)
+            (row, lane, value, _, _), place = event, order.of_event(number)
             self.silent_cars.hear([lane] if lane >= 0 else [], samples=False)
             if isinstance(value, Vehicle):
                 piece.changes.append(VehicleChange(row - piece.start, lane, value, place))
@@ -348,7 +349,7 @@ class Pipeline:
         stations = self.stations if value.issued_s is None else self.engine.weather
         if (cause := stations.admit(value)) is not None:
             self.decoder.refuse("weather", cause)
-            refusals.append(Refused(event.message))
+            refusals.append(Refused(event.message, None, event.number))
         elif value.issued_s is None:
             piece.observations.append((event.row, value))
         elif self.keep_forecasts:

@@ -34,7 +34,7 @@ from core.totals.display_yield import LANE_YIELD
 from core.wire.sample_losses import SAMPLE_LOSS
 from core.wire.state_schema import Anything, ByName, Fault, Many, Maybe, Named, Number, Packed, Row, Schema, Sizes, Text
 
-SNAPSHOT: Final = 25
+SNAPSHOT: Final = 26
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 """Names of the fields in the arrays of a snapshot."""

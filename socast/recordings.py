@@ -212,8 +212,8 @@ def read_tables(*folders: str | Path) -> Tables:
     return Tables(pd.concat(rides, ignore_index=True), pd.concat(windows, ignore_index=True), {})
 
 
-def _blocks(recordings: Sequence[str | Path]) -> Iterator[list[Message]]:
-    """Yield lists of messages in the order of their receipt."""
+def _blocks(recordings: Sequence[str | Path]) -> Iterator[Sequence[Message]]:
+    """Yield messages in the order of their receipt."""
     return merge_sources([McapSource(path) for path in recordings])
 
 

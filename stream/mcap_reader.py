@@ -1,8 +1,8 @@
 """The MCAP reader, for recordings that are complete, unfinished or damaged.
 
 The `mcap` package makes an object of every record, which takes 7 µs per message, and stops at the first invalid byte.
-This reader decompresses a chunk and splits it into messages in one loop, which takes less than 1 µs per message. It
-counts the data that it cannot read, and leaves them out.
+This reader decompresses a chunk and locates its messages in one compiled loop (`mcap_scan.py`); it makes no object of a
+message. It counts the data that it cannot read, and leaves them out.
 
 Files may be forged. Time and memory are therefore bounded, and time is linear in the size of the file: a chunk has at
 most `LARGEST_CHUNK` bytes, all chunks together expand to at most `EXPANSION` times the bytes read and `ALLOWANCE`, at
@@ -19,10 +19,12 @@ from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
+import numpy as np
 import zstandard
 
+from core.batch import Ints
 from core.errors import RecordingError
-from core.wire.messages import Message
+from core.wire.message_block import MessageBlock
 from stream.mcap_format import (
     CHANNEL,
     CHUNK,
@@ -50,6 +52,7 @@ from stream.mcap_format import (
     iterate_strings,
 )
 from stream.mcap_losses import ALLOWANCE, EXPANSION, Losses
+from stream.mcap_scan import NO_RECORDS, scan_chunk
 from stream.waiting_messages import WaitingMessages
 
 RAW_BLOCK: Final = 1 << 20
@@ -119,7 +122,9 @@ class McapSource:
         self.metadata: dict[str, str] = {}
         self.viewer_messages: Counter[str] = Counter()
         self._schemas: dict[int, tuple[str, str, bytes]] = {}
-        self._keys: dict[int, str | None] = {}
+        self._topics: list[str] = []  # the keys of all blocks of messages
+        self._numbers: dict[str, int] = {}
+        self._key_of_channel = np.full(1 << 16, -1)
         self._foreign: dict[int, tuple[str, str]] = {}
         self._for_viewers: set[int] = set()
         self._learnt: dict[tuple[int, bytes], bytes] = {}
@@ -154,7 +159,7 @@ class McapSource:
         full = [block for block in self._blocks if block.last_ns]
         return (min(block.first_ns for block in full), max(block.last_ns for block in full)) if full else None
 
-    def __iter__(self) -> Iterator[list[Message]]:
+    def __iter__(self) -> Iterator[MessageBlock]:
         """Yield the messages in order of receipt, about one chunk at a time."""
         whole = self._of_file
         self.losses = Losses(whole.unfinished, whole.truncated_bytes, is_contradicted=whole.is_contradicted)
@@ -182,7 +187,7 @@ class McapSource:
         """Return the first and last time of receipt [ns] and the size [B] of each chunk, in the order of time."""
         return [(block.first_ns, block.last_ns, block.length) for block in self._blocks]
 
-    def read_span(self, start_ns: float, stop_ns: float) -> list[Message]:
+    def read_span(self, start_ns: float, stop_ns: float) -> MessageBlock:
         """Return the messages received in a span of time, in the order of an iteration.
 
         `losses` and `viewer_messages` then count those of the chunks that begin in the span, so that the counts of
@@ -199,7 +204,7 @@ class McapSource:
             If a message is outside the span of time of its chunk, or if a chunk does not describe its channels.
         """
         counted, others = (Losses(), Counter[str]()), (Losses(), Counter[str]())
-        out: list[Message] = []
+        parts: list[MessageBlock] = []
         with self.path.open("rb") as file:
             for block in self._blocks:
                 is_own = start_ns <= block.first_ns < stop_ns
@@ -207,22 +212,21 @@ class McapSource:
                     continue
                 self.losses, self.viewer_messages = counted if is_own else others
                 self._read_bytes = self._expanded = 0
-                out += self._select_span(block, self._read_messages(file, block), start_ns, stop_ns)
+                parts.append(self._select_span(block, self._read_messages(file, block), start_ns, stop_ns))
         self.losses, self.viewer_messages = counted
         if self._count is None and self.losses.undescribed:
             raise RecordingError(f"{self.path} breaks off, and its chunks do not describe their channels: {IN_ORDER}")
-        out.sort(key=itemgetter(2))
-        return out
+        return MessageBlock.join(parts).sort()
 
-    def _select_span(self, block: _Block, messages: list[Message], start_ns: float, stop_ns: float) -> list[Message]:
+    def _select_span(self, block: _Block, messages: MessageBlock, start_ns: float, stop_ns: float) -> MessageBlock:
         """Return those messages of a block that were received in a span of time."""
-        times = [message[2] for message in messages]
-        first_ns, last_ns = min(times, default=block.first_ns), max(times, default=block.last_ns)
+        times = messages.receipt_ns
+        first_ns, last_ns = (int(times.min()), int(times.max())) if len(times) else (block.first_ns, block.last_ns)
         if first_ns < block.first_ns or last_ns > block.last_ns:
             raise RecordingError(f"{self.path} has messages outside the time span of their chunk: {IN_ORDER}")
         if start_ns <= first_ns and last_ns < stop_ns:
             return messages
-        return [message for message in messages if start_ns <= message[2] < stop_ns]
+        return messages.take((times >= start_ns) & (times < stop_ns))
 
     @property
     def count(self) -> int | None:
@@ -252,7 +256,7 @@ class McapSource:
 
     def _refuse_foreign(self) -> None:
         """Refuse a recording if none of its channels follows the wire contract."""
-        if self._keys and not any(self._keys.values()):
+        if self._foreign and (self._key_of_channel < 0).all():
             _, reason = next(iter(self._foreign.values()))
             raise RecordingError(
                 f"{self.path} is of another contract: {reason}; record with `socast live --record DIR`"
@@ -357,23 +361,56 @@ class McapSource:
             (self._for_viewers.add if is_for_viewers else self._for_viewers.discard)(number)
             reason = f"topic {topic} is for viewers" if is_for_viewers else ""
             reason = reason or explain_foreign_channel(topic, encoding, *wire)
-            self._keys[number] = None if reason else topic
+            self._key_of_channel[number] = -1 if reason else self._number_topic(topic)
             if reason:
                 self._foreign[number] = (topic, reason)
         self._learnt[opcode, body[:2]] = body
 
-    def _read_messages(self, file: BinaryIO, block: _Block) -> list[Message]:
+    def _number_topic(self, topic: str) -> int:
+        """Return the number of a key."""
+        number = self._numbers.setdefault(topic, len(self._topics))
+        if number == len(self._topics):
+            self._topics.append(topic)
+        return number
+
+    def _read_messages(self, file: BinaryIO, block: _Block) -> MessageBlock:
         """Return the messages of a block in the order of the file; of a damaged block those before the damage."""
-        out: list[Message] = []
+        records, key, done = NO_RECORDS, np.empty(0, np.int64), 0
         try:
-            self._split(self._read_block(file, block), out)
+            records = scan_chunk(self._read_block(file, block))
+            key = np.empty(len(records.channel), np.int64)
+            for at, before in zip(*(map(int, column) for column in records.descriptions.T), strict=True):
+                opcode, body = records.get_description(at)
+                if self._learnt.get((opcode, body[:2])) != body:
+                    self._find_keys(records.channel[done:before], key[done:before])
+                    done = before
+                    self._learn(opcode, body)
+            self._find_keys(records.channel[done:], key[done:])
+            done = len(key)
+            if records.is_damaged:
+                raise ValueError("a record reaches beyond its chunk, or is none")
         except OversizedError:
             self.losses.oversized += 1
             self.losses.oversized_bytes += block.length
         except _DAMAGE:
             self.losses.damaged_chunks += 1
             self.losses.damaged_bytes += block.length
-        return out
+        columns = key, records.text, records.starts, records.sizes
+        messages = MessageBlock(self._topics, *columns, receipts=records.receipts)[:done]
+        has_key = key[:done] >= 0
+        return messages if has_key.all() else messages.take(has_key)
+
+    def _find_keys(self, channel: Ints, key: Ints) -> None:
+        """Write the number of the key of each message, -1 where it has none; count those that are left out."""
+        key[:] = self._key_of_channel[channel]
+        if (key >= 0).all():
+            return
+        for number, count in zip(*np.unique(channel[key < 0], return_counts=True), strict=True):
+            if number in self._foreign:
+                left_out = self.viewer_messages if number in self._for_viewers else self.losses.foreign
+                left_out[self._foreign[number][0]] += int(count)
+            else:
+                self.losses.undescribed += int(count)
 
     def _read_block(self, file: BinaryIO, block: _Block) -> bytes:
         """Return the records of a block, within the limits."""
@@ -387,34 +424,6 @@ class McapSource:
             data = decompress_chunk(data, min(LARGEST_CHUNK, left))
             self._expanded += len(data)
         return data
-
-    def _split(self, data: bytes, out: list[Message]) -> None:
-        """Split a chunk into records and append its messages to `out`."""
-        at, end = 0, len(data)
-        data += bytes(MESSAGE_HEAD.size)  # padding, so that a short last record needs no special case
-        unpack, head, get, new = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, self._keys.get, tuple.__new__
-        append, shortest = out.append, head - RECORD.size
-        while at < end:
-            opcode, length, channel, _, receipt_ns, _ = unpack(data, at)
-            stop = at + 9 + length
-            if stop > end:
-                raise ValueError("a record reaches beyond its chunk")
-            if opcode == MESSAGE:
-                if length < shortest:
-                    raise ValueError("a message without times")
-                key = get(channel)
-                if key is not None:
-                    append(new(Message, (key, data[at + head : stop], receipt_ns)))
-                elif channel in self._foreign:
-                    left_out = self.viewer_messages if channel in self._for_viewers else self.losses.foreign
-                    left_out[self._foreign[channel][0]] += 1
-                else:
-                    self.losses.undescribed += 1
-            elif opcode:
-                self._learn(opcode, data[at + 9 : stop])
-            else:
-                raise ValueError("a record without opcode")
-            at = stop
 
 
 def _are_apart(blocks: list[_Block], end: int) -> bool:

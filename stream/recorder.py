@@ -163,7 +163,7 @@ class Recorder(Closeable):
         """Let the next `put` begin another file; a signal handler may call this."""
         self._rotates = True
 
-    def read_after(self, place: Place) -> Iterator[list[Message]]:
+    def read_after(self, place: Place) -> Iterator[Sequence[Message]]:
         """Yield the messages that were recorded after a place, in their order.
 
         Parameters
@@ -173,7 +173,7 @@ class Recorder(Closeable):
 
         Yields
         ------
-        list of Message
+        sequence of Message
         """
         files = list_recordings(self._folder)
         if place.file and place.file not in {path.name for path in files}:

@@ -14,10 +14,11 @@ from threading import Event
 from typing import Final, Protocol, TypeAlias
 
 from core.errors import SettingsError
+from core.wire.message_block import MessageBlock
 from core.wire.messages import Message
 
-Source: TypeAlias = Iterable[list[Message]]
-"""An iterable that yields messages, in lists of those that are ready."""
+Source: TypeAlias = Iterable[Sequence[Message]]
+"""An iterable that yields messages, in sequences of those that are ready."""
 
 LOOK_UP_S: Final = 0.2
 """Longest time without a list from a live or paced source: it yields an empty list if no message is ready. [s]"""
@@ -41,7 +42,7 @@ class Sink(Protocol):
         """Pass on everything that is buffered; a second call has no effect."""
 
 
-def merge_sources(sources: Sequence[Source]) -> Iterator[list[Message]]:
+def merge_sources(sources: Sequence[Source]) -> Iterator[Sequence[Message]]:
     """Yield the messages of several sources in order of receipt.
 
     Each source must itself be in that order. The function reads each source lazily, one list at a time. It sorts and
@@ -56,13 +57,13 @@ def merge_sources(sources: Sequence[Source]) -> Iterator[list[Message]]:
 
     Yields
     ------
-    list of Message
+    sequence of Message
         Messages with ascending `receipt_ns`, within and across lists.
     """
     if len(sources) == 1:
         yield from sources[0]
         return
-    heads: list[list[Message]] = [[] for _ in sources]
+    heads: list[Sequence[Message]] = [[] for _ in sources]
     tails = [iter(source) for source in sources]
     live = list(range(len(sources)))
     while True:
@@ -76,18 +77,17 @@ def merge_sources(sources: Sequence[Source]) -> Iterator[list[Message]]:
         if not live:
             return
         horizon = min(heads[i][-1].receipt_ns for i in live)
-        ready: list[Message] = []
+        ready: list[Sequence[Message]] = []
         waits = False
         for i in live:
             find, ends = bisect_left if waits else bisect_right, heads[i][-1].receipt_ns == horizon
             cut, waits = find(heads[i], horizon, key=_receipt), waits or ends
-            ready += heads[i][:cut]
+            ready.append(heads[i][:cut])
             heads[i] = heads[i][cut:]
-        ready.sort(key=_receipt)
-        yield ready
+        yield MessageBlock.join(ready).sort()
 
 
-def stop_source(source: Source, stop: Event) -> Iterator[list[Message]]:
+def stop_source(source: Source, stop: Event) -> Iterator[Sequence[Message]]:
     """Yield the lists of a source until `stop` is set.
 
     The function suits only sources, such as recordings, that hold no messages which a stop would lose.
@@ -101,7 +101,7 @@ def stop_source(source: Source, stop: Event) -> Iterator[list[Message]]:
 
     Yields
     ------
-    list of Message
+    sequence of Message
     """
     for messages in source:
         if stop.is_set():
@@ -116,7 +116,7 @@ def pace_source(
     longest_gap_s: float = inf,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
-) -> Iterator[list[Message]]:
+) -> Iterator[Sequence[Message]]:
     """Yield the messages of a recording when they fall due, `speed` times as fast as they were received.
 
     Parameters
@@ -134,7 +134,7 @@ def pace_source(
 
     Yields
     ------
-    list of Message
+    sequence of Message
         Messages that have fallen due; an empty list every `LOOK_UP_S` of silence.
 
     Raises
@@ -151,7 +151,7 @@ def pace_source(
 
 def _pace(
     source: Source, speed: float, longest_gap_s: float, clock: Callable[[], float], sleep: Callable[[float], None]
-) -> Iterator[list[Message]]:
+) -> Iterator[Sequence[Message]]:
     """Pace a source at a finite speed; `zero_s` is the time of receipt that corresponds to the clock's start."""
     began: float | None = None
     zero_s = newest_s = 0.0
@@ -176,7 +176,7 @@ def _pace(
             at = cut
 
 
-def _find_due(block: list[Message], at: int, due_s: float, longest_gap_s: float) -> int:
+def _find_due(block: Sequence[Message], at: int, due_s: float, longest_gap_s: float) -> int:
     """Return the end of the messages from `at` that have fallen due, at most up to the next gap to be shortened."""
     cut = bisect_right(block, round(due_s * 1e9), lo=at, key=_receipt)
     if longest_gap_s < inf:

@@ -28,6 +28,7 @@ from core.totals.accumulator import EDGES, Sums
 from core.totals.clean_rows import CleanRows
 from core.totals.display_yield import DisplayYields
 from core.totals.exact_sums import ExactSums
+from core.wire.message_block import MessageBlock
 from core.wire.messages import Message, Vehicle
 from core.wire.shard import Shard
 
@@ -121,14 +122,15 @@ class ShardDays:
         """Return the days that have begun in other shards and not yet in this one, in order."""
         return sorted(day for day in self._contents if day > self.ended)
 
-    def take_messages(self, messages: Sequence[Message]) -> Sequence[Message]:
+    def take_messages(self, messages: Sequence[Message]) -> MessageBlock:
         """Keep contributions, and return the other messages."""
-        if not any(message.key.startswith(self._keys) for message in messages):
-            return messages
-        for message in messages:
-            if message.key.startswith(self._keys):
-                self._read(message)
-        return [message for message in messages if not message.key.startswith(self._keys)]
+        block = MessageBlock.of(messages)
+        is_contribution = block.find_of_keys(lambda key: key.startswith(self._keys), np.bool_)
+        if not is_contribution.any():
+            return block
+        for message in block.take(is_contribution):
+            self._read(message)
+        return block.take(~is_contribution)
 
     def take_outgoing(self) -> list[Message]:
         """Return and drop what is to be published."""

@@ -7,7 +7,7 @@ fractions of one.
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from itertools import pairwise, repeat
+from itertools import pairwise
 from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
@@ -20,6 +20,7 @@ from core.columns import KMH, ZERO_CELSIUS
 from core.settings import Limits
 from core.wire.arrow_batch import PREFIX, ArrowRows, BatchReader
 from core.wire.json_scanner import POSITION, JsonScanner, ScannedSamples
+from core.wire.message_block import MessageBlock
 from core.wire.messages import (
     BATCH,
     IDENTITY,
@@ -52,12 +53,15 @@ class Event(NamedTuple):
         Decoded message.
     message : Message
         The message as it came; empty for an event that did not come as a message.
+    number : int
+        Its number among the decoded messages; -1 for an event that did not come as a message.
     """
 
     row: int
     lane: int
     value: Wire
     message: Message = Message("", b"", 0)
+    number: int = -1
 
 
 class Refused(NamedTuple):
@@ -68,10 +72,13 @@ class Refused(NamedTuple):
     message : Message
     samples : tuple of bytes or of int, optional
         Samples of its list, or numbers of rows of its batch, that cannot be used; None if that is the whole message.
+    number : int
+        Its number among the decoded messages.
     """
 
     message: Message
     samples: tuple[Any, ...] | None = None
+    number: int = -1
 
 
 _BLOCK: Final = 512
@@ -154,14 +161,13 @@ class Decoder:
         if self._generation != self.rides.generation:
             self._generation = self.rides.generation
             self._names.forget_rides()
-        rows, received = 0, len(messages)
-        messages = self._rates.select(messages)
-        self._count_refused("rate_limited", received - len(messages))
-        for start, stop in self._cut_blocks(messages):
-            if messages[start].payload.startswith(PREFIX):
-                tables.append(self._decode_batch(messages[start], refusals))
+        rows, block = 0, self._rates.select(messages)
+        self._count_refused("rate_limited", len(messages) - len(block))
+        for start, stop, is_batch in _cut_blocks(block):
+            if is_batch:
+                tables.append(self._decode_batch(block[start], start, refusals))
             else:
-                tables.append(self._decode_block(messages[start:stop], events, refusals, rows))
+                tables.append(self._decode_block(block[start:stop], start, events, refusals, rows))
             rows += tables[-1].shape[1]
         self.received["telemetry"] += rows
         return _join_blocks(tables), events
@@ -199,16 +205,7 @@ class Decoder:
         self.received[kind] -= 1
         self.rejected[cause] += 1
 
-    def _cut_blocks(self, messages: Sequence[Message]) -> Iterator[tuple[int, int]]:
-        """Yield the begin and end of each block: a message that is a batch, or messages that are none."""
-        cuts = {0, len(messages)}
-        if max([message[1] for message in messages], default=b"") >= PREFIX:
-            for at, message in enumerate(messages):
-                cuts |= {at, at + 1} if message[1].startswith(PREFIX) else set()
-        for first, last in pairwise(sorted(cuts)):
-            yield from ((at, min(at + _BLOCK, last)) for at in range(first, last, _BLOCK))
-
-    def _decode_batch(self, message: Message, refusals: list[Refused]) -> Floats:
+    def _decode_batch(self, message: Message, number: int, refusals: list[Refused]) -> Floats:
         """Return the samples of a batch of one vehicle or of a gateway; count and note what is refused."""
         is_short = len(message.key) <= LONGEST_KEY
         whose = address(message.key) if is_short else None
@@ -220,13 +217,13 @@ class Decoder:
             cause = self.batches.read(message.payload)
         if whose is None or isinstance(cause, str):
             self.rejected[str(cause)] += 1
-            refusals.append(Refused(message))
+            refusals.append(Refused(message, None, number))
             return np.empty((len(Batch._fields), 0))
         is_used = self._find_lanes(cause, None if whose.kind == BATCH else whose.identity)
         self._write_rides(cause, is_used)
         if is_used.all():
             return cause.table.copy()
-        refusals.append(Refused(message, tuple(np.flatnonzero(~is_used).tolist())))
+        refusals.append(Refused(message, tuple(np.flatnonzero(~is_used).tolist()), number))
         return cause.table[:, is_used]
 
     def _find_lanes(self, rows: ArrowRows, only: str | None) -> NDArray[np.bool_]:
@@ -271,20 +268,23 @@ class Decoder:
             self._names.remember_ride(int(lanes[at]), name, codes[at])
 
     def _decode_block(
-        self, block: Sequence[Message], events: list[Event], refusals: list[Refused], rows: int
+        self, block: MessageBlock, first: int, events: list[Event], refusals: list[Refused], rows: int
     ) -> Floats:
-        """Decode a block: the scanner takes the usual samples of known vehicles, the others are decoded one by one."""
-        payloads = [message[1] for message in block]
-        lanes_of_keys = map(self._lane_of_key.get, [message[0] for message in block], repeat(-1))
-        scan = self._scanner.scan(payloads, np.fromiter(lanes_of_keys, np.int64, len(block)))
+        """Decode a block: the scanner takes the usual samples of known vehicles, the others are decoded one by one.
+
+        `first` is the number of its first message, and `rows` that of samples before it.
+        """
+        lanes_of_keys = block.find_of_keys(lambda key: self._lane_of_key.get(key, -1), np.int64)
+        scan = self._scanner.scan(block, lanes_of_keys)
         odd = np.flatnonzero(~scan.is_scanned).tolist()
         samples: list[Telemetry] = []
         lanes: list[int] = []
         places: list[int] = []
         for number, at in enumerate(odd):
-            if not self._decode_sample(block[at], samples, lanes):
-                scanned = at - number
-                refusal = self._decode_other(block[at], samples, lanes, events, rows + scanned)
+            message = block[at]
+            if not self._decode_sample(message, samples, lanes):
+                place = first + at, rows + at - number
+                refusal = self._decode_other(message, place, samples, lanes, events)
                 if refusal is not None:
                     refusals.append(refusal)
             places += [at] * (len(samples) - len(places))
@@ -322,9 +322,18 @@ class Decoder:
         return True
 
     def _decode_other(
-        self, message: Message, samples: list[Telemetry], lanes: list[int], events: list[Event], rows: int
+        self,
+        message: Message,
+        place: tuple[int, int],
+        samples: list[Telemetry],
+        lanes: list[int],
+        events: list[Event],
     ) -> Refused | None:
-        """Add the content of a message to the samples or events of its block; count and return what is refused."""
+        """Add the content of a message to the samples or events of its block; count and return what is refused.
+
+        `place` is its number, and the number of scanned samples before it.
+        """
+        number, rows = place
         whose = address(message.key) if len(message.key) <= LONGEST_KEY else None
         if whose is None:
             self.rejected["unknown_key" if len(message.key) <= LONGEST_KEY else "too_long"] += 1
@@ -340,15 +349,15 @@ class Decoder:
                 self._lane_of_key[message.key] = lane
                 lanes += [lane] * len(good)
                 samples += good
-                return Refused(message, tuple(bad)) if bad else None
+                return Refused(message, tuple(bad), number) if bad else None
         else:
             value = self._decode_object(self._others[whose.kind], message.payload, whose.identity)
             lane = self._find_lane(whose.identity) if value is not None and whose.kind in OF_VEHICLES else -1
             if value is not None and lane is not None:
                 self.received[whose.kind] += 1
-                events.append(Event(rows + len(lanes), lane, value, message))
+                events.append(Event(rows + len(lanes), lane, value, message, number))
                 return None
-        return Refused(message)
+        return Refused(message, None, number)
 
     def _find_lane(self, name: str, number: int = 1) -> int | None:
         """Return the lane of a vehicle; count its messages and return None where there are too many vehicles."""
@@ -404,6 +413,15 @@ class Decoder:
             else:
                 table[POSITION[field]] = _prepare_column(values)
         return table
+
+
+def _cut_blocks(messages: MessageBlock) -> Iterator[tuple[int, int, bool]]:
+    """Yield the begin and end of each block, and whether it is a batch; a batch is a block of its own."""
+    maybe = np.flatnonzero(messages.get_first_bytes() == PREFIX[0]).tolist()
+    batches = {at for at in maybe if messages[at].payload.startswith(PREFIX)}
+    cuts = sorted({0, len(messages), *batches, *(at + 1 for at in batches)})
+    for first, last in pairwise(cuts):
+        yield from ((at, min(at + _BLOCK, last), first in batches) for at in range(first, last, _BLOCK))
 
 
 def _transpose(samples: list[Telemetry]) -> list[tuple[Any, ...]]:

@@ -21,13 +21,15 @@ import msgspec
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from xxhash import xxh3_64_intdigest
+from xxhash import xxh64_intdigest
 
 from core.batch import Lanes
 from core.settings import Limits
 from core.wire.arrow_batch import PREFIX, BatchReader, select_rows
 from core.wire.decoder import Refused
+from core.wire.message_block import MessageBlock
 from core.wire.messages import BATCH, LONGEST_KEY, Message
+from core.wire.text_hash import hash_texts
 
 PER_VEHICLE: Final = 1280
 """Number of messages that are remembered at least, per vehicle; an hour of samples every 3 s is 1,200."""
@@ -35,24 +37,25 @@ LEAST: Final = 1 << 14
 """Number of messages that are remembered at least of a small fleet."""
 
 Hashes = NDArray[np.uint64]
+_BRACE: Final = ord("{")
 _raw_list = msgspec.json.Decoder(list[msgspec.Raw])
 
 
 class _Part(NamedTuple):
     """Hold messages, the samples of each, and which of these samples were new."""
 
-    messages: Sequence[Message]
+    messages: MessageBlock
     samples: list[Sequence[Any]] | None  # None if no message is a list or a batch
     hashes: Hashes
     is_new: NDArray[np.bool_]
 
-    def select(self, mask: NDArray[np.bool_]) -> Sequence[Message]:
-        """Return the messages with those samples that a mask names; the given sequence itself if it names all."""
+    def select(self, mask: NDArray[np.bool_]) -> MessageBlock:
+        """Return the messages with those samples that a mask names; the given block itself if it names all."""
         if mask.all():
             return self.messages
-        flags = mask.tolist()
         if self.samples is None:
-            return [message for message, is_named in zip(self.messages, flags, strict=True) if is_named]
+            return self.messages.take(mask)
+        flags = mask.tolist()
         out: list[Message] = []
         at = 0
         for message, samples in zip(self.messages, self.samples, strict=True):
@@ -61,7 +64,7 @@ class _Part(NamedTuple):
                 out.append(message)
             elif any(named):
                 out.append(message._replace(payload=_select_samples(message.payload, samples, named)))
-        return out
+        return MessageBlock.of(out)
 
 
 def _select_samples(payload: bytes, samples: Sequence[Any], named: list[bool]) -> bytes:
@@ -107,9 +110,9 @@ class DuplicateFilter:
         self._seeds = _KeySeeds()
         self._new, self._old = (_make_table(np.empty(0, np.uint64), LEAST) for _ in range(2))
         self._count, self._most = 0, LEAST
-        self._part = _Part([], None, np.empty(0, np.uint64), np.empty(0, np.bool_))
+        self._part = _Part(MessageBlock.of([]), None, np.empty(0, np.uint64), np.empty(0, np.bool_))
 
-    def select_new(self, messages: Sequence[Message]) -> tuple[Sequence[Message], int]:
+    def select_new(self, messages: Sequence[Message]) -> tuple[MessageBlock, int]:
         """Return the messages that were not taken in before, and remember them.
 
         Messages are taken up to the one at which the halves may turn over. Call `forget` with those that are refused
@@ -122,25 +125,17 @@ class DuplicateFilter:
 
         Returns
         -------
-        sequence of Message
-            New messages, with lists and batches reduced to the samples that are new; the given sequence itself if all
-            are new.
+        MessageBlock
+            New messages, with lists and batches reduced to the samples that are new; the given block itself if all are
+            new.
         int
             Number of given messages that were taken, at least one.
         """
         self._turn_over_if_full()
-        room = self._most - self._count
-        payloads = [message[1] for message in messages]
         self._batches.forget()
-        if _has_several(payloads):
-            samples, hashes = self._split_messages(messages, room)
-            messages = messages[: len(samples)]
-            self._part = _Part(messages, samples, hashes, self._remember(hashes))
-        else:
-            messages = messages if len(messages) <= room else messages[:room]
-            hashes = self._hash_messages(messages)
-            self._part = _Part(messages, None, hashes, self._remember(hashes))
-        return self._part.select(self._part.is_new), len(messages)
+        block, hashes, samples = self._hash_messages(MessageBlock.of(messages), self._most - self._count)
+        self._part = _Part(block, samples, hashes, self._remember(hashes))
+        return self._part.select(self._part.is_new), len(block)
 
     def hash(self, messages: Sequence[Message]) -> tuple[Hashes, list[Sequence[Any]] | None]:
         """Return the hashes of the samples of messages, and the samples of each; None if each message is one.
@@ -151,10 +146,7 @@ class DuplicateFilter:
         ----------
         messages : sequence of Message
         """
-        if _has_several([message[1] for message in messages]):
-            samples, hashes = self._split_messages(messages, inf)
-            return hashes, samples
-        return self._hash_messages(messages), None
+        return self._hash_messages(MessageBlock.of(messages), None)[1:]
 
     def select_new_hashes(self, hashes: Hashes, message: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Remember samples by their hashes, and return which of them were not taken in before, as `select_new` does.
@@ -179,14 +171,20 @@ class DuplicateFilter:
             stop = int(np.searchsorted(message, message[stop - 1], side="right"))
         return self._remember(hashes[:stop])
 
-    def _hash_messages(self, messages: Sequence[Message]) -> Hashes:
-        """Return the hashes of messages that are no lists."""
-        seeds = map(self._seeds.__getitem__, [message[0] for message in messages])
-        return np.fromiter(
-            map(xxh3_64_intdigest, [message[1] for message in messages], seeds), np.uint64, len(messages)
-        )
+    def _hash_messages(
+        self, messages: MessageBlock, room: int | None
+    ) -> tuple[MessageBlock, Hashes, list[Sequence[Any]] | None]:
+        """Return messages up to the one that fills the room, the hashes of their samples, and the samples of each."""
+        if (messages.get_first_bytes() != _BRACE).any():  # it may be a list or a batch: a sample begins with {
+            samples, hashes = self._split_messages(messages.make_objects(), inf if room is None else room)
+            return messages[: len(samples)], hashes, samples
+        messages = messages[:room]
+        hashes = np.empty(len(messages), np.uint64)
+        seeds = messages.find_of_keys(self._seeds.__getitem__, np.uint64)
+        hash_texts(messages.text, messages.words, messages.starts, messages.sizes, seeds, hashes)
+        return messages, hashes, None
 
-    def forget(self, refusals: Sequence[Refused]) -> Sequence[Message]:
+    def forget(self, refusals: Sequence[Refused]) -> MessageBlock:
         """Forget refused messages, and return those that were dropped because they repeated one of them.
 
         Parameters
@@ -196,19 +194,19 @@ class DuplicateFilter:
 
         Returns
         -------
-        sequence of Message
+        MessageBlock
             Repetitions among the messages that were given last. They are not remembered.
         """
-        if not refusals:
-            return []
-        hashes = np.concatenate([self._hash_refused(*refusal) for refusal in refusals])
-        self._count -= _forget(hashes, self._new)
         part = self._part
+        if not refusals:
+            return part.messages[:0]
+        hashes = np.concatenate([self._hash_refused(message, samples) for message, samples, _ in refusals])
+        self._count -= _forget(hashes, self._new)
         repeated = ~part.is_new
         if repeated.any():
             repeated &= np.isin(part.hashes, hashes)
         if not (count := int(np.count_nonzero(repeated))):
-            return []
+            return part.messages[:0]
         self.dropped -= count
         return part.select(repeated)
 
@@ -222,7 +220,7 @@ class DuplicateFilter:
     def _hash_texts(self, key: str, texts: Sequence[Any]) -> Hashes:
         """Return the hashes of samples in JSON, or of any payload."""
         seed = self._seeds[key]
-        return np.array([xxh3_64_intdigest(text, seed) for text in texts], np.uint64)
+        return np.array([xxh64_intdigest(text, seed) for text in texts], np.uint64)
 
     def _split_messages(self, messages: Sequence[Message], room: float) -> tuple[list[Sequence[Any]], Hashes]:
         """Return the samples of messages and their hashes, up to the message that fills the room."""
@@ -287,11 +285,6 @@ class DuplicateFilter:
         self._count = int(np.count_nonzero(self._new))
 
 
-def _has_several(payloads: Sequence[bytes]) -> bool:
-    """Return whether a payload may be a list or a batch: a sample begins with {."""
-    return min(payloads, default=b"{") < b"{" or max(payloads, default=b"{") >= PREFIX
-
-
 def _make_table(hashes: Hashes, room: int) -> Hashes:
     """Return a table of hashes with room for a number of them; a place that is zero is empty."""
     table = np.zeros(1 << (5 * max(room, len(hashes)) // 4).bit_length(), np.uint64)
@@ -308,7 +301,7 @@ class _KeySeeds(dict[str, int]):
     """Map a key to the seed of the hashes of its payloads."""
 
     def __missing__(self, key: str) -> int:
-        seed = xxh3_64_intdigest(key.encode(errors="surrogatepass"))
+        seed = xxh64_intdigest(key.encode(errors="surrogatepass"))
         if len(key) <= LONGEST_KEY:
             if len(self) >= 1 << 16:  # strangers may make up keys
                 self.clear()

@@ -10,7 +10,6 @@ A number of digits `m` with `k` digits after the point is `m / 10^k`. Both are e
 most 22, so that their quotient is rounded once, as the number itself (Clinger 1990, doi:10.1145/93542.93557).
 """
 
-from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from core.batch import NO_RIDE, Batch, Floats, Ints
 from core.columns import TELEMETRY
 from core.compiled_cache import watch_sources
 from core.wire import name_lookup
+from core.wire.message_block import Bytes, MessageBlock
 from core.wire.messages import LONGEST_TEXT, Telemetry
 from core.wire.name_lookup import NAME, PENDING, NameLookup, is_ride_of
 
@@ -31,7 +31,7 @@ LONGEST: Final = 4096
 """Largest sample that is scanned. [B]"""
 
 _FIELDS: Final = Telemetry.__struct_fields__
-_FIELD_SIZE: Final = 24
+_FIELD_SIZE: Final = 24  # less than `PADDING`, as words are read at the end of a payload
 _POWERS: Final = np.array([float(10**k) for k in range(19)])
 
 
@@ -45,14 +45,14 @@ class ScannedSamples(NamedTuple):
     is_scanned : (n,) bool
         Whether the message is a sample that was scanned.
     text : (size,) uint8
-        Payloads one after another.
+        Buffer with the payloads.
     rides : (n, 2) int
         Begin and end of the name of the ride in `text`, where the code of the ride is `PENDING`.
     """
 
     table: Floats
     is_scanned: NDArray[np.bool_]
-    text: NDArray[np.uint8]
+    text: Bytes
     rides: Ints
 
     def list_pending(self) -> list[tuple[int, str]]:
@@ -73,33 +73,27 @@ class JsonScanner:
     def __init__(self, names: NameLookup) -> None:
         self._names = names
 
-    def scan(self, payloads: Sequence[bytes], lanes: Ints) -> ScannedSamples:
+    def scan(self, messages: MessageBlock, lanes: Ints) -> ScannedSamples:
         """Scan the messages of a block.
 
         Parameters
         ----------
-        payloads : sequence of bytes
-            Payloads of n messages.
+        messages : MessageBlock
+            n messages.
         lanes : (n,) int
             Lanes of the vehicles of their keys; -1 for a message that is not to be scanned.
         """
-        known = self._names
+        known, n = self._names, len(messages)
         known.update()
-        sizes = np.fromiter(map(len, payloads), np.int64, len(payloads))
-        if sizes.max(initial=0) > LONGEST:
-            payloads = [payload if len(payload) <= LONGEST else b"" for payload in payloads]
-            sizes[sizes > LONGEST] = 0
-        text = np.frombuffer(b"\0".join(payloads) + bytes(1 + _FIELD_SIZE), np.uint8)
-        words = np.ndarray(len(text) - 7, "<u8", text, strides=(1,))  # the eight bytes from each place on
-        starts = np.zeros(len(payloads) + 1, np.int64)
-        np.cumsum(sizes + 1, out=starts[1:])
-        table = np.empty((len(Batch._fields), len(payloads)))
-        is_scanned, rides = np.empty(len(payloads), np.bool_), np.empty((len(payloads), 2), np.int64)
+        lanes = np.where(messages.sizes <= LONGEST, lanes, -1)
+        table = np.empty((len(Batch._fields), n))
+        is_scanned, rides = np.empty(n, np.bool_), np.empty((n, 2), np.int64)
+        stops = messages.starts + messages.sizes
         _scan(
-            text, words, starts, lanes, known.cars, known.rides, known.ride_sizes, known.ride_codes,
-            table, is_scanned, rides,
+            messages.text, messages.words, messages.starts, stops, lanes,
+            known.cars, known.rides, known.ride_sizes, known.ride_codes, table, is_scanned, rides,
         )  # fmt: skip
-        return ScannedSamples(table, is_scanned, text, rides)
+        return ScannedSamples(table, is_scanned, messages.text, rides)
 
 
 def _spell_fields() -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
@@ -200,7 +194,7 @@ def _scan_text(text: Any, at: int) -> int:
         return -1
     at += 1
     begin = at
-    while text[at] >= _BLANK and text[at] < 128 and text[at] not in (_QUOTE, _BACKSLASH):
+    while text[at] >= _BLANK and text[at] < 128 and text[at] not in (_QUOTE, _BACKSLASH) and at - begin <= LONGEST_TEXT:
         at += 1
     return at + 1 if text[at] == _QUOTE and at - begin <= LONGEST_TEXT else -1
 
@@ -250,15 +244,16 @@ def _scan_sample(
         if not np.isnan(value):
             table[_PLACES[field], i] = value
         at = _skip(text, end)
-    return text[at] == _CLOSE and _skip(text, at + 1) == stop and seen & _REQUIRED == _REQUIRED
+    is_whole = text[at] == _CLOSE and at < stop <= _skip(text, at + 1)  # what follows the payload may be blank
+    return is_whole and seen & _REQUIRED == _REQUIRED
 
 
 @njit(cache=True, error_model="numpy")
 def _scan(
-    text: Any, words: Any, starts: Any, lanes: Any, cars: Any, rides: Any, ride_sizes: Any, ride_codes: Any,
-    table: Any, is_scanned: Any, spans: Any,
+    text: Any, words: Any, starts: Any, stops: Any, lanes: Any, cars: Any, rides: Any, ride_sizes: Any,
+    ride_codes: Any, table: Any, is_scanned: Any, spans: Any,
 ) -> None:  # fmt: skip
-    """Scan messages to the columns of a table."""
+    """Scan messages to the columns of a table. Nothing past the end of a payload is taken for a part of it."""
     for i in range(len(lanes)):
         lane = lanes[i]
         is_scanned[i] = False
@@ -268,7 +263,7 @@ def _scan(
             table[_CAR_PLACE, i] = lane
             table[_RIDE_PLACE, i] = NO_RIDE
             is_scanned[i] = _scan_sample(
-                text, words, starts[i], starts[i + 1] - 1, lane, cars, rides, ride_sizes, ride_codes, table, spans, i
+                text, words, starts[i], stops[i], lane, cars, rides, ride_sizes, ride_codes, table, spans, i
             )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from core.batch import Floats, grown
+from core.wire.message_block import MessageBlock
 from core.wire.messages import Message
 
 MOST_KEYS: Final = 1 << 18
@@ -34,28 +35,27 @@ class RateLimit:
         self._place: dict[str, int] = {}
         self._tokens, self._last = np.zeros(0), np.zeros(0)
 
-    def select(self, messages: Sequence[Message]) -> Sequence[Message]:
-        """Return the messages that are within the limit; the given sequence itself if all are.
+    def select(self, messages: Sequence[Message]) -> MessageBlock:
+        """Return the messages that are within the limit; the given block itself if all are.
 
         Parameters
         ----------
         messages : sequence of Message
             Messages in the order of their arrival.
         """
+        messages = MessageBlock.of(messages)
         if self._rate == 0.0 or not messages:
             return messages
         known = self._place
-        places = [known.setdefault(message[0], len(known)) for message in messages]
+        places = messages.find_of_keys(lambda key: known.setdefault(key, len(known)), np.int64)
         if len(self._tokens) < len(known):
             self._tokens, self._last = grown(self._tokens, len(known), self._burst), grown(self._last, len(known))
-        receipts = np.array([message[2] for message in messages], np.float64) * 1e-9
+        receipts = messages.receipt_ns.astype(np.float64) * 1e-9
         kept = np.ones(len(messages), np.bool_)
-        _take_tokens(np.array(places), receipts, self._rate, self._burst, self._tokens, self._last, kept)
+        _take_tokens(places, receipts, self._rate, self._burst, self._tokens, self._last, kept)
         if len(known) > MOST_KEYS:
             self._forget_full()
-        if kept.all():
-            return messages
-        return [message for message, is_kept in zip(messages, kept.tolist(), strict=True) if is_kept]
+        return messages if kept.all() else messages.take(kept)
 
     def _forget_full(self) -> None:
         """Forget the buckets that are full by the newest receipt."""

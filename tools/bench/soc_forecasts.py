@@ -10,7 +10,7 @@ Example: python -m tools.bench.soc_forecasts --fleet autumn --seeds 1-2 --keep b
 import argparse
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -146,12 +146,14 @@ def make_blocks(messages: Iterator[Message]) -> Iterator[list[Message]]:
         yield block
 
 
-def read_recording(path: Path) -> Iterator[list[Message]]:
-    """Yield the messages of a recording in lists."""
+def read_recording(path: Path) -> Iterator[Sequence[Message]]:
+    """Yield the messages of a recording."""
     yield from McapSource(path)
 
 
-def judge(fleet: str, seed: int, first_day_s: float, source: Iterator[list[Message]], truth: Truth | None) -> Judged:
+def judge(
+    fleet: str, seed: int, first_day_s: float, source: Iterator[Sequence[Message]], truth: Truth | None
+) -> Judged:
     """Pass messages through the loop of live telemetry, and compare its forecasts with outcomes and baselines.
 
     Parameters

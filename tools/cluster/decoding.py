@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
-from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -21,6 +20,7 @@ from core.settings import BOUNDS_OF_LIMITS, Limits
 from core.signals.weather import Stations
 from core.wire.decoder import Decoder, Event, Refused
 from core.wire.duplicate_filter import DuplicateFilter
+from core.wire.message_block import MessageBlock
 from core.wire.messages import Message, Weather, address
 from stream.mcap_losses import Losses
 from stream.mcap_reader import McapSource
@@ -122,15 +122,13 @@ def decode_span(job: Job, number: int, start_ns: float, stop_ns: float) -> Span:
     """
     sources = [open_recording(path, path.stat().st_size) for path in job.recordings]
     lists = [source.read_span(start_ns, stop_ns) for source in sources]
-    messages = (
-        lists[0] if len(lists) == 1 else sorted((m for part in lists for m in part), key=attrgetter("receipt_ns"))
-    )
+    messages = MessageBlock.join(lists).sort()
     lanes, refusals = Lanes(), list[Refused]()
     decoder = Decoder(lanes, _LIMITS)
     batch, events = decoder.decode(messages, refusals)
     events = _refuse_weather(decoder, events, refusals)
     hashes, samples = DuplicateFilter(lanes).hash(messages)
-    items = _number_items(messages, samples, events, refusals)
+    items = _number_items(len(messages), samples, events, refusals)
     kind, accepted = items.kind, np.flatnonzero(items.kind)
     lane = np.full(len(kind), -1)
     lane[kind == SAMPLE], lane[items.of_events] = batch.lane, [event.lane for event in events]
@@ -186,7 +184,7 @@ def _refuse_weather(decoder: Decoder, events: list[Event], refusals: list[Refuse
             left.append(event)
         else:
             decoder.refuse("weather", cause)
-            refusals.append(Refused(event.message))
+            refusals.append(Refused(event.message, None, event.number))
     return left
 
 
@@ -202,35 +200,26 @@ class _Items(NamedTuple):
 
 
 def _number_items(
-    messages: Sequence[Message],
+    messages: int,
     samples: list[Sequence[Any]] | None,
     events: Sequence[Event],
     refusals: Sequence[Refused],
 ) -> _Items:
-    """Return what becomes of each item of messages."""
-    sizes = np.ones(len(messages), np.int64) if samples is None else np.array([len(part) for part in samples], np.int64)
+    """Return what becomes of each item of a number of messages."""
+    sizes = np.ones(messages, np.int64) if samples is None else np.array([len(part) for part in samples], np.int64)
     ends = np.cumsum(sizes)
     kind = np.full(int(sizes.sum()), SAMPLE, np.int8)
-    number = _find_messages(messages, [*(event.message for event in events), *(message for message, _ in refusals)])
-    for message, bad in refusals:
-        i = number[id(message)]
-        first = ends[i] - sizes[i]
-        if bad is None or samples is None:
-            kind[first : ends[i]] = REFUSED
+    for _, bad, number in refusals:
+        first, of_message = ends[number] - sizes[number], None if samples is None else samples[number]
+        if bad is None or of_message is None:
+            kind[first : ends[number]] = REFUSED
         else:
-            of_message = samples[i] if isinstance(samples[i], range) else [bytes(sample) for sample in samples[i]]
-            refused = set(bad if isinstance(samples[i], range) else map(bytes, bad))
-            kind[first : ends[i]] = [REFUSED if sample in refused else SAMPLE for sample in of_message]
-    of_events = np.array([ends[number[id(event.message)]] - 1 for event in events], np.int64)
+            listed = of_message if isinstance(of_message, range) else [bytes(sample) for sample in of_message]
+            refused = set(bad if isinstance(of_message, range) else map(bytes, bad))
+            kind[first : ends[number]] = [REFUSED if sample in refused else SAMPLE for sample in listed]
+    of_events = np.array([ends[event.number] - 1 for event in events], np.int64)
     kind[of_events] = EVENT
-    return _Items(kind, np.repeat(np.arange(len(messages)), sizes), of_events)
-
-
-def _find_messages(messages: Sequence[Message], some: Sequence[Message]) -> dict[int, int]:
-    """Return the number of some messages among all, by their identity; most messages are samples."""
-    identities = np.fromiter(map(id, messages), np.int64, len(messages))
-    places = np.flatnonzero(np.isin(identities, np.array([id(message) for message in some], np.int64)))
-    return dict(zip(identities[places].tolist(), places.tolist(), strict=True))
+    return _Items(kind, np.repeat(np.arange(len(sizes)), sizes), of_events)
 
 
 def _find_first(lane: Ints, lanes: int) -> NDArray[np.int32]:

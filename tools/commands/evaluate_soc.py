@@ -1,7 +1,7 @@
 """`socast evaluate-soc`: evaluate forecasts of the state of charge at the shift's end against the outcome."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -65,8 +65,8 @@ class SocForecasts:
         self._outlooks: list[pd.DataFrame] = []
         self._rides: list[pd.DataFrame] = []
 
-    def cut(self, source: Source) -> Iterator[list[Message]]:
-        """Yield the messages of a source in lists that end where a vehicle is due for a query.
+    def cut(self, source: Source) -> Iterator[Sequence[Message]]:
+        """Yield the messages of a source in parts that end where a vehicle is due for a query.
 
         Parameters
         ----------
@@ -78,7 +78,7 @@ class SocForecasts:
                 self._plans.record(message)
             for part, due in self._times.cut(messages):
                 self._due = due
-                yield list(part)
+                yield part
 
     def __call__(self) -> None:
         """Query the vehicle that is due; without one, collect the outlooks and rides since the last time."""

@@ -33,8 +33,8 @@ class FoxgloveRecording(Closeable):
         self._topics = ViewerTopics()
         self._cars: dict[str, None] = {}
 
-    def record_source(self, source: Source) -> Iterator[list[Message]]:
-        """Yield the lists of a source, after they are recorded.
+    def record_source(self, source: Source) -> Iterator[Sequence[Message]]:
+        """Yield the messages of a source, after they are recorded.
 
         Parameters
         ----------
@@ -43,7 +43,7 @@ class FoxgloveRecording(Closeable):
 
         Yields
         ------
-        list of Message
+        sequence of Message
         """
         for messages in source:
             self._sink.put(messages)

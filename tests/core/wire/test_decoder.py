@@ -154,12 +154,12 @@ def test_any_chunking_decodes_the_same(cuts, places, seed):
         messages.insert(place, MIXED[random.integers(len(MIXED))])
     one, other = Decoder(Lanes()), Decoder(Lanes())
     whole, events = one.decode(messages)
-    parts, joined, rows = [], [], 0
+    parts, joined, rows, sent = [], [], 0, 0
     for chunk in chunked(messages, cuts):
         batch, chunk_events = other.decode(chunk)
         parts.append(batch)
-        joined += [event._replace(row=event.row + rows) for event in chunk_events]
-        rows += batch.size
+        joined += [event._replace(row=event.row + rows, number=event.number + sent) for event in chunk_events]
+        rows, sent = rows + batch.size, sent + len(chunk)
     for i, column in enumerate(whole):
         assert np.array_equal(column, np.concatenate([part[i] for part in parts]), equal_nan=True)
     assert joined == events

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from core.batch import Lanes
 from core.wire.decoder import Decoder
 from core.wire.json_scanner import JsonScanner
+from core.wire.message_block import PADDING, MessageBlock
 from core.wire.messages import Message, Telemetry, encode
 from core.wire.name_lookup import NameLookup
 
@@ -55,8 +56,14 @@ def payloads(draw):
 class BlindScanner(JsonScanner):
     """Scan nothing."""
 
-    def scan(self, payloads, lanes):
-        return super().scan(payloads, np.full_like(lanes, -1))
+    def scan(self, messages, lanes):
+        return super().scan(messages, np.full_like(lanes, -1))
+
+
+def scan_payloads(lanes, payloads):
+    """Scan samples of the first car."""
+    messages = MessageBlock.of([Message("fleet/a/telemetry", payload, 0) for payload in payloads])
+    return JsonScanner(NameLookup(lanes)).scan(messages, np.zeros(len(payloads), np.int64))
 
 
 def decode_all(scanner, lists):
@@ -89,7 +96,7 @@ def test_numbers_of_up_to_15_digits_are_scanned_to_the_bit():
     texts = [f"{value:.{places}f}" for value, places in zip(values, rng.integers(0, 9, 5000), strict=True)]
     texts = [text for text in texts if sum(map(str.isdigit, text)) <= 15 and float(text)]
     payloads = [b'{"vehicle_id":"a","time_s":1,"elevation_m":%s}' % text.encode() for text in texts]
-    scan = JsonScanner(NameLookup(decoder.lanes)).scan(payloads, np.zeros(len(texts), np.int64))
+    scan = scan_payloads(decoder.lanes, payloads)
     assert scan.is_scanned.all()
     batch, _ = decoder.decode([Message("fleet/a/telemetry", payload, 0) for payload in payloads])
     assert batch.elevation.tolist() == [float(text) for text in texts]
@@ -99,7 +106,7 @@ def test_usual_samples_of_known_vehicles_are_scanned():
     lanes = Lanes(["a"])
     payloads = [encode(Telemetry("a", 3.0 * i, ride_id="r", speed_kmh=12.3)) for i in range(5)]
     payloads.append(json.dumps({"vehicle_id": "a", "time_s": 15.25, "charging": True, "seq": None}).encode())
-    scan = JsonScanner(NameLookup(lanes)).scan(payloads, np.zeros(6, np.int64))
+    scan = scan_payloads(lanes, payloads)
     assert scan.is_scanned.all()
     assert scan.list_pending() == [(i, "r") for i in range(5)]
 
@@ -111,3 +118,16 @@ def test_ride_of_the_sample_before_needs_no_name_until_codes_change():
     decoder.rides.keep(set())
     batch, _ = decoder.decode([Message("fleet/a/telemetry", encode(Telemetry("a", 2.0, ride_id="y")), 0)])
     assert decoder.rides.names(batch.ride.tolist()) == ["y"]
+
+
+@settings(max_examples=200, deadline=None)
+@given(payload=payloads(), rest=st.sampled_from([b" ", b"\n", b"0", b'"', b"}", b'"seq":7}', b"l}", b"y" * 300]))
+def test_bytes_after_a_payload_are_no_part_of_it(payload, rest):
+    lanes, cut = Lanes(["a"]), []
+    for after in (b"\0", rest):
+        text = np.frombuffer(payload + after + bytes(PADDING), np.uint8)
+        zero = np.zeros(1, np.int64)
+        one = MessageBlock(["fleet/a/telemetry"], zero, text, zero, zero + len(payload))
+        scan = JsonScanner(NameLookup(lanes)).scan(one, np.zeros(1, np.int64))
+        cut.append((scan.is_scanned.tolist(), scan.table.tobytes() if scan.is_scanned[0] else b""))
+    assert cut[0] == cut[1]

@@ -1,7 +1,7 @@
 """Where a fleet has driven: counts of fixes on a grid."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -49,7 +49,7 @@ class TraceDensity:
         if not self._is_complete:
             self._count(latitude, longitude)
 
-    def count_recordings(self, source: Iterable[list[Message]]) -> None:
+    def count_recordings(self, source: Iterable[Sequence[Message]]) -> None:
         """Count the fixes of recordings from beginning to end, and none that are added later."""
         decode, read = msgspec.json.Decoder(_Fix | list[_Fix]).decode, 0
         whole = TraceDensity()

@@ -343,8 +343,8 @@ class _MessageReader:
 
     def __init__(self, recordings: Sequence[Path], skip: int = 0) -> None:
         self.count = skip
-        self._blocks: Iterator[list[Message]] = merge_sources([McapSource(path) for path in recordings])
-        self._block: list[Message] = []
+        self._blocks: Iterator[Sequence[Message]] = merge_sources([McapSource(path) for path in recordings])
+        self._block: Sequence[Message] = []
         self._at = 0
         while skip and self.peek() is not None:
             step = min(skip, len(self._block) - self._at)
@@ -359,7 +359,7 @@ class _MessageReader:
             self._block, self._at = block, 0
         return self._block[self._at].receipt_ns
 
-    def take(self, until_ns: int, most: int) -> list[Message]:
+    def take(self, until_ns: int, most: int) -> Sequence[Message]:
         """Return the next messages up to a time of receipt."""
         if self.peek() is None:
             return []
