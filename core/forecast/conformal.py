@@ -20,7 +20,6 @@ cluster.
 
 from collections.abc import Sequence
 from functools import cache
-from itertools import product
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -107,9 +106,8 @@ class ConformalIntervals:
         self.today = self.make_day(sums)
         self._widening_by_distance = np.zeros((*self.shape[:2], 2))  # of the lower and of the upper bound
         self._widening_by_temperature = np.zeros((*self.shape[::2], 2))
-        self.table = np.zeros((*self.shape, len(LEVELS)))
-        self.bounds = np.zeros(self.shape, BOUND_PAIR)
-        self._compute_quantiles(range(BASES))
+        tables, bounds = zip(*map(_compute_first_quantiles, range(BASES)), strict=True)
+        self.table, self.bounds = np.stack(tables), np.stack(bounds)
 
     @staticmethod
     def make_day(sums: type[DaySums] = FloatSums) -> DaySums:
@@ -154,17 +152,10 @@ class ConformalIntervals:
 
     def _compute_quantiles(self, bases: Sequence[int]) -> None:
         """Compute the quantiles and bounds of the classes of some bases from their counts."""
-        by_distance, by_temperature = (_weigh_neighbours(size) for size in self.shape[1:])
-        around = np.einsum("de,tu,beus->bdts", by_distance, by_temperature, self._counts)
-        around += PRIOR_SHIFTS * _make_prior()[:, np.newaxis, np.newaxis]
-        counts = self._counts + BORROWED_SHIFTS * around / around.sum(axis=-1, keepdims=True)
         widening = self._widening_by_distance[:, :, np.newaxis] + self._widening_by_temperature[:, np.newaxis]
-        for place in product(bases, *map(range, self.shape[1:])):
-            quantiles = compute_quantiles(counts[place], LEVELS)
-            low = float(quantiles[LEVELS.index(LOWER_LEVEL)] - widening[place][0])
-            high = float(quantiles[LEVELS.index(UPPER_LEVEL)] + widening[place][1])
-            self.bounds[place] = low, max(low, high)
-            self.table[place] = clip_to_bounds(quantiles, low, max(low, high))
+        for basis in bases:
+            found = _compute_class_quantiles(_borrow_counts(basis, self._counts[basis]), widening[basis])
+            self.table[basis], self.bounds[basis] = found
 
     def get_quantiles(self, basis: Ints, ahead_km: Floats, ambient_c: Floats) -> tuple[Floats, ErrorBounds]:
         """Return the distribution of the standardised error of each forecast.
@@ -201,6 +192,55 @@ class ConformalIntervals:
         self.bounds = np.frombuffer(bounds, BOUND_PAIR).reshape(self.shape).copy()
         for name, dumped in zip(_ARRAYS, arrays, strict=True):
             setattr(self, name, np.frombuffer(dumped).reshape(getattr(self, name).shape).copy())
+
+
+def _borrow_counts(basis: int, counts: Floats) -> Floats:
+    """Return the counts of the classes of a basis with what each borrows from the others and from the prior.
+
+    Parameters
+    ----------
+    basis : int
+    counts : (distances, temperatures, scores) float
+
+    Returns
+    -------
+    (distances, temperatures, scores) float
+    """
+    by_distance, by_temperature = (_weigh_neighbours(size) for size in counts.shape[:2])
+    around = np.einsum("de,tu,eus->dts", by_distance, by_temperature, counts)
+    around += PRIOR_SHIFTS * _make_prior()[basis]
+    return np.asarray(counts + BORROWED_SHIFTS * around / around.sum(axis=-1, keepdims=True))
+
+
+def _compute_class_quantiles(counts: Floats, widening: Floats) -> tuple[Floats, Any]:
+    """Return the quantiles and the bounds of the classes of a basis.
+
+    Parameters
+    ----------
+    counts : (distances, temperatures, scores) float
+    widening : (distances, temperatures, 2) float
+        What the lower and the upper bound are moved outward. [1]
+
+    Returns
+    -------
+    (distances, temperatures, levels) float
+    (distances, temperatures) BOUND_PAIR
+    """
+    table, bounds = np.empty((*counts.shape[:2], len(LEVELS))), np.empty(counts.shape[:2], BOUND_PAIR)
+    for place in np.ndindex(bounds.shape):
+        quantiles = compute_quantiles(counts[place], LEVELS)
+        low = float(quantiles[LEVELS.index(LOWER_LEVEL)] - widening[place][0])
+        high = float(quantiles[LEVELS.index(UPPER_LEVEL)] + widening[place][1])
+        bounds[place] = low, max(low, high)
+        table[place] = clip_to_bounds(quantiles, low, max(low, high))
+    return table, bounds
+
+
+@cache
+def _compute_first_quantiles(basis: int) -> tuple[Floats, Any]:
+    """Return the quantiles and the bounds of the classes of a basis before the first shift, from the prior alone."""
+    shape = len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
+    return _compute_class_quantiles(_borrow_counts(basis, np.zeros((*shape, len(SCORES)))), np.zeros((*shape, 2)))
 
 
 @cache

@@ -77,7 +77,8 @@ class Row:
 
     def check(self, value: Any, sizes: Sizes) -> None:
         """Raise `Fault` if a value is no such list."""
-        Many(Anything(), count=len(self.parts)).check(value, sizes)
+        _check_list(value)
+        _check_count(len(value), len(self.parts), sizes)
         for part, each in zip(self.parts, value, strict=True):
             part.check(each, sizes)
 
@@ -110,11 +111,11 @@ class Many:
 
     def check(self, value: Any, sizes: Sizes) -> None:
         """Raise `Fault` if a value is no such list."""
-        if not isinstance(value, list):
-            raise Fault(f"{_shorten(value)} is not a list")
+        _check_list(value)
         _check_count(len(value), self.count, sizes, by_lane=self.by_lane)
+        check = self.part.check
         for each in value:
-            self.part.check(each, sizes)
+            check(each, sizes)
         if self.unique and len(set(value)) < len(value):
             raise Fault("a value stands twice")
 
@@ -176,7 +177,13 @@ def _find_extremes(values: Any, *, unknown: bool) -> list[float]:
     return extremes + ([np.nan] if known.size < values.size and not unknown else [])
 
 
-def _check_count(count: int, wanted: int | str | None, sizes: Sizes, *, by_lane: str) -> None:
+def _check_list(value: Any) -> None:
+    """Raise `Fault` if a value is not a list."""
+    if not isinstance(value, list):
+        raise Fault(f"{_shorten(value)} is not a list")
+
+
+def _check_count(count: int, wanted: int | str | None, sizes: Sizes, *, by_lane: str = "") -> None:
     """Raise `Fault` if a number of rows is not the one wanted, or does not fit the number of lanes."""
     wanted = int(sizes[wanted]) if isinstance(wanted, str) else wanted
     if wanted is not None and count != wanted:

@@ -1,5 +1,7 @@
 """Test that cars which are silent for days are forgotten, as if they had never been, for any division of the input."""
 
+from functools import cache
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -77,21 +79,31 @@ def test_forgetting_a_car_does_not_change_the_forecasts_of_the_others():
                 assert one is None or one == pytest.approx(other, rel=1e-9)
 
 
+@cache
+def run_undivided(returns):
+    """Return the forecasts, cars and status after the later days in one piece, and the forecasts of the next day."""
+    whole, expected = run(later_days(returns))
+    names, status = list(whole.lanes.names), repr(whole.status())
+    return expected, names, status, run(next_day(), (), whole)[1]
+
+
+def next_day():
+    return merged(*(shift(car, DAYS + 5) for car in CARS))
+
+
 @pytest.mark.parametrize("returns", [False, True])
 @settings(max_examples=5)
 @given(cuts=st.lists(st.integers(0, 15_000), max_size=8))
 def test_any_division_gives_the_same_forecasts_and_state(returns, cuts):
-    messages = later_days(returns)
-    whole, expected = run(messages)
-    parts, out = run(messages, cuts)
+    expected, names, status, following = run_undivided(returns)
+    parts, out = run(later_days(returns), cuts)
     assert out == expected
-    assert parts.lanes.names == whole.lanes.names
-    assert repr(parts.status()) == repr(whole.status())
+    assert parts.lanes.names == names
+    assert repr(parts.status()) == status
     restored = Pipeline(settings=SETTINGS, limits=LIMITS, keep_tables=False)
     restored.restore(parts.snapshot())
-    assert restored.lanes.names == parts.lanes.names
-    day = merged(*(shift(car, DAYS + 5) for car in CARS))
-    assert run(day, (), restored)[1] == run(day, (), parts)[1] == run(day, (), whole)[1]
+    assert restored.lanes.names == names
+    assert run(next_day(), (), restored)[1] == run(next_day(), (), parts)[1] == following
 
 
 @pytest.mark.parametrize("step", [1, 3])

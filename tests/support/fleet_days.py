@@ -114,7 +114,16 @@ def plan(car: str, day: int, time: float, last: int = LEGS, **changed) -> Messag
 
 def shift(car: str, day: int, sent: Columns | None = None, planned: bool = True) -> list:
     """Return the messages of a shift, with the plan and the driver after the first sample."""
-    sent = columns(car, day) if sent is None else sent
+    return list(_make_usual_shift(car, day, planned) if sent is None else _make_shift(car, day, sent, planned))
+
+
+@cache
+def _make_usual_shift(car: str, day: int, planned: bool) -> list:
+    return _make_shift(car, day, columns(car, day), planned)
+
+
+def _make_shift(car: str, day: int, sent: Columns, planned: bool) -> list:
+    """Return each message of a shift with its time."""
     begin = float(sent["time_s"][0])
     samples = telemetry(sent, car)
     drives = make_message(

@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -51,6 +51,9 @@ FLEET: Final = ("--vehicles", "3", "--days", "12", "--shift-hours", "2", "--seed
 NOT_REPEATABLE: Final = frozenset({"about.seconds"})
 """Paths of reports that differ between two runs of the same code."""
 
+NUMBERS: Final = frozenset({int, float})
+"""Types of numbers; truth values are none."""
+
 Entry = dict[str, Any]
 Record = dict[str, dict[str, Entry]]
 
@@ -75,8 +78,8 @@ def run(*arguments: object) -> None:
 def digest(values: Iterable[Any]) -> Entry:
     """Return the entry of one column: the hash of its values and, for numbers, their count and sums."""
     column = list(values)
-    numbers = [value for value in column if isinstance(value, float | int) and not isinstance(value, bool)]
-    text = json.dumps([value.hex() if isinstance(value, float) else value for value in column], default=str)
+    numbers = [value for value in column if type(value) in NUMBERS]
+    text = json.dumps([value.hex() if type(value) is float else value for value in column], default=str)
     entry: Entry = {"hash": hashlib.sha256(text.encode()).hexdigest()[:12], "rows": len(column)}
     finite = np.array([value for value in numbers if np.isfinite(value)], dtype=float)
     if len(finite):
@@ -86,30 +89,32 @@ def digest(values: Iterable[Any]) -> Entry:
     return entry
 
 
-def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Give each leaf of a JSON value with its path; all places of an array share one path."""
-    if isinstance(value, dict):
-        for name, each in value.items():
-            yield from leaves(each, f"{path}.{name}" if path else str(name))
-    elif isinstance(value, list):
-        for each in value:
-            yield from leaves(each, f"{path}[]")
-    else:
-        yield path, value
-
-
 def of_json(*values: Any, folder: Path | None = None) -> dict[str, Entry]:
     """Return the entries of JSON values, one for each path; text has a path of its own, without `folder`."""
     columns: dict[str, list[Any]] = defaultdict(list)
     for value in values:
-        for path, leaf in leaves(value):
-            if path in NOT_REPEATABLE:
-                continue
-            if isinstance(leaf, str):
-                columns[f"{path} (text)"].append(leaf.replace(f"{folder}/", ""))
-            else:
-                columns[path].append(leaf)
-    return {path: digest(column) for path, column in columns.items()}
+        _collect_leaves(value, "", columns)
+    out = {}
+    for path, column in columns.items():
+        if path not in NOT_REPEATABLE:
+            texts = [leaf.replace(f"{folder}/", "") for leaf in column if type(leaf) is str]
+            others = [leaf for leaf in column if type(leaf) is not str] if texts else column
+            out |= {f"{path} (text)": digest(texts)} if texts else {}
+            out |= {path: digest(others)} if others else {}
+    return out
+
+
+def _collect_leaves(value: Any, path: str, columns: dict[str, list[Any]]) -> None:
+    """Append each leaf of a JSON value to the column of its path; all places of an array share one path."""
+    kind = type(value)
+    if kind is dict:
+        for name, each in value.items():
+            _collect_leaves(each, f"{path}.{name}" if path else name, columns)
+    elif kind is list:
+        for each in value:
+            _collect_leaves(each, f"{path}[]", columns)
+    else:
+        columns[path].append(value)
 
 
 def of_table(path: Path) -> dict[str, Entry]:

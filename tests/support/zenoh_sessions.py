@@ -25,9 +25,9 @@ def router(**settings: Any) -> Iterator[tuple[Node, str]]:
 def eventually(condition: Callable[[], object], seconds: float = 60.0) -> bool:
     """Return whether something comes true in time."""
     deadline = time.monotonic() + seconds
-    while not condition() and time.monotonic() < deadline:
+    while not (has_come := bool(condition())) and time.monotonic() < deadline:
         time.sleep(0.02)  # each question costs the service time, and some take the whole of a log
-    return bool(condition())
+    return has_come
 
 
 class Consumer(Fleet):
