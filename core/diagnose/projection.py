@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from core.batch import Floats
 from core.diagnose.dataset import Windows
 from core.diagnose.noise import estimate_window_variance
+from core.fit.block_sums import build_design
 from core.fit.distortions import gather_distortions
-from core.fit.fitting import build_design
 from core.fit.ride_blocks import get_names, get_numbers
 from core.fit.row_noise import compute_robust_weights
 from core.models import ANY, LinearModel, Term

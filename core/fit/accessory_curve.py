@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
-from core.batch import Floats
+from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
 from core.vehicles import ACCESSORIES, AccessoryCurve
 
@@ -82,6 +82,28 @@ class TemperatureBins:
         for i in range(len(table)):
             for j in range(i, len(table)):
                 self.sums[:, i, j] += np.bincount(place, table[i] * table[j], _BINS)
+
+    def merge(self, other: "TemperatureBins") -> None:
+        """Add the rows of other bins.
+
+        Parameters
+        ----------
+        other : TemperatureBins
+            Bins of the same columns.
+        """
+        self.rides += other.rides
+        self.sums += other.sums
+
+    def __getstate__(self) -> tuple[int, int, Ints, Floats]:
+        """Return the bins that hold rows, as few of many do."""
+        used = np.flatnonzero(self.sums.any(axis=(1, 2)))
+        return self.beside, self.rides, used, self.sums[used]
+
+    def __setstate__(self, state: tuple[int, int, Ints, Floats]) -> None:
+        """Take the bins that hold rows."""
+        beside, rides, used, sums = state
+        self.__init__(beside)  # type: ignore[misc]
+        self.rides, self.sums[used] = rides, sums
 
     def fit(self) -> AccessoryCurve:
         """Return the accessory curve of least squares.

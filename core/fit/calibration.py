@@ -23,7 +23,7 @@ import pandas as pd
 from scipy.optimize import nnls
 
 from core.batch import Floats, Ints
-from core.fit.fitting import build_design
+from core.fit.block_sums import build_design
 from core.fit.regression import CUTOFF
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
 from core.models import ANY, VEHICLE_MODEL, LinearModel, stamp

@@ -24,35 +24,36 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
-from functools import cache
 from hashlib import sha256
-from math import prod
 from typing import Any, Final, Protocol
 
 import numpy as np
-import pandas as pd
-from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
 
 from core.batch import Floats
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
-from core.fit.accessory_curve import TemperatureBins, compute_slopes
+from core.fit.accessory_curve import TemperatureBins
 from core.fit.block_file import BlockFile
-from core.fit.regression import (
-    LEAST_GROUPS,
-    NO_VARIATION,
-    ClusterScores,
-    Influence,
-    Moments,
-    Solution,
-    assign_groups,
-    solve,
+from core.fit.block_sums import (
+    BLOCKS_OF_TASK,
+    BlockFunction,
+    FitContext,
+    GroupContext,
+    PassRunner,
+    Survey,
+    TrainableRides,
+    convert_blocks,
+    limit_to_one_thread,
+    sum_blocks,
+    sum_moments,
+    sum_residuals,
+    survey_block,
 )
-from core.fit.ride_blocks import ENERGY, NAMES, RideSource, convert_to_arrays, select_trainable, suggest_rides
-from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
+from core.fit.regression import LEAST_GROUPS, NO_VARIATION, ClusterScores, Influence, Moments, Solution, solve
+from core.fit.ride_blocks import ENERGY, RideSource, ThinnedRides, suggest_rides
+from core.models import ANY, BASIC_PHYSICAL, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
 from core.models.derived_features import DERIVED_COLUMNS
-from core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, Columns, list_raw_columns
+from core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, list_raw_columns
 from core.vehicles import AccessoryCurve
 from core.vehicles.fleet import CarParameters
 
@@ -101,30 +102,9 @@ class _GroupFit:
     squared: float = 0.0
 
 
-def build_design(terms: tuple[Term, ...], columns: Columns, rows: int) -> Floats:
-    """Return the design matrix: the product of the columns of each term.
-
-    Parameters
-    ----------
-    terms : tuple of Term
-        Terms of the model.
-    columns : Columns
-        Columns of the rides.
-    rows : int
-        Number of rides.
-
-    Returns
-    -------
-    (rows, terms) float
-        1 in the column of a constant.
-    """
-    out = np.empty((rows, len(terms)))
-    for j, term in enumerate(terms):
-        out[:, j] = prod(columns[name] for name in term.columns)
-    return out
-
-
-def fit_terms(plan: FitPlan, rides: RideSource, *, covariance: bool = True) -> LinearModel:
+def fit_terms(
+    plan: FitPlan, rides: RideSource, *, covariance: bool = True, run: PassRunner | None = None
+) -> LinearModel:
     """Return the model of a plan, fitted to a ride table.
 
     Parameters
@@ -135,6 +115,8 @@ def fit_terms(plan: FitPlan, rides: RideSource, *, covariance: bool = True) -> L
         Ride table to fit them to.
     covariance : bool
         Compute the covariance and the in-sample error in another pass over the rides. A fit without it is faster.
+    run : callable, optional
+        Runs the tasks of each pass elsewhere, with the same result; each pass then reads the table.
 
     Returns
     -------
@@ -146,7 +128,7 @@ def fit_terms(plan: FitPlan, rides: RideSource, *, covariance: bool = True) -> L
     ModelError
         If a column is missing, if too few rides can be used for training, or if the rides do not vary.
     """
-    fitting = _Fitting(plan, rides, covariance=covariance)
+    fitting = _Fitting(plan, rides, covariance=covariance, run=run)
     with limit_to_one_thread(), closing(fitting.kept):
         fitting.survey()
         fitting.solve()
@@ -155,30 +137,11 @@ def fit_terms(plan: FitPlan, rides: RideSource, *, covariance: bool = True) -> L
         return fitting.model()
 
 
-def limit_to_one_thread() -> Any:
-    """Return a context that limits the linear algebra of numpy to one thread.
-
-    The matrices are small, and the results become equal on any number of cores.
-
-    Returns
-    -------
-    context manager
-        The limit holds within its `with` block.
-    """
-    return _find_blas().limit(limits=1)
-
-
-@cache
-def _find_blas() -> Any:
-    """Return the controller of the linear algebra of numpy; cached, as the search for it is slow."""
-    return ThreadpoolController().select(user_api="blas")
-
-
 class _Fitting:
     """Run the passes over the blocks, and keep their results."""
 
-    def __init__(self, plan: FitPlan, rides: RideSource, *, covariance: bool) -> None:
-        self.plan = plan
+    def __init__(self, plan: FitPlan, rides: RideSource, *, covariance: bool, run: PassRunner | None) -> None:
+        self.plan, self.run = plan, run
         self.covariance = covariance
         self.rides = rides
         self.terms = plan.terms
@@ -202,10 +165,8 @@ class _Fitting:
 
     def survey(self) -> None:
         """Pass over the rides for the fills, the accessory curves and the description of the training."""
-        for block in self._read_blocks():
-            self.kept.append(block)
-            for key, rows in _split(block):
-                self._note(self.groups.setdefault(key, self._make_group()), Columns(block, rows=rows))
+        for survey in self._survey_blocks() if self.run is None else self._run_tasks("survey", survey_block):
+            self._take_survey(survey)
         least = _RIDES_PER_COEFFICIENT * (len(self.terms) if self.plan.free else _CURVE_NUMBERS if self.curved else 1)
         rides = self.groups[ANY].rides
         if rides < least:
@@ -227,33 +188,26 @@ class _Fitting:
         """Pass over the rides for the normal equations, and solve them."""
         if not self.plan.free:
             return
-        for block in self.kept:
-            for group, columns, _ in self._split_parts(block):
-                table = np.column_stack(
-                    [self._design(columns), *self._differentiate_curve(group, columns), columns[ENERGY]]
-                )
+        for moments in self._sum_blocks("moments", sum_moments):
+            for key, own in moments.items():
+                group = self.groups[key]
                 if not group.moments.rows:
-                    group.moments = Moments(table.shape[1])
-                group.moments.add(table)
+                    group.moments = Moments(len(own.mean))
+                group.moments.merge(own)
         self._check_varies()
         for group in self.groups.values():
             self._solve(group)
 
     def residuals(self) -> None:
         """Pass over the rides for the residuals of the fits."""
-        for block in self.kept:
-            days = assign_groups(block[VEHICLE], block["date"]) if VEHICLE in block and "date" in block else None
-            for group, columns, rows in self._split_parts(block):
-                table = self._design(columns)
-                coefficients, constant = self._solve_group(group)
-                left = columns[ENERGY] - table @ coefficients - constant
-                group.absolute += float(np.abs(left).sum())
-                group.squared += float(left @ left)
-                if group.influence is not None and days is not None:
-                    if group.scores is None:
-                        group.scores = ClusterScores(group.influence.mean, constant=self.place is not None)
-                    table = np.column_stack([table, *self._differentiate_curve(group, columns)])
-                    group.scores.add(table, left / (1.0 - group.influence.leverage(table)), days[rows])
+        for residuals in self._sum_blocks("residuals", sum_residuals):
+            for key, own in residuals.items():
+                group = self.groups[key]
+                group.absolute += own.absolute
+                group.squared += own.squared
+                if own.scores is not None:
+                    group.scores = group.scores or ClusterScores(own.scores.sums.shape[1])
+                    group.scores.add(own.scores)
 
     def model(self) -> LinearModel:
         """Return the model that the passes have determined."""
@@ -290,59 +244,66 @@ class _Fitting:
         """Return an empty group of rides."""
         return _GroupFit(temperatures=TemperatureBins(len(self.road)))
 
-    def _read_blocks(self) -> Iterator[dict[str, NDArray[Any]]]:
-        """Yield the trainable rides of each block, and record the rides left out, dates and fingerprint."""
-        for block in self.rides.blocks(self.columns):
-            good, left_out = select_trainable(block, self.columns)
-            self.left_out.update(left_out)
-            if len(good):
-                table = convert_to_arrays(good, self.columns)
-                self._digest(table)
-                yield table
+    def _survey_blocks(self) -> Iterator[Survey]:
+        """Yield the first pass over each block, and keep the rides for the other passes."""
+        context = self._make_context()
+        for block in convert_blocks(context, self.rides):
+            yield survey_block(context, block)
+            if block.table:
+                self.kept.append(block.table)
 
-    def _digest(self, block: dict[str, NDArray[Any]]) -> None:
-        """Add rides to the fingerprint, and record their first and last dates."""
-        for name, digest in self.digests.items():
-            if name in NAMES:
-                digest.update("\n".join([*block.get(name, [""] * len(block[ENERGY])), ""]).encode())
-            else:
-                digest.update(block[name].tobytes())
-        dates = [date for date in block.get("date", ()) if date]
-        if dates:
+    def _sum_blocks(self, stage: str, function: BlockFunction) -> Iterator[Any]:
+        """Yield the parts of a later pass in the order of the blocks."""
+        if self.run is None:
+            context = self._make_context()
+            return (function(context, TrainableRides(table, Counter())) for table in self.kept)
+        return self._run_tasks(stage, function)
+
+    def _run_tasks(self, stage: str, function: BlockFunction) -> Iterator[Any]:
+        """Yield the parts of a pass by tasks, in the order of the blocks."""
+        context, run = self._make_context(), self.run
+        tasks = [(context, function, part) for part in self.rides.divide(BLOCKS_OF_TASK)]
+        for sums in run(stage, sum_blocks, tasks) if run else ():
+            if isinstance(self.rides, ThinnedRides):
+                self.rides.kept += sums.kept
+            yield from sums.parts
+
+    def _make_context(self) -> FitContext:
+        """Return what the next pass needs to know."""
+        return FitContext(
+            tuple(self.terms[i] for i in self.sloped),
+            tuple(self.columns),
+            tuple(self.filled),
+            tuple(self.road),
+            self.curved,
+            self.covariance,
+            self.place is not None,
+            {key: self._describe(group) for key, group in self.groups.items()},
+        )
+
+    def _describe(self, group: _GroupFit) -> GroupContext:
+        """Return what the next pass needs to know of a group."""
+        if group.solution is None:
+            return GroupContext(group.fills, group.curve)
+        coefficients, constant = self._solve_group(group)
+        return GroupContext(group.fills, group.curve, coefficients, constant, group.influence)
+
+    def _take_survey(self, survey: Survey) -> None:
+        """Add a block to the fingerprint, the dates, the means that fill unknown values and the accessory curves."""
+        self.left_out.update(survey.left_out)
+        for name, content in survey.content.items():
+            self.digests[name].update(content)
+        if survey.dates:
             first, last = self.dates
-            self.dates = (min(first or min(dates), *dates), max(last, *dates))
-
-    def _split_parts(self, block: dict[str, NDArray[Any]]) -> Iterator[tuple[_GroupFit, Columns, Any]]:
-        """Yield each group, its rides of a block with the columns as the fit uses them, and their rows."""
-        for key, rows in _split(block):
-            group = self.groups.get(key)
-            if group is not None:
-                yield group, Columns(block, group.fills, group.curve, rows), rows
-
-    def _note(self, group: _GroupFit, columns: Columns) -> None:
-        """Count rides, and add them to the means that fill unknown values and to the bins of the accessory curve."""
-        group.rides += len(columns[ENERGY])
-        for name in self.filled:
-            values = columns[name]
-            known = np.isfinite(values)
-            group.known[name] += int(known.sum())
-            group.sums[name] = group.sums.get(name, 0.0) + float(values[known].sum())
-        if self.curved:
-            energy, time = columns[ENERGY], columns["duration_s"] * columns["accessory_scale"] / 3.6e6
-            left = energy if self.road else energy - BASIC_PHYSICAL.predict(columns)
-            road = build_design(tuple(self.road), columns, len(energy)).T
-            group.temperatures.add(columns["ambient_c"], time, left, list(road))
-
-    def _design(self, columns: Columns) -> Floats:
-        """Return the design matrix without the constant."""
-        return build_design(tuple(self.terms[i] for i in self.sloped), columns, len(columns[ENERGY]))
-
-    def _differentiate_curve(self, group: _GroupFit, columns: Columns) -> list[Floats]:
-        """Return the derivative of the energy by each number of the accessory curve."""
-        if not self.covariance or group.curve is None:
-            return []
-        time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
-        return list((compute_slopes(group.curve, columns["ambient_c"]) * time[:, np.newaxis]).T)
+            self.dates = (min(first or survey.dates[0], survey.dates[0]), max(last, survey.dates[1]))
+        for key, own in survey.groups.items():
+            group = self.groups.setdefault(key, self._make_group())
+            group.rides += own.rides
+            group.known.update(own.known)
+            for name, total in own.sums.items():
+                group.sums[name] = group.sums.get(name, 0.0) + total
+            if own.temperatures is not None:
+                group.temperatures.merge(own.temperatures)
 
     def _check_varies(self) -> None:
         """Raise ModelError if all rides are alike."""
@@ -427,13 +388,3 @@ class _Fitting:
         out = np.empty_like(covariance)
         out[np.ix_(self._order, self._order)] = covariance
         return tuple(tuple(row) for row in out.tolist())
-
-
-def _split(block: dict[str, NDArray[Any]]) -> Iterator[tuple[str, Any]]:
-    """Yield the rows of each vehicle model, then all rows together."""
-    if VEHICLE_MODEL in block:
-        code, kinds = pd.factorize(block[VEHICLE_MODEL], sort=True)
-        for i, kind in enumerate(kinds):
-            if kind not in {"", ANY}:
-                yield kind, np.flatnonzero(code == i)
-    yield ANY, slice(None)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.errors import ModelError
+from core.fit.block_sums import build_design, limit_to_one_thread
 from core.fit.calibration import (
     HeldOutErrors,
     assign_car_folds,
@@ -26,7 +27,7 @@ from core.fit.calibration import (
     calibrate_interval,
     widen_for_unseen_cars,
 )
-from core.fit.fitting import build_design, fit_terms, limit_to_one_thread
+from core.fit.fitting import fit_terms
 from core.fit.partial_pooling import (
     NormalEquations,
     Prior,

@@ -16,7 +16,7 @@ from core import effects
 from core.batch import Floats
 from core.effects.road_load import accessories
 from core.fit.accessory_curve import compute_slopes
-from core.fit.fitting import build_design
+from core.fit.block_sums import build_design
 from core.fit.nested_effects import Gaussian
 from core.models import Term
 from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns, is_scope

@@ -17,6 +17,7 @@ from typing import Final, Protocol
 import pandas as pd
 
 from core.errors import ModelError
+from core.fit.block_sums import PassRunner
 from core.fit.calibration import NEEDS as INTERVAL_NEEDS
 from core.fit.calibration import add_interval
 from core.fit.fitting import fit_terms
@@ -98,7 +99,7 @@ class LinearRecipe:
         model = fit_terms(self, RideFrame(rides), covariance=covariance)
         return add_interval(model, rides, fitted=self.free) if covariance else model
 
-    def fit_parquet(self, *paths: str | Path, covariance: bool = True) -> LinearModel:
+    def fit_parquet(self, *paths: str | Path, covariance: bool = True, run: PassRunner | None = None) -> LinearModel:
         """Return a model fitted to Parquet files of rides, in memory that does not grow with the number of rides.
 
         Parameters
@@ -107,6 +108,8 @@ class LinearRecipe:
             Parquet files of rides.
         covariance : bool
             Whether to compute the covariance, and to calibrate an interval on at most `INTERVAL_RIDES` rides.
+        run : callable, optional
+            As of `core.fit.fitting.fit_terms`.
 
         Returns
         -------
@@ -115,9 +118,9 @@ class LinearRecipe:
         """
         rides = RideParquet(tuple(Path(path) for path in paths))
         if not covariance:
-            return fit_terms(self, rides, covariance=False)
+            return fit_terms(self, rides, covariance=False, run=run)
         some = ThinnedRides(rides, INTERVAL_RIDES, INTERVAL_NEEDS)
-        model = fit_terms(self, some)
+        model = fit_terms(self, some, run=run)
         return add_interval(model, some.table(), fitted=self.free)
 
 

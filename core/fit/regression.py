@@ -19,7 +19,7 @@ References
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -58,6 +58,16 @@ class Moments:
         self.mean: Floats = np.zeros(width)
         self.scatter: Floats = np.zeros((width, width))
 
+    @classmethod
+    def of(cls, block: Floats) -> "Moments":
+        """Return the moments of rows, (n, width)."""
+        moments = cls(block.shape[1])
+        if len(block):
+            moments.rows, moments.mean = len(block), block.mean(axis=0)
+            centred = block - moments.mean
+            moments.scatter = centred.T @ centred
+        return moments
+
     def add(self, block: Floats) -> None:
         """Add rows.
 
@@ -66,14 +76,7 @@ class Moments:
         block : (n, width) float
             Rows to add.
         """
-        if not len(block):
-            return
-        other = Moments(block.shape[1])
-        other.rows = len(block)
-        other.mean = block.mean(axis=0)
-        centred = block - other.mean
-        other.scatter = centred.T @ centred
-        self.merge(other)
+        self.merge(Moments.of(block))
 
     def merge(self, other: "Moments") -> None:
         """Add the rows of other moments.
@@ -308,21 +311,54 @@ def _root(matrix: Floats) -> Floats:
     return by[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-class ClusterScores:
-    """Sum each column times the residual over groups of rows, for a cluster-robust covariance.
+class Scores(NamedTuple):
+    """Hold the sums of scores over the groups of some rows.
 
     Parameters
     ----------
-    mean : (p,) float
-        Means about which the columns are taken.
+    groups : (g,) int
+        Groups that have rows.
+    sums : (g, p + constant) float
+        Their sums.
+    """
+
+    groups: Ints
+    sums: Floats
+
+
+def sum_scores(columns: Floats, residual: Floats, group: Ints, *, constant: bool) -> Scores:
+    """Return the sums of each column times the residual over groups of rows.
+
+    Parameters
+    ----------
+    columns : (n, p) float
+        Columns of the rows, about their means.
+    residual : (n,) float
+        Residuals of the rows.
+    group : (n,) int
+        Groups as `assign_groups` returns them.
     constant : bool
         Whether to sum the residual itself too.
     """
+    order = np.argsort(group, kind="stable")
+    groups, first = np.unique(group[order], return_index=True)
+    sums = np.add.reduceat((columns * residual[:, np.newaxis])[order], first, axis=0)
+    if constant:
+        sums = np.column_stack([sums, np.add.reduceat(residual[order], first)])
+    return Scores(groups, sums)
 
-    def __init__(self, mean: Floats, *, constant: bool) -> None:
-        self.mean = mean
-        self.constant = constant
-        self.sums: Floats = np.zeros((GROUPS, len(mean) + constant))
+
+class ClusterScores:
+    """Add up the scores of groups of rows, for a cluster-robust covariance.
+
+    Parameters
+    ----------
+    width : int
+        Number of columns, the constant included.
+    """
+
+    def __init__(self, width: int) -> None:
+        self.sums: Floats = np.zeros((GROUPS, width))
         self._seen = np.zeros(GROUPS, np.bool_)
 
     @property
@@ -330,26 +366,10 @@ class ClusterScores:
         """Return the number of groups that have rows."""
         return int(self._seen.sum())
 
-    def add(self, columns: Floats, residual: Floats, group: Ints) -> None:
-        """Add rows.
-
-        Parameters
-        ----------
-        columns : (n, p) float
-            Columns of the rows.
-        residual : (n,) float
-            Residuals of the rows.
-        group : (n,) int
-            Groups as `assign_groups` returns them.
-        """
-        p = columns.shape[1]
-        order = np.argsort(group, kind="stable")
-        groups, first = np.unique(group[order], return_index=True)
-        scores = (columns - self.mean) * residual[:, np.newaxis]
-        self.sums[groups, :p] += np.add.reduceat(scores[order], first, axis=0)
-        if self.constant:
-            self.sums[groups, p] += np.add.reduceat(residual[order], first)
-        self._seen[groups] = True
+    def add(self, scores: Scores) -> None:
+        """Add the scores of rows."""
+        self.sums[scores.groups] += scores.sums
+        self._seen[scores.groups] = True
 
 
 def assign_groups(vehicles: Iterable[str], dates: Iterable[str]) -> Ints:

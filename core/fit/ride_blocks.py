@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -23,6 +24,8 @@ UNKNOWN_VEHICLE: Final = "unknown_vehicle_or_effect"
 """Reason to leave a ride out: the figures of its car, or an effect, are unknown."""
 _BLOCK: Final = 8192
 """Rides in a block."""
+_WHOLE: Final = 1 << 40
+"""Number of blocks that no table has."""
 NAMES: Final = ("vehicle_model", "vehicle_id", "date")
 """Columns of text by which rides are grouped."""
 OPTIONAL: Final = ("fit_for_training", "unfit_reason", *NAMES)
@@ -51,6 +54,14 @@ class RideSource(Protocol):
             If one of the columns is absent.
         """
 
+    def divide(self, blocks: int) -> Sequence["RideSource"]:
+        """Return parts of the table, in order, each of that many blocks.
+
+        Parameters
+        ----------
+        blocks : int
+        """
+
 
 @dataclass(frozen=True)
 class RideFrame:
@@ -70,6 +81,11 @@ class RideFrame:
         for start in range(0, len(self.table), _BLOCK):
             yield self.table.iloc[start : start + _BLOCK][names]
 
+    def divide(self, blocks: int) -> Sequence["RideFrame"]:
+        """Return parts of the table, see `RideSource.divide`."""
+        size = blocks * _BLOCK
+        return [RideFrame(self.table.iloc[start : start + size]) for start in range(0, max(len(self.table), 1), size)]
+
 
 @dataclass(frozen=True)
 class RideParquet:
@@ -85,8 +101,16 @@ class RideParquet:
 
     def blocks(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
         """Yield the rows in blocks, see `RideSource.blocks`."""
-        for path in self.paths:
-            yield from _read(path, columns)
+        for rows in self._list_tables():
+            yield from rows.blocks(columns)
+
+    def divide(self, blocks: int) -> Sequence["ParquetRows"]:
+        """Return parts of the table, see `RideSource.divide`; of the same blocks as those of the whole."""
+        return [part for rows in self._list_tables() for part in rows.divide(blocks)]
+
+    def _list_tables(self) -> list["ParquetRows"]:
+        """Return the rows of each table."""
+        return [ParquetRows(path, 0, _count_rows(path)) for path in self.paths]
 
     def table(self) -> pd.DataFrame:
         """Return the whole table in memory.
@@ -104,6 +128,33 @@ class RideParquet:
         return pd.concat([block for path in self.paths for block in _read(path, None)], ignore_index=True)
 
 
+@dataclass(frozen=True)
+class ParquetRows:
+    """Iterate over some rows of a ride table in Parquet files; only their row groups are read.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder of the table.
+    start, stop : int
+        Rows.
+    """
+
+    path: Path
+    start: int
+    stop: int
+
+    def blocks(self, columns: Sequence[str], also: Sequence[str] = ()) -> Iterator[pd.DataFrame]:
+        """Yield the rows in blocks, see `RideSource.blocks`, with those of other columns that are present."""
+        yield from _read(self.path, columns, also, self.start, self.stop)
+
+    def divide(self, blocks: int) -> Sequence["ParquetRows"]:
+        """Return parts of the rows, see `RideSource.divide`."""
+        size = blocks * _BLOCK
+        starts = range(self.start, max(self.stop, self.start + 1), size)
+        return [ParquetRows(self.path, start, min(start + size, self.stop)) for start in starts]
+
+
 class ThinnedRides:
     """Iterate over a ride table in Parquet files, and keep every k-th ride, with the smallest k that respects a limit.
 
@@ -115,6 +166,13 @@ class ThinnedRides:
         Largest number of rides to keep.
     columns : sequence of str
         Columns to keep where present, besides those that are read and those of `OPTIONAL`.
+    step, before : int
+        Number k, and number of rides before the first one, of a part of a table.
+
+    Attributes
+    ----------
+    kept : list of DataFrame
+        Rides that the last iteration kept, by block.
 
     Raises
     ------
@@ -122,20 +180,30 @@ class ThinnedRides:
         If a file cannot be read.
     """
 
-    def __init__(self, rides: RideParquet, most: int, columns: Sequence[str]) -> None:
-        self._rides = rides
-        self._columns = columns
-        self._step = max(1, -(-sum(_count_rows(path) for path in rides.paths) // most))
-        self._kept: list[pd.DataFrame] = []
+    def __init__(
+        self, rides: RideParquet | ParquetRows, most: int, columns: Sequence[str], *, step: int = 0, before: int = 0
+    ) -> None:
+        self._columns, self._before = columns, before
+        self._tables = rides.divide(_WHOLE)
+        self._step = step or max(1, -(-sum(rows.stop for rows in self._tables) // most))
+        self.kept: list[pd.DataFrame] = []
 
     def blocks(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
         """Yield the rows in blocks, see `RideSource.blocks`, and keep every k-th ride of this iteration."""
-        self._kept, seen = [], 0
-        for path in self._rides.paths:
-            for block in _read(path, columns, self._columns):
-                self._kept.append(block.iloc[-seen % self._step :: self._step].copy())  # a view keeps the whole block
+        self.kept, seen = [], self._before
+        for rows in self._tables:
+            for block in rows.blocks(columns, self._columns):
+                self.kept.append(block.iloc[-seen % self._step :: self._step].copy())  # a view keeps the whole block
                 seen += len(block)
                 yield block
+
+    def divide(self, blocks: int) -> Sequence["ThinnedRides"]:
+        """Return parts of the table, see `RideSource.divide`, that together keep the same rides."""
+        parts, seen = [], 0
+        for rows in (part for table in self._tables for part in table.divide(blocks)):
+            parts.append(ThinnedRides(rows, 0, self._columns, step=self._step, before=seen))
+            seen += rows.stop - rows.start
+        return parts
 
     def table(self) -> pd.DataFrame:
         """Return the rides that the last iteration kept.
@@ -145,7 +213,7 @@ class ThinnedRides:
         DataFrame
             At most `most` rides, with the columns that were read or are to be kept.
         """
-        return pd.concat(self._kept, ignore_index=True)
+        return pd.concat(self.kept, ignore_index=True)
 
 
 def list_parts(table: Path) -> list[Path]:
@@ -159,12 +227,14 @@ def list_parts(table: Path) -> list[Path]:
     return sorted(table.glob("*.parquet")) if table.is_dir() else [table]
 
 
-def _read(path: Path, columns: Sequence[str] | None, also: Sequence[str] = ()) -> Iterator[pd.DataFrame]:
+def _read(
+    path: Path, columns: Sequence[str] | None, also: Sequence[str] = (), start: int = 0, stop: float = inf
+) -> Iterator[pd.DataFrame]:
     """Yield the rows of a table in blocks of one size, however they are divided into files and row groups."""
     held: list[pa.RecordBatch] = []
     size = 0
     batch = None
-    for batch in _read_batches(path, columns, also):
+    for batch in _read_batches(path, columns, also, start, stop):
         held.append(batch)
         size += batch.num_rows
         while size >= _BLOCK:
@@ -180,13 +250,28 @@ def _read(path: Path, columns: Sequence[str] | None, also: Sequence[str] = ()) -
         yield batch.to_pandas()
 
 
-def _read_batches(path: Path, columns: Sequence[str] | None, also: Sequence[str]) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of the files of a table in batches, with these columns and the others present, or with all."""
+def _read_batches(
+    path: Path, columns: Sequence[str] | None, also: Sequence[str], start: int, stop: float
+) -> Iterator[pa.RecordBatch]:
+    """Yield rows of the files of a table in batches, with these columns and the others present, or with all."""
+    at = 0
     with _explain_errors(path):
         for part in list_parts(path):
             with pq.ParquetFile(part, pre_buffer=False) as file:
                 names = None if columns is None else _present(columns, file.schema_arrow.names, str(part), also)
-                yield from file.iter_batches(batch_size=_BLOCK, columns=names)
+                groups: list[int] = []
+                first = at
+                for group in range(file.metadata.num_row_groups):
+                    rows = file.metadata.row_group(group).num_rows
+                    if at < stop and at + rows > start:
+                        first = first if groups else at
+                        groups.append(group)
+                    at += rows
+                for batch in file.iter_batches(batch_size=_BLOCK, columns=names, row_groups=groups) if groups else ():
+                    skipped, kept = max(start - first, 0), min(stop - first, batch.num_rows)
+                    first += batch.num_rows
+                    if kept > skipped:
+                        yield batch.slice(skipped, int(kept) - skipped)
                 if not file.metadata.num_rows:
                     yield pa.RecordBatch.from_pylist([], schema=file.schema_arrow)
 

@@ -23,8 +23,8 @@ import pandas as pd
 from core.batch import Ints
 from core.columns import ZERO_CELSIUS
 from core.errors import ModelError
+from core.fit.block_sums import build_design, limit_to_one_thread
 from core.fit.distortions import DISTORTED_COLUMNS, DISTORTIONS, gather_distortions
-from core.fit.fitting import build_design, limit_to_one_thread
 from core.fit.measured_rows import ENERGY_SD
 from core.fit.nested_effects import Gaussian
 from core.fit.priors import (

@@ -12,9 +12,9 @@ import pandas as pd
 
 from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
+from core.fit.block_sums import build_design
 from core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval, collect_errors
 from core.fit.distortions import DISTORTIONS
-from core.fit.fitting import build_design
 from core.fit.nested_effects import compute_coefficients, without_car_factor
 from core.fit.priors import compute_curve_columns, is_curved
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable

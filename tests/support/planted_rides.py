@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from core.columns import GRAVITY, KMH, ZERO_CELSIUS
-from core.fit.fitting import build_design
+from core.fit.block_sums import build_design
 from core.fit.recipes import FITTED_TERMS, HISTOGRAM_COLUMNS
 from core.models.features import Columns
 from core.vehicles import AccessoryCurve, load_catalogue

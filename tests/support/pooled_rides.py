@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from core.fit.fitting import build_design
+from core.fit.block_sums import build_design
 from core.fit.pooled import SHARED_TERMS, PooledRecipe
 from core.models.features import Columns
 from tests.support.planted_rides import rides

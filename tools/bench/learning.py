@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from sklearn.linear_model import LinearRegression
 
 from core import effects
-from core.fit.fitting import build_design
+from core.fit.block_sums import build_design
 from core.fit.recipes import RECIPES, LinearRecipe
 from core.models import ANY, LinearModel
 from core.models.features import Columns

@@ -49,11 +49,14 @@ class ClusterPlace:
         Number of these processes.
     worker_memory : float
         Memory at which Dask restarts one of them. [GB]
+    report : Path, optional
+        File that says at the end what ran where.
     """
 
     address: str
     workers: int
     worker_memory: float
+    report: Path | None = None
 
 
 def parse_place(text: str, worker_memory: float) -> ClusterPlace:
@@ -74,7 +77,7 @@ def parse_place(text: str, worker_memory: float) -> ClusterPlace:
     Examples
     --------
     >>> parse_place("local:2", 2.0)
-    ClusterPlace(address='', workers=2, worker_memory=2.0)
+    ClusterPlace(address='', workers=2, worker_memory=2.0, report=None)
     """
     if text == LOCAL:
         return ClusterPlace("", os.cpu_count() or 1, worker_memory)

@@ -1,19 +1,17 @@
 """Make tables by many workers, with progress in the terminal and a report of what ran where."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from core.errors import SettingsError
 from core.settings import Settings
 from stream.mcap_reader import McapSource
-from tools.cluster.dask_runner import ClusterPlace, open_runner
+from tools.cluster.dask_runner import ClusterPlace
 from tools.cluster.job import Job
-from tools.cluster.runner import Runner, TaskRecord
+from tools.cluster.runner import TaskRecord
 from tools.cluster.tables import ClusterTables, choose_parts, make_tables
-from tools.cluster.task_files import make_scratch
-from tools.terminal.cluster_option import show_stages
+from tools.cluster.workers import describe_tasks, open_workers
 from tools.terminal.output import write_json
 from tools.terminal.recordings import refuse_unusable
 
@@ -62,37 +60,17 @@ def tabulate_by_workers(
     for source in sources:
         if source.path.suffix and not source.path.is_file():
             raise SettingsError(f"{source.path} is no file; --cluster reads files")
-    with make_scratch(out) as scratch, open_runner(place, scratch, on_end) as runner, show_stages() as report:
+    with open_workers(place, out, "tables", on_end) as workers:
         job = Job(
             tuple(source.path.resolve() for source in sources),
-            scratch,
-            choose_parts(sources, runner.workers),
+            workers.scratch,
+            choose_parts(sources, workers.runner.workers),
             model if not Path(model).is_file() else str(Path(model).resolve()),
             tuple(wanted),
             settings,
             *(tuple(file.resolve() for file in files) for files in (effect_files, vehicle_files, elevation_files)),
         )
-        tables = make_tables(job, sources, out.resolve(), runner, report)
+        tables = make_tables(job, sources, out.resolve(), workers.runner, workers.report)
         refuse_unusable(sources, sum(tables.quality["received"].values()))
-        write_json(out / REPORT, "cluster", _report(runner))
+        write_json(out / REPORT, "cluster", describe_tasks(workers.runner))
     return tables
-
-
-def _report(runner: Runner) -> dict[str, Any]:
-    """Return what ran where: each task, and the sums of each worker process."""
-    processes: dict[str, dict[str, Any]] = {}
-    for record in runner.records:
-        of_process = processes.setdefault(
-            f"{record.host}/{record.process}",
-            {"worker": record.worker, "tasks": 0, "seconds": 0.0, "cpu_s": 0.0, "read_bytes": 0, "written_bytes": 0},
-        )
-        of_process["tasks"] += 1
-        for name in ("seconds", "cpu_s", "read_bytes", "written_bytes"):
-            of_process[name] += getattr(record, name)
-        of_process["peak_bytes"] = max(record.peak_bytes, of_process.get("peak_bytes", 0))
-    return {
-        "workers": runner.workers,
-        "repeated_tasks": runner.count_repeats(),
-        "processes": processes,
-        "tasks": [asdict(record) for record in runner.records],
-    }

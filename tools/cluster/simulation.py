@@ -7,7 +7,7 @@ those of a run in one process to the byte.
 
 import gc
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -15,8 +15,8 @@ from typing import Final
 
 from stream.mcap_writer import McapSink
 from stream.recording_metadata import list_changed_settings, make_metadata
-from tools.cluster.runner import Runner
 from tools.cluster.task_files import replacing
+from tools.cluster.workers import Workers
 from tools.simulator.car_files import CarFile, CarWriter, ShiftTruth, merge_cars, order_shifts, plan_merge
 from tools.simulator.fleet import PreparedFleet, describe_fleet, drive_car, make_fleet_sky, make_members
 from tools.simulator.settings import Simulation
@@ -28,9 +28,7 @@ DRIVE, WRITE = "drive", "write"
 TRUTH: Final = ".truth.json"
 
 
-def write_recording(
-    fleet: PreparedFleet, out: Path, runner: Runner, scratch: Path, report: Callable[[str, int, int], None]
-) -> Truth:
+def write_recording(fleet: PreparedFleet, out: Path, workers: Workers) -> Truth:
     """Write the recording of a fleet, and its truth beside it.
 
     Parameters
@@ -39,12 +37,8 @@ def write_recording(
         The fleet, with the factors of its hidden effects.
     out : Path
         The recording; the truth goes to the same name with `.truth.json`.
-    runner : Runner
-        Runs the tasks.
-    scratch : Path
-        Folder for the messages of each car, that all workers see.
-    report : callable
-        Function that receives a stage, the number of its tasks that have ended, and the number of all.
+    workers : Workers
+        Run the tasks; their folder also holds the messages of each car.
 
     Returns
     -------
@@ -58,20 +52,16 @@ def write_recording(
     """
     simulation, truth = fleet.simulation, Truth()
     describe_fleet(fleet, truth)
-    tasks = [(simulation, fleet.factors, number, scratch) for number in range(len(fleet.members))]
+    tasks = [(simulation, fleet.factors, number, workers.scratch) for number in range(len(fleet.members))]
     metadata = make_metadata("simulate", settings=list_changed_settings(simulation, Simulation()))
     with McapSink(out, metadata=metadata) as sink, _without_garbage_collection():
-        report(DRIVE, 0, len(tasks))
-        cars: list[CarFile] = []
-        for car in runner.run(DRIVE, write_car, tasks):
-            cars.append(car)
-            report(DRIVE, len(cars), len(tasks))
+        cars: list[CarFile] = list(workers.run(DRIVE, write_car, tasks))
         merges = len(plan_merge(cars))
-        report(WRITE, 0, merges)
+        workers.report(WRITE, 0, merges)
         for done, messages in enumerate(merge_weather(merge_cars(cars), simulation, fleet.sky)):
             sink.put(messages)
             truth.messages += len(messages)
-            report(WRITE, done + 1, merges)
+            workers.report(WRITE, done + 1, merges)
     truth.take_shifts(order_shifts(cars), {car.name: car.faults for car in cars})
     truth.write(out.with_suffix(TRUTH))
     return truth

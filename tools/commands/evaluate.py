@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import joblib
@@ -12,25 +13,32 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from core.errors import SettingsError
-from core.evaluate.paper.protocol import SEGMENTS, evaluate, select_recipes
+from core.evaluate.paper.protocol import SEGMENTS, tabulate_runs
+from core.evaluate.paper.runs import run_in_parallel
 from core.fit import segment_network
 from core.fit.recipes import RECIPES
 from core.fit.window_recipe import WindowRecipe
 from core.stats.splits import REPEATS
+from tools.cluster.dask_runner import ClusterPlace
+from tools.cluster.evaluation import EvaluationJob, evaluate_by_workers, plan_job
+from tools.cluster.workers import open_workers
 from tools.commands.fit import Tables, ride_files
 from tools.commands.tables import WINDOWS
+from tools.terminal.cluster_option import insert_cluster_options
 from tools.terminal.output import HtmlFile, JsonFile, VehicleFiles, check_outputs, make_console, write_json
-from tools.terminal.table_files import KEY, is_table, read
+from tools.terminal.table_files import KEY, is_table
 
 LEAST_REPEATS = 2
 """Smallest number of repeats that gives an interval."""
 
 
+@insert_cluster_options
 def evaluate_tables(
     tables: Tables,
+    *,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
-    _: VehicleFiles = None,
+    vehicles: VehicleFiles = None,
     seed: Annotated[int, typer.Option(help="Seed of splits and draws; the same seed gives the same result.")] = 0,
     repeats: Annotated[int, typer.Option(help="Number of splits by ride.")] = REPEATS,
     recipes: Annotated[
@@ -49,6 +57,7 @@ def evaluate_tables(
     jobs: Annotated[
         int | None, typer.Option(help="Number of processes; all cores by default.", show_default=False)
     ] = None,
+    place: ClusterPlace | None,
 ) -> None:
     """Evaluate models on held-out rides of tables, as the paper does (Tables 2 to 13), and beyond the paper.
 
@@ -60,6 +69,7 @@ def evaluate_tables(
     socast evaluate tables --html report.html --json result.json
     socast evaluate tables --recipes fitted_physical,hybrid --repeats 5 --jobs 2
     socast evaluate tables --leave-out-of-training nissan-leaf
+    socast evaluate tables --cluster tls://scheduler.example:8786
     """
     began = time.perf_counter()
     for name, value, least in (("--repeats", repeats, LEAST_REPEATS), ("--jobs", jobs, 1), ("--seed", seed, 0)):
@@ -68,20 +78,18 @@ def evaluate_tables(
     files = ride_files(tables)
     beside = [file.with_name(WINDOWS) for file in files]
     check_outputs([*files, *beside], json_file, html_file)
-    rides = read(files)
     named = RECIPES if recipes is None else [name.strip() for name in recipes.split(",")]
-    windows = read(beside, window_columns(named)) if all(map(is_table, beside)) else None
-    wanted = select_recipes(recipes, windows, seed)
-    with running() as step:
-        result = evaluate(
-            rides,
-            wanted,
-            seed=seed,
-            repeats=repeats,
-            left_out_of_training=leave_out_of_training or (),
-            jobs=jobs or joblib.cpu_count(),
-            progress=step,
-        )
+    job = EvaluationJob(
+        tuple(file.resolve() for file in files),
+        tuple(file.resolve() for file in beside) if all(map(is_table, beside)) else (),
+        tuple(window_columns(named)),
+        recipes,
+        seed,
+        repeats,
+        tuple(leave_out_of_training or ()),
+        tuple(file.resolve() for file in vehicles or ()),
+    )
+    result = _evaluate(job, jobs, place)
     result["about"]["seconds"] = round(time.perf_counter() - began, 1)
     write_json(json_file, "evaluate", result)
     _report(result, html_file, json_file)
@@ -103,6 +111,21 @@ def window_columns(names: Collection[str] = ()) -> list[str]:
     chosen = (RECIPES[name] for name in names if name in RECIPES)
     of_recipes = (name for recipe in chosen if isinstance(recipe, WindowRecipe) for name in recipe.columns)
     return list(dict.fromkeys([KEY, "window", *of_segments, *of_recipes]))
+
+
+def _evaluate(job: EvaluationJob, jobs: int | None, place: ClusterPlace | None) -> dict[str, Any]:
+    """Return the evaluation, by processes of this command or by workers."""
+    if place is None:
+        plan = plan_job(job)
+        with running() as step:
+            return tabulate_runs(plan, run_in_parallel(plan.calls, jobs or joblib.cpu_count(), step))
+    if jobs is not None:
+        raise SettingsError("--jobs and --cluster both say how many processes work; give one of the two")
+    with (
+        TemporaryDirectory(prefix="evaluation-", dir=Path.cwd() if place.address else None) as folder,
+        open_workers(place, Path(folder), "evaluation") as workers,
+    ):
+        return evaluate_by_workers(job, workers)
 
 
 @contextmanager

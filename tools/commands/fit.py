@@ -22,7 +22,10 @@ from core.models import ANY, LinearModel, Term
 from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from core.models.plausibility import describe_implausible, get_plausible_ranges, is_within, list_implausible
 from core.vehicles import AccessoryCurve
+from tools.cluster.dask_runner import ClusterPlace
+from tools.cluster.workers import open_workers
 from tools.commands.tables import RIDES, WINDOWS
+from tools.terminal.cluster_option import insert_cluster_options
 from tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
 from tools.terminal.recordings import refuse_duplicates
 from tools.terminal.rich_table import Column, make_table
@@ -50,8 +53,10 @@ CHOKE_POINTS = ("heating_full", "heating_off", "cooling_on", "cooling_full")
 LEVELS = ("heating", "standby", "cooling")
 
 
+@insert_cluster_options
 def fit(
     tables: Tables,
+    *,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="MODEL.json", help="The model file to write.")],
     recipe_name: Annotated[
         str | None, typer.Option("--recipe", metavar="NAME", help=f"One of {', '.join(RECIPES)}.", show_default=False)
@@ -64,6 +69,7 @@ def fit(
             help="Adapt this pooled model to the rides instead, such as those of a new car.",
         ),
     ] = None,
+    place: ClusterPlace | None,
     json_file: JsonFile = None,
     _: VehicleFiles = None,
 ) -> None:
@@ -76,6 +82,7 @@ def fit(
     socast tables recordings/shift.mcap --out tables
     socast fit tables --recipe fitted_physical --out fitted.json
     socast fit new-car --adapt pooled.json --out adapted.json
+    socast fit by-workers --recipe hybrid --out hybrid.json --cluster local:2
     """
     if (recipe_name is None) == (adapt_to is None):
         raise SettingsError(
@@ -88,7 +95,10 @@ def fit(
     chosen = get_recipe(recipe_name or (base.recipe if base else ""))
     files = ride_files(tables)
     check_outputs(files, out, json_file)
-    model = _fitted(chosen, files) if base is None else adapt(base, RideParquet(tuple(files)).table())
+    if place is not None:
+        model = _fit_by_workers(chosen, files, out, place, adapted=base is not None)
+    else:
+        model = _fitted(chosen, files) if base is None else adapt(base, RideParquet(tuple(files)).table())
     models.save(model, out)
     write_json(json_file, "fit", summary(model, chosen.title))
     console = make_console(json_file)
@@ -184,6 +194,18 @@ def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
         there = all(map(is_table, beside))
         return chosen.fit(read(files), read(beside) if there else None)
     return chosen.fit(RideParquet(tuple(files)).table())
+
+
+def _fit_by_workers(
+    chosen: Recipe, files: Sequence[Path], out: Path, place: ClusterPlace, *, adapted: bool
+) -> LinearModel:
+    """Return the fitted model; workers sum the blocks of rides."""
+    if adapted or not isinstance(chosen, LinearRecipe):
+        divided = ", ".join(name for name, recipe in RECIPES.items() if isinstance(recipe, LinearRecipe))
+        what = "--adapt needs" if adapted else f"recipe {chosen.name} needs"
+        raise SettingsError(f"{what} all rides at once; leave out --cluster, which divides the fits of {divided}")
+    with open_workers(place, out.resolve().parent, "fit") as workers:
+        return chosen.fit_parquet(*(file.resolve() for file in files), run=workers.run)
 
 
 class Coefficient(NamedTuple):

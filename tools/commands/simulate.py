@@ -1,6 +1,5 @@
 """`socast simulate`: simulate electric taxis in Montreal, and write a recording and its truth."""
 
-from contextlib import ExitStack
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,10 +8,9 @@ import typer
 from rich.console import Console
 
 from core.errors import RecordingError, SettingsError
-from tools.cluster.dask_runner import ClusterPlace, open_runner
-from tools.cluster.runner import InProcessRunner
+from tools.cluster.dask_runner import ClusterPlace
 from tools.cluster.simulation import write_recording
-from tools.cluster.task_files import make_scratch
+from tools.cluster.workers import open_workers
 from tools.simulator.bent_shapes import BENT
 from tools.simulator.conditions import CONDITION_NAMES, parse_conditions
 from tools.simulator.fleet import prepare_fleet
@@ -36,7 +34,7 @@ from tools.simulator.settings import (
     parse_start,
 )
 from tools.simulator.truth import Truth
-from tools.terminal.cluster_option import insert_cluster_options, show_stages
+from tools.terminal.cluster_option import insert_cluster_options
 
 FIRST_DAY = "2018-01-15"
 
@@ -209,7 +207,5 @@ def write_simulation(simulation: Simulation, out: Path, place: ClusterPlace | No
     folder = out.resolve().parent
     if not folder.is_dir():
         raise RecordingError(f"{out} cannot be written: {folder} is no folder; choose another place")
-    with make_scratch(folder) as scratch, ExitStack() as ending:
-        runner = InProcessRunner() if place is None else ending.enter_context(open_runner(place, scratch))
-        report = ending.enter_context(show_stages("simulation"))
-        return write_recording(fleet, out, runner, scratch, report)
+    with open_workers(place, folder, "simulation") as workers:
+        return write_recording(fleet, out, workers)

@@ -2,14 +2,18 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from core.errors import SettingsError
 from tools.cluster.dask_runner import ClusterPlace, parse_place
 from tools.terminal.option_groups import insert_options
+from tools.terminal.output import check_outputs
 
 WORKER_MEMORY_GB = 2.0
 
@@ -26,9 +30,17 @@ def make_place(
     worker_memory: Annotated[
         float, typer.Option(metavar="GB", help="Memory of each process of local:N.", min=0.5, max=1e4)
     ] = WORKER_MEMORY_GB,
+    cluster_report: Annotated[
+        Path | None, typer.Option(metavar="FILE.json", help="Write which task of --cluster ran where.")
+    ] = None,
 ) -> ClusterPlace | None:
     """Return where the work is done; None for this process."""
-    return None if cluster is None else parse_place(cluster, worker_memory)
+    if cluster is None:
+        if cluster_report is not None:
+            raise SettingsError("--cluster-report says what ran where with --cluster; give that too, or leave it out")
+        return None
+    check_outputs((), cluster_report)
+    return replace(parse_place(cluster, worker_memory), report=cluster_report)
 
 
 insert_cluster_options = insert_options("place", make_place)

@@ -54,8 +54,8 @@ from core.diagnose.ranking import LEAST_GAIN, LEVEL
 from core.effects import Effect
 from core.errors import ModelError
 from core.evaluate.paper.results import to_json_values
+from core.fit.block_sums import build_design
 from core.fit.calibration import add_interval
-from core.fit.fitting import build_design
 from core.fit.measurement_noise import compute_noise_floor
 from core.fit.recipes import RECIPES
 from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable

@@ -28,7 +28,8 @@ from core.diagnose.dataset import Windows
 from core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
 from core.diagnose.projection import BaseProjection, orthonormalise
 from core.diagnose.ranking import sum_over_clusters
-from core.fit.fitting import build_design, fit_terms, limit_to_one_thread
+from core.fit.block_sums import build_design, limit_to_one_thread
+from core.fit.fitting import fit_terms
 from core.fit.recipes import LinearRecipe
 from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers
 from core.fit.window_fit import fit_rows

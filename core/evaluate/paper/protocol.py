@@ -5,6 +5,7 @@
 """
 
 from collections.abc import Callable, Collection, Hashable, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -72,6 +73,57 @@ def select_recipes(names: str | None, windows: pd.DataFrame | None, seed: int = 
     return {name: known[name] for name in known if name in wanted}
 
 
+@dataclass(frozen=True)
+class EvaluationPlan:
+    """Hold the runs of an evaluation; the same rides, recipes and seed give the same plan.
+
+    Parameters
+    ----------
+    table : EvaluatedRides
+        Rides that are evaluated.
+    recipes : mapping of str to EvaluatedRecipe
+        Recipes of `select_recipes`.
+    seed, repeats : int
+        Seed of splits and draws, and number of splits by ride.
+    untrained : collection of str
+        Vehicle models whose rides train no model that predicts a new vehicle model.
+    splits : dict
+        Splits by kind and key.
+    calls : dict
+        Runs by key, independent of each other; the longest ones come first.
+    """
+
+    table: EvaluatedRides
+    recipes: Mapping[str, EvaluatedRecipe]
+    seed: int
+    repeats: int
+    untrained: Collection[str]
+    splits: Mapping[Kind, Mapping[Any, Split]]
+    calls: Mapping[Any, Callable[[], Any]]
+
+
+def plan_evaluation(
+    rides: pd.DataFrame,
+    recipes: Mapping[str, EvaluatedRecipe],
+    *,
+    seed: int = 0,
+    repeats: int = REPEATS,
+    left_out_of_training: Collection[str] = (),
+) -> EvaluationPlan:
+    """Return the runs of an evaluation, see `evaluate`."""
+    table = filter_rides(rides)
+    _check_columns(recipes, table)
+    untrained = new_vehicle.select_untrained(left_out_of_training, table)
+    splits = _make_splits(table, seed, repeats, untrained)
+    calls: dict[Any, Callable[[], Any]] = {
+        (kind, *run): call for kind, own in splits.items() for run, call in plan_runs(recipes, table, own).items()
+    }
+    few = new_vehicle.plan_learning_curves(new_vehicle.list_learners(recipes), table, splits["new"], seed)
+    calls |= {("few", *key): call for key, call in few.items()}
+    calls |= {("selection", name): call for name, call in selection.plan_selection(table, recipes, seed).items()}
+    return EvaluationPlan(table, recipes, seed, repeats, untrained, splits, calls)
+
+
 def evaluate(
     rides: pd.DataFrame,
     recipes: Mapping[str, EvaluatedRecipe],
@@ -109,28 +161,36 @@ def evaluate(
     SettingsError
         Where a vehicle model to leave out has no rides.
     """
-    table = filter_rides(rides)
-    _check_columns(recipes, table)
-    untrained = new_vehicle.select_untrained(left_out_of_training, table)
-    splits = _make_splits(table, seed, repeats, untrained)
-    calls: dict[Any, Callable[[], Any]] = {
-        (kind, *run): call for kind, own in splits.items() for run, call in plan_runs(recipes, table, own).items()
-    }
-    few = new_vehicle.plan_learning_curves(new_vehicle.list_learners(recipes), table, splits["new"], seed)
-    calls |= {("few", *key): call for key, call in few.items()}
-    calls |= {("selection", name): call for name, call in selection.plan_selection(table, recipes, seed).items()}
-    done = run_in_parallel(calls, jobs, progress)
+    plan = plan_evaluation(rides, recipes, seed=seed, repeats=repeats, left_out_of_training=left_out_of_training)
+    return tabulate_runs(plan, run_in_parallel(plan.calls, jobs, progress))
+
+
+def tabulate_runs(plan: EvaluationPlan, done: Mapping[Any, Any]) -> dict[str, Any]:
+    """Return the whole evaluation from the results of its runs.
+
+    Parameters
+    ----------
+    plan : EvaluationPlan
+    done : mapping
+        Result of each run, by its key.
+
+    Raises
+    ------
+    ModelError
+        Where no recipe can be fitted to the rides.
+    """
+    table, recipes, splits = plan.table, plan.recipes, plan.splits
     held = {kind: _select_held_out(done, kind, splits[kind], recipes, table) for kind in ("ride", "vehicle", "date")}
     if not held["ride"].recipes:
         raise ModelError(f"no recipe can be evaluated: {held['ride'].notes[0]}")
     new = {name: _select_held_out(done, "new", {name: split}, recipes, table) for name, split in splits["new"].items()}
-    curves, failed = new_vehicle.tabulate_learning_curves({key: done["few", *key] for key in few})
-    found = _compute_tables(table, held, new, seed, repeats)
+    curves, failed = new_vehicle.tabulate_learning_curves({key[1:]: done[key] for key in plan.calls if key[0] == "few"})
+    found = _compute_tables(table, held, new, plan.seed, plan.repeats)
     found["few_shot"] = curves
-    found["selection"] = next((value for key, value in done.items() if key[0] == "selection"), {})
+    found["selection"] = next((done[key] for key in plan.calls if key[0] == "selection"), {})
     found["recipes"] = {name: recipe.title for name, recipe in recipes.items() if name in held["ride"].recipes}
-    found["about"]["left_out_of_training"] = list(untrained)
-    wide = [] if repeats >= FEWEST_REPEATS else [_describe_width(repeats, held["ride"].overlap)]
+    found["about"]["left_out_of_training"] = list(plan.untrained)
+    wide = [] if plan.repeats >= FEWEST_REPEATS else [_describe_width(plan.repeats, held["ride"].overlap)]
     found["about"]["notes"] = wide + _list_notes(splits, held, new) + _list_untested(table, splits["new"]) + failed
     return results.to_json_values(found)
 

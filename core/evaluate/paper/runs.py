@@ -108,11 +108,13 @@ def run_in_parallel(
     tell(0, len(calls))
     if jobs == 1:
         for key, call in calls.items():
-            done[key] = _in_one_thread(call)
+            done[key] = call_in_one_thread(call)
             tell(len(done), len(calls))
         return done
     with parallel_config(backend="loky", inner_max_num_threads=1):
-        results = Parallel(n_jobs=jobs, return_as="generator")(delayed(_in_one_thread)(call) for call in calls.values())
+        results = Parallel(n_jobs=jobs, return_as="generator")(
+            delayed(call_in_one_thread)(call) for call in calls.values()
+        )
         for key, result in zip(calls, results, strict=True):
             done[key] = result
             tell(len(done), len(calls))
@@ -130,7 +132,7 @@ def plan_runs(
     }
 
 
-def _in_one_thread(call: Callable[[], Result]) -> Result:
+def call_in_one_thread(call: Callable[[], Result]) -> Result:
     """Return the result of a call with linear algebra on one thread, so that the order of sums is always the same."""
     with threadpool_limits(1):
         return call()

@@ -27,7 +27,7 @@ from sklearn.model_selection import KFold
 
 from core.batch import Floats
 from core.evaluate.ride_filter import EvaluatedRides
-from core.fit.fitting import build_design
+from core.fit.block_sums import build_design
 from core.fit.recipes import LinearRecipe
 from core.fit.regression import Moments, solve
 from core.models import ANY, Term

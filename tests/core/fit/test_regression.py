@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.linear_model import LinearRegression
 
-from core.fit.regression import GROUPS, ClusterScores, Influence, Moments, assign_groups, solve
+from core.fit.regression import GROUPS, ClusterScores, Influence, Moments, assign_groups, solve, sum_scores
 
 
 def moments_of(*blocks) -> Moments:
@@ -117,10 +117,10 @@ def covered(seed: int, *, robust: bool) -> np.ndarray:
     covariance = influence.classical()
     if robust:
         left = (y - x @ solution.coefficients - solution.constant) / (1.0 - influence.leverage(x))
-        scores = ClusterScores(influence.mean, constant=True)
+        scores = ClusterScores(len(influence.mean) + 1)
         group = assign_groups([f"c{i}" for i in car], [f"d{i}" for i in day])
         for part in np.array_split(np.arange(n), 5):
-            scores.add(x[part], left[part], group[part])
+            scores.add(sum_scores(x[part] - influence.mean, left[part], group[part], constant=True))
         covariance = influence.robust(scores)
     z = (np.array([*solution.coefficients, solution.constant]) - [1.0, -2.0, 0.5, 3.0]) / np.sqrt(np.diag(covariance))
     return np.abs(z) < 1.96
@@ -142,9 +142,10 @@ def test_robust_covariance_accounts_for_errors_shared_within_a_day():
     moments = moments_of(np.column_stack([by_day, y]))
     solution = solve(moments, constant=True)
     influence = Influence(moments, solution)
-    scores = ClusterScores(influence.mean, constant=True)
+    scores = ClusterScores(len(influence.mean) + 1)
     left = y - by_day * solution.coefficients[0] - solution.constant
-    scores.add(by_day[:, np.newaxis], left, np.repeat(np.arange(60), 20))
+    days = np.repeat(np.arange(60), 20)
+    scores.add(sum_scores(by_day[:, np.newaxis] - influence.mean, left, days, constant=True))
     assert influence.robust(scores)[0, 0] > 8.0 * influence.classical()[0, 0]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from core.batch import Floats
 from core.fit import window_solver
-from core.fit.fitting import limit_to_one_thread
+from core.fit.block_sums import limit_to_one_thread
 from core.fit.measured_rows import join_tables
 from core.fit.priors import build_curve, flatten_curve
 from core.fit.recipes import get_recipe

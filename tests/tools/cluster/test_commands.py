@@ -1,15 +1,19 @@
 """Commands that make or read tables give the same results by workers; here the tasks run in this process."""
 
 import json
+from collections import Counter
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from core.fit import fitting, ride_blocks
+from tests.support import planted_rides
 from tests.support.commands import called, done, refused
 from tests.support.paths import ROOT
-from tools.cluster import run
+from tools.cluster import workers
 from tools.cluster.runner import InProcessRunner
 from tools.cluster.tables import ROWS
 
@@ -23,12 +27,18 @@ def open_here(place, scratch, _):
     yield InProcessRunner()
 
 
+def planted_fleet(n=240):
+    table = planted_rides.rides(n, 2, planted_rides.MODELS[:2])
+    table = table.assign(start_s=table["start_s"] + np.arange(n), ride_key=[f"car#{i}" for i in range(n)])
+    return planted_rides.noisy(table, planted_rides.physical_energy(table))
+
+
 @pytest.fixture(scope="module")
 def tables(tmp_path_factory):
     """Return the folders of serial tables, and of tables by workers in files of a few rows."""
     folder = tmp_path_factory.mktemp("tables")
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(run, "open_runner", open_here)
+        patched.setattr(workers, "open_runner", open_here)
         patched.setitem(ROWS, "rides", 25)
         patched.setitem(ROWS, "windows", 100)
         done("tables", SHIFT, "--out", folder / "serial")
@@ -58,8 +68,50 @@ def test_fit_to_divided_tables_gives_the_same_file(tables, recipe, tmp_path):
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
+@pytest.mark.parametrize("recipe", ["extended_physical", "fitted_physical", "basic_rescaled_power"])
+def test_fit_by_workers_gives_the_serial_file(tables, recipe, tmp_path, monkeypatch):
+    monkeypatch.setattr(workers, "open_runner", open_here)
+    monkeypatch.setattr(ride_blocks, "_BLOCK", 16)
+    monkeypatch.setattr(fitting, "BLOCKS_OF_TASK", 2)
+    paths = [tmp_path / name for name in ("serial.json", "parallel.json", "whole.json", "report.json")]
+    for folder, path, options in zip(
+        (tables[1], tables[1], tables[0]), paths[:3], ((), ("--cluster-report", paths[3]), ()), strict=True
+    ):
+        where = ("--cluster", "local:2", *options) if options else ()
+        done("fit", folder, "--recipe", recipe, "--out", path, *where)
+    assert paths[0].read_bytes() == paths[1].read_bytes() == paths[2].read_bytes()
+    stages = Counter(task["stage"] for task in json.loads(paths[3].read_text())["tasks"])
+    assert stages["survey"] == stages["residuals"] > 1
+
+
+def test_recipe_that_needs_all_rides_is_not_divided(tables, tmp_path, capsys):
+    given = ("--recipe", "road_load", "--out", tmp_path / "m.json", "--cluster", "local:2")
+    message = refused(capsys, "fit", tables[1], *given)
+    assert "recipe road_load needs all rides at once; leave out --cluster" in message
+
+
+def test_evaluation_by_workers_is_the_serial_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(workers, "open_runner", open_here)
+    planted_fleet().to_parquet(tmp_path / "rides.parquet")
+    given = ("evaluate", tmp_path, "--recipes", "basic_physical,empirical", "--repeats", 2, "--json", "-")
+    serial, parallel = (json.loads(called(*given, *how)[0]) for how in (("--jobs", 1), ("--cluster", "local:2")))
+    for result in (serial, parallel):
+        del result["about"]["seconds"]
+    assert serial == parallel
+    assert serial["mae"]
+
+
+def test_jobs_and_workers_are_not_both_given(tables, capsys):
+    assert "give one of the two" in refused(capsys, "evaluate", tables[0], "--jobs", 1, "--cluster", "local:2")
+
+
+def test_report_of_workers_needs_workers(tables, tmp_path, capsys):
+    message = refused(capsys, "evaluate", tables[0], "--cluster-report", tmp_path / "r.json")
+    assert "--cluster-report says what ran where with --cluster" in message
+
+
 def test_comparison_of_recordings_is_that_of_a_serial_run(monkeypatch):
-    monkeypatch.setattr(run, "open_runner", open_here)
+    monkeypatch.setattr(workers, "open_runner", open_here)
     given = ("compare", SHIFT, "--model", "extended_physical", "--json", "-")
     serial, _, _ = called(*given)
     parallel, _, _ = called(*given, "--cluster", "local:2")
@@ -73,7 +125,7 @@ def test_tables_need_no_workers(tables, capsys):
 
 
 def test_later_tables_leave_no_file_of_earlier_ones(tables, monkeypatch, tmp_path):
-    monkeypatch.setattr(run, "open_runner", open_here)
+    monkeypatch.setattr(workers, "open_runner", open_here)
     stale = tmp_path / "rides.parquet" / "rides-000009.parquet"
     stale.parent.mkdir()
     stale.write_bytes(Path(tables[0] / "rides.parquet").read_bytes())

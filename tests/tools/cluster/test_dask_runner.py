@@ -15,6 +15,7 @@ from tests.support.paths import ROOT
 from tools.cluster.dask_runner import ClusterPlace, open_runner, parse_place
 from tools.cluster.runner import InProcessRunner
 from tools.cluster.simulation import TRUTH, write_recording
+from tools.cluster.workers import Workers
 from tools.simulator.fleet import prepare_fleet
 from tools.simulator.settings import Simulation
 
@@ -64,7 +65,7 @@ def test_workers_give_the_serial_recording_while_one_is_killed(runner, tmp_path)
     for out, by in zip(outs, (InProcessRunner(), runner), strict=True):
         runner._on_end = kill
         (tmp_path / out.stem).mkdir()
-        write_recording(fleet, out, by, tmp_path / out.stem, lambda *_: None)
+        write_recording(fleet, out, Workers(by, tmp_path / out.stem, lambda *_: None))
     runner._on_end = None
     assert killed
     for suffix in (".mcap", TRUTH):

@@ -9,6 +9,7 @@ from tests.support.commands import done, refused
 from tests.support.simulated import run_simulation
 from tools.cluster.runner import InProcessRunner
 from tools.cluster.simulation import write_recording
+from tools.cluster.workers import Workers
 from tools.simulator import car_files
 from tools.simulator.car_files import merge_cars, plan_merge
 from tools.simulator.conditions import parse_conditions
@@ -23,7 +24,7 @@ def write(simulation, folder):
     """Return the messages of the recording and its truth."""
     (folder / "scratch").mkdir()
     fleet = prepare_fleet(simulation)
-    truth = write_recording(fleet, folder / "a.mcap", InProcessRunner(), folder / "scratch", lambda *_: None)
+    truth = write_recording(fleet, folder / "a.mcap", Workers(InProcessRunner(), folder / "scratch", lambda *_: None))
     return [message for part in McapSource(folder / "a.mcap") for message in part], truth
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from core.batch import Floats, Ints
 from core.diagnose.dataset import Windows
-from core.fit.fitting import build_design
+from core.fit.block_sums import build_design
 from core.fit.ride_blocks import get_names, get_numbers
 from core.models import ANY, LinearModel, Term
 from core.models.features import ACCESSORIES_COLUMN, Columns

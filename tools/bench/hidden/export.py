@@ -15,7 +15,7 @@ from core.diagnose.candidates import Candidates, build_candidates
 from core.diagnose.dataset import Windows, gather_windows
 from core.diagnose.projection import BaseProjection
 from core.errors import SocastError
-from core.fit.fitting import build_design
+from core.fit.block_sums import build_design
 from core.fit.recipes import fit_to_windows
 from core.models import ANY, LinearModel
 from core.models.features import Columns

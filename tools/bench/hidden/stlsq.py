@@ -17,7 +17,7 @@ import numpy as np
 from core.batch import Floats
 from core.diagnose.candidates import build_candidates
 from core.diagnose.dataset import Windows
-from core.fit.fitting import build_design
+from core.fit.block_sums import build_design
 from core.models import ANY, LinearModel
 from core.models.features import Columns
 

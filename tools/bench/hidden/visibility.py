@@ -15,7 +15,7 @@ from core.batch import Floats, Ints
 from core.diagnose.candidates import Candidates
 from core.diagnose.projection import BaseProjection
 from core.diagnose.ranking import LEAST_LEFT
-from core.fit.fitting import build_design
+from core.fit.block_sums import build_design
 from core.models import Term
 from core.models.features import Columns
 from tools.bench.hidden.cases import Case, get_right_names

@@ -1,0 +1,302 @@
+"""Sum what a fit needs over each block of rides, apart from all other blocks.
+
+A fit makes three passes (`core.fit.fitting`). Each maps every block to a part and adds the parts in the order of the
+blocks. Parts may therefore be made anywhere, in any order, and the sums stay the same to the bit.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from math import prod
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
+
+from core.batch import Floats
+from core.fit.accessory_curve import TemperatureBins, compute_slopes
+from core.fit.regression import Influence, Moments, Scores, assign_groups, sum_scores
+from core.fit.ride_blocks import ENERGY, NAMES, RideSource, ThinnedRides, convert_to_arrays, select_trainable
+from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Term
+from core.models.features import Columns
+from core.vehicles import AccessoryCurve
+
+BLOCKS_OF_TASK: Final = 8
+"""Number of blocks of rides in a task."""
+
+Block = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class GroupContext:
+    """Hold what earlier passes found for the rides of one vehicle model, or for all rides.
+
+    Parameters
+    ----------
+    fills : mapping of str to float
+        Values that replace unknown ones.
+    curve : AccessoryCurve, optional
+    coefficients : (p,) float, optional
+        Coefficients without the constant; None before the normal equations are solved.
+    constant : float
+    influence : Influence, optional
+        None without a covariance.
+    """
+
+    fills: Mapping[str, float]
+    curve: AccessoryCurve | None
+    coefficients: Floats | None = None
+    constant: float = 0.0
+    influence: Influence | None = None
+
+
+@dataclass(frozen=True)
+class FitContext:
+    """Hold what a pass needs to know besides the rides.
+
+    Parameters
+    ----------
+    terms : tuple of Term
+        Terms without the constant.
+    columns : tuple of str
+        Columns to read.
+    filled : tuple of str
+        Columns whose unknown values are filled.
+    road : tuple of Term
+        Terms that are fitted together with the accessory curve.
+    curved, covariance, constant : bool
+        Whether a term reads the accessory curve, whether the covariance is wanted, and whether there is a constant.
+    groups : mapping of str to GroupContext
+        Groups by vehicle model and `*`; empty in the first pass.
+    """
+
+    terms: tuple[Term, ...]
+    columns: tuple[str, ...]
+    filled: tuple[str, ...]
+    road: tuple[Term, ...]
+    curved: bool
+    covariance: bool
+    constant: bool
+    groups: Mapping[str, GroupContext]
+
+
+class GroupSurvey(NamedTuple):
+    """Hold what a block tells of a group: rides, known values and sums by column, and the bins of the curve."""
+
+    rides: int
+    known: dict[str, int]
+    sums: dict[str, float]
+    temperatures: TemperatureBins | None
+
+
+class Survey(NamedTuple):
+    """Hold the first pass over a block.
+
+    Parameters
+    ----------
+    left_out : Counter of str
+        Number of rides left out, by reason.
+    dates : tuple of str
+        First and last date; empty if no ride has one.
+    content : dict of str to bytes
+        Content of each column, for the fingerprint.
+    groups : dict of str to GroupSurvey
+    """
+
+    left_out: Counter[str]
+    dates: tuple[str, ...]
+    content: dict[str, bytes]
+    groups: dict[str, GroupSurvey]
+
+
+class Residuals(NamedTuple):
+    """Hold the residuals of a group in a block: sums of absolute values and of squares, and scores of the clusters."""
+
+    absolute: float
+    squared: float
+    scores: Scores | None
+
+
+class TrainableRides(NamedTuple):
+    """Hold the rides of a block that are trained on, converted, and the number of the others by reason."""
+
+    table: Block
+    left_out: Counter[str]
+
+
+class TaskSums(NamedTuple):
+    """Hold what a task returns: the parts of its blocks, and the rides that the first pass keeps."""
+
+    parts: list[Any]
+    kept: list[pd.DataFrame]
+
+
+BlockFunction = Callable[[FitContext, TrainableRides], Any]
+
+
+class PassRunner(Protocol):
+    """Run the tasks of a pass."""
+
+    def __call__(
+        self, stage: str, function: Callable[..., TaskSums], tasks: Sequence[tuple[Any, ...]], /
+    ) -> Iterator[TaskSums]:
+        """Yield the result of each task, in their order."""
+
+
+def sum_blocks(context: FitContext, function: BlockFunction, rides: RideSource) -> TaskSums:
+    """Return the parts of all blocks of rides.
+
+    Parameters
+    ----------
+    context : FitContext
+    function : callable
+        One of the functions of this module that sum a block.
+    rides : RideSource
+    """
+    with limit_to_one_thread():
+        parts = [function(context, block) for block in convert_blocks(context, rides)]
+    return TaskSums(parts, rides.kept if function is survey_block and isinstance(rides, ThinnedRides) else [])
+
+
+def convert_blocks(context: FitContext, rides: RideSource) -> Iterator[TrainableRides]:
+    """Yield the trainable rides of each block."""
+    for block in rides.blocks(context.columns):
+        good, left_out = select_trainable(block, context.columns)
+        yield TrainableRides(convert_to_arrays(good, context.columns) if len(good) else {}, left_out)
+
+
+def survey_block(context: FitContext, block: TrainableRides) -> Survey:
+    """Return the counts and sums of a block that determine fills and accessory curves, and describe the training."""
+    table = block.table
+    if not table:
+        return Survey(block.left_out, (), {}, {})
+    dates = [date for date in table.get("date", ()) if date]
+    groups = {key: _survey_group(context, Columns(table, rows=rows)) for key, rows in _split_rows(table)}
+    return Survey(block.left_out, (min(dates), max(dates)) if dates else (), _encode_content(context, table), groups)
+
+
+def sum_moments(context: FitContext, block: TrainableRides) -> dict[str, Moments]:
+    """Return the moments of a block, of each group."""
+    moments = {}
+    for key, columns, _ in _split_parts(context, block.table):
+        slopes = _differentiate_curve(context, context.groups[key], columns)
+        moments[key] = Moments.of(np.column_stack([_design(context, columns), *slopes, columns[ENERGY]]))
+    return moments
+
+
+def sum_residuals(context: FitContext, block: TrainableRides) -> dict[str, Residuals]:
+    """Return the residuals of a block, of each group."""
+    sums, whole = {}, block.table
+    days = assign_groups(whole[VEHICLE], whole["date"]) if VEHICLE in whole and "date" in whole else None
+    for key, columns, rows in _split_parts(context, whole):
+        group, scores = context.groups[key], None
+        table = _design(context, columns)
+        coefficients = np.ones(len(context.terms)) if group.coefficients is None else group.coefficients
+        left = columns[ENERGY] - table @ coefficients - group.constant
+        if group.influence is not None and days is not None:
+            table = np.column_stack([table, *_differentiate_curve(context, group, columns)])
+            shares = left / (1.0 - group.influence.leverage(table))
+            scores = sum_scores(table - group.influence.mean, shares, days[rows], constant=context.constant)
+        sums[key] = Residuals(float(np.abs(left).sum()), float(left @ left), scores)
+    return sums
+
+
+def build_design(terms: tuple[Term, ...], columns: Columns, rows: int) -> Floats:
+    """Return the design matrix: the product of the columns of each term.
+
+    Parameters
+    ----------
+    terms : tuple of Term
+        Terms of the model.
+    columns : Columns
+        Columns of the rides.
+    rows : int
+        Number of rides.
+
+    Returns
+    -------
+    (rows, terms) float
+        1 in the column of a constant.
+    """
+    out = np.empty((rows, len(terms)))
+    for j, term in enumerate(terms):
+        out[:, j] = prod(columns[name] for name in term.columns)
+    return out
+
+
+def limit_to_one_thread() -> Any:
+    """Return a context that limits the linear algebra of numpy to one thread.
+
+    The matrices are small, and the results become equal on any number of cores.
+
+    Returns
+    -------
+    context manager
+        The limit holds within its `with` block.
+    """
+    return _find_blas().limit(limits=1)
+
+
+@cache
+def _find_blas() -> Any:
+    """Return the controller of the linear algebra of numpy; cached, as the search for it is slow."""
+    return ThreadpoolController().select(user_api="blas")
+
+
+def _split_rows(block: Block) -> Iterator[tuple[str, Any]]:
+    """Yield the rows of each vehicle model, then all rows together."""
+    if VEHICLE_MODEL in block:
+        code, kinds = pd.factorize(block[VEHICLE_MODEL], sort=True)
+        for i, kind in enumerate(kinds):
+            if kind not in {"", ANY}:
+                yield kind, np.flatnonzero(code == i)
+    yield ANY, slice(None)
+
+
+def _survey_group(context: FitContext, columns: Columns) -> GroupSurvey:
+    """Return the counts and sums of the rides of a group."""
+    known, sums = {}, {}
+    for name in context.filled:
+        values = columns[name]
+        there = np.isfinite(values)
+        known[name], sums[name] = int(there.sum()), float(values[there].sum())
+    energy, temperatures = columns[ENERGY], None
+    if context.curved:
+        time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
+        left = energy if context.road else energy - BASIC_PHYSICAL.predict(columns)
+        road = build_design(context.road, columns, len(energy)).T
+        temperatures = TemperatureBins(len(context.road))
+        temperatures.add(columns["ambient_c"], time, left, list(road))
+    return GroupSurvey(len(energy), known, sums, temperatures)
+
+
+def _encode_content(context: FitContext, table: Block) -> dict[str, bytes]:
+    """Return the content of the columns as bytes."""
+    rows = len(table[ENERGY])
+    return {
+        name: "\n".join([*table.get(name, [""] * rows), ""]).encode() if name in NAMES else table[name].tobytes()
+        for name in (*context.columns, VEHICLE_MODEL)
+    }
+
+
+def _split_parts(context: FitContext, table: Block) -> Iterator[tuple[str, Columns, Any]]:
+    """Yield the key of each group, its columns in a block as the fit uses them, and its rows."""
+    for key, rows in _split_rows(table) if table else ():
+        if (group := context.groups.get(key)) is not None:
+            yield key, Columns(table, group.fills, group.curve, rows), rows
+
+
+def _design(context: FitContext, columns: Columns) -> Floats:
+    """Return the design matrix without the constant."""
+    return build_design(context.terms, columns, len(columns[ENERGY]))
+
+
+def _differentiate_curve(context: FitContext, group: GroupContext, columns: Columns) -> list[Floats]:
+    """Return the derivative of the energy by each number of the accessory curve."""
+    if not context.covariance or group.curve is None:
+        return []
+    time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
+    return list((compute_slopes(group.curve, columns["ambient_c"]) * time[:, np.newaxis]).T)
