@@ -94,13 +94,3 @@ class Visit:
         """Block a request to another host and remember it."""
         self.strangers.append(route.request.url)
         route.abort()
-
-
-def find_serious_faults(page: Any) -> list[str]:
-    """Return what axe-core finds on a page that hinders people seriously, one line per finding."""
-    from axe_playwright_python.sync_playwright import Axe  # noqa: PLC0415 - only tests of pages need it
-
-    found = Axe().run(page).response["violations"]
-    return [
-        f"{each['id']}: {each['nodes'][0]['html'][:200]}" for each in found if each["impact"] in {"serious", "critical"}
-    ]

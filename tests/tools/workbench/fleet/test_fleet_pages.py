@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from core.wire.messages import Finding, Message, encode
-from tests.support.browsers import NARROW, WIDE, Visit, find_serious_faults, open_browser
+from tests.support.accessibility import list_violations
+from tests.support.browsers import NARROW, WIDE, Visit, open_browser
 from tests.support.players import playing, stand_in_the_middle
 from tests.support.workbench_pictures import DOCS, PICTURES, measure_difference, take_pictures
 from tests.support.workbenches import serve
@@ -56,23 +57,34 @@ def pictures(browser, server, tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def window(browser, server):
+    """One window for all tests: to open one takes longer than most tests."""
+    opened = Visit(browser, server)
+    yield opened
+    opened.close()
+
+
 @pytest.fixture
-def visit(browser, server):
+def visit(window):
+    """The window at the page of the fleet; nothing goes wrong in it, and it asks no other host."""
+    window.go("#/fleet")
+    yield window
+    assert window.strangers == []
+    assert window.errors == []
+
+
+def test_first_load_is_small_and_from_this_host_only(browser, server):
     visit = Visit(browser, server)
-    yield visit
-    visit.close()
-    assert visit.strangers == []
-    assert visit.errors == []
-
-
-def test_first_load_is_small_and_from_this_host_only(visit):
     visit.page.wait_for_selector(PAGES["#/fleet"])
     sizes = visit.page.evaluate(
         "[...performance.getEntriesByType('navigation'), ...performance.getEntriesByType('resource')]"
         ".map((each) => each.transferSize)"
     )
+    visit.close()
     assert len(sizes) > 8
     assert 20_000 < sum(sizes) < LARGEST_LOAD
+    assert (visit.strangers, visit.errors) == ([], [])
 
 
 @pytest.mark.parametrize("name", PICTURES)
@@ -82,19 +94,18 @@ def test_pictures_of_the_documentation_show_the_present_pages(name, pictures):
     )
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_pages_are_accessible_and_fit_every_width(browser, server, scheme):
-    visit = Visit(browser, server, WIDE, scheme)
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_pages_are_accessible_and_fit_every_width(visit, scheme):
+    visit.page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
     for address, complete in PAGES.items():
         visit.go(address)
         visit.page.wait_for_selector(complete)
-        assert find_serious_faults(visit.page) == []
+        assert visit.page.evaluate(f"() => matchMedia('(prefers-color-scheme: {scheme})').matches")
+        assert list_violations(visit.page) == []
         visit.page.set_viewport_size(NARROW)
         visit.page.wait_for_function(f"() => document.scrollingElement.scrollWidth <= {NARROW['width']}")
-        assert find_serious_faults(visit.page) == []
+        assert list_violations(visit.page) == []
         visit.page.set_viewport_size(WIDE)
-    visit.close()
-    assert (visit.strangers, visit.errors) == ([], [])
 
 
 def test_player_seeks_and_plays_from_the_page(visit, player):
@@ -188,14 +199,11 @@ def test_question_is_asked_by_a_form_and_kept_in_the_address(visit, player):
     assert re.search(r"\d", page.locator(".answer .bad").text_content())
 
 
-def test_car_that_is_unknown_and_page_that_does_not_exist_say_so(browser, server):
-    visit = Visit(browser, server)
+def test_car_that_is_unknown_and_page_that_does_not_exist_say_so(visit):
     visit.go("#/car/horse")
     visit.page.get_by_text("horse has sent nothing so far").wait_for()
     visit.go("#/stable")
     visit.page.get_by_text("There is no such page").wait_for()
-    visit.close()
-    assert visit.strangers == []
 
 
 def test_text_of_messages_is_shown_as_text(browser):
@@ -212,8 +220,7 @@ def test_text_of_messages_is_shown_as_text(browser):
 
 
 def test_page_of_another_origin_reaches_nothing(browser, server):
-    visit = Visit(browser, server)
-    reached = visit.page.context.browser.new_context()
+    reached = browser.new_context()
     page = reached.new_page()
     page.goto(f"http://localhost:{server.port}/")
     assert "no session" in page.text_content("body") or "another" in page.text_content("body")
@@ -227,10 +234,9 @@ def test_page_of_another_origin_reaches_nothing(browser, server):
         });
         return [asked, socket];
     }"""
-    blank = reached.new_page()
-    assert blank.evaluate(script, server.origin) == ["refused", "refused"]
+    page.goto("about:blank")
+    assert page.evaluate(script, server.origin) == ["refused", "refused"]
     reached.close()
-    visit.close()
 
 
 def test_workbench_without_a_fleet_says_how_to_get_one(browser):
@@ -238,6 +244,6 @@ def test_workbench_without_a_fleet_says_how_to_get_one(browser):
         visit = Visit(browser, server)
         visit.page.get_by_text("No fleet to show").wait_for()
         assert visit.page.get_by_text("read-only").is_visible()
-        assert find_serious_faults(visit.page) == []
+        assert list_violations(visit.page) == []
         visit.close()
     assert (visit.strangers, visit.errors) == ([], [])
