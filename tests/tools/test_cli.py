@@ -50,23 +50,24 @@ HEAVY = {"joblib", "mcap", "numba", "pandas", "pint", "plotly", "scipy", "sklear
 
 
 @pytest.mark.parametrize(
-    ("call", "not_imported"),
+    ("calls", "not_imported"),
     [
-        ("--help", {*HEAVY, "numpy", "rich"}),
-        ("--version", {*HEAVY, "numpy", "rich"}),
-        ("effects list", HEAVY),
-        *((f"{name} --help", {"joblib", "plotly", "scipy.stats", "sklearn"}) for name in ("live", "tables", "fit")),
+        (["--help", "--version"], {*HEAVY, "numpy", "rich"}),
+        (["effects list"], HEAVY),
+        (["live --help", "tables --help", "fit --help"], {"joblib", "plotly", "scipy.stats", "sklearn"}),
     ],
 )
-def test_command_imports_no_package_that_it_does_not_need(call, not_imported):
+def test_commands_import_no_package_that_they_do_not_need(calls, not_imported):
     code = (
         "import sys; from tools.cli import main\n"
-        f"try: main({call.split()})\n"
-        "except SystemExit as ended: assert ended.code == 0\n"
-        f"print(sorted({not_imported} & set(sys.modules)))"
+        f"for call in {[call.split() for call in calls]}:\n"
+        "    try: main(call)\n"
+        "    except SystemExit as ended: assert ended.code == 0\n"
+        f"    print('imported', call, sorted({not_imported} & set(sys.modules)))"
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
-    assert ended.stdout.splitlines()[-1] == "[]"
+    imported = [line for line in ended.stdout.splitlines() if line.startswith("imported")]
+    assert imported == [f"imported {call.split()} []" for call in calls]
 
 
 def test_process_ends_without_a_search_for_cycles():
@@ -97,13 +98,13 @@ def test_help_lists_every_command_with_complete_summary(width):
         ("socast effects show --", {"--json", "--effects"}, {"--html"}),
     ],
 )
-def test_shell_completes_commands_subcommands_and_options(words, offered, not_offered):
+def test_shell_completes_commands_subcommands_and_options(words, offered, not_offered, monkeypatch):
     before, _, _ = words.rpartition(" ")
-    environment = {"COMP_WORDS": words, "COMP_CWORD": str(len(before.split())), COMPLETION: "complete_bash"}
-    ended = subprocess.run(
-        SOCAST, env=os.environ | environment, capture_output=True, text=True, timeout=60, check=False
-    )
-    completions = set(ended.stdout.split())
+    for name, value in {"WORDS": words, "CWORD": str(len(before.split()))}.items():
+        monkeypatch.setenv(f"COMP_{name}", value)
+    monkeypatch.setenv(COMPLETION, "complete_bash")
+    out, _, _ = called()
+    completions = set(out.split())
     assert offered <= completions
     assert not not_offered & completions
 
@@ -348,15 +349,14 @@ def consumer(tmp_path: Path):
         yield start
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_live_ends_cleanly_on_signal_without_losing_messages(consumer, recording, tmp_path, number):
+def test_live_ends_cleanly_on_sigterm_without_losing_messages(consumer, recording, tmp_path):
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint, "--record", tmp_path / "kept", "--report", "0.05")
     _, printed, code = called("replay", recording, "--connect", endpoint, "--speed", "max")
     assert code == 0
     assert f"published {len(shift()):,} messages" in printed
     assert eventually(lambda: any(line.get("messages") == len(shift()) for line in logged(log)))
-    process.send_signal(number)
+    process.terminate()
     assert process.wait(20) == 0
     lines = logged(log)
     finished = next(line for line in lines if line["event"] == "finished")
@@ -372,13 +372,15 @@ def test_live_ends_cleanly_on_signal_without_losing_messages(consumer, recording
     assert not source.losses
 
 
-def test_live_uses_settings_of_cleaning(consumer, recording):
+def test_live_uses_settings_of_cleaning_and_ends_cleanly_on_sigint(consumer, recording):
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     process, log = consumer("--listen", endpoint, "--report", "0.05", "--least-distance-km", "100")
     called("replay", recording, "--connect", endpoint, "--speed", "max")
     assert eventually(lambda: any(line.get("messages") == len(shift()) for line in logged(log)))
-    process.terminate()
+    process.send_signal(signal.SIGINT)
     assert process.wait(20) == 0
+    (finished,) = [line for line in logged(log) if line["event"] == "finished"]
+    assert (finished["messages"], finished["missed"]) == (len(shift()), 0)
     rides = [line for line in logged(log) if line["event"] == "ride"]
     assert [ride["unfit_reason"] for ride in rides] == ["too_little_distance"] * 9
 

@@ -26,7 +26,7 @@ pytestmark = pytest.mark.long
 
 def follow_readiness(address: HttpAddress, end: Event, answers: list[tuple[int, str]]) -> None:
     """Ask whether a service is ready until an event, from before it exists."""
-    while not end.wait(0.01):
+    while not end.wait(0.05):
         try:
             answers.append(ask_page(address, "/readyz"))
         except OSError:

@@ -23,7 +23,7 @@ from tools.report.cells import PAPER_NOTE, UNKNOWN
 from tools.report.evaluation import selection_figures
 from tools.report.evaluation.illustrations import MAKERS, PAPER_CAPTION, build_illustrations
 from tools.report.evaluation.sections import build_sections
-from tools.report.evaluation.terminal import show
+from tools.report.evaluation.terminal import print_section, show
 from tools.report.figure_style import get_style
 from tools.report.page import render_page, write
 from tools.terminal.output import REPORT_VERSIONS
@@ -39,6 +39,17 @@ def printed(result, width=120):
     console = Console(width=width, file=StringIO(), color_system=None)
     show(result, console)
     return console.file.getvalue()
+
+
+def printed_changes(result, before):
+    """Return the terminal output of a result without the sections that another result has too."""
+    known = build_sections(to_json_values(before))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "tools.report.evaluation.terminal.print_section",
+            lambda section, console: None if section in known else print_section(section, console),
+        )
+        return printed(result)
 
 
 def smaller(value):
@@ -190,28 +201,32 @@ def test_terminal_output_ends_with_principal_figures(terminal):
     assert "At a glance" in "".join(terminal.splitlines()[-45:])
 
 
-@pytest.mark.parametrize("where", ["recipe", "vehicle_model", "reason", "driver", "note"])
-def test_odd_names_are_shown_unchanged(where):
-    result = smaller(evaluation())
-    if where == "recipe":
-        result["recipes"]["hybrid_trees"] = ODD
-    elif where == "vehicle_model":
-        result = renamed(result, FEW_VEHICLES[0], ODD)
-    elif where == "reason":
-        result["about"]["unfit"][ODD] = 7
-    elif where == "driver":
-        for entries in result["by"]["driver"].values():
-            del entries[5:]
-            entries[0]["bin"] = ODD
-    else:
-        result["about"]["notes"] = [ODD]
+def odd(where):
+    """Return an odd name for a place in a result."""
+    return f"{ODD} of {where}"
+
+
+@pytest.fixture(scope="module")
+def odd_report():
+    """Return the page of a result with odd names, what a reader finds in it, and the terminal output."""
+    result = renamed(smaller(evaluation()), FEW_VEHICLES[0], odd("vehicle"))
+    result["recipes"]["hybrid_trees"] = odd("recipe")
+    result["about"]["unfit"][odd("reason")] = 7
+    result["about"]["notes"] = [odd("note")]
+    for entries in result["by"]["driver"].values():
+        del entries[5:]
+        entries[0]["bin"] = odd("driver")
     html = render_page(result)
-    reader = read_page(html)
+    return html, read_page(html), printed(result, width=1000)
+
+
+@pytest.mark.parametrize("where", ["recipe", "vehicle", "reason", "driver", "note"])
+def test_odd_names_are_shown_unchanged(where, odd_report):
+    html, reader, text = odd_report
     tags = [tag for tag, _ in reader.tags]
     assert tags.count("script") == 2 + tags.count("figure")
-    shown = ODD.replace("_", " ")
-    assert shown in "".join(reader.text)
-    assert "[red]" in printed(result, width=400)
+    assert odd(where) in "".join(reader.text)
+    assert odd(where) in text
     assert "\\u003cb>" not in html, "a figure would read the tag"
 
 
@@ -228,22 +243,22 @@ def renamed(value, old, new):
 def test_result_with_missing_or_null_part_is_reported(part, readers):
     result = smaller(evaluation())
     assert drawn({key: value for key, value in result.items() if key != part}, readers[part]) is not None
-    assert "The paper" in printed(result | {part: None})
+    assert "The paper" in printed_changes(result | {part: None}, result)
 
 
 @pytest.mark.parametrize(
     "part", ["mae", "coverage", "by", "new_vehicle", "few_shot", "difference", "selection", "curve"]
 )
 def test_part_with_null_figures_has_no_drawing(part, readers):
-    result = smaller(evaluation())
-    result[part] = nulled(result[part])
+    whole = smaller(evaluation())
+    result = whole | {part: nulled(whole[part])}
     assert readers[part]
     assert not {
         key
         for key in drawn(to_json_values(result), readers[part])
         if key.startswith((part.replace("_", "-"), f"{part}-"))
     }
-    assert "None" not in printed(result)
+    assert "None" not in printed_changes(result, whole)
 
 
 def nulled(value):
