@@ -28,6 +28,8 @@ from core.stats.scores import UNKNOWN, Codes, Estimate
 
 LEAST_CLUSTERS: Final = 30
 """Number of clusters below which a share is too uncertain to be shown as a figure."""
+SPARSE: Final = 16
+"""Largest code over the number of cases above which codes are renumbered before they are counted. [1]"""
 
 
 def assign_vehicle_days(rides: pd.DataFrame, day: str = "date") -> Codes:
@@ -71,11 +73,14 @@ def compute_clustered_mean(values: Floats, clusters: Codes) -> Estimate:
     if not len(values):
         return UNKNOWN
     mean = float(np.mean(values))
-    _, cluster, count = np.unique(clusters, return_inverse=True, return_counts=True)
+    if clusters.min() < 0 or clusters.max() > SPARSE * len(values):
+        clusters = np.unique(clusters, return_inverse=True)[1]
+    every = np.bincount(clusters)
+    count = every[every > 0]
     if len(count) == 1:  # one cluster holds no information on how clusters differ
         return Estimate(mean, nan, nan)
     share = count / len(values)
-    sums = np.bincount(cluster, weights=values - mean)
+    sums = np.bincount(clusters, weights=values - mean)[every > 0]
     error = sqrt(float(np.sum(sums**2 / (1.0 - share)))) / len(values)
     spread = share**2 / (1.0 - share)
     inverse = np.sum(share**2) + np.sum(spread) ** 2 - np.sum(spread**2)

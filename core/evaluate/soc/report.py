@@ -5,13 +5,15 @@ all intervals, treat the shifts of a vehicle on one day as one cluster.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from math import nan
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from core.batch import Floats
+from core.batch import Floats, Ints
 from core.errors import ModelError
 from core.evaluate.binning import bin_values
 from core.evaluate.soc.baselines import BASELINES, PERSONS, compute_baselines, compute_leg_baselines
@@ -38,6 +40,44 @@ EXAMPLE_HOURS_AHEAD: Final = 2
 """Time ahead of the forecasts by which examples are selected. [h]"""
 EXAMPLE_COLUMNS: Final = ("soc", "soc_mean", "soc_p05", "soc_p95")
 """Columns of forecasts that an example contains, without `_pct`."""
+FIGURE_COLUMNS: Final = (
+    *("soc_end_pct", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct", "regression_p05", "regression_p95"),
+    *BASELINES,
+)
+"""Numbers of a case that its figures need."""
+
+
+@dataclass(frozen=True)
+class FigureCases:
+    """Hold what the figures of cases need, as arrays: figures are computed for many parts of the same cases.
+
+    Parameters
+    ----------
+    numbers : dict of str to (n,) float
+        `FIGURE_COLUMNS` by name.
+    shift, cluster : (n,) int64
+        Shift and vehicle-day of each case.
+    """
+
+    numbers: Mapping[str, Floats]
+    shift: Codes
+    cluster: Codes
+
+    @classmethod
+    def gather(cls, cases: pd.DataFrame) -> "FigureCases":
+        """Return the cases of a table."""
+        shift = cases.groupby(SHIFT_KEY, sort=False, dropna=False).ngroup()
+        numbers = {name: cases[name].to_numpy(np.float64) for name in FIGURE_COLUMNS}
+        return cls(numbers, np.asarray(shift, np.int64), cases["cluster"].to_numpy(np.int64))
+
+    def __len__(self) -> int:
+        """Return the number of cases."""
+        return len(self.shift)
+
+    def only(self, kept: NDArray[np.bool_]) -> "FigureCases":
+        """Return a part of the cases."""
+        numbers = {name: values[kept] for name, values in self.numbers.items()}
+        return FigureCases(numbers, self.shift[kept], self.cluster[kept])
 
 
 def evaluate_soc(
@@ -85,12 +125,13 @@ def evaluate_soc(
             "give recordings of more days"
         )
     cases = pd.concat([selected.cases, compute_baselines(selected.cases, outlooks, shifts, plans)], axis=1)
+    gathered, hours = FigureCases.gather(cases), cases["hours"].to_numpy(np.int64)
     bounds = count_impossible_bounds(outlooks, plans)
     charges = select_charge_cases(outlooks, shifts, plans)
     return {
         "about": _about(selected),
-        "overall": compute_figures_by_time(cases),
-        "by": compute_figures_by_condition(cases),
+        "overall": compute_figures_by_time(gathered, hours),
+        "by": compute_figures_by_condition(cases, gathered),
         "bounds": bounds,
         "reserve": evaluate_reserve_risk(cases),
         "legs": {} if legs is None or not len(legs) else compute_leg_figures(legs, outlooks, shifts, plans),
@@ -107,13 +148,15 @@ def evaluate_soc(
     }
 
 
-def compute_figures_by_time(cases: pd.DataFrame) -> dict[str, Any]:
+def compute_figures_by_time(cases: FigureCases, hours: Ints) -> dict[str, Any]:
     """Return the figures of cases, pooled over times ahead and for each time ahead.
 
     Parameters
     ----------
-    cases : (n, columns) DataFrame
+    cases : FigureCases
         Forecasts with their outcomes and baselines.
+    hours : (n,) int64
+        Time ahead of each case. [h]
 
     Returns
     -------
@@ -121,10 +164,10 @@ def compute_figures_by_time(cases: pd.DataFrame) -> dict[str, Any]:
         `pooled`: figures of all cases. `hours`: time ahead [h] -> figures, for each time ahead that has a case.
         `compute_forecast_figures` describes the figures.
     """
-    each = {str(hours): cases[cases["hours"] == hours] for hours in HOURS_AHEAD}
+    each = {str(ahead): cases.only(hours == ahead) for ahead in HOURS_AHEAD}
     return {
         "pooled": compute_forecast_figures(cases),
-        "hours": {hours: compute_forecast_figures(group) for hours, group in each.items() if len(group)},
+        "hours": {ahead: compute_forecast_figures(group) for ahead, group in each.items() if len(group)},
     }
 
 
@@ -155,12 +198,12 @@ def compute_leg_figures(
     last = later.sort_values("leg", kind="stable").drop_duplicates(["vehicle_id", "time_s"], keep="last").sort_index()
     groups = {"without a charge": cases[~cases["charges"]], "charged later": later, "to the next charge": last}
     for name, group in groups.items():
-        band = bin_values(group["minutes"].to_numpy(np.float64), MINUTES)
+        band, gathered = bin_values(group["minutes"].to_numpy(np.float64), MINUTES), FigureCases.gather(group)
         bins = [
-            {"bin": band.labels[code], **compute_forecast_figures(group[band.codes == code])}
+            {"bin": band.labels[code], **compute_forecast_figures(gathered.only(band.codes == code))}
             for code in np.unique(band.codes).tolist()
         ]
-        figures[name] = [*bins, {"bin": "all", **compute_forecast_figures(group)}] if bins else []
+        figures[name] = [*bins, {"bin": "all", **compute_forecast_figures(gathered)}] if bins else []
     return figures
 
 
@@ -172,18 +215,22 @@ def compute_charge_figures(cases: pd.DataFrame) -> list[dict[str, Any]]:
     cases : DataFrame
         Cases of `core.evaluate.soc.planned_charges.select_charge_cases`.
     """
-    hours = sorted(set(cases["hours"]))
-    bins = [{"bin": f"{each} h", **compute_forecast_figures(cases[cases["hours"] == each])} for each in hours]
-    return [*bins, {"bin": "all", **compute_forecast_figures(cases)}]
+    hours, gathered = cases["hours"].to_numpy(), FigureCases.gather(cases)
+    bins = [
+        {"bin": f"{each} h", **compute_forecast_figures(gathered.only(hours == each))} for each in sorted(set(hours))
+    ]
+    return [*bins, {"bin": "all", **compute_forecast_figures(gathered)}]
 
 
-def compute_figures_by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
+def compute_figures_by_condition(cases: pd.DataFrame, gathered: FigureCases) -> dict[str, list[dict[str, Any]]]:
     """Return the figures in each band of temperature, for each vehicle model, and with and without a plan.
 
     Parameters
     ----------
     cases : (n, columns) DataFrame
-        Forecasts with their outcomes and baselines.
+        Forecasts with the conditions in which they were made.
+    gathered : FigureCases
+        The same forecasts with their outcomes and baselines.
 
     Returns
     -------
@@ -205,9 +252,10 @@ def compute_figures_by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str
         "vehicle model": (model.codes, tuple(map(str, model.categories))),
         "plan": (np.where(cases["planned"].to_numpy(bool), 0, 1), ("planned", "by habit")),
     }
+    hours = cases["hours"].to_numpy(np.int64)
     return {
         name: [
-            {"bin": labels[code], **compute_figures_by_time(cases[codes == code])}
+            {"bin": labels[code], **compute_figures_by_time(gathered.only(codes == code), hours[codes == code])}
             for code in np.unique(codes[codes >= 0]).tolist()
         ]
         for name, (codes, labels) in bins.items()
@@ -215,12 +263,12 @@ def compute_figures_by_condition(cases: pd.DataFrame) -> dict[str, list[dict[str
     }
 
 
-def compute_forecast_figures(cases: pd.DataFrame) -> dict[str, Any]:
+def compute_forecast_figures(cases: FigureCases) -> dict[str, Any]:
     """Return error, coverage and width of forecasts, and the errors of baselines on the same cases.
 
     Parameters
     ----------
-    cases : (n, columns) DataFrame
+    cases : FigureCases
         Forecasts with their outcomes and baselines.
 
     Returns
@@ -235,12 +283,12 @@ def compute_forecast_figures(cases: pd.DataFrame) -> dict[str, Any]:
         baseline's error less the forecasts' error. `regression` has the figures of the intervals of the regression, and
         those of the forecasts on the same cases (`forecast_...`).
     """
-    became, clusters = _numbers(cases, "soc_end_pct"), cases["cluster"].to_numpy(np.int64)
-    mean, low, high = (_numbers(cases, f"soc_{name}_pct") for name in ("mean", "p05", "p95"))
+    became, clusters = cases.numbers["soc_end_pct"], cases.cluster
+    mean, low, high = (cases.numbers[f"soc_{name}_pct"] for name in ("mean", "p05", "p95"))
     error = np.abs(mean - became)
     return {
         "n": len(cases),
-        "shifts": len(cases[SHIFT_KEY].drop_duplicates()),
+        "shifts": len(np.unique(cases.shift)),
         "vehicle_days": len(np.unique(clusters)),
         "mae_pct": compute_clustered_mean(error, clusters).figures(),
         "bias_pct": compute_clustered_mean(mean - became, clusters).figures(),
@@ -250,7 +298,7 @@ def compute_forecast_figures(cases: pd.DataFrame) -> dict[str, Any]:
         "width_pct": compute_clustered_mean(high - low, clusters).figures(),
         "interval_score_pct": compute_clustered_mean(compute_interval_score(low, high, became), clusters).figures(),
         "regression": _against_regression(cases),
-        "baselines": {name: _against(_numbers(cases, name), became, error, clusters) for name in BASELINES},
+        "baselines": {name: _against(cases.numbers[name], became, error, clusters) for name in BASELINES},
         "best": _best(cases, became, error, clusters),
     }
 
@@ -280,14 +328,14 @@ def compute_interval_score(low: Floats, high: Floats, became: Floats) -> Floats:
     return np.asarray(high - low + 2.0 / (1.0 - NOMINAL) * missed)
 
 
-def _against_regression(cases: pd.DataFrame) -> dict[str, Any]:
+def _against_regression(cases: FigureCases) -> dict[str, Any]:
     """Return the figures of the intervals of the regression and of the forecasts, where both are known."""
-    both = cases[cases["regression_p05"].notna() & cases["soc_p05_pct"].notna()]
-    became, clusters = _numbers(both, "soc_end_pct"), both["cluster"].to_numpy(np.int64)
+    both = cases.only(~np.isnan(cases.numbers["regression_p05"]) & ~np.isnan(cases.numbers["soc_p05_pct"]))
+    became, clusters = both.numbers["soc_end_pct"], both.cluster
     columns = {"": "regression", "forecast_": "soc"}
     figures: dict[str, Any] = {"n": len(both)}
     for prefix, name in columns.items():
-        low, high = (_numbers(both, f"{name}_{end}" + ("_pct" if prefix else "")) for end in ("p05", "p95"))
+        low, high = (both.numbers[f"{name}_{end}" + ("_pct" if prefix else "")] for end in ("p05", "p95"))
         figures |= {
             f"{prefix}coverage": compute_clustered_share((low <= became) & (became <= high), clusters),
             f"{prefix}width_pct": compute_clustered_mean(high - low, clusters).figures(),
@@ -312,12 +360,12 @@ def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -
     }
 
 
-def _best(cases: pd.DataFrame, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any] | None:
+def _best(cases: FigureCases, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any] | None:
     """Return the person's baseline with the least error on cases that all of them cover, and the forecasts' error."""
-    known = np.isfinite(cases[list(PERSONS)].to_numpy(np.float64)).all(axis=1)
+    known = np.isfinite([cases.numbers[name] for name in PERSONS]).all(axis=0)
     if not known.any():
         return None
-    errors = {name: np.abs(_numbers(cases, name) - became)[known] for name in PERSONS}
+    errors = {name: np.abs(cases.numbers[name] - became)[known] for name in PERSONS}
     name = min(errors, key=lambda one: float(errors[one].mean()))
     return {
         "name": name,
@@ -369,11 +417,6 @@ def _warn_of_bounds(bounds: Mapping[str, Any]) -> list[str]:
         return []
     above, largest = f"{bounds['above']:,} of {bounds['n']:,}", f"{bounds['largest']:.1f} %"
     return [f"{above} upper bounds without a charge ahead are above the present charge, by up to {largest}"]
-
-
-def _numbers(cases: pd.DataFrame, column: str) -> Floats:
-    """Return a column as floats, (n,)."""
-    return cases[column].to_numpy(np.float64)
 
 
 def select_examples(cases: pd.DataFrame, outlooks: pd.DataFrame) -> list[dict[str, Any]]:
