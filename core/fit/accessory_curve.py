@@ -28,6 +28,8 @@ from core.batch import Floats, Ints
 from core.columns import ZERO_CELSIUS
 from core.vehicles import ACCESSORIES, AccessoryCurve
 
+CURVE_NUMBERS: Final = 7
+"""Number of parameters of an accessory curve: three levels and four choke points."""
 _LOW, _HIGH, _WIDTH = -60.0, 60.0, 0.25
 """Range and width of the bins of outside temperature. [°C]"""
 _BINS: Final = round((_HIGH - _LOW) / _WIDTH)

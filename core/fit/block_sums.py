@@ -2,6 +2,9 @@
 
 A fit makes three passes (`core.fit.fitting`). Each maps every block to a part and adds the parts in the order of the
 blocks. Parts may therefore be made anywhere, in any order, and the sums stay the same to the bit.
+
+The fits of a block share the columns that are equal for all of them: those of terms without unknown values that do not
+depend on the accessory curve.
 """
 
 from collections import Counter
@@ -17,11 +20,11 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from core.batch import Floats
-from core.fit.accessory_curve import TemperatureBins, compute_slopes
+from core.fit.accessory_curve import CURVE_NUMBERS, TemperatureBins, compute_slopes
 from core.fit.regression import Influence, Moments, Scores, assign_groups, sum_scores
 from core.fit.ride_blocks import ENERGY, NAMES, RideSource, ThinnedRides, convert_to_arrays, select_trainable
 from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Term
-from core.models.features import Columns
+from core.models.features import ACCESSORIES_COLUMN, Columns, list_raw_columns
 from core.vehicles import AccessoryCurve
 
 BLOCKS_OF_TASK: Final = 8
@@ -180,26 +183,23 @@ def survey_block(context: FitContext, block: TrainableRides) -> Survey:
 
 def sum_moments(context: FitContext, block: TrainableRides) -> dict[str, Moments]:
     """Return the moments of a block, of each group."""
-    moments = {}
-    for key, columns, _ in _split_parts(context, block.table):
-        slopes = _differentiate_curve(context, context.groups[key], columns)
-        moments[key] = Moments.of(np.column_stack([_design(context, columns), *slopes, columns[ENERGY]]))
-    return moments
+    rides = _tabulate(context, block.table, slopes=context.curved and context.covariance)
+    return {key: Moments.of(table) for key, table, _ in rides}
 
 
 def sum_residuals(context: FitContext, block: TrainableRides) -> dict[str, Residuals]:
     """Return the residuals of a block, of each group."""
     sums, whole = {}, block.table
     days = assign_groups(whole[VEHICLE], whole["date"]) if VEHICLE in whole and "date" in whole else None
-    for key, columns, rows in _split_parts(context, whole):
+    slopes = context.curved and context.groups[ANY].influence is not None
+    for key, table, rows in _tabulate(context, whole, slopes=slopes):
         group, scores = context.groups[key], None
-        table = _design(context, columns)
         coefficients = np.ones(len(context.terms)) if group.coefficients is None else group.coefficients
-        left = columns[ENERGY] - table @ coefficients - group.constant
+        left = table[:, -1] - table[:, : len(coefficients)] @ coefficients - group.constant
         if group.influence is not None and days is not None:
-            table = np.column_stack([table, *_differentiate_curve(context, group, columns)])
-            shares = left / (1.0 - group.influence.leverage(table))
-            scores = sum_scores(table - group.influence.mean, shares, days[rows], constant=context.constant)
+            centred = table[:, :-1] - group.influence.mean
+            shares = left / (1.0 - group.influence.leverage(centred))
+            scores = sum_scores(centred, shares, days[rows], constant=context.constant)
         sums[key] = Residuals(float(np.abs(left).sum()), float(left @ left), scores)
     return sums
 
@@ -262,7 +262,8 @@ def _survey_group(context: FitContext, columns: Columns) -> GroupSurvey:
     for name in context.filled:
         values = columns[name]
         there = np.isfinite(values)
-        known[name], sums[name] = int(there.sum()), float(values[there].sum())
+        values = values if there.all() else values[there]
+        known[name], sums[name] = len(values), float(values.sum())
     energy, temperatures = columns[ENERGY], None
     if context.curved:
         time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
@@ -282,21 +283,37 @@ def _encode_content(context: FitContext, table: Block) -> dict[str, bytes]:
     }
 
 
-def _split_parts(context: FitContext, table: Block) -> Iterator[tuple[str, Columns, Any]]:
-    """Yield the key of each group, its columns in a block as the fit uses them, and its rows."""
-    for key, rows in _split_rows(table) if table else ():
+def _tabulate(context: FitContext, block: Block, *, slopes: bool) -> Iterator[tuple[str, Floats, Any]]:
+    """Yield the key of each group, its rides of a block as a table, and their rows in the block.
+
+    The columns of the table are the terms, with `slopes` the derivatives of the energy by each number of the accessory
+    curve, and the energy. Terms that depend on no fill and no curve are computed once for all groups.
+    """
+    if not block:
+        return
+    columns = Columns(block)
+    sources = [
+        {source for name in term.columns for source in (name, *list_raw_columns(name))} for term in context.terms
+    ]
+    numbers = set().union(*sources) - {ACCESSORIES_COLUMN, *NAMES}
+    apart = {ACCESSORIES_COLUMN, *(name for name in numbers if np.isnan(columns[name]).any())}
+    shared = [i for i, names in enumerate(sources) if apart.isdisjoint(names)]
+    others = [i for i, names in enumerate(sources) if not apart.isdisjoint(names)]
+    whole = np.empty((len(block[ENERGY]), len(sources) + slopes * CURVE_NUMBERS + 1))
+    _multiply(context, shared, columns, whole)
+    whole[:, -1] = block[ENERGY]
+    for key, rows in _split_rows(block):
         if (group := context.groups.get(key)) is not None:
-            yield key, Columns(table, group.fills, group.curve, rows), rows
+            table = whole if key == ANY else whole[rows]
+            columns = Columns(block, group.fills, group.curve, rows)
+            _multiply(context, others, columns, table)
+            if slopes and group.curve is not None:
+                time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
+                table[:, len(sources) : -1] = compute_slopes(group.curve, columns["ambient_c"]) * time[:, np.newaxis]
+            yield key, table, rows
 
 
-def _design(context: FitContext, columns: Columns) -> Floats:
-    """Return the design matrix without the constant."""
-    return build_design(context.terms, columns, len(columns[ENERGY]))
-
-
-def _differentiate_curve(context: FitContext, group: GroupContext, columns: Columns) -> list[Floats]:
-    """Return the derivative of the energy by each number of the accessory curve."""
-    if not context.covariance or group.curve is None:
-        return []
-    time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
-    return list((compute_slopes(group.curve, columns["ambient_c"]) * time[:, np.newaxis]).T)
+def _multiply(context: FitContext, terms: Sequence[int], columns: Columns, table: Floats) -> None:
+    """Write the product of the columns of each of these terms to its column of a table."""
+    for i in terms:
+        table[:, i] = prod(columns[name] for name in context.terms[i].columns)

@@ -256,33 +256,40 @@ def add_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True
     good, _ = select_trainable(rides, [*model.needs, ENERGY])
     kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
     own, every = np.full(len(good), np.nan), np.full(len(good), np.nan)
+    common = _find_residuals(model, ANY, good, np.arange(len(good)), fitted=fitted)
     for key in sorted(set(kinds)):
         rows = np.flatnonzero(kinds == key)
-        own[rows] = _leave_out(model, key if key in model.fits else ANY, good, rows, rows, fitted=fitted)
-        every[rows] = _leave_out(model, ANY, good, np.arange(len(good)), rows, fitted=fitted)
+        own[rows] = _leave_out_each(*_find_residuals(model, key, good, rows, fitted=fitted))
+        every[rows] = _leave_out_group(*common, rows)
     unseen = _group_by_model(good, every) if ANY in model.fits else {}
     return stamp(msgspec.structs.replace(model, interval=calibrate_interval(_group_by_model(good, own), unseen)))
 
 
-def _leave_out(model: LinearModel, key: str, rides: pd.DataFrame, rows: Ints, out: Ints, *, fitted: bool) -> Floats:
-    """Return errors of rides `out` under a fit without them: one at a time, or as a group if `rows` has more rides."""
-    fit = model.fits[key]
+def _find_residuals(
+    model: LinearModel, key: str, rides: pd.DataFrame, rows: Ints, *, fitted: bool
+) -> tuple[Floats, Floats]:
+    """Return the residuals of rides under the fit of a vehicle model, and an orthonormal basis of its columns.
+
+    The basis is empty where no coefficient was fitted: the residuals are then those of a fit without the rides.
+    """
+    fit = model.fits.get(key) or model.fits[ANY]
     table = build_design(model.terms, Columns(rides, fit.fills, fit.curve, rows), len(rows))
     left = get_numbers(rides, ENERGY)[rows] - table @ np.array(fit.coefficients)
-    inside = np.searchsorted(rows, out)
     if not fitted:
-        return left[inside]
+        return left, np.empty((len(rows), 0))
     scale = np.sqrt(np.maximum((table**2).sum(axis=0), 1e-300))
     values, vectors = np.linalg.eigh(table.T @ table / np.outer(scale, scale))
     kept = values > CUTOFF * values[-1]
-    basis = table / scale @ (vectors[:, kept] / np.sqrt(values[kept]))
-    if len(out) == len(rows):
-        leverage = np.minimum(np.einsum("ij,ij->i", basis, basis), 0.99)
-        return left / (1.0 - leverage)
-    return _leave_out_group(basis, left, inside)
+    return left, table / scale @ (vectors[:, kept] / np.sqrt(values[kept]))
 
 
-def _leave_out_group(basis: Floats, left: Floats, out: Ints) -> Floats:
+def _leave_out_each(left: Floats, basis: Floats) -> Floats:
+    """Return the error of each ride under a fit without this ride."""
+    leverage = np.minimum(np.einsum("ij,ij->i", basis, basis), 0.99)
+    return left / (1.0 - leverage)
+
+
+def _leave_out_group(left: Floats, basis: Floats, out: Ints) -> Floats:
     """Return the errors of a group of rides under a fit without the whole group: (I - H_gg)^-1 e_g."""
     own = basis[out]
     p = basis.shape[1]

@@ -32,7 +32,7 @@ import numpy as np
 from core.batch import Floats
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError
-from core.fit.accessory_curve import TemperatureBins
+from core.fit.accessory_curve import CURVE_NUMBERS, TemperatureBins
 from core.fit.block_file import BlockFile
 from core.fit.block_sums import (
     BLOCKS_OF_TASK,
@@ -59,8 +59,6 @@ from core.vehicles.fleet import CarParameters
 
 _RIDES_PER_COEFFICIENT: Final = 2
 """Fewest rides for each coefficient of a fit."""
-_CURVE_NUMBERS: Final = 7
-"""Number of parameters of an accessory curve."""
 _RESOLUTION: Final = 0.01
 _PRIOR_SD: Final = 0.5
 PHYSICS: Final = (*(effect.energy_name for effect in ROAD_LOAD), ACCESSORIES_COLUMN)
@@ -167,7 +165,7 @@ class _Fitting:
         """Pass over the rides for the fills, the accessory curves and the description of the training."""
         for survey in self._survey_blocks() if self.run is None else self._run_tasks("survey", survey_block):
             self._take_survey(survey)
-        least = _RIDES_PER_COEFFICIENT * (len(self.terms) if self.plan.free else _CURVE_NUMBERS if self.curved else 1)
+        least = _RIDES_PER_COEFFICIENT * (len(self.terms) if self.plan.free else CURVE_NUMBERS if self.curved else 1)
         rides = self.groups[ANY].rides
         if rides < least:
             why = ", ".join(f"{n:,} {reason}" for reason, n in sorted(self.left_out.items()))

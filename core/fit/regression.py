@@ -40,6 +40,8 @@ GROUPS: Final = 2048
 """Number of groups into which clusters are hashed. Clusters that share a group form one larger cluster."""
 _MOST_LEVERAGE: Final = 0.95
 """Upper limit of the leverage. A ride that alone forms a group and alone determines a coefficient has leverage 1."""
+_CACHED_ROWS: Final = 1024
+"""Rows whose leverage is computed together: few enough for their columns to stay in the cache of the processor."""
 LEAST_GROUPS: Final = 30
 """Fewest groups for the cluster-robust covariance; with fewer, the covariance is the classical one."""
 
@@ -264,20 +266,21 @@ class Influence:
         self._change, self._pulled, self._meat = change, pulled @ pulled.T, meat
         self._half = mix @ _root(inverse)
 
-    def leverage(self, columns: Floats) -> Floats:
+    def leverage(self, centred: Floats) -> Floats:
         """Return the leverage of each ride: the share of its residual that the fit absorbs.
 
         Parameters
         ----------
-        columns : (n, p + q) float
-            Columns of the rides, the nuisance columns included.
+        centred : (n, p + q) float
+            Columns of the rides less `mean`, the nuisance columns included.
 
         Returns
         -------
         (n,) float
             0 to 0.95. [1]
         """
-        taken = (((columns - self.mean) @ self._half) ** 2).sum(axis=1)
+        parts = np.array_split(centred, max(1, len(centred) // _CACHED_ROWS))
+        taken = np.concatenate([((part @ self._half) ** 2).sum(axis=1) for part in parts])
         if self.solution.constant is not None:
             taken += 1.0 / self.solution.rows
         return np.clip(taken, 0.0, _MOST_LEVERAGE)

@@ -239,13 +239,13 @@ def _read(
         size += batch.num_rows
         while size >= _BLOCK:
             table = pa.Table.from_batches(held)
-            yield table.slice(0, _BLOCK).to_pandas()
+            yield table.slice(0, _BLOCK).to_pandas(split_blocks=True)
             held = table.slice(_BLOCK).to_batches()
             size -= _BLOCK
     if batch is None:
         raise ModelError(f"{path} holds no Parquet file; name one that `socast tables` made")
     if size:
-        yield pa.Table.from_batches(held).to_pandas()
+        yield pa.Table.from_batches(held).to_pandas(split_blocks=True)
     elif not batch.num_rows:
         yield batch.to_pandas()
 

@@ -116,7 +116,7 @@ def covered(seed: int, *, robust: bool) -> np.ndarray:
     influence = Influence(moments, solution)
     covariance = influence.classical()
     if robust:
-        left = (y - x @ solution.coefficients - solution.constant) / (1.0 - influence.leverage(x))
+        left = (y - x @ solution.coefficients - solution.constant) / (1.0 - influence.leverage(x - influence.mean))
         scores = ClusterScores(len(influence.mean) + 1)
         group = assign_groups([f"c{i}" for i in car], [f"d{i}" for i in day])
         for part in np.array_split(np.arange(n), 5):
