@@ -196,6 +196,9 @@ class _Comparison:
     def __init__(self, base: BaseProjection, families: Families, known: _Known) -> None:
         self._base, self._families, self.known = base, families, known
         _, self._shapes, self._shape_energy = build_plain_shapes(base, products=True)
+        self._products = _multiply(self._shapes, base.residual)
+        places = map(families.locate, range(len(families.variants)))
+        self._family_products = [_multiply(families.columns[:, place], base.residual) for place in places]
         self._noise = self._estimate_noise()
         self._unlike = self._find_unlike_shapes()
         self.remove_known()
@@ -270,9 +273,9 @@ class _Comparison:
         families, place = self._families, self._families.locate(at)
         if families.left[at] < LEAST_LEFT:
             return ABSENT
-        columns, along = families.columns[:, place], self._along[:, place]
-        own = (columns.T @ columns - along.T @ along) / self._noise
-        match = (columns.T @ self._base.residual - along.T @ self._along_residual[:, 0]) / self._noise
+        products, along = self._family_products[at], self._along[:, place]
+        own = (products.own - along.T @ along) / self._noise
+        match = (products.residual - along.T @ self._along_residual[:, 0]) / self._noise
         scale = float(self._base.windows.measured.sum()) / families.energy[at]
         density = make_log_prior(scale, families.plausible[at])
         return compute_marginal_likelihood(Products(own, match), scale, int(families.signs[at]), density, bend)
@@ -280,8 +283,8 @@ class _Comparison:
     def weigh_unknown(self) -> float:
         """Return the evidence of one plain shape that no effect has, or of many shapes together."""
         total = float(self._base.windows.measured.sum())
-        own = (self._shapes.T @ self._shapes - self._along_shapes.T @ self._along_shapes) / self._noise
-        match = self._shapes.T @ self._base.residual - self._along_shapes.T @ self._along_residual[:, 0]
+        own = (self._products.own - self._along_shapes.T @ self._along_shapes) / self._noise
+        match = self._products.residual - self._along_shapes.T @ self._along_residual[:, 0]
         match /= self._noise
         scale = total / self._shape_energy
         logs = []
@@ -291,6 +294,11 @@ class _Comparison:
             logs.append(compute_marginal_likelihood(products, float(scale[at]), 0, prior, 0.0).log_evidence)
         one = float(np.logaddexp.reduce(logs) - np.log(len(logs))) if logs else float("-inf")
         return float(np.logaddexp(one, _weigh_together(own * np.outer(scale, scale), match * scale)) - np.log(2.0))
+
+
+def _multiply(columns: Floats, residual: Floats) -> Products:
+    """Return the inner products of columns with each other and with a residual."""
+    return Products(columns.T @ columns, columns.T @ residual)
 
 
 def _weigh_together(own: Floats, match: Floats) -> float:

@@ -20,6 +20,10 @@ COARSE: Final = 120
 FINE: Final = 61
 """Number of steps within `REACH` standard errors of the best coefficient."""
 REACH: Final = 6.0
+SHARES: Final = np.exp(np.linspace(np.log(SMALLEST), np.log(LARGEST), COARSE))
+"""Those shares of the energy. [1]"""
+DEVIATIONS: Final = np.linspace(-REACH, REACH, FINE)
+"""Deviations from the best coefficient. [standard errors]"""
 
 LogDensity = Callable[[Floats], Floats]
 
@@ -83,11 +87,13 @@ def compute_marginal_likelihood(
     size, match = float(products.own[0, 0]), float(products.residual[0])
     if not size > 0.0:
         return ABSENT
-    grid = np.exp(np.linspace(np.log(SMALLEST), np.log(LARGEST), COARSE)) * scale
-    near = np.abs(match) / size + np.linspace(-REACH, REACH, FINE) / np.sqrt(size)
-    values = np.unique(np.concatenate([grid, near[(near > grid[0]) & (near < grid[-1])]]))
+    grid = SHARES * scale
+    near = np.abs(match) / size + DEVIATIONS / np.sqrt(size)
+    values = np.concatenate([grid, near[(near > grid[0]) & (near < grid[-1])]])
+    values.sort()
+    values = values[np.r_[True, values[1:] != values[:-1]]]
     signs = np.array([sign] if sign else [1, -1])
-    likelihood = np.stack([_integrate_bends(products, each * values, bend) for each in signs]) + log_density(values)
+    likelihood = _integrate_bends(products, signs[:, np.newaxis] * values, bend) + log_density(values)
     likelihood -= np.log(len(signs))
     top = float(likelihood.max())
     integral = float(np.trapezoid(np.exp(likelihood - top), np.log(values), axis=1).sum())
@@ -96,14 +102,16 @@ def compute_marginal_likelihood(
 
 
 def _integrate_bends(products: Products, values: Floats, bend: float) -> Floats:
-    """Return the log likelihood ratio at each coefficient, integrated over the sizes of the bends."""
+    """Return the log likelihood ratio at each coefficient, (signs, n), integrated over the sizes of the bends."""
     size, match = products.own[0, 0], products.residual[0]
     out = values * match - 0.5 * values**2 * size
     if len(products.residual) == 1 or bend == 0.0:
         return np.asarray(out)
     lengths, axes = np.linalg.eigh(products.own[1:, 1:])
     lengths = np.maximum(lengths, 0.0)[:, np.newaxis]
-    left = axes.T @ (products.residual[1:, np.newaxis] - products.own[1:, :1] * values)
-    variance = (bend * values) ** 2
-    gained = left**2 * variance / (1.0 + lengths * variance) - np.log1p(lengths * variance)
-    return np.asarray(out + 0.5 * gained.sum(axis=0))
+    gained = []
+    for each in values:
+        left = axes.T @ (products.residual[1:, np.newaxis] - products.own[1:, :1] * each)
+        variance = (bend * each) ** 2
+        gained.append((left**2 * variance / (1.0 + lengths * variance) - np.log1p(lengths * variance)).sum(axis=0))
+    return np.asarray(out + 0.5 * np.stack(gained))
