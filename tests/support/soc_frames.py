@@ -56,12 +56,25 @@ def make_frames(
                 "capacity_kwh": CAPACITY,
             }  # fmt: skip
             ended.append(shift)
-            made.append(_outlooks(shift, hours, sd_an_hour, narrow, bias, day < warm_up, rng).assign(**name))
-    return ForecastFrames(pd.concat(made, ignore_index=True), pd.DataFrame(ended))
+            made.append(_outlooks(shift, hours, sd_an_hour, narrow, bias, day < warm_up, rng) | name)
+    return ForecastFrames(_join(made), pd.DataFrame(ended))
 
 
-def _outlooks(shift, hours, sd_an_hour, narrow, bias, unlearned, rng) -> pd.DataFrame:
-    """Return one forecast per minute."""
+def _join(made: list[dict]) -> pd.DataFrame:
+    """Return one table of parts that are columns of arrays, or of one value for all rows of the part."""
+    lengths = [len(part["time_s"]) for part in made]
+    columns = {}
+    for name, first in made[0].items():
+        if isinstance(first, np.ndarray):
+            columns[name] = np.concatenate([part[name] for part in made])
+        else:
+            kind = object if isinstance(first, str) else None
+            columns[name] = np.repeat(np.array([part[name] for part in made], kind), lengths)
+    return pd.DataFrame(columns)
+
+
+def _outlooks(shift, hours, sd_an_hour, narrow, bias, unlearned, rng) -> dict:
+    """Return one forecast per minute: columns of arrays, or of one value for all."""
     passed = np.linspace(0.0, 1.0, int(60 * hours) + 1)
     left = hours * (1.0 - passed)
     driven = np.cumsum(rng.uniform(0.2, 1.8, int(hours) + 1)[np.floor(hours * passed[:-1]).astype(int)])
@@ -72,17 +85,15 @@ def _outlooks(shift, hours, sd_an_hour, narrow, bias, unlearned, rng) -> pd.Data
     half = SPREAD * narrow * sd
     soc = 90.0 - share * (90.0 - shift["soc_end_pct"])
     known = np.nan if unlearned else 1.0
-    return pd.DataFrame(
-        {
-            "time_s": shift["begin_s"] + 3600.0 * hours * passed,
-            "shift_begin_s": shift["begin_s"], "shift_end_s": shift["end_s"], "planned": True,
-            "soc_pct": soc, "soc_mean_pct": known * mean, "soc_p05_pct": known * (mean - half),
-            "soc_p95_pct": known * (mean + half), "reserve_soc_pct": RESERVE,
-            "reserve_risk": known * ndtr((RESERVE - mean) / (narrow * sd)),
-            "ahead_km": shift["ride_km"] * (1.0 - share), "ambient_c": shift["ambient_c"],
-            "soc_begin_pct": 90.0, "shift_km": shift["distance_km"] * share,
-            "charge_planned": False, "charge_to_pct": np.nan, "arrived_s": np.nan, "arrival_soc_pct": np.nan,
-            "charge_s": np.nan, "charge_soc_mean_pct": np.nan, "charge_soc_p05_pct": np.nan,
-            "charge_soc_p95_pct": np.nan, "charge_risk": np.nan, "charge_km": np.nan,
-        }
-    )  # fmt: skip
+    return {
+        "time_s": shift["begin_s"] + 3600.0 * hours * passed,
+        "shift_begin_s": shift["begin_s"], "shift_end_s": shift["end_s"], "planned": True,
+        "soc_pct": soc, "soc_mean_pct": known * mean, "soc_p05_pct": known * (mean - half),
+        "soc_p95_pct": known * (mean + half), "reserve_soc_pct": RESERVE,
+        "reserve_risk": known * ndtr((RESERVE - mean) / (narrow * sd)),
+        "ahead_km": shift["ride_km"] * (1.0 - share), "ambient_c": shift["ambient_c"],
+        "soc_begin_pct": 90.0, "shift_km": shift["distance_km"] * share,
+        "charge_planned": False, "charge_to_pct": np.nan, "arrived_s": np.nan, "arrival_soc_pct": np.nan,
+        "charge_s": np.nan, "charge_soc_mean_pct": np.nan, "charge_soc_p05_pct": np.nan,
+        "charge_soc_p95_pct": np.nan, "charge_risk": np.nan, "charge_km": np.nan,
+    }  # fmt: skip
