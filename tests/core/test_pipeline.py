@@ -11,6 +11,9 @@ from core.pipeline import Pipeline
 from core.settings import Settings
 from tests.support.telemetry import START, drive, leaf, make_message, observed, ran, telemetry
 
+NAMES = 400
+"""Number of ride names that a pipeline remembers in the test of this limit."""
+
 
 def full(n=200, seed=4):
     current = 30.0 + np.cos(np.pi * np.arange(n))  # one that never changes in town is frozen
@@ -115,20 +118,22 @@ def test_pipeline_without_tables_keeps_no_rides_or_windows():
     assert pipeline.quality()["rides"] == 20
 
 
-def test_number_of_kept_ride_names_is_limited():
+def test_number_of_kept_ride_names_is_limited(monkeypatch):
+    monkeypatch.setattr("core.wire.rides.NAMES", NAMES)
     pipeline = Pipeline(keep_tables=False)
-    columns = drive(12_000, speed=10.0)
-    columns["ride_id"] = np.array([f"r{i // 2}" for i in range(12_000)], dtype=object)
-    columns["ride_id"][:6000] = np.array([f"x{i}" for i in range(6000)], dtype=object)
+    columns, half = drive(3 * NAMES, speed=10.0), 3 * NAMES // 2
+    columns["ride_id"] = np.array([f"r{i // 2}" for i in range(3 * NAMES)], dtype=object)
+    columns["ride_id"][:half] = np.array([f"x{i}" for i in range(half)], dtype=object)
     messages = telemetry(columns)
-    out = [forecast for start in range(0, 12_000, 3000) for forecast in pipeline.push(messages[start : start + 3000])]
-    for start in range(0, 12_000, 3000):
-        more = [
-            m._replace(payload=m.payload.replace(b'": "r', b'": "y').replace(b'": "x', b'": "z'))
-            for m in messages[start : start + 3000]
-        ]
-        out += pipeline.push(more)
-    assert len(pipeline.decoder.rides) < 16_000
+    messages += [
+        m._replace(payload=m.payload.replace(b'": "r', b'": "y').replace(b'": "x', b'": "z')) for m in messages
+    ]
+    out, kept, step = [], [], 3 * NAMES // 4
+    for start in range(0, len(messages), step):
+        out += pipeline.push(messages[start : start + step])
+        kept.append(len(pipeline.decoder.rides))
+    assert max(kept) < 2 * NAMES
+    assert min(kept[-4:]) < NAMES
     assert all(msgspec.json.decode(message.payload)["ride_id"] for message in out)
 
 

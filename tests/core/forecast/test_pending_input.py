@@ -42,18 +42,26 @@ def weather(number):
     return [(time, observed("far", time, (50.0, -60.0), temperature_c=3.0)) for time in times.tolist()]
 
 
-@pytest.mark.parametrize("block", [7, 100, 4000])
+@pytest.mark.parametrize("block", [100, 4000])
 @given(cuts=st.lists(st.integers(0, 1400), max_size=6))
 def test_cuts_weather_and_block_size_change_no_forecast(block, cuts):
-    messages, same = day(*weather(40)), expected()
+    assert in_blocks(block, cuts) == expected()
+
+
+@pytest.mark.parametrize("cuts", [(), (3, 501, 502, 1200)])
+def test_blocks_of_few_rows_change_no_forecast(cuts):
+    assert in_blocks(7, cuts) == expected()
+
+
+def in_blocks(block, cuts):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(core.pipeline, "BLOCK", block)
-        assert whole(messages, cuts) == same
+        return whole(day(*weather(40)), cuts)
 
 
 @cache
-def expected():
-    return whole(day(*weather(40)))
+def expected(observations=40):
+    return whole(day(*weather(observations)))
 
 
 def test_plan_between_two_rides_gives_same_forecasts_for_any_cut():
@@ -90,11 +98,11 @@ def test_changes_of_the_vehicle_model_between_plans_and_shifts_give_same_forecas
     first = trained_pipeline()
     expected = [m.payload for m in first.push(messages)]
     state = first.snapshot()
-    for step in (1, 7, 100):
+    changes = {messages.index(m) for _, m in [*heavy, *light, *plans, *late]}
+    near = [place for place in range(len(messages)) if changes & set(range(place - 12, place + 13))]
+    for cuts in (near, range(0, len(messages), 7), range(0, len(messages), 100)):
         pipeline = trained_pipeline()
-        assert [
-            m.payload for chunk in chunked(messages, range(0, len(messages), step)) for m in pipeline.push(chunk)
-        ] == expected
+        assert [m.payload for chunk in chunked(messages, cuts) for m in pipeline.push(chunk)] == expected
         assert pipeline.snapshot() == state
 
 
@@ -115,7 +123,7 @@ def test_status_queries_and_snapshots_change_no_forecast(cuts, queried):
         pipeline.take(chunk)
         if number in queried:
             pipeline.status(), pipeline.ask("a"), pipeline.snapshot()
-    assert [m.payload for m in pipeline.forecasts()] == whole(messages)
+    assert [m.payload for m in pipeline.forecasts()] == expected(5)
     assert pipeline.snapshot()
 
 

@@ -153,13 +153,15 @@ def test_snapshot_of_a_pipeline_holds_the_deferred_rows():
     )
 
 
-def test_names_of_deferred_rides_are_kept():
-    columns = drive(26_000, speed=10.0)
-    columns["ride_id"] = np.array([f"r{i // 2}" for i in range(26_000)], dtype=object)
+def test_names_of_deferred_rides_are_kept(monkeypatch):
+    monkeypatch.setattr("core.wire.rides.NAMES", 400)
+    columns = drive(1040, speed=10.0)
+    columns["ride_id"] = np.array([f"r{i // 2}" for i in range(1040)], dtype=object)
     messages = telemetry(columns)
     pipeline = Pipeline(keep_forecasts=False, two_sided=True)
-    for at in range(0, len(messages), 2000):
-        pipeline.take(messages[at : at + 2000])
+    for at in range(0, len(messages), 80):
+        pipeline.take(messages[at : at + 80])
+    assert len(pipeline.decoder.rides) > 400
     pipeline.finish()
     assert sorted(pipeline.take_rides()["ride_id"]) == sorted(set(columns["ride_id"]))
 
