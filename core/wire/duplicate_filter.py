@@ -38,6 +38,8 @@ LEAST: Final = 1 << 14
 
 Hashes = NDArray[np.uint64]
 _BRACE: Final = ord("{")
+_WHOLE: Final[Sequence[Any]] = (b"",)
+"""Stands for the sample of a message that is neither a list nor a batch."""
 _raw_list = msgspec.json.Decoder(list[msgspec.Raw])
 
 
@@ -175,14 +177,28 @@ class DuplicateFilter:
         self, messages: MessageBlock, room: int | None
     ) -> tuple[MessageBlock, Hashes, list[Sequence[Any]] | None]:
         """Return messages up to the one that fills the room, the hashes of their samples, and the samples of each."""
-        if (messages.get_first_bytes() != _BRACE).any():  # it may be a list or a batch: a sample begins with {
-            samples, hashes = self._split_messages(messages.make_objects(), inf if room is None else room)
-            return messages[: len(samples)], hashes, samples
-        messages = messages[:room]
+        several = self._split_several(messages, inf if room is None else room)
+        if room is not None:
+            extra = sum(len(hashes) - 1 for _, hashes in several.values())
+            messages = messages[: max(max(several, default=-1) + 1, room - extra)]
+        if not several:
+            return messages, self._hash_whole(messages), None
+        sizes, is_whole = np.ones(len(messages), np.int64), np.ones(len(messages), np.bool_)
+        sizes[list(several)], is_whole[list(several)] = [len(hashes) for _, hashes in several.values()], False
+        ends, samples = np.cumsum(sizes), [_WHOLE] * len(messages)
+        all_hashes = np.empty(int(ends[-1]), np.uint64)
+        all_hashes[ends[is_whole] - 1] = self._hash_whole(messages.take(is_whole))
+        for at, (of_message, hashes) in several.items():
+            samples[at] = of_message
+            all_hashes[ends[at] - len(hashes) : ends[at]] = hashes
+        return messages, all_hashes, samples
+
+    def _hash_whole(self, messages: MessageBlock) -> Hashes:
+        """Return the hash of each message, whose payload is one sample."""
         hashes = np.empty(len(messages), np.uint64)
         seeds = messages.find_of_keys(self._seeds.__getitem__, np.uint64)
         hash_texts(messages.text, messages.words, messages.starts, messages.sizes, seeds, hashes)
-        return messages, hashes, None
+        return hashes
 
     def forget(self, refusals: Sequence[Refused]) -> MessageBlock:
         """Forget refused messages, and return those that were dropped because they repeated one of them.
@@ -222,18 +238,19 @@ class DuplicateFilter:
         seed = self._seeds[key]
         return np.array([xxh64_intdigest(text, seed) for text in texts], np.uint64)
 
-    def _split_messages(self, messages: Sequence[Message], room: float) -> tuple[list[Sequence[Any]], Hashes]:
-        """Return the samples of messages and their hashes, up to the message that fills the room."""
-        samples: list[Sequence[Any]] = []
-        hashes: list[Hashes] = []
-        for message in messages:
-            of_message, hashes_of_message = self._split_samples(message)
-            samples.append(of_message)
-            hashes.append(hashes_of_message)
-            room -= len(of_message)
-            if room <= 0:
+    def _split_several(self, messages: MessageBlock, room: float) -> dict[int, tuple[Sequence[Any], Hashes]]:
+        """Return the samples of lists and batches and their hashes, up to the one that fills the room."""
+        several: dict[int, tuple[Sequence[Any], Hashes]] = {}
+        extra = 0
+        for at in np.flatnonzero(messages.get_first_bytes() != _BRACE).tolist():  # a sample begins with {
+            if at + extra >= room:
                 break
-        return samples, np.concatenate(hashes)
+            message = messages[at]
+            samples, hashes = self._split_samples(message)
+            if len(samples) != 1 or samples[0] is not message.payload:
+                several[at] = samples, hashes
+                extra += len(samples) - 1
+        return several
 
     def _split_samples(self, message: Message) -> tuple[Sequence[Any], Hashes]:
         """Return the samples of a list, the row numbers of a batch, or the payload, and a hash of each.
