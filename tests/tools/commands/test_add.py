@@ -1,6 +1,7 @@
 """`socast diagnose` and `socast add` work together as a user runs them, and report each error in one line."""
 
 import json
+import re
 import shlex
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from core import models
 from core.diagnose import diagnosis as diagnosing
 from core.errors import SettingsError
-from tests.support.commands import done, refused
+from tests.support.commands import called, done, refused
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
 from tests.support.planted_windows import base_model, planted
 
@@ -80,13 +81,24 @@ def test_command_of_diagnosis_adds_effect(here, capsys):
     assert error[1] < 0.5 * error[0]
 
 
-def test_refused_effect_leaves_input_model_unchanged_and_writes_attempt_to_output(here, capsys):
-    before = (here / "base.json").read_bytes()
-    message = refused(capsys, *adding(here, "headwind"))
+@pytest.fixture(scope="module")
+def refusal(folder, tmp_path_factory) -> tuple[Path, str]:
+    """A folder in which headwind was refused, and the message."""
+    path = tmp_path_factory.mktemp("refusal")
+    (path / "tables").symlink_to(folder / "tables")
+    (path / "base.json").write_bytes((folder / "base.json").read_bytes())
+    _, message, code = called(*adding(path, "headwind"))
+    assert code == 2
+    return path, message
+
+
+def test_refused_effect_leaves_input_model_unchanged_and_writes_attempt_to_output(folder, refusal):
+    here, message = refusal
+    assert re.fullmatch(r"socast: [^\n]+\n", message)
     assert "headwind is not added: " in message
     assert f"{here / 'm2.json'} is model base unchanged, with the attempt in its history" in message
     assert "add the effect all the same with --force" in message
-    assert (here / "base.json").read_bytes() == before
+    assert (here / "base.json").read_bytes() == (folder / "base.json").read_bytes()
     assert sorted(path.name for path in here.iterdir()) == ["base.json", "m2.json", "tables"]
     base, kept = models.load(here / "base.json"), models.load(here / "m2.json")
     assert [entry["action"] for entry in kept.history] == ["fit", "refused"]
@@ -98,20 +110,15 @@ def test_refused_attempt_of_built_in_model_is_written_to_output(here, capsys):
     assert models.load(here / "m2.json").history[-1]["action"] == "refused"
 
 
-def test_force_adds_effect_that_does_not_help(here, capsys):
-    done(*adding(here, "headwind", "--force", "--json", here / "trial.json"))
-    plausible = json.loads((here / "trial.json").read_text())["coefficient"]["plausible"]
+def test_force_adds_effect_that_does_not_help_after_its_refusal_in_the_history(refusal, tmp_path, capsys):
+    here, _ = refusal
+    again = ("add", "headwind", "--model", here / "m2.json", "--data", here / "tables", "-o", tmp_path / "m3.json")
+    done(*again, "--force", "--json", tmp_path / "trial.json")
+    plausible = json.loads((tmp_path / "trial.json").read_text())["coefficient"]["plausible"]
     assert plausible or "warning" in capsys.readouterr().out
-    model = models.load(here / "m2.json")
-    assert [entry["action"] for entry in model.history] == ["fit", "add"]
+    model = models.load(tmp_path / "m3.json")
+    assert [entry["action"] for entry in model.history] == ["fit", "refused", "add"]
     assert model.history[-1]["forced"]
-
-
-def test_attempts_accumulate_in_history_from_one_output_to_the_next(here, capsys):
-    refused(capsys, *adding(here, "headwind"))
-    again = ("add", "headwind", "--model", here / "m2.json", "--data", here / "tables", "-o", here / "m3.json")
-    done(*again, "--force")
-    assert [entry["action"] for entry in models.load(here / "m3.json").history] == ["fit", "refused", "add"]
 
 
 def test_output_may_not_be_the_input_model(here, capsys):
@@ -307,7 +314,7 @@ def test_suggestion_is_written_to_given_file(made_up, here, capsys):
     made_up += [make_diagnosis(), make_empty_diagnosis()]
     done("diagnose", here / "tables", "--model", here / "base.json", "--suggest", here / "mine.py")
     assert (here / "mine.py").read_text() == make_diagnosis()["suggestion_file"]
-    assert f"socast effects check {here / 'mine.py'}" in capsys.readouterr().out.replace("\n", "")
+    assert f"socasteffectscheck{here / 'mine.py'}" in "".join(capsys.readouterr().out.split())
     done("diagnose", here / "tables", "--model", here / "base.json", "--suggest", here / "none.py")
     assert not (here / "none.py").exists()
 

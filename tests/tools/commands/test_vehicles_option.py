@@ -4,9 +4,8 @@
 """
 
 import json
-import re
-import signal
-import subprocess
+from contextlib import ExitStack
+from math import inf
 from types import SimpleNamespace
 
 import pandas as pd
@@ -15,15 +14,15 @@ import pytest
 from core.settings import Settings
 from core.vehicles import catalogue
 from stream.loop import Tally
+from stream.mcap_reader import McapSource
 from stream.memory import MemorySink
-from stream.zenoh_session import Connection, Node, find_free_port
 from tests.support import own_tables
-from tests.support.commands import SOCAST, called, done, refused
-from tests.support.live_consumers import consumers
-from tests.support.web_requests import Client
-from tests.support.zenoh_sessions import eventually
+from tests.support.commands import called, done, refused
+from tests.support.players import wait_until_there
+from tools.commands import live
 from tools.terminal import night_watch
 from tools.terminal.forecast_options import ForecastOptions
+from tools.terminal.live_service import LiveOptions, start_service
 from tools.terminal.night_watch import make_nightly_diagnosis
 
 pytestmark = pytest.mark.long
@@ -97,15 +96,19 @@ def test_diagnosis_of_the_night_takes_the_data_sheet(fleet, tmp_path, monkeypatc
     assert json.loads((tmp_path / "findings.json").read_text())["findings"] is not None
 
 
-def test_live_service_predicts_with_the_data_sheet(fleet, tmp_path):
-    endpoint, heard = f"tcp/127.0.0.1:{find_free_port()}", []
-    with consumers(tmp_path) as start:
-        start("--listen", endpoint, "--vehicles", fleet.sheet)
-        with Node(Connection(connect=(endpoint,))) as node:
-            keep = lambda sample: heard.append(json.loads(sample.payload.to_bytes()))  # noqa: E731
-            with node.session.declare_subscriber("fleet/*/forecast", keep):
-                called("replay", fleet.recording, "--connect", endpoint, "--speed", "max")
-                assert eventually(lambda: any(each["ride_energy_predicted_kwh"] for each in heard), 120.0)
+def test_live_service_predicts_with_the_data_sheet(fleet, monkeypatch):
+    forecasts = []
+
+    def serve_here(options: LiveOptions) -> None:
+        with ExitStack() as ending:
+            service = start_service(options, ending)
+            forecasts.extend(
+                service.pipeline.push([message for block in McapSource(fleet.recording) for message in block])
+            )
+
+    monkeypatch.setattr(live, "serve", serve_here)
+    done("live", "--listen", "tcp/127.0.0.1:0", "--vehicles", fleet.sheet)
+    assert any(json.loads(message.payload)["ride_energy_predicted_kwh"] for message in forecasts)
 
 
 def test_replay_without_the_data_sheet_names_the_unknown_model(fleet):
@@ -116,22 +119,20 @@ def test_replay_without_the_data_sheet_names_the_unknown_model(fleet):
     )
 
 
-def test_workbench_predicts_with_the_data_sheet(fleet):
-    options = ("--port", "0", "--no-browser", "--vehicles", fleet.sheet)
-    command = [*SOCAST, "serve", *map(str, (fleet.recording, *options))]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as served:
-        try:
-            printed = ""
-            while "Ctrl-C" not in printed:
-                printed += (line := served.stdout.readline())
-                assert line, served.stderr.read()
-            (address,) = re.findall(r"http://127\.0\.0\.1:\d+/enter\?token=\S+", printed)
-            origin = address.partition("/enter")[0]
-            client = Client(SimpleNamespace(address=address, origin=origin, port=int(origin.rpartition(":")[2])))
-            assert client.post("/api/player", {"action": "play", "speed": 600}).code == 200
-            car = lambda: client.get("/api/cars/van").record()  # noqa: E731
-            assert eventually(lambda: car().get("values", {}).get("predicted"), 120.0), car()
-        finally:
-            served.send_signal(signal.SIGINT)
-            served.communicate(timeout=30)
-    assert served.returncode == 0
+def test_workbench_predicts_with_the_data_sheet(fleet, monkeypatch):
+    class PlayingServer:
+        """Play the recording to its end in place of serving it."""
+
+        def __init__(self, workbench, *_):
+            self.player = workbench.fleet
+
+        def run(self):
+            self.player.set_speed(inf)
+            self.player.play()
+            wait_until_there(self.player)
+            shown.update(self.player.board.get_values("van"))
+
+    shown = {}
+    monkeypatch.setattr("tools.workbench.server.WorkbenchServer", PlayingServer)
+    done("serve", fleet.recording, "--no-browser", "--vehicles", fleet.sheet)
+    assert shown["predicted"] > 0.0
