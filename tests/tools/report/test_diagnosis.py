@@ -1,5 +1,6 @@
 """Test the report of a diagnosis in the terminal and as a page, also for odd or missing values."""
 
+from functools import partial
 from io import StringIO
 from pathlib import Path
 
@@ -269,14 +270,15 @@ def known():
 
 def print_changes(result, known):
     """Print what the terminal shows of a diagnosis, without the known parts."""
+    printers = {name: getattr(report, name) for name in PRINTERS}
+
+    def print_unknown(name, part, *rest, **more):
+        if (name, part) not in known:
+            printers[name](part, *rest, **more)
+
     with pytest.MonkeyPatch.context() as patch:
         for name in PRINTERS:
-
-            def print_unknown(part, *rest, name=name, printer=getattr(report, name), **more):
-                if (name, part) not in known:
-                    printer(part, *rest, **more)
-
-            patch.setattr(report, name, print_unknown)
+            patch.setattr(report, name, partial(print_unknown, name))
         printed(result)
 
 
