@@ -197,7 +197,8 @@ def sum_residuals(context: FitContext, block: TrainableRides) -> dict[str, Resid
         coefficients = np.ones(len(context.terms)) if group.coefficients is None else group.coefficients
         left = table[:, -1] - table[:, : len(coefficients)] @ coefficients - group.constant
         if group.influence is not None and days is not None:
-            centred = table[:, :-1] - group.influence.mean
+            centred = table[:, :-1]
+            centred -= group.influence.mean  # in place, as the table is as large as a block
             shares = left / (1.0 - group.influence.leverage(centred))
             scores = sum_scores(centred, shares, days[rows], constant=context.constant)
         sums[key] = Residuals(float(np.abs(left).sum()), float(left @ left), scores)

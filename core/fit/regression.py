@@ -345,7 +345,9 @@ def sum_scores(columns: Floats, residual: Floats, group: Ints, *, constant: bool
     """
     order = np.argsort(group, kind="stable")
     groups, first = np.unique(group[order], return_index=True)
-    sums = np.add.reduceat((columns * residual[:, np.newaxis])[order], first, axis=0)
+    scores = columns[order]
+    scores *= residual[order, np.newaxis]
+    sums = np.add.reduceat(scores, first, axis=0)
     if constant:
         sums = np.column_stack([sums, np.add.reduceat(residual[order], first)])
     return Scores(groups, sums)
