@@ -1,41 +1,43 @@
-"""Measure tables by workers against serial ones: `python -m tools.bench.cluster --cars 1000 --hours 42`.
+"""Measure commands by workers against serial ones: `python -m tools.bench.cluster --cars 1000 --hours 42 --folder DIR`.
 
-The recording holds copies of a simulated fleet: each copy has other names, and its messages come some seconds later.
-Both commands run one after the other, each in processes of its own. One worker is killed in the middle.
+The measure simulates a fleet by workers, and makes its tables three times: by workers, serially, and by workers of
+which one is killed. It then fits a model and evaluates recipes both ways, and simulates a few cars both ways. Commands
+run one after the other, each in processes of its own, and their progress bars go to standard error. The recording stays
+in the folder, and a later run with the same cars and hours uses it.
 """
 
 import argparse
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from heapq import merge
+from collections import Counter
+from collections.abc import Sequence
 from math import ceil
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import pyarrow.parquet as pq
 
 from core.fit.ride_blocks import list_parts
-from core.wire.messages import Message
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
 from tools.cluster.run import REPORT
+from tools.cluster.simulation import TRUTH
 from tools.commands.tables import QUALITY, RIDES, WINDOWS
 
-SIMULATED_CARS: Final = 100
-"""Number of cars that are simulated; the others are copies."""
-SHIFT_HOURS: Final = 8.0
-DELAY_S: Final = 1.7
-"""Time by which each copy comes after the one before. [s]"""
+LONGEST_SHIFT_H: Final = 8.0
+SAMPLES_PER_HOUR: Final = 1200
+BYTES_PER_SAMPLE: Final = 300
+"""Room that the measure needs: recording, the waiting messages of cars, and intermediate files of tables. [B]"""
+FEW_CARS: Final = 8
+"""Number of cars that are simulated both ways."""
+RECIPE: Final = "hybrid"
+EVALUATED: Final = ("--recipes", "basic_physical,fitted_physical", "--repeats", "2")
 COMMAND: Final = [sys.executable, "-m", "tools.cli"]
-BATCH: Final = 10_000
 
 
 class Run(NamedTuple):
@@ -46,77 +48,49 @@ class Run(NamedTuple):
     peak_bytes: int
 
 
-def record_fleet(folder: Path, cars: int, hours: float) -> Path:
-    """Write a recording of a fleet to a folder, if it is not there, and return it.
+class Plan(NamedTuple):
+    """Hold the arguments of a measure."""
+
+    folder: Path
+    cars: int
+    hours: float
+    workers: int
+    worker_memory: float
+
+    def list_options(self) -> list[str]:
+        """Return the options of a command by workers."""
+        return ["--cluster", f"local:{self.workers}", "--worker-memory", f"{self.worker_memory:g}"]
+
+
+def run_command(arguments: Sequence[object], watched: Path | None = None) -> tuple[Run, int]:
+    """Run a command, and return what it took, and the process that was killed.
 
     Parameters
     ----------
-    folder : Path
-    cars : int
-    hours : float
-        Time for which each car sends samples. [h]
+    arguments : sequence
+    watched : Path, optional
+        Folder of tables; the process of the first task that cleans is killed.
     """
-    path = folder / f"fleet-{cars}-{hours:g}h.mcap"
-    if path.exists():
-        return path
-    days, own = ceil(hours / SHIFT_HOURS), min(cars, SIMULATED_CARS)
-    base = folder / f"base-{own}-{hours:g}h.mcap"
-    given = ["--vehicles", str(own), "--days", str(days), "--shift-hours", f"{hours / days:g}"]
-    subprocess.run([*COMMAND, "simulate", "--out", str(base), *given], check=True, stdout=subprocess.DEVNULL)  # noqa: S603
-    copies = merge(*(_copy(base, number) for number in range(ceil(cars / own))), key=attrgetter("receipt_ns"))
-    part = path.with_suffix(".part")
-    with McapSink(part) as sink:
-        messages: list[Message] = []
-        for message in copies:
-            messages.append(message)
-            if len(messages) == BATCH:
-                sink.put(messages)
-                messages = []
-        sink.put(messages)
-    part.rename(path)
-    base.unlink()
-    return path
-
-
-def _copy(base: Path, number: int) -> Iterator[Message]:
-    """Yield the messages of a fleet with the names of a copy; the weather comes with the first copy only."""
-    delay_ns = round(DELAY_S * number * 1e9)
-    for messages in McapSource(base):
-        for key, payload, receipt_ns in messages:
-            if not key.startswith("fleet/"):
-                if number == 0:
-                    yield Message(key, payload, receipt_ns)
-                continue
-            vehicle = key.split("/")[1]
-            name = f"{vehicle}-{number:03d}"
-            renamed = payload.replace(f'"{vehicle}"'.encode(), f'"{name}"'.encode(), 1)
-            yield Message(key.replace(vehicle, name, 1), renamed, receipt_ns + delay_ns)
-
-
-def run_command(arguments: Sequence[str], out: Path, *, kill: bool) -> tuple[Run, int]:
-    """Run a command; kill the process of the first task that cleans, if told so. Return what it took, and what died.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-    out : Path
-        Folder of the tables.
-    kill : bool
-    """
+    words = list(map(str, arguments))
+    print(f"$ socast {' '.join(words)}", file=sys.stderr, flush=True)
     before, began, killed, peak = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic(), 0, 0
-    with subprocess.Popen([*COMMAND, *arguments], stdout=subprocess.DEVNULL) as process:  # noqa: S603
+    with subprocess.Popen([*COMMAND, *words], stdout=subprocess.DEVNULL) as process:  # noqa: S603
         while process.poll() is None:
-            if kill and not killed and (begun := sorted(out.glob(".scratch-*/begun-clean-*"))):
+            if watched and not killed and (begun := sorted(watched.glob(".scratch-*/begun-clean-*"))):
                 time.sleep(1.0)
                 killed = int(begun[0].name.split("-")[3])
                 os.kill(killed, signal.SIGKILL)
             peak = max(peak, _read_peak(process.pid))
             time.sleep(0.1)
     if process.returncode:
-        raise SystemExit(f"{' '.join(arguments)} ended with {process.returncode}")
+        raise SystemExit(f"{' '.join(words)} ended with {process.returncode}")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return Run(time.monotonic() - began, cpu_s, peak), killed
+    run = Run(time.monotonic() - began, cpu_s, peak)
+    print(
+        f"  {run.wall_s:,.1f} s, {run.cpu_s:,.1f} s of CPU, {run.peak_bytes / 1e9:.2f} GB", file=sys.stderr, flush=True
+    )
+    return run, killed
 
 
 def _read_peak(process: int) -> int:
@@ -126,6 +100,54 @@ def _read_peak(process: int) -> int:
     except OSError:
         return 0
     return max((1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM")), default=0)
+
+
+def record_fleet(plan: Plan) -> tuple[Path, Run | None]:
+    """Return the recording of a fleet, and what it took to simulate it, None if it was there."""
+    path = plan.folder / f"fleet-{plan.cars}-{plan.hours:g}h.mcap"
+    if path.exists():
+        return path, None
+    days = ceil(plan.hours / LONGEST_SHIFT_H)
+    part = path.with_suffix(".part.mcap")
+    size = ["--vehicles", plan.cars, "--days", days, "--shift-hours", f"{plan.hours / days:g}"]
+    run, _ = run_command(["simulate", "--out", part, *size, *plan.list_options()])
+    part.with_suffix(TRUTH).unlink()
+    part.rename(path)
+    return path, run
+
+
+def measure_tables(plan: Plan, recording: Path) -> dict[str, Any]:
+    """Return what tables take serially, by workers, and while one is killed, and whether they are equal."""
+    outs = [plan.folder / name for name in ("by-workers", "serial", "one-killed")]
+    for out in outs:
+        out.mkdir(exist_ok=True)
+    by_workers, serial, one_killed = outs
+    fast, _ = run_command(["tables", recording, "--out", by_workers, *plan.list_options()])
+    alone, _ = run_command(["tables", recording, "--out", serial])
+    lamed, killed = run_command(["tables", recording, "--out", one_killed, *plan.list_options()], one_killed)
+    quality = [json.loads((out / QUALITY).read_text("utf-8")) for out in outs]
+    different = {
+        f"{out.name}/{name}": list_differences(serial / name, out / name)
+        for out in (by_workers, one_killed)
+        for name in (RIDES, WINDOWS)
+    }
+    report, report_of_lamed = (json.loads((out / REPORT).read_text("utf-8")) for out in (by_workers, one_killed))
+    stages = Counter[str]()
+    for task in report["tasks"]:
+        stages[task["stage"]] += task["cpu_s"]
+    return {
+        "samples": quality[1]["received"]["telemetry"],
+        "recording_bytes": recording.stat().st_size,
+        "serial": alone._asdict(),
+        "by_workers": fast._asdict(),
+        "ratio": alone.wall_s / fast.wall_s,
+        "ratio_of_cpu": alone.cpu_s / fast.cpu_s,
+        "cpu_s_of_stages": dict(stages),
+        "peak_bytes_of_workers": {name: each["peak_bytes"] for name, each in report["processes"].items()},
+        "one_killed": lamed._asdict() | {"process": killed, "repeated_tasks": report_of_lamed["repeated_tasks"]},
+        "different_columns": different,
+        "equal": not any(different.values()) and quality[0] == quality[1] == quality[2],
+    }
 
 
 def list_differences(one: Path, other: Path) -> list[str]:
@@ -145,54 +167,75 @@ def _read_bytes(parts: Sequence[Any], name: str) -> bytes | list[Any]:
     return b"".join(column.to_numpy().tobytes() for column in columns)
 
 
-def measure(folder: Path, cars: int, hours: float, workers: int, worker_memory: float) -> dict[str, Any]:
-    """Return what tables of a fleet take, serially and by workers, and whether they are equal."""
-    recording = record_fleet(folder, cars, hours)
-    serial, parallel = folder / "serial", folder / "parallel"
-    for out in (serial, parallel):
-        out.mkdir(exist_ok=True)
-    given = ["tables", str(recording), "--out"]
-    options = ["--cluster", f"local:{workers}", "--worker-memory", f"{worker_memory:g}"]
-    by_workers, killed = run_command([*given, str(parallel), *options], parallel, kill=True)
-    alone, _ = run_command([*given, str(serial)], serial, kill=False)
-    report = json.loads((parallel / REPORT).read_text("utf-8"))
-    quality = [json.loads((out / QUALITY).read_text("utf-8")) for out in (serial, parallel)]
-    different = {name: list_differences(serial / name, parallel / name) for name in (RIDES, WINDOWS)}
-    stages: dict[str, float] = {}
-    for task in report["tasks"]:
-        stages[task["stage"]] = stages.get(task["stage"], 0.0) + task["cpu_s"]
-    return {
-        "cars": cars,
-        "samples": quality[0]["received"]["telemetry"],
-        "recording_bytes": recording.stat().st_size,
-        "serial": alone._asdict(),
-        "workers": workers,
-        "by_workers": by_workers._asdict(),
-        "ratio": alone.wall_s / by_workers.wall_s,
-        "ratio_of_cpu": alone.cpu_s / by_workers.cpu_s,
-        "cpu_s_of_stages": stages,
-        "peak_bytes_of_workers": {name: each["peak_bytes"] for name, each in report["processes"].items()},
-        "killed_process": killed,
-        "repeated_tasks": report["repeated_tasks"],
-        "different_columns": different,
-        "equal": not any(different.values()) and quality[0] == quality[1],
-    }
+def compare_both_ways(plan: Plan, arguments: Sequence[object], option: str, suffix: str) -> dict[str, Any]:
+    """Return what a command takes serially and by workers, and whether its files are equal.
+
+    Parameters
+    ----------
+    plan : Plan
+    arguments : sequence
+    option : str
+        Option of the file to write.
+    suffix : str
+        Suffix of its name.
+    """
+    name = str(arguments[0])
+    paths = [plan.folder / f"{name}-{how}{suffix}" for how in ("serial", "by-workers")]
+    alone, _ = run_command([*arguments, option, paths[0]])
+    fast, _ = run_command([*arguments, option, paths[1], *plan.list_options()])
+    contents = [_drop_seconds(path) if name == "evaluate" else path.read_bytes() for path in paths]
+    return {"serial": alone._asdict(), "by_workers": fast._asdict(), "equal": contents[0] == contents[1]}
+
+
+def _drop_seconds(path: Path) -> Any:
+    """Return an evaluation without the time that it took."""
+    result = json.loads(path.read_text("utf-8"))
+    del result["about"]["seconds"]
+    return result
+
+
+def measure(plan: Plan) -> dict[str, Any]:
+    """Return what all commands take, serially and by workers, and whether their results are equal."""
+    recording, simulated = record_fleet(plan)
+    result: dict[str, Any] = {"cars": plan.cars, "hours": plan.hours, "workers": plan.workers}
+    result["simulate_all"] = simulated and simulated._asdict()
+    result["tables"] = measure_tables(plan, recording)
+    tables = plan.folder / "by-workers"
+    result["fit"] = compare_both_ways(plan, ["fit", tables, "--recipe", RECIPE], "--out", ".json")
+    result["evaluate"] = compare_both_ways(plan, ["evaluate", tables, *EVALUATED], "--json", ".json")
+    few = ["simulate", "--vehicles", min(plan.cars, FEW_CARS), "--shift-hours", min(plan.hours, LONGEST_SHIFT_H)]
+    result["simulate_few"] = compare_both_ways(plan, few, "--out", ".mcap")
+    parts = ("tables", "fit", "evaluate", "simulate_few")
+    return result | {"equal": all(result[part]["equal"] for part in parts)}
+
+
+def check_room(plan: Plan) -> None:
+    """Say how much room the measure needs, and end if the folder has less."""
+    needed = plan.cars * plan.hours * SAMPLES_PER_HOUR * BYTES_PER_SAMPLE / 1e9
+    free = shutil.disk_usage(plan.folder).free / 1e9
+    print(f"{plan.folder}: needs up to {needed:,.1f} GB, {free:,.1f} GB are free", file=sys.stderr)
+    if free < needed:
+        raise SystemExit("choose another --folder, fewer --cars or fewer --hours")
 
 
 def main() -> None:
-    """Print the measures as JSON; the exit code is 1 where tables differ."""
+    """Print the measures as JSON; the exit code is 1 where results differ."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cars", type=int, default=1000)
     parser.add_argument("--hours", type=float, default=42.0, help="time for which each car sends samples [h]")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--worker-memory", type=float, default=2.0, help="[GB]")
-    parser.add_argument("--folder", type=Path, help="where recording and tables are kept; by default nothing is kept")
+    parser.add_argument("--folder", type=Path, help="where recording and results are kept; by default nothing is kept")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        folder = given.folder or Path(temporary)
+        folder = (given.folder or Path(temporary)).resolve()
         folder.mkdir(exist_ok=True)
-        result = measure(folder, given.cars, given.hours, given.workers, given.worker_memory)
-    print(json.dumps(result, indent=2))
+        plan = Plan(folder, given.cars, given.hours, given.workers, given.worker_memory)
+        check_room(plan)
+        result = measure(plan)
+        text = json.dumps(result, indent=2)
+        (folder / "measures.json").write_text(text + "\n", "utf-8")
+    print(text)
     sys.exit(0 if result["equal"] else 1)
 
 
