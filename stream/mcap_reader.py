@@ -24,7 +24,7 @@ import zstandard
 
 from core.batch import Ints
 from core.errors import RecordingError
-from core.wire.message_block import MessageBlock
+from core.wire.message_block import MessageBlock, MessageColumns
 from stream.mcap_format import (
     CHANNEL,
     CHUNK,
@@ -395,8 +395,8 @@ class McapSource:
         except _DAMAGE:
             self.losses.damaged_chunks += 1
             self.losses.damaged_bytes += block.length
-        columns = key, records.text, records.starts, records.sizes
-        messages = MessageBlock(self._topics, *columns, receipts=records.receipts)[:done]
+        columns = MessageColumns(self._topics, key, records.text, records.starts, records.sizes, records.receipts)
+        messages = MessageBlock(columns.select(slice(done)))
         has_key = key[:done] >= 0
         return messages if has_key.all() else messages.take(has_key)
 

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from core.batch import Ints
-from core.wire.message_block import PADDING, Bytes
+from core.wire.message_block import PADDING, Bytes, get_words
 from stream.mcap_format import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD, SCHEMA
 
 _HEAD: Final = MESSAGE_HEAD.size
@@ -77,12 +77,11 @@ def scan_chunk(data: bytes) -> ChunkRecords:
     """
     end, data = len(data), data + bytes(PADDING)
     text = np.frombuffer(data, np.uint8)
-    words = np.ndarray(len(text) - 7, "<u8", text, strides=(1,))  # the eight bytes from each place on
     most = end // _HEAD
     starts, sizes, channel = np.empty((3, most), np.int64)
     receipts = np.empty(most, np.uint64)
     descriptions = np.empty((end // _RECORD_HEAD, 2), np.int64)
-    stop, count, described = _scan(text, words, end, starts, sizes, channel, receipts, descriptions)
+    stop, count, described = _scan(text, get_words(text), end, starts, sizes, channel, receipts, descriptions)
     starts, sizes, channel = (column[:count].copy() for column in (starts, sizes, channel))
     return ChunkRecords(
         data, text, starts, sizes, channel, receipts[:count].copy(), descriptions[:described].copy(), stop < end

@@ -96,8 +96,9 @@ def build_forecasts(
         _list_charges(rows),
     )
     encode = msgspec.json.Encoder().encode
+    new = tuple.__new__  # half the time of Message()
     return [
-        Message(f"{prefix}fleet/{vehicle_id}/forecast", encode(forecast), int(time_s * 1e9))
+        new(Message, (f"{prefix}fleet/{vehicle_id}/forecast", encode(forecast), int(time_s * 1e9)))
         for vehicle_id, time_s, forecast, cause in zip(vehicle_ids, time, forecasts, withheld, strict=True)
         if cause is None
     ]

@@ -81,7 +81,7 @@ class Refused(NamedTuple):
     number: int = -1
 
 
-_BLOCK: Final = 512
+_BLOCK: Final = 2000  # no power of two, at which columns would evict each other from the cache
 _MOST_KEYS: Final = 1 << 20
 _LOST = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
@@ -303,8 +303,8 @@ class Decoder:
         for _, name in sorted([*pending, *others], key=itemgetter(0)):
             _ = self.rides[name]  # a new name receives the next code
         for at, name in pending:
-            scan.table[POSITION["ride_id"], at] = self.rides[name]
             self._names.remember_ride(int(scan.table[POSITION["vehicle_id"], at]), name, self.rides[name])
+        scan.write_codes({at: self.rides[name] for at, name in pending})
 
     def _decode_sample(self, message: Message, samples: list[Telemetry], lanes: list[int]) -> bool:
         """Add a message to the samples of its block if it is one valid sample of a known vehicle."""

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import NO_RIDE, Batch, Floats, Ints
+from core.batch import NO_RIDE, Batch, Floats, Ints, grown
 from core.columns import TELEMETRY
 from core.compiled_cache import watch_sources
 from core.wire import name_lookup
@@ -48,17 +48,28 @@ class ScannedSamples(NamedTuple):
         Buffer with the payloads.
     rides : (n, 2) int
         Begin and end of the name of the ride in `text`, where the code of the ride is `PENDING`.
+    first : (n,) int
+        There, number of the message from which on the vehicle names this ride.
     """
 
     table: Floats
     is_scanned: NDArray[np.bool_]
     text: Bytes
     rides: Ints
+    first: Ints
 
     def list_pending(self) -> list[tuple[int, str]]:
-        """Return the number of each message whose ride has no code yet, with the name of its ride."""
-        at = np.flatnonzero(self.is_scanned & (self.table[POSITION["ride_id"]] == PENDING)).tolist()
+        """Return the number of each message from which on a vehicle names a ride without a code, with this name."""
+        pending = np.flatnonzero(self.is_scanned & (self.table[POSITION["ride_id"]] == PENDING))
+        at = pending[self.first[pending] == pending].tolist()
         return [(i, self.text[slice(*self.rides[i])].tobytes().decode()) for i in at]
+
+    def write_codes(self, codes: dict[int, float]) -> None:
+        """Write the codes of the rides that `list_pending` returned, by the numbers of their messages."""
+        column = self.table[POSITION["ride_id"]]
+        column[list(codes)] = list(codes.values())
+        pending = np.flatnonzero(self.is_scanned & (column == PENDING))
+        column[pending] = column[self.first[pending]]
 
 
 class JsonScanner:
@@ -72,6 +83,8 @@ class JsonScanner:
 
     def __init__(self, names: NameLookup) -> None:
         self._names = names
+        self._count = 0  # of messages so far
+        self._named_at = np.zeros(0, np.int64)  # where each vehicle began to name its pending ride
 
     def scan(self, messages: MessageBlock, lanes: Ints) -> ScannedSamples:
         """Scan the messages of a block.
@@ -83,17 +96,20 @@ class JsonScanner:
         lanes : (n,) int
             Lanes of the vehicles of their keys; -1 for a message that is not to be scanned.
         """
-        known, n = self._names, len(messages)
+        known, columns, n = self._names, messages.columns, len(messages)
         known.update()
-        lanes = np.where(messages.sizes <= LONGEST, lanes, -1)
+        lanes = np.where(columns.sizes <= LONGEST, lanes, -1)
         table = np.empty((len(Batch._fields), n))
-        is_scanned, rides = np.empty(n, np.bool_), np.empty((n, 2), np.int64)
-        stops = messages.starts + messages.sizes
+        is_scanned, rides, first = np.empty(n, np.bool_), np.empty((n, 2), np.int64), np.empty(n, np.int64)
+        self._named_at = grown(self._named_at, len(known.cars), -1)
+        stops = columns.starts + columns.sizes
         _scan(
-            messages.text, messages.words, messages.starts, stops, lanes,
+            columns.text, columns.words, columns.starts, stops, lanes,
             known.cars, known.rides, known.ride_sizes, known.ride_codes, table, is_scanned, rides,
+            first, self._named_at, self._count,
         )  # fmt: skip
-        return ScannedSamples(table, is_scanned, messages.text, rides)
+        self._count += n
+        return ScannedSamples(table, is_scanned, columns.text, rides, first)
 
 
 def _spell_fields() -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
@@ -248,10 +264,22 @@ def _scan_sample(
     return is_whole and seen & _REQUIRED == _REQUIRED
 
 
+@njit(error_model="numpy", inline="always")
+def _is_same_name(text: Any, one: Any, other: Any) -> bool:
+    """Return whether two spans of the text hold the same name."""
+    size = one[1] - one[0]
+    if other[1] - other[0] != size:
+        return False
+    for k in range(size):  # noqa: SIM110 - numba has no all() of a generator
+        if text[one[0] + k] != text[other[0] + k]:
+            return False
+    return True
+
+
 @njit(cache=True, error_model="numpy")
 def _scan(
     text: Any, words: Any, starts: Any, stops: Any, lanes: Any, cars: Any, rides: Any, ride_sizes: Any,
-    ride_codes: Any, table: Any, is_scanned: Any, spans: Any,
+    ride_codes: Any, table: Any, is_scanned: Any, spans: Any, first: Any, named_at: Any, count: int,
 ) -> None:  # fmt: skip
     """Scan messages to the columns of a table. Nothing past the end of a payload is taken for a part of it."""
     for i in range(len(lanes)):
@@ -265,6 +293,12 @@ def _scan(
             is_scanned[i] = _scan_sample(
                 text, words, starts[i], stops[i], lane, cars, rides, ride_sizes, ride_codes, table, spans, i
             )
+            if is_scanned[i] and table[_RIDE_PLACE, i] == PENDING:
+                before = named_at[lane] - count  # negative if it is not of this block
+                if before < 0 or not _is_same_name(text, spans[before], spans[i]):
+                    before = i
+                    named_at[lane] = count + i
+                first[i] = before
 
 
 watch_sources(_scan, name_lookup)

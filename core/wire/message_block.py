@@ -6,7 +6,7 @@ pipeline takes it, so that live messages and recorded ones go the same way.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import compress, repeat
-from typing import Any, Final, overload
+from typing import Any, Final, NamedTuple, overload
 
 import numpy as np
 from numba import njit
@@ -18,11 +18,14 @@ from core.wire.messages import Message
 PADDING: Final = 32
 """Size of the buffer after the last payload, so that whole words can be read from any place of a payload. [B]"""
 
+_LARGE: Final = 4096
+"""Size above which a payload is rather a batch than a sample. [B]"""
+
 Bytes = NDArray[np.uint8]
 
 
-class MessageBlock(Sequence[Message]):
-    """Hold n messages in their order; `Message` objects are made only of those that are asked for.
+class MessageColumns(NamedTuple):
+    """Hold n messages as columns.
 
     Parameters
     ----------
@@ -31,13 +34,40 @@ class MessageBlock(Sequence[Message]):
     key : (n,) int
         Number of each message's key in `keys`.
     text : (size,) uint8
-        Buffer with the payloads, and at least `PADDING` bytes after the last one.
+        Buffer with the payloads, and at least `PADDING` bytes after the last one. It is read-only, as the kernels are
+        compiled for that.
     starts, sizes : (n,) int
         Begin of each payload in the buffer, and its size. [B]
     receipts : (n,) uint64, optional
-        Unix times of receipt. [ns]
+        Unix times of receipt, None where the messages are objects. [ns]
+    """
+
+    keys: Sequence[str]
+    key: Ints
+    text: Bytes
+    starts: Ints
+    sizes: Ints
+    receipts: NDArray[np.uint64] | None = None
+
+    @property
+    def words(self) -> NDArray[np.uint64]:
+        """Return the eight bytes from each place of the buffer on, as whole numbers."""
+        return get_words(self.text)
+
+    def select(self, which: Any) -> "MessageColumns":
+        """Return some of the messages, in the same buffer."""
+        receipts = None if self.receipts is None else self.receipts[which]
+        return self._replace(key=self.key[which], starts=self.starts[which], sizes=self.sizes[which], receipts=receipts)
+
+
+class MessageBlock(Sequence[Message]):
+    """Hold n messages in their order; columns and `Message` objects are made only where they are asked for.
+
+    Parameters
+    ----------
+    columns : MessageColumns, optional
+        Without them, `objects` are given.
     objects : list of n Message, optional
-        The messages, where they are objects already; times of receipt may then be left out.
 
     Examples
     --------
@@ -46,31 +76,20 @@ class MessageBlock(Sequence[Message]):
     (2, 'fleet/b/ride', True)
     """
 
-    def __init__(
-        self,
-        keys: Sequence[str],
-        key: Ints,
-        text: Bytes,
-        starts: Ints,
-        sizes: Ints,
-        *,
-        receipts: NDArray[np.uint64] | None = None,
-        objects: list[Message] | None = None,
-    ) -> None:
-        self.keys, self.key, self.text, self.starts, self.sizes = keys, key, text, starts, sizes
-        self._receipts, self.objects = receipts, objects
+    def __init__(self, columns: MessageColumns | None, objects: list[Message] | None = None) -> None:
+        self._columns, self.objects = columns, objects
 
     @classmethod
     def of(cls, messages: Sequence[Message]) -> "MessageBlock":
         """Return messages as a block; a block itself."""
-        if isinstance(messages, MessageBlock):
-            return messages
-        payloads = [message[1] for message in messages]
-        sizes = np.fromiter(map(len, payloads), np.int64, len(payloads))
-        text = np.frombuffer(b"\0".join(payloads) + bytes(PADDING), np.uint8)
-        numbers: dict[str, int] = {}
-        key = np.array([numbers.setdefault(message[0], len(numbers)) for message in messages], np.int64)
-        return cls(list(numbers), key, text, np.cumsum(sizes + 1) - sizes - 1, sizes, objects=list(messages))
+        return messages if isinstance(messages, MessageBlock) else cls(None, list(messages))
+
+    @property
+    def columns(self) -> MessageColumns:
+        """Return the messages as columns."""
+        if self._columns is None:
+            self._columns = _make_columns(self.objects or [])
+        return self._columns
 
     @classmethod
     def join(cls, parts: Iterable[Sequence[Message]]) -> "MessageBlock":
@@ -91,21 +110,16 @@ class MessageBlock(Sequence[Message]):
         return self.objects
 
     @property
-    def words(self) -> NDArray[np.uint64]:
-        """Return the eight bytes from each place of the buffer on, as whole numbers."""
-        return np.ndarray(len(self.text) - 7, "<u8", self.text, strides=(1,))
-
-    @property
     def receipt_ns(self) -> NDArray[np.uint64]:
         """Return the Unix times of receipt, (n,). [ns]"""
-        if self._receipts is None:
-            self._receipts = np.array([message[2] for message in self.objects or ()], np.uint64)
-        return self._receipts
+        if (receipts := self.columns.receipts) is None:
+            receipts = np.array([message[2] for message in self.objects or ()], np.uint64)
+        return receipts
 
     @property
     def size(self) -> int:
         """Return the size of all payloads. [B]"""
-        return int(self.sizes.sum())
+        return int(self.columns.sizes.sum())
 
     def sort(self) -> "MessageBlock":
         """Return the messages in order of receipt; those with equal times keep their order."""
@@ -120,16 +134,10 @@ class MessageBlock(Sequence[Message]):
         if objects is not None:
             are_flags = which.dtype == np.bool_
             objects = list(compress(objects, which.tolist()) if are_flags else map(objects.__getitem__, which.tolist()))
-        return self._select(which, objects)
-
-    def _select(self, which: Any, objects: list[Message] | None) -> "MessageBlock":
-        """Return a part of the columns, with its objects."""
-        receipts = None if self._receipts is None else self._receipts[which]
-        columns = self.key[which], self.text, self.starts[which], self.sizes[which]
-        return MessageBlock(self.keys, *columns, receipts=receipts, objects=objects)
+        return MessageBlock(None if self._columns is None else self._columns.select(which), objects)
 
     def find_of_keys(self, find: Callable[[str], Any], dtype: Any) -> NDArray[Any]:
-        """Return what a function returns for the key of each message; it is called once for a key.
+        """Return what a function returns for the key of each message; it is called once for each of `keys`.
 
         Parameters
         ----------
@@ -138,19 +146,25 @@ class MessageBlock(Sequence[Message]):
         dtype : dtype
             Type of its results.
         """
-        is_used = np.zeros(len(self.keys), np.bool_)
-        is_used[self.key] = True
+        keys, key = self.columns[:2]
+        is_used = np.zeros(len(keys), np.bool_)
+        is_used[key] = True
         used = np.flatnonzero(is_used)
-        found = np.empty(len(self.keys), dtype)
-        found[used] = np.fromiter(map(find, [self.keys[number] for number in used.tolist()]), dtype, len(used))
-        return found[self.key]
+        if len(used) < len(keys):
+            keys = [keys[number] for number in used.tolist()]
+        found = np.empty(len(is_used), dtype)
+        found[used] = np.fromiter(map(find, keys), dtype, len(used))
+        return found[key]
 
     def get_first_bytes(self) -> Bytes:
         """Return the first byte of each payload, 0 for an empty one."""
-        return np.where(self.sizes > 0, self.text[self.starts], np.uint8(0))
+        if self._columns is None and self.objects and len(self.objects[0].payload) > _LARGE:  # they need not be copied
+            return np.frombuffer(b"".join([message[1][:1] or b"\0" for message in self.objects]), np.uint8)
+        columns = self.columns
+        return np.where(columns.sizes > 0, columns.text[columns.starts], np.uint8(0))
 
     def __len__(self) -> int:
-        return len(self.starts)
+        return len(self.columns.starts) if self.objects is None else len(self.objects)
 
     @overload
     def __getitem__(self, at: int) -> Message: ...
@@ -160,24 +174,24 @@ class MessageBlock(Sequence[Message]):
 
     def __getitem__(self, at: int | slice) -> "Message | MessageBlock":
         """Return a message, or a part of the messages that shares the buffer."""
-        objects = self.objects
         if isinstance(at, slice):
-            return self._select(at, None if objects is None else objects[at])
-        if objects is not None:
-            return objects[at]
-        start = self.starts[at]
-        payload = self.text[start : start + self.sizes[at]].tobytes()
-        return Message(self.keys[self.key[at]], payload, int(self.receipt_ns[at]))
+            columns = None if self._columns is None else self._columns.select(at)
+            return MessageBlock(columns, None if self.objects is None else self.objects[at])
+        if self.objects is not None:
+            return self.objects[at]
+        keys, key, text, starts, sizes, _ = self.columns
+        payload = text[starts[at] : starts[at] + sizes[at]].tobytes()
+        return Message(keys[key[at]], payload, int(self.receipt_ns[at]))
 
     def __iter__(self) -> Iterator[Message]:
         """Iterate over the messages as objects."""
         if self.objects is not None or not len(self):
             return iter(self.objects or ())
-        stops = self.starts + self.sizes
-        first = self.starts.min()
-        text = self.text[first : stops.max()].tobytes()
-        payloads = map(text.__getitem__, map(slice, (self.starts - first).tolist(), (stops - first).tolist()))
-        fields = zip(map(self.keys.__getitem__, self.key.tolist()), payloads, self.receipt_ns.tolist(), strict=True)
+        keys, key, text, starts, sizes, _ = self.columns
+        stops, first = starts + sizes, starts.min()
+        part = text[first : stops.max()].tobytes()
+        payloads = map(part.__getitem__, map(slice, (starts - first).tolist(), (stops - first).tolist()))
+        fields = zip(map(keys.__getitem__, key.tolist()), payloads, self.receipt_ns.tolist(), strict=True)
         return map(tuple.__new__, repeat(Message), fields)
 
     def __eq__(self, other: object) -> bool:
@@ -189,33 +203,47 @@ class MessageBlock(Sequence[Message]):
         return f"MessageBlock.of({list(self)!r})"
 
 
+def get_words(text: Bytes) -> NDArray[np.uint64]:
+    """Return the eight bytes from each place of a buffer on, as whole numbers in the same memory."""
+    return np.ndarray(len(text) - 7, "<u8", text, strides=(1,))
+
+
+def _make_columns(messages: list[Message]) -> MessageColumns:
+    """Return messages as columns, without their times of receipt."""
+    payloads = [message[1] for message in messages]
+    sizes = np.fromiter(map(len, payloads), np.int64, len(payloads))
+    payloads.append(bytes(PADDING))
+    text = np.frombuffer(b"\0".join(payloads), np.uint8)
+    keys = [message[0] for message in messages]  # to number equal ones would cost more than it saves
+    return MessageColumns(keys, np.arange(len(keys)), text, np.cumsum(sizes + 1) - sizes - 1, sizes)
+
+
 def _copy_blocks(blocks: Sequence[MessageBlock]) -> MessageBlock:
     """Return the messages of blocks, one or more, with a buffer of their own."""
-    sizes = np.concatenate([block.sizes for block in blocks])
-    stops = np.cumsum(sizes)
-    starts = stops - sizes
-    text = np.zeros(int(sizes.sum()) + PADDING, np.uint8)
-    keys: Sequence[str] = blocks[0].keys
-    key = [block.key for block in blocks]
-    if any(block.keys is not keys for block in blocks):
-        keys = [each for block in blocks for each in block.keys]
-        firsts = np.cumsum([0, *(len(block.keys) for block in blocks[:-1])])
-        key = [block.key + first for block, first in zip(blocks, firsts, strict=True)]
-    at = 0
-    for block in blocks:
-        _copy_payloads(block.text, block.starts, block.sizes, starts[at : at + len(block)], text)
-        at += len(block)
-    text.flags.writeable = False  # as of all blocks, for which the kernels are compiled
-    columns = keys, np.concatenate(key), text, starts, sizes
+    parts = [block.columns for block in blocks]
+    sizes = np.concatenate([part.sizes for part in parts])
+    starts = np.cumsum(sizes) - sizes
+    text = np.empty(int(sizes.sum()) + PADDING, np.uint8)
+    words, at = get_words(text), 0
+    for part in parts:
+        _copy_payloads(part.words, part.starts, part.sizes, starts[at : at + len(part.sizes)], words)
+        at += len(part.sizes)
+    text.flags.writeable = False
+    keys, key = parts[0].keys, [part.key for part in parts]
+    if any(part.keys is not keys for part in parts):
+        keys = [each for part in parts for each in part.keys]
+        firsts = np.cumsum([0, *(len(part.keys) for part in parts[:-1])])
+        key = [part.key + first for part, first in zip(parts, firsts, strict=True)]
+    columns = MessageColumns(keys, np.concatenate(key), text, starts, sizes)
     if all(block.objects is not None for block in blocks):
-        return MessageBlock(*columns, objects=[each for block in blocks for each in block])
-    return MessageBlock(*columns, receipts=np.concatenate([block.receipt_ns for block in blocks]))
+        return MessageBlock(columns, [each for block in blocks for each in block])
+    return MessageBlock(columns._replace(receipts=np.concatenate([block.receipt_ns for block in blocks])))
 
 
 @njit(cache=True)
-def _copy_payloads(text: Any, starts: Any, sizes: Any, places: Any, out: Any) -> None:
-    """Copy payloads to places of another buffer."""
+def _copy_payloads(words: Any, starts: Any, sizes: Any, places: Any, out: Any) -> None:
+    """Copy payloads to ascending places of another buffer; each may write a few bytes to the place of the next one."""
     for i in range(len(starts)):
         start, place = starts[i], places[i]
-        for k in range(sizes[i]):
-            out[place + k] = text[start + k]
+        for k in range(0, sizes[i], 8):
+            out[place + k] = words[start + k]

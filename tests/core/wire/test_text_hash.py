@@ -14,8 +14,8 @@ texts = st.one_of(st.binary(max_size=40), st.integers(0, 300).map(lambda size: b
 
 @given(st.lists(st.tuples(texts, st.integers(0, 2**64 - 1)), max_size=8))
 def test_hash_is_xxh64_at_any_size_and_seed(pairs):
-    block = MessageBlock.of([Message("fleet/a/telemetry", text, 0) for text, _ in pairs])
+    columns = MessageBlock.of([Message("fleet/a/telemetry", text, 0) for text, _ in pairs]).columns
     out = np.empty(len(pairs), np.uint64)
     seeds = np.array([seed for _, seed in pairs], np.uint64)
-    hash_texts(block.text, block.words, block.starts, block.sizes, seeds, out)
+    hash_texts(columns.text, columns.words, columns.starts, columns.sizes, seeds, out)
     assert out.tolist() == [xxh64_intdigest(text, seed) for text, seed in pairs]
