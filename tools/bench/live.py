@@ -212,7 +212,7 @@ def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> Measur
         {"live_samples_per_s": total / busy_s, "idle_samples_per_s": total / idle_s},
         "Both cores are busy with the publisher, with Zenoh's receiving threads and with Python. A full channel blocks "
         "the publisher, which then takes nearly twice its processor time per sample. In the pipeline, decoding takes a "
-        "fifth of the time, the filter of repetitions a tenth, and the steps over arrays and the forecasts the rest.",
+        "fifth of the time, the filter of repetitions a fifteenth, and steps over arrays and forecasts the rest.",
     )
 
 

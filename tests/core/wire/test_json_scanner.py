@@ -116,6 +116,28 @@ def test_usual_samples_of_known_vehicles_are_scanned():
     assert scan.first[:5].tolist() == [0] * 5
 
 
+def test_rides_that_alternate_within_a_block_have_the_codes_of_their_names():
+    known = [Message(f"fleet/{car}/telemetry", encode(Telemetry(car, 1.0)), 0) for car in "ab"]
+    rides = [
+        ("a", "x"),
+        ("a", "x"),
+        ("b", "x"),
+        ("a", "y"),
+        ("b", "x"),
+        ("a", "x"),
+        ("a", None),
+        ("a", "x"),
+        ("b", "z"),
+    ]
+    sent = [Message(f"fleet/{car}/telemetry", encode(Telemetry(car, 2.0, ride_id=ride)), 0) for car, ride in rides]
+    decoder = Decoder(Lanes())
+    decoder.decode(known)
+    for _ in range(2):
+        batch, _ = decoder.decode(sent)
+        assert decoder.rides.names(batch.ride.tolist()) == [ride for _, ride in rides]
+    assert decode_all(JsonScanner, [known, sent, sent[::-1]]) == decode_all(BlindScanner, [known, sent, sent[::-1]])
+
+
 def test_ride_of_the_sample_before_needs_no_name_until_codes_change():
     decoder = Decoder(Lanes())
     for ride in "xy":
