@@ -195,7 +195,7 @@ def through(source, model) -> tuple[list, pd.DataFrame]:
 
 
 def test_live_equals_replay_exactly_with_fitted_model(in_service, tmp_path):
-    messages = shift(samples=230)  # one whole ride of each car, and a half of another
+    messages = shift(samples=230, cars=2)  # one whole ride of each car, and a half of another
     forecasts, table = through(MemorySource(messages), in_service)
     predicted = [json.loads(m.payload)["ride_energy_predicted_kwh"] for m in forecasts]
     known = [energy for energy in predicted if energy is not None]
