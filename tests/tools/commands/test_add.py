@@ -333,6 +333,7 @@ def test_findings_are_kept_and_announced_once(made_up, here, capsys):
     assert kept[0]["status"] == "gone"
 
 
+@pytest.mark.usefixtures("_checks_here")
 def test_commands_of_a_finding_load_the_effects_of_the_user(made_up, here):
     made_up.append(cold())
     (here / "my.py").write_text(OWN.format(coefficient="force", unit="N", body="return speed"))

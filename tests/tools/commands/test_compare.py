@@ -286,6 +286,7 @@ def test_files_of_same_name_are_distinguished(folder, tmp_path):
     assert list(result["models"]) == names
 
 
+@pytest.mark.usefixtures("_checks_here")
 def test_user_defined_effect_is_known_with_its_file(folder, tmp_path, capsys):
     effect_file = tmp_path / "own.py"
     effect_file.write_text(

@@ -12,6 +12,7 @@ from tools.workbench.loop import causes
 from tools.workbench.loop import models as model_records
 from tools.workbench.workspace import Given, Workspace
 
+pytestmark = pytest.mark.usefixtures("_checks_here")
 OWN = '''"""An effect of one's own."""
 
 from socast import effect
