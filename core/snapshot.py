@@ -21,6 +21,7 @@ from core.columns import SECONDS_PER_DAY, SPEED_BINS
 from core.errors import SocastError
 from core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, SCORES, TEMPERATURE_CLASSES
 from core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_SAMPLES
+from core.forecast.day_schema import COUNT, EXACT, FACTOR, LANE, MOST, PATTERN, REAL, SUMS, make_days, make_shift
 from core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
 from core.forecast.learning.daily_cycle import HOURS
 from core.forecast.learning.energy_correction import COEFFICIENTS
@@ -102,8 +103,8 @@ class OpenTotals:
         edges = [f"{name} of {place}" for place in ("ride", "window", "end") for name in EDGES]
         parts = [("ride", "f8"), ("window", "f8"), ("amounts", "f8", (2 * width,)), *((name, "f8") for name in edges)]
         limits = {
-            "ride": Number(-2.0, _WHOLE),
-            "window": Number(-2.0, _WHOLE),
+            "ride": Number(-2.0, MOST),
+            "window": Number(-2.0, MOST),
             **dict.fromkeys((name for name in edges if name.startswith("kind of")), Number(0, "kinds", unknown=False)),
             **dict.fromkeys((name for name in edges if name.startswith("code of")), _CODE),
         }
@@ -111,19 +112,16 @@ class OpenTotals:
         Packed(dtype, by_lane="summed", limits=limits, vacant={"ride": Number(-2.0, -1.0)}).check(value, sizes)
 
 
-_ANYTHING, _TEXT, _REAL, _UNIX = Anything(), Text(), Number(), Number(0.0, 4.3e9, unknown=False)
-_WHOLE: Final = 2.0**53
+_ANYTHING, _TEXT, _UNIX = Anything(), Text(), Number(0.0, 4.3e9, unknown=False)
 _AMOUNT: Final = Number(0.0, 1e15, unknown=False)
 _KELVIN: Final = Number(100.0, 400.0, unknown=False)
-_COUNT, _LANE = Number(0, _WHOLE, whole=True), Number(0, "lanes", whole=True)
 _LATITUDE, _LONGITUDE = Number(-pi / 2, pi / 2, unknown=False), Number(-pi, pi, unknown=False)
-_COUNTS, _CODE, _INDEX = ByName(_COUNT), Number(-3.0, _WHOLE), Number(0.0, _WHOLE, unknown=False)
-_FACTOR: Final = Row(_REAL, _REAL)
+_COUNTS, _CODE, _INDEX = ByName(COUNT), Number(-3.0, MOST), Number(0.0, MOST, unknown=False)
 
 
 def _grid(*shape: int) -> Schema:
     """Return the schema of an array as nested lists."""
-    return Many(_grid(*shape[1:]) if shape[1:] else _REAL, count=shape[0])
+    return Many(_grid(*shape[1:]) if shape[1:] else REAL, count=shape[0])
 
 
 def _pack(count: int, *, low: float = -inf) -> Schema:
@@ -131,21 +129,19 @@ def _pack(count: int, *, low: float = -inf) -> Schema:
     return Packed("f8", count=count, limits={"": Number(low, unknown=False)})
 
 
-_EXACT: Final = Packed("i8")
-_SUMS: Final = Row(_EXACT, *(Packed("f8", count=len(EDGES)) for _ in range(2)))
 _BY_PACE = _grid(len(PACES))
 _BY_TEMPERATURE: Final = Many(Number(-1e12, 1e12, unknown=False), count=len(TEMPERATURES))
 _TABLES: Final = Named(
     leg_energy_per_km=_grid(len(PACES), len(TEMPERATURES)),
     **dict.fromkeys(("climbed_per_km", "descended_per_km"), _BY_PACE),
-    **dict.fromkeys(("climb_energy", "descent_energy", "start_energy", "mean_pause"), _REAL),
-    **dict.fromkeys(("driven_energy_per_km", "level_sd"), _REAL),
+    **dict.fromkeys(("climb_energy", "descent_energy", "start_energy", "mean_pause"), REAL),
+    **dict.fromkeys(("driven_energy_per_km", "level_sd"), REAL),
     **dict.fromkeys(("standing_power", "approach_energy", "ride_factor", "ride_power", "relative_sd"), _BY_TEMPERATURE),
     **dict.fromkeys(("idle_factor", "idle_power", "energy_per_km", "mean_power"), _BY_TEMPERATURE),
 )
 _CLASSES: Final = BASES * len(DISTANCE_CLASSES) * len(TEMPERATURE_CLASSES)
 _CONFORMAL: Final = Row(
-    _EXACT,
+    EXACT,
     Packed(BOUND_PAIR, count=_CLASSES, limits={"": Number(unknown=False)}),
     Row(
         _pack(_CLASSES * len(SCORES), low=0.0),
@@ -153,41 +149,41 @@ _CONFORMAL: Final = Row(
         _pack(_CLASSES * len(LEVELS)),
     ),
 )
-_CORRECTION: Final = Row(_EXACT, Row(*(_pack(BASES * count) for count in (COEFFICIENTS**2, COEFFICIENTS))))
+_CORRECTION: Final = Row(EXACT, Row(*(_pack(BASES * count) for count in (COEFFICIENTS**2, COEFFICIENTS))))
 _STATISTICS: Final = Row(
     Row(
-        Row(ByName(_SUMS), ByName(_SUMS), ByName(_TABLES)),
+        Row(ByName(SUMS), ByName(SUMS), ByName(_TABLES)),
         Row(
-            Many(Row(_LANE, _FACTOR)),
-            Many(Row(_COUNT, _FACTOR)),
-            Many(Row(_LANE, Many(Row(_REAL, _REAL)))),
+            Many(Row(LANE, FACTOR)),
+            Many(Row(COUNT, FACTOR)),
+            Many(Row(LANE, Many(Row(REAL, REAL)))),
         ),
         _CONFORMAL,
         _CORRECTION,
-        Row(_EXACT, _grid(2, HOURS)),
-        Row(Row(_AMOUNT, _REAL, _AMOUNT, _REAL, _REAL, _AMOUNT), _EXACT),
+        Row(EXACT, _grid(2, HOURS)),
+        Row(Row(_AMOUNT, REAL, _AMOUNT, REAL, REAL, _AMOUNT), EXACT),
     ),
-    Many(Row(_LANE, Maybe(_COUNT), *4 * (_REAL,), _TEXT, _REAL, _REAL, Number(0, 1))),
-    Many(Row(_LANE, Row(_REAL, _REAL))),
+    Many(make_shift(LANE)),
+    Many(Row(LANE, PATTERN)),
     Packed(LOG_FACTOR_PRIOR, by_lane="predicted", limits={"variance": Number(1e-9, 1e9)}),
     Packed(SHIFT_PATTERN, by_lane="predicted"),
-    Packed("i8", count=3 * BASES, limits={"": _COUNT}),
+    Packed("i8", count=3 * BASES, limits={"": COUNT}),
 )
 _PLANS: Final = Row(
-    Many(Row(_LANE, ByName(_ANYTHING), _COUNT, _REAL, Maybe(Many(Packed("f8"), count=2)), _COUNT)),
-    Many(Row(_LANE, ByName(_ANYTHING))),
+    Many(Row(LANE, ByName(_ANYTHING), COUNT, REAL, Maybe(Many(Packed("f8"), count=2)), COUNT)),
+    Many(Row(LANE, ByName(_ANYTHING))),
     Packed(PLAN_PROGRESS, by_lane="predicted"),
-    Many(_REAL, by_lane="predicted"),
+    Many(REAL, by_lane="predicted"),
     Many(Number(0, 1), by_lane="predicted"),
-    Many(Many(_REAL, by_lane="predicted"), count=3),
+    Many(Many(REAL, by_lane="predicted"), count=3),
 )
-_ERRORS: Final = Row(Packed(RIDE_SUMS, count=1), Row(_INDEX, _INDEX, *(_REAL for _ in range(4))))
+_ERRORS: Final = Row(Packed(RIDE_SUMS, count=1), Row(_INDEX, _INDEX, *(REAL for _ in range(4))))
 SCHEMAS: Final[dict[str, Schema]] = {
     "lanes": Many(Text(64), unique=True),
     "cars": Row(Many(ByName(_ANYTHING)), Many(Number(0, "kinds", whole=True)), _COUNTS),
     "duplicates": Row(Number(1, whole=True), Packed("<u8"), Packed("<u8")),
     "decoder": Row(
-        Row(Many(Row(_CODE, Maybe(_TEXT))), _COUNT),
+        Row(Many(Row(_CODE, Maybe(_TEXT))), COUNT),
         _COUNTS,
         _COUNTS,
         Packed(
@@ -196,8 +192,8 @@ SCHEMAS: Final[dict[str, Schema]] = {
             limits={**dict.fromkeys(("received", "lost"), _INDEX), "period": Number(0.0, 1e6, unknown=False)},
         ),
     ),
-    "drivers": Row(ByName(_TEXT), Many(Row(_COUNT, _TEXT, _TEXT, _COUNT)), _COUNT),
-    "plans": Many(Row(_LANE, _REAL)),
+    "drivers": Row(ByName(_TEXT), Many(Row(COUNT, _TEXT, _TEXT, COUNT)), COUNT),
+    "plans": Many(Row(LANE, REAL)),
     "day_rollover": Row(
         Number(-inf, 4.3e9 + SECONDS_PER_DAY, unknown=False),
         Number(0, WINDOW_SAMPLES - 1, whole=True),
@@ -215,9 +211,9 @@ SCHEMAS: Final[dict[str, Schema]] = {
             vacant={"samples": Number(0.0, 0.0)},
         ),
         Packed(FLEET_CLOCK, count=1),
-        Row(_TEXT, _COUNT, _COUNTS),
+        Row(_TEXT, COUNT, _COUNTS),
     ),
-    "stations": Many(Row(_TEXT, Many(_UNIX), Many(Many(_REAL)), _LATITUDE, _LONGITUDE)),
+    "stations": Many(Row(_TEXT, Many(_UNIX), Many(Many(REAL)), _LATITUDE, _LONGITUDE)),
     "accumulator": OpenTotals(),
     "displays": Row(
         Packed(
@@ -226,15 +222,15 @@ SCHEMAS: Final[dict[str, Schema]] = {
             limits=dict.fromkeys(("pooled_model", "next_model"), Number(-1, "models")),
         ),
         Many(_TEXT, unique=True),
-        *(Many(Row(_REAL, _REAL), count=count) for count in (None, "pooled", "pooled")),
+        *(Many(Row(REAL, REAL), count=count) for count in (None, "pooled", "pooled")),
     ),
-    "counters": Row(Many(_COUNT, count=len(CAUSES)), _COUNT, _COUNTS, _COUNTS),
+    "counters": Row(Many(COUNT, count=len(CAUSES)), COUNT, _COUNTS, _COUNTS),
     "engine": Row(
         _STATISTICS,
         _PLANS,
         Many(Row(_TEXT, Many(Row(_UNIX, _UNIX, _KELVIN)))),
         Row(
-            Many(Row(_LANE, Packed(FORECAST_RECORDS, limits={"basis": Number(0, BASES - 1, unknown=False)}))),
+            Many(Row(LANE, Packed(FORECAST_RECORDS, limits={"basis": Number(0, BASES - 1, unknown=False)}))),
             Packed("f8"),
             Packed("f8"),
             Packed("f8"),
@@ -243,26 +239,26 @@ SCHEMAS: Final[dict[str, Schema]] = {
             FILTER_STATE,
             by_lane="predicted",
             limits={"": Number(-1e15, 1e15)},
-            vacant={"active": Number(0.0, 0.0), "shift": Number(-_WHOLE, -1.0)},
+            vacant={"active": Number(0.0, 0.0), "shift": Number(-MOST, -1.0)},
         ),
     ),
     "silent_cars": Row(
-        Number(-inf, _WHOLE),
-        _COUNT,
+        Number(-inf, MOST),
+        COUNT,
         Packed("f8", by_lane="heard"),
-        Packed("i8", count="noted", limits={"": Number(-_WHOLE, _WHOLE)}),
+        Packed("i8", count="noted", limits={"": Number(-MOST, MOST)}),
     ),
     "deferred": _ANYTHING,
-    "days": _ANYTHING,
+    "days": make_days(_STATISTICS),
     "shadows": Row(
         _TEXT,
-        _REAL,
+        REAL,
         Many(_TEXT),
         ByName(
             Row(
                 Many(_ERRORS),
                 Packed(VEHICLE_DAY, limits={"group": Number(-1, "groups")}),
-                Packed("i8", count=3, limits={"": _COUNT}),
+                Packed("i8", count=3, limits={"": COUNT}),
             )
         ),
         _COUNTS,

@@ -13,8 +13,10 @@ from core.models import EXTENDED_PHYSICAL, Model
 from core.pipeline import OF_LANES, Pipeline
 from core.settings import Settings
 from core.totals.clean_rows import CleanRows
+from core.wire.arrow_batch import select_rows
 from core.wire.decoder import Refused
-from core.wire.messages import Leg, Message, Outlook, Plan
+from core.wire.message_block import MessageBlock
+from core.wire.messages import BATCH, Leg, Message, Outlook, Plan
 from core.wire.shard import Shard
 
 
@@ -48,6 +50,30 @@ class ShardedPipeline(Pipeline):
         self.shadows.prefix = f"{prefix}{SPACE}{shard.chunk}/"
         self.days = ShardDays(shard, self.engine, self.displays, prefix)
         self._is_idle = True
+
+    def take(self, messages: Sequence[Message], record: Callable[[Sequence[Message]], None] | None = None) -> None:
+        """Take messages, and of the batches of gateways the rows of this shard's cars, see `Pipeline.take`."""
+        block = MessageBlock.of(messages)
+        if self.shard.count > 1 and self.shard.by == "name":
+            is_batch = block.find_of_keys(lambda key: key.endswith(f"/{BATCH}"), np.bool_)
+            if is_batch.any():
+                own = (self._cut_batch(each) if each.key.endswith(f"/{BATCH}") else each for each in block)
+                block = MessageBlock.of([message for message in own if message is not None])
+        super().take(block, record)
+
+    def _cut_batch(self, message: Message) -> Message | None:
+        """Return a batch with the rows of this shard's cars only; None without any.
+
+        A batch that cannot be read is left to the shard of the gateway's name, which counts it.
+        """
+        is_large = len(message.payload) > self.limits.payload_bytes
+        rows = "too_large" if is_large else self.decoder.batches.read(message.payload)
+        if isinstance(rows, str):
+            return message if self.shard.has(message.key.split("/")[-2]) else None
+        own = [self.shard.has(rows.vehicles.get(at)) for at in range(len(rows.is_usable))]
+        if all(own):
+            return message
+        return message._replace(payload=select_rows(message.payload, own)) if any(own) else None
 
     def forecasts(self, *, newest_only: bool = False) -> list[Message]:
         """Return the forecasts since the last call, as `Pipeline` does.

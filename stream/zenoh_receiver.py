@@ -19,13 +19,13 @@ The module allows for this observed behaviour of zenoh 1.10:
 import logging
 import time
 from contextlib import suppress
-from itertools import chain, compress, islice, repeat
+from itertools import chain, compress, filterfalse, islice, repeat
 from typing import Any, Final, NamedTuple
 
 import zenoh
 from zenoh import ext, handlers
 
-from core.wire.messages import Message
+from core.wire.messages import BATCH, Message
 from stream.receipt_clock import ReceiptClock
 from stream.source import RecoveredMessage
 from stream.structured_log import event_fields
@@ -51,11 +51,18 @@ def list_spaces(node: Node) -> list[str]:
     """Return the key expressions to subscribe to, in the order in which the receiver subscribes and drains them.
 
     A weather observation then does not come after the samples that it applies to. A node that detects the subscription
-    to the fleet can rely on the subscription to the weather. Every shard receives all weather.
+    to the fleet can rely on the subscription to the weather. Every shard receives all weather and, where names divide
+    the fleet, the batches of all gateways, as they hold any cars.
     """
     shard = node.connection.shard
     cars = [f"{node.prefix}fleet/**"] if shard is None else [f"{each}/**" for each in node.list_cars()]
-    return [f"{node.prefix}weather/**", *cars]
+    return [f"{node.prefix}weather/**", *cars, *([f"{node.prefix}fleet/*/{BATCH}"] if shares_batches(node) else [])]
+
+
+def shares_batches(node: Node) -> bool:
+    """Return whether a node receives the batches of gateways whatever their names."""
+    shard = node.connection.shard
+    return shard is not None and shard.by == "name" and shard.count > 1
 
 
 class Received(NamedTuple):
@@ -142,6 +149,7 @@ class ZenohReceiver:
         spaces = list_spaces(node)
         self._subscribers = [_subscribe(node, keys) for keys in spaces]
         self._receivers = [subscriber.handler.try_recv for subscriber in self._subscribers]
+        self._batches = self._receivers[-1] if shares_batches(node) else None
         self._block = BLOCK
         self._nap_s = 0.0
         self._misses: list[Any] = []
@@ -253,8 +261,13 @@ class ZenohReceiver:
         out: list[Any] = []
         for receive, limit in zip(self._receivers, chain([CHANNEL], repeat(most)), strict=False):
             with suppress(zenoh.ZError):  # the subscription has ended; what came before stays in the list
-                out.extend(islice(iter(receive, None), limit))
+                taken = islice(iter(receive, None), limit)
+                out.extend(taken if self._batches in {None, receive} else filterfalse(self._is_batch, taken))
         return out
+
+    def _is_batch(self, sample: Any) -> bool:
+        """Return whether a sample is a batch of a gateway, which comes by a subscription of its own too."""
+        return self._keys[sample.key_expr].endswith(f"/{BATCH}")
 
     def _watch_routers(self) -> None:
         """Log that a router was lost or joined; Zenoh itself reconnects to a router that returns."""

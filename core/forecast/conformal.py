@@ -187,8 +187,7 @@ class ConformalIntervals:
         """Replace the state by one that `dump` returned."""
         today, bounds, arrays = state
         self.today.load(today)
-        if self.today.get("scores").min() < 0.0:
-            raise ValueError("a negative number of shifts")
+        check_scores(self.today)
         self.bounds = np.frombuffer(bounds, BOUND_PAIR).reshape(self.shape).copy()
         for name, dumped in zip(_ARRAYS, arrays, strict=True):
             setattr(self, name, np.frombuffer(dumped).reshape(getattr(self, name).shape).copy())
@@ -241,6 +240,12 @@ def _compute_first_quantiles(basis: int) -> tuple[Floats, Any]:
     """Return the quantiles and the bounds of the classes of a basis before the first shift, from the prior alone."""
     shape = len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
     return _compute_class_quantiles(_borrow_counts(basis, np.zeros((*shape, len(SCORES)))), np.zeros((*shape, 2)))
+
+
+def check_scores(day: DaySums) -> None:
+    """Raise ValueError where a day counts fewer than no scores."""
+    if day.get("scores").min() < 0.0:
+        raise ValueError("a negative number of shifts")
 
 
 @cache

@@ -21,6 +21,7 @@ import numpy as np
 from core.batch import Ints
 from core.columns import SECONDS_PER_DAY
 from core.forecast.car_days import LAST_DAY, CarDays
+from core.forecast.day_schema import CONTENT
 from core.forecast.engine import DueInput, ForecastEngine
 from core.forecast.learning.car_driver import LogFactor
 from core.forecast.learning.fleet import FleetDay, FleetStatistics, GuestCar, ShiftEnergy
@@ -69,6 +70,13 @@ class _Content(NamedTuple):
     displays: dict[str, bytes]
     shifts: list[Any]  # (name of the car, its part before, its shifts)
     cars: int  # with a shift so far
+
+    def list_guests(self) -> list[GuestCar]:
+        """Return the cars whose drivers all consumers learn of."""
+        return [
+            GuestCar(name, LogFactor(*part), [ShiftEnergy(*each) for each in shifts])
+            for name, part, shifts in self.shifts
+        ]
 
 
 class ShardDays:
@@ -221,6 +229,7 @@ class ShardDays:
     def split(self, due: DueInput) -> Iterator[tuple[Ints, DueInput]]:
         """Yield the parts of an input by class with the numbers of their running rows; select statistics for each."""
         sums = due.sums
+        self.cars.grow(len(self._context.lanes))
         classes = [self.find_classes(part.lane, part.at) for part in sums]
         messages = (due.arrivals, due.drivers)
         of_messages = [self.find_classes(*_locate(each)).tolist() for each in messages]
@@ -286,11 +295,30 @@ class ShardDays:
             if not fits or index == self.shard.index or not self.tables_of < sent.day <= LAST_DAY:
                 return
             plain = zlib.decompressobj().decompress(base64.b64decode(sent.content), LARGEST)
-            content = _Content(*msgspec.msgpack.decode(plain))
-            self._load_day(content)
-        except (ValueError, TypeError, LookupError, zlib.error, msgspec.MsgspecError):
+            content = self._load_content(msgspec.msgpack.decode(plain))
+        except (ArithmeticError, ValueError, TypeError, LookupError, zlib.error):
             return
         self._contents.setdefault(sent.day, {})[index] = content
+
+    def _load_content(self, state: Any) -> _Content:
+        """Return a contribution; raise an error for one that cannot be used."""
+        CONTENT.check(state, {"lanes": 0})
+        content = _Content(*state)
+        for dumped in content.displays.values():
+            _load_sums(dumped)
+        self._try_day(self._load_day(content), content.list_guests())
+        return content
+
+    def _try_day(self, day: FleetDay, guests: Sequence[GuestCar] = ()) -> None:
+        """Raise ValueError or ArithmeticError where no tables can be made of a day, which is used up."""
+        statistics = FleetStatistics(self._context, self._width, ExactSums)
+        day.shifts, day.patterns = [], []
+        statistics.use_day(day)
+        with np.errstate(all="ignore"):
+            statistics.apply_daily_update(guests)
+        learned = statistics.charged_soc.covariance, statistics.correction.covariance, statistics.conformal.table
+        if not all(np.isfinite(each).all() for each in learned):
+            raise ValueError("no tables can be made of a day")
 
     def _load_day(self, content: _Content) -> FleetDay:
         """Return the sums of a contribution, with the numbers of this process for its kinds of cars."""
@@ -310,13 +338,8 @@ class ShardDays:
         for content in contents.values():
             merged.merge(self._load_day(content))
             for name, dumped in content.displays.items():
-                of_model = ExactSums(sums=(2,))
-                of_model.load(dumped)
-                pooled.setdefault(name, ExactSums(sums=(2,))).merge(of_model)
-            guests += [
-                GuestCar(name, LogFactor(*part), [ShiftEnergy(*each) for each in shifts])
-                for name, part, shifts in content.shifts
-            ]
+                pooled.setdefault(name, ExactSums(sums=(2,))).merge(_load_sums(dumped))
+            guests += content.list_guests()
         local = self._sealed.get(day, FleetDay())
         merged.shifts, merged.patterns = local.shifts, local.patterns
         old = self._tables[1]
@@ -376,12 +399,21 @@ class ShardDays:
             self._tables[0].load(tables)
             self._tables[0].interval_outcomes = newest.interval_outcomes
         self.cars.load(cars)
+        for day in (*days, *sealed.values()):
+            self._try_day(FleetDay(day, newest.rides))
         self._days = [FleetDay(day, newest.rides) for day in days]
         self._sealed = {int(day): FleetDay(each, newest.rides) for day, each in sealed.items()}
-        self._contents = {day: {index: _Content(*each) for index, each in known} for day, known in contents}
+        self._contents = {day: {index: self._load_content(each) for index, each in known} for day, known in contents}
         self.select(3)
         if (own := self._contents.get(self.ended, {}).get(self.shard.index)) is not None:
             self._publish(self.ended, own)  # it may not have reached the others
+
+
+def _load_sums(dumped: bytes) -> ExactSums:
+    """Return the sums of weight, and weight times factor, of a vehicle model."""
+    sums = ExactSums(sums=(2,))
+    sums.load(dumped)
+    return sums
 
 
 def _locate(messages: Sequence[Any]) -> tuple[Ints, Ints]:

@@ -8,13 +8,11 @@ import pytest
 from core.errors import SocastError
 from core.pipeline import Pipeline
 from core.snapshot import SCHEMAS
-from core.wire.shard import Shard
-from stream.sharded_pipeline import ShardedPipeline
 from tests.support.forged_states import COMPONENTS, forge, make_content, make_pipeline, nest, run
 
 MUTATIONS = 12
 """Number of mutations of each part, chosen by a fixed seed."""
-FEWER: Final = {"engine": 5}
+FEWER: Final = {"engine": 5, "days": 1}
 """The same of components with hundreds of parts."""
 
 
@@ -27,8 +25,7 @@ def test_every_component_has_a_schema():
     deferred = Pipeline(keep_forecasts=False, two_sided=True)
     for pipeline in (make_pipeline(), deferred):
         assert SCHEMAS.keys() >= pipeline._components().keys()
-    shard = ShardedPipeline(Shard(1, 1))
-    assert SCHEMAS.keys() == {*make_pipeline()._components(), *deferred._components(), *shard._components()}
+    assert SCHEMAS.keys() == {*deferred._components(), *make_pipeline("days")._components()}
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -44,11 +41,12 @@ def test_state_without_its_components_is_refused(state):
 
 
 def test_unknown_and_missing_components_are_refused():
-    content = make_content("shift.mcap")
-    assert run(content | {"state": content["state"] | {"intake": []}}, "shift.mcap")
+    content = make_content("shift.mcap", "days")
+    assert run(content | {"state": content["state"] | {"intake": []}}, "shift.mcap", "days")
     for component in COMPONENTS:
         rest = {name: value for name, value in content["state"].items() if name != component}
-        assert run(content | {"state": rest}, "shift.mcap")
+        assert run(content | {"state": rest}, "shift.mcap", "days")
+    assert run(content, "shift.mcap")
 
 
 @pytest.mark.parametrize(

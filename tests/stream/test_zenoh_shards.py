@@ -12,6 +12,7 @@ from core.wire.messages import Message, Outlook
 from core.wire.shard import By, Shard
 from stream.loop import run
 from stream.query_service import QueryService
+from stream.zenoh_observer import ZenohObserver
 from stream.zenoh_queryable import ZenohQueryable, query_outlook
 from stream.zenoh_session import Connection, Node
 from stream.zenoh_sink import ZenohSink
@@ -43,23 +44,42 @@ def test_shards_receive_their_cars_and_all_weather_and_answer_for_their_cars(by:
     before = {name: f"{number}/" if by == "chunk" else "" for number, name in enumerate(names)}
     cars = [Message(f"city/{before[name]}fleet/{name}/telemetry", name.encode(), 0) for name in names]
     weather = Message("city/weather/yul", b"{}", 0)
+    gateway = Message(f"city/{'7/' if by == 'chunk' else ''}fleet/depot7/batch", b"", 0)
     with ExitStack() as ending:
         node, endpoint = ending.enter_context(router(prefix="city"))
         shards = [Shard(index, 3, by) for index in (1, 2, 3)]
         consumers = [ending.enter_context(shard_consumer(endpoint, shard)) for shard in shards]
         sink = ZenohSink(node)
         ending.callback(sink.close)
-        sink.put([weather, *cars])
+        sink.put([weather, gateway, *cars])
         for shard, consumer in zip(shards, consumers, strict=True):
             deciding = {name: before[name].strip("/") or name for name in names}
             mine = {car.key for name, car in zip(names, cars, strict=True) if shard.has(deciding[name])}
+            mine |= {gateway.key} if by == "name" or shard.has("7") else set()
             assert eventually(lambda c=consumer, m=mine: {each.key for each in c.taken} == {weather.key, *m})
+            assert len(consumer.taken) == len(mine) + 1
         answer = query_outlook(node, "taxi-7", {})
         assert msgspec.json.decode(answer, type=Outlook).vehicle_id == "taxi-7"
         asked = sum(bool(consumer.asked) for consumer in consumers)
         assert asked == (1 if by == "name" else 3)
         with pytest.raises(AskError, match="is not known"):
             query_outlook(node, "taxi-8", {})
+
+
+def test_an_observer_of_the_fleet_sees_the_cars_and_forecasts_of_all_shards():
+    with ExitStack() as ending:
+        node, endpoint = ending.enter_context(router(prefix="city"))
+        observer = ZenohObserver(node)
+        ending.callback(observer.close)
+        sent = []
+        for index, name in ((1, "taxi-1"), (2, "taxi-2")):
+            shard = ending.enter_context(Node(Connection(connect=(endpoint,), prefix="city", shard=Shard(index, 2))))
+            sink = ZenohSink(shard)
+            ending.callback(sink.close)
+            sent += [f"city/fleet/{name}/telemetry", f"city/fleet/{name}/forecast"]
+            sink.put([Message(key, b"{}", 0) for key in sent[-2:]])
+        seen = []
+        assert eventually(lambda: seen.extend(each.key for each in observer.take()) or set(seen) >= set(sent))
 
 
 def test_each_shard_elects_one_of_its_own_consumers():

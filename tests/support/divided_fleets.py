@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 
-from core.wire.messages import Message
+from core.wire.messages import BATCH, Message
 from core.wire.shard import Shard
 from stream.sharded_pipeline import ShardedPipeline
 
 
 def is_of(message: Message, shard: Shard) -> bool:
-    """Return whether a shard receives a message: its cars by their names, and everything that is not about a car."""
+    """Return whether a shard receives a message: its cars by their names, and everything that is not about one car."""
     chunks = message.key.split("/")
-    return "fleet" not in chunks or shard.has(chunks[chunks.index("fleet") + 1])
+    return "fleet" not in chunks or chunks[-1] == BATCH or shard.has(chunks[chunks.index("fleet") + 1])
 
 
 def run_divided(

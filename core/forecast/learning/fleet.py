@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints, grown, take_lanes
-from core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals
+from core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals, check_scores
 from core.forecast.filter_state import LOG_FACTOR_PRIOR
 from core.forecast.learning.car_driver import ConsumptionFactors, GuestShift, LogFactor, ShiftPattern
 from core.forecast.learning.charged_soc import ChargedSoc
@@ -121,6 +121,7 @@ class FleetDay:
             self.rides = rides.load_sums(models)
             for name, of_component in self.sums.items():
                 of_component.load(sums[name])
+            check_scores(self.sums["conformal"])
             self.shifts = [ShiftEnergy(*each) for each in shifts]
             self.patterns = [(lane, ShiftPattern(*each)) for lane, each in patterns]
 
