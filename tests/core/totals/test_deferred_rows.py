@@ -1,5 +1,7 @@
 """Test that rows wait for the end of their ride, whatever the division of the input, and that none is lost."""
 
+from functools import cache
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -171,27 +173,31 @@ def test_forecasts_exclude_two_sided_tables():
         Pipeline(two_sided=True)
 
 
+@cache
 def simulated():
     """Return the messages of four cars on three days, whose displays are pooled each day."""
     simulation = Simulation(vehicles=4, days=3, seed=11, shift_hours=3.0, faults=Faults(unequipped=0.0))
     return list(simulate(simulation))
 
 
+@cache
+def causal_tables():
+    """Return the rides and the windows of these messages in a causal pipeline."""
+    pipeline = Pipeline(keep_forecasts=False)
+    pipeline.take(simulated())
+    pipeline.finish()
+    return pipeline.take_rides(), pipeline.take_windows()
+
+
 @pytest.mark.parametrize("least", [500, 20_000])
 def test_columns_without_climb_equal_those_of_the_causal_pipeline_to_the_bit(least):
     messages = simulated()
-    causal = Pipeline(keep_forecasts=False)
-    causal.take(messages)
-    causal.finish()
     two_sided = Pipeline(keep_forecasts=False, two_sided=True)
     two_sided.deferred.least = two_sided.deferred._until_release = least
     for part in chunked(messages, range(0, len(messages), 3001)):
         two_sided.take(part)
     two_sided.finish()
-    for one, other in (
-        (two_sided.take_rides(), causal.take_rides()),
-        (two_sided.take_windows(), causal.take_windows()),
-    ):
+    for one, other in zip((two_sided.take_rides(), two_sided.take_windows()), causal_tables(), strict=True):
         by_climb = [name for name in other if name.startswith(("gained_m", "lost_m", "effect_", "unresolved_"))]
         assert not one["gained_m"].equals(other["gained_m"])
         assert len(other) > 40

@@ -1,6 +1,7 @@
 """Test the location of an error on synthetic drives with planted loads."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -40,6 +41,12 @@ def plant(table, level, kind, size, seed=3):
     return size * deviates[unit] * ENERGIES[kind](table)
 
 
+@cache
+def locate_planted(level, kind, size):
+    """Return the location of the error of drives with one load."""
+    return locate(make_windows(), plant(make_windows(), level, kind, size))
+
+
 def names(location):
     return {(load.level, load.kind) for load in location.loads}
 
@@ -64,8 +71,7 @@ def test_nothing_is_claimed_where_nothing_is_hidden():
     ],
 )
 def test_planted_load_is_located_with_its_size(level, kind, size):
-    table = make_windows()
-    location = locate(table, plant(table, level, kind, size))
+    location = locate_planted(level, kind, size)
     assert names(location) == {(level, kind)}
     (load,) = location.loads
     planted = size * (1000.0 if load.unit == "W" else 100.0)
@@ -120,8 +126,7 @@ def test_kinds_without_energy_and_absent_signals_are_listed():
 
 
 def test_location_is_plain_json():
-    table = make_windows()
-    plain = locate(table, plant(table, "ride", "constant", 0.4)).to_json()
+    plain = locate_planted("ride", "constant", 0.4).to_json()
     assert json.loads(json.dumps(plain)) == plain
     assert plain["loads"][0]["kind"] == "constant"
     assert len(plain["estimates"]) >= 12

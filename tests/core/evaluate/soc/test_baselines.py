@@ -93,15 +93,15 @@ def test_mean_consumption_uses_only_earlier_ended_shifts(seed, unknown):
     shifts["ride_km"] = np.where(rng.random(len(shifts)) < unknown, 0.0, shifts["ride_km"])
     cases = select_cases(frames.outlooks, shifts).cases
     result = compute_mean_consumption(cases, shifts)
+    whole = shifts[shifts["charged_s"].isna() & (shifts["ride_km"] > 0.0)].to_dict("records")
     for case, rate in zip(cases.to_dict("records"), result, strict=True):
-        known = shifts[
-            (shifts["end_s"] <= case["begin_s"])
-            & (shifts["vehicle_model"] == case["vehicle_model"])
-            & shifts["charged_s"].isna()
-            & (shifts["ride_km"] > 0.0)
+        known = [
+            shift
+            for shift in whole
+            if shift["end_s"] <= case["begin_s"] and shift["vehicle_model"] == case["vehicle_model"]
         ]
-        energy = (known["soc_begin_pct"] - known["soc_end_pct"]).sum() / 100.0 * CAPACITY
-        expected = energy / known["ride_km"].sum() if len(known) else np.nan
+        energy = sum(shift["soc_begin_pct"] - shift["soc_end_pct"] for shift in known) / 100.0 * CAPACITY
+        expected = energy / sum(shift["ride_km"] for shift in known) if known else np.nan
         assert rate == pytest.approx(expected, nan_ok=True)
 
 
