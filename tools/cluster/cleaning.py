@@ -24,7 +24,7 @@ from core.totals.display_record import create_unknown_yields
 from core.wire.decoder import Event
 from core.wire.message_order import MessageOrder, Silence
 from core.wire.messages import KINDS, Vehicle, Weather
-from tools.cluster.decoding import SpanTexts
+from tools.cluster.decoding import decode_events, read_texts
 from tools.cluster.job import (
     COLUMNS,
     Job,
@@ -279,7 +279,7 @@ def _read_rows(
 ) -> tuple[Floats, Ints]:
     """Return the samples of a part in a span with their places, and append the messages of its cars to events."""
     order = read_arrays(job.of_span(span.number, "order"))
-    texts = msgspec.msgpack.decode(job.of_span(span.number, "texts").read_bytes(), type=SpanTexts)
+    texts = read_texts(job, span.number)
     start, stop = order["starts"][part : part + 2].tolist()
     table = read_columns(job.of_span(span.number, "rows"), span.rows, start, stop, range(len(COLUMNS)))
     kept = order.get("kept")
@@ -290,9 +290,8 @@ def _read_rows(
     local = np.searchsorted(lanes, order["lanes"])
     fields[lane] = local[fields[lane].astype(np.int64)]
     fields[ride] = _assign_codes(pipeline, fields[ride].astype(np.int64), texts.rides)
-    own = np.isin(order["lanes"], lanes)
-    for event in texts.events:
-        if event.lane >= 0 and own[event.lane] and (kept is None or kept[event.item]):
+    for event in decode_events(texts, part):
+        if kept is None or kept[event.item]:
             value = _DECODERS[event.kind].decode(event.payload)
             events.append((2 * (span.first + event.item) + 1, int(local[event.lane]), value))
     return fields, place

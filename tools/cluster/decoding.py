@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
+from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -44,11 +45,17 @@ class SpanEvent(msgspec.Struct, array_like=True):
 
 
 class SpanTexts(msgspec.Struct):
-    """Hold the names in a span: of cars by lane, of rides by code; and the messages that are not telemetry."""
+    """Hold the names in a span: of cars by lane, of rides by code; and the messages that are not telemetry.
+
+    The messages are encoded, those about the cars of each part together, and last those that are about no car.
+    """
 
     vehicles: list[str]
     rides: list[str]
-    events: list[SpanEvent]
+    events: list[bytes]
+
+
+_read_events = msgspec.msgpack.Decoder(list[SpanEvent]).decode
 
 
 @dataclass(frozen=True)
@@ -144,14 +151,12 @@ def decode_span(job: Job, number: int, start_ns: float, stop_ns: float) -> Span:
         position=position,
         starts=starts,
     )
-    texts = SpanTexts(
-        lanes.names,
-        [name for name in decoder.rides if name is not None],
-        [
-            SpanEvent(int(item), event.lane, _get_kind(event.message), event.message.payload)
-            for item, event in zip(items.of_events, events, strict=True)
-        ],
-    )
+    by_part: list[list[SpanEvent]] = [[] for _ in range(job.parts + 1)]
+    for item, event in zip(items.of_events.tolist(), events, strict=True):
+        part = int(parts[event.lane]) if event.lane >= 0 else job.parts
+        by_part[part].append(SpanEvent(item, event.lane, _get_kind(event.message), event.message.payload))
+    rides = [name for name in decoder.rides if name is not None]
+    texts = SpanTexts(lanes.names, rides, list(map(msgspec.msgpack.encode, by_part)))
     with replacing(job.of_span(number, "texts")) as own:
         own.write_bytes(msgspec.msgpack.encode(texts))
     return Span(
@@ -163,6 +168,18 @@ def decode_span(job: Job, number: int, start_ns: float, stop_ns: float) -> Span:
         tuple(source.losses for source in sources),
         tuple(source.viewer_messages.total() for source in sources),
     )
+
+
+def read_texts(job: Job, number: int) -> SpanTexts:
+    """Return the names in a span, and its messages that are not telemetry."""
+    return msgspec.msgpack.decode(job.of_span(number, "texts").read_bytes(), type=SpanTexts)
+
+
+def decode_events(texts: SpanTexts, part: int | None = None) -> list[SpanEvent]:
+    """Return the messages of a span about the cars of a part, or all messages, in their order."""
+    if part is not None:
+        return _read_events(texts.events[part])
+    return sorted((event for part in texts.events for event in _read_events(part)), key=attrgetter("item"))
 
 
 def _get_kind(message: Message) -> str:

@@ -32,7 +32,7 @@ from core.wire.duplicate_filter import DuplicateFilter
 from core.wire.message_order import VehicleChange
 from core.wire.messages import KINDS, Ride, Vehicle, Weather
 from core.wire.rides import RideDrivers
-from tools.cluster.decoding import EVENT, SAMPLE, Span, SpanEvent, SpanTexts
+from tools.cluster.decoding import EVENT, SAMPLE, Span, SpanEvent, decode_events, read_texts
 from tools.cluster.job import Job, read_arrays, read_columns, write_arrays
 
 _COLUMNS: Final = [Batch._fields.index(name) for name in ("lane", *INPUTS)]
@@ -115,7 +115,7 @@ class Ordering:
         """Take the next span."""
         job, number = self._job, span.number
         stored = read_arrays(job.of_span(number, "items"))
-        texts = msgspec.msgpack.decode(job.of_span(number, "texts").read_bytes(), type=SpanTexts)
+        texts = read_texts(job, number)
         lane_of = np.empty(len(texts.vehicles), np.int64)
         is_new = self._select_new(stored, texts.vehicles, lane_of)
         self.rejected.update(span.rejected)
@@ -123,7 +123,7 @@ class Ordering:
         rows = item[is_new & (kind == SAMPLE)]
         kept = set(item[is_new & (kind == EVENT)].tolist())
         changes: list[VehicleChange] = []
-        for event in texts.events:
+        for event in decode_events(texts):
             if event.item in kept:
                 lane = int(lane_of[event.lane]) if event.lane >= 0 else -1
                 self._take_event(event, lane, rows, changes)
