@@ -27,6 +27,8 @@ from tools.bench.hidden import cases
 from tools.bench.hidden.cases import Case, SeedData
 from tools.simulator.settings import Hidden
 
+pytestmark = pytest.mark.long
+
 HIDDEN = "headwind"
 SHARE = 0.06
 

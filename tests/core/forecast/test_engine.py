@@ -34,6 +34,8 @@ from tests.support.fleet_days import (
 )
 from tests.support.telemetry import make_message
 
+pytestmark = pytest.mark.long
+
 BEGIN = START + DAY * DAYS
 SAMPLES = int(SHIFT / PERIOD) + 1
 EACH = SETTINGS._replace(forecast_time=3.0)

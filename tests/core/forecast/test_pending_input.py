@@ -15,6 +15,8 @@ from core.vehicles.fleet import ReplacedKind
 from tests.support.fleet_days import CARS, DAYS, merged, plan, shift, trained_pipeline
 from tests.support.telemetry import START, chunked, leaf, make_message, observed
 
+pytestmark = pytest.mark.long
+
 BEGIN = START + 86_400.0 * DAYS
 
 

@@ -21,6 +21,8 @@ from tests.support.soc_shifts import (
     shift,
 )
 
+pytestmark = pytest.mark.long
+
 QUANTA = (0.001, 0.005, 0.01)
 CARS = 200
 

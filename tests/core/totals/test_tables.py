@@ -14,6 +14,8 @@ from core.totals.tables import HISTOGRAM, is_winter
 from core.vehicles import OCCUPANT_MASS, load_catalogue
 from tests.support.telemetry import PERIOD, START, drive, leaf, make_message, observed, ran, telemetry, without
 
+pytestmark = pytest.mark.long
+
 CAPACITY = (
     load_catalogue()["nissan-leaf-2013"].usable_capacity_kwh
     or load_catalogue()["nissan-leaf-2013"].nominal_capacity_kwh

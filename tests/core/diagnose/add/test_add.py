@@ -25,6 +25,8 @@ from core.pipeline import Pipeline
 from tests.support.planted_windows import AUXILIARY, BASE, KINDS, START, base_model, planted
 from tests.support.telemetry import drive, leaf, telemetry
 
+pytestmark = pytest.mark.long
+
 COLD = 1e-4
 """Planted coefficient: 1 % of 0.010 per kelvin. [1/K]"""
 Tables = tuple[pd.DataFrame, pd.DataFrame]

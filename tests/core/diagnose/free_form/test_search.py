@@ -14,6 +14,8 @@ from core.effects import registry
 from core.signals.signals import CIVIL_DUSK
 from core.signals.sun import sine_of_elevation
 
+pytestmark = pytest.mark.long
+
 CARRIER = {each.name: each for each in CARRIERS}
 VARIABLE = {each.name: each for each in VARIABLES}
 SD = 0.008

@@ -7,6 +7,8 @@ from core.diagnose.projection import BaseProjection
 from core.diagnose.siblings.deviations import diagnose_deviations
 from tests.support.synthetic_windows import compute_coefficients, gather_with_model, make_tables, make_windows
 
+pytestmark = pytest.mark.long
+
 SINCE = "since=2018-06-05"
 CAR = "vehicle=taxi-1"
 

@@ -13,6 +13,8 @@ from core.evaluate.soc.cases import HOURS_AHEAD, WARM_UP
 from core.evaluate.soc.report import evaluate_soc
 from tests.support.soc_frames import CAPACITY, DAY_ONE, MODELS, SPREAD, make_frames
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def frames():
