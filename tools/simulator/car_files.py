@@ -19,9 +19,9 @@ from core.wire.messages import Message
 
 KINDS: Final = ("telemetry", "vehicle", "ride", "plan")
 """Kinds of the messages of a car; a row holds the position."""
-GROUP_ROWS: Final = 256
+GROUP_ROWS: Final = 64
 """Number of messages of a group."""
-GROUPS_AT_A_TIME: Final = 512
+GROUPS_AT_A_TIME: Final = 2048
 """Number of groups that are merged at a time, besides one of each car."""
 _LEVEL: Final = 1
 _ROW: Final = np.dtype([("at", "<i8"), ("receipt_ns", "<i8"), ("size", "<u4"), ("kind", "u1")])
