@@ -327,7 +327,7 @@ class Pipeline:
         """Let what was learned of the day take effect."""
         pool = partial(self.deferred.add_daily_update, place) if self.deferred else self.displays.apply_daily_update
         pool(self.cars.of_lane)
-        self.engine.apply_daily_update(midnight)
+        self.engine.apply_daily_update(midnight - SECONDS_PER_DAY)
 
     def _take_ride(self, place: int, lane: int, ride: Ride) -> tuple[float, float, bool]:
         """Take the driver of a ride; return the code of its name, when it begins or ends, and whether it ends."""

@@ -8,7 +8,7 @@ from core.forecast.learning.daily_cycle import DailyCycle
 from core.forecast.weather_forecasts import MOST_STATIONS, MOST_TIMES, ForecastArrival, WeatherForecasts
 from core.pipeline import Pipeline
 from core.wire.messages import Weather
-from tests.support.fleet_days import DAY, DAYS, SETTINGS, START, forecasts, shift, trained_pipeline
+from tests.support.fleet_days import DAY, DAYS, SETTINGS, START, days, forecasts, shift, trained_pipeline
 from tests.support.telemetry import chunked, observed
 
 NOW = 50.0 * SECONDS_PER_DAY
@@ -138,6 +138,15 @@ def test_forecast_of_cold_lowers_the_charge_at_the_end_alike_for_any_division_of
     restored = Pipeline(settings=SETTINGS)
     restored.restore(whole.snapshot())
     assert restored.ask("c").soc_end_of_shift_pct == whole.ask("c").soc_end_of_shift_pct
+
+
+def test_forecasts_for_the_new_day_are_kept_over_midnight():
+    pipeline = trained_pipeline(settings=SETTINGS)
+    begin = START + DAY * (DAYS + 1)
+    pipeline.push([*cold_ahead(begin - 2.0 * DAY, 0.0), *cold_ahead(begin, -10.0)])
+    pipeline.push(days([DAYS, DAYS + 1]))
+    ((_, course),) = pipeline.engine.weather.dump()
+    assert {time for time, *_ in course} == {begin + HOUR * hour for hour in range(4)}
 
 
 def test_forecast_is_no_observation():
