@@ -192,7 +192,7 @@ class Pipeline:
                 piece = self._advance(batch, order, piece, row)
                 self._take_daily_update(place, value.midnight, RestOfBatch(batch, row, events, number + 1, order))
         self._advance(batch, order, piece, batch.size)
-        if self._pending.size >= BLOCK:
+        if self._pending.is_full:
             self._update_forecasts(order.size)
         self._pending.end_batch(order.size)
         if self.deferred:
@@ -232,7 +232,7 @@ class Pipeline:
                 self._take_released(self.deferred, self.deferred.add(rows))
                 continue
             self._add_rows(rows)
-            if self._pending.size >= BLOCK:
+            if self._pending.is_full:
                 self._update_forecasts(order.of_row(end))
         for value in (value for row, value in piece.observations if row == stop):
             self.stations.observe(value)

@@ -58,6 +58,10 @@ from stream.waiting_messages import WaitingMessages
 RAW_BLOCK: Final = 1 << 20
 """Approximate size of the blocks in which the reader takes messages outside chunks. [B]"""
 
+MOST_YIELDED: Final = 16_000
+"""Number of messages from which no further chunk is read before they are yielded; steps on many messages cost less."""
+MOST_YIELDED_BYTES: Final = 8 << 20
+"""Size of messages from which no further chunk is read before they are yielded. [B]"""
 LARGEST_SUMMARY: Final = 64 << 20
 """Largest summary that is read; the chunks of a file with a larger one are found by a scan. [B]"""
 LARGEST_DESCRIPTION: Final = 1 << 20
@@ -160,22 +164,26 @@ class McapSource:
         return (min(block.first_ns for block in full), max(block.last_ns for block in full)) if full else None
 
     def __iter__(self) -> Iterator[MessageBlock]:
-        """Yield the messages in order of receipt, about one chunk at a time."""
+        """Yield the messages in order of receipt, some chunks at a time."""
         whole = self._of_file
         self.losses = Losses(whole.unfinished, whole.truncated_bytes, is_contradicted=whole.is_contradicted)
         self.viewer_messages = Counter()
         self._read_bytes = self._expanded = 0
         self.blocks_read = delivered = 0
-        waiting = WaitingMessages()
+        waiting, ready = WaitingMessages(), list[MessageBlock]()
+        count = size = 0
         with self.path.open("rb") as file:
             for at, block in enumerate(self._blocks):
                 messages = self._read_messages(file, block)
                 self.blocks_read = at + 1
                 following = self._blocks[at + 1].first_ns if at + 1 < len(self._blocks) else inf
-                ready = waiting.release(messages, following)
-                delivered += len(ready)
+                ready.append(waiting.release(messages, following))
                 self.losses.disordered = waiting.disordered
-                yield ready
+                count, size = count + len(ready[-1]), size + ready[-1].size
+                if count >= MOST_YIELDED or size >= MOST_YIELDED_BYTES or following == inf:
+                    yield MessageBlock.join(ready)
+                    delivered += count
+                    ready, count, size = [], 0, 0
         left_out = self.losses.undescribed + self.losses.foreign.total() + self.viewer_messages.total()
         if self._count is not None:
             self.losses.missing_messages = max(0, self._count - delivered - left_out)

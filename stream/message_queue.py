@@ -1,11 +1,10 @@
 """A queue of received messages that is limited by number and by size, between a receiving thread and the loop."""
 
 from collections import deque
-from collections.abc import Sequence
 from threading import Condition
 from typing import Final
 
-from core.wire.messages import Message
+from core.wire.message_block import MessageBlock
 
 MOST_MESSAGES: Final = 1 << 14
 """Largest number of queued messages; more would exceed the CPU's cache."""
@@ -33,16 +32,16 @@ class MessageQueue:
         self.messages = 0
         self.size = 0
         self._most_bytes, self._most_messages = most_bytes, most_messages
-        self._lists: deque[tuple[Sequence[Message], int, bool]] = deque()
+        self._blocks: deque[tuple[MessageBlock, int, bool]] = deque()
         self._changed = Condition()
         self._has_ended = False
 
-    def put(self, messages: Sequence[Message], size: int, *, recovered: bool = False, patience_s: float) -> bool:
+    def put(self, messages: MessageBlock, size: int, *, recovered: bool = False, patience_s: float) -> bool:
         """Append messages as soon as the queue is not full.
 
         Parameters
         ----------
-        messages : sequence of Message
+        messages : MessageBlock
             Messages to append.
         size : int
             Size of their payloads. [B]
@@ -60,7 +59,7 @@ class MessageQueue:
             self._changed.wait_for(lambda: self._has_ended or not self._is_full(), patience_s)
             if self._has_ended or self._is_full():
                 return False
-            self._lists.append((messages, size, recovered))
+            self._blocks.append((messages, size, recovered))
             self.messages += len(messages)
             self.size += size
             self._changed.notify_all()
@@ -75,38 +74,40 @@ class MessageQueue:
             Longest wait. [s]
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._has_ended or self._lists, patience_s)
-            return bool(self._lists)
+            self._changed.wait_for(lambda: self._has_ended or self._blocks, patience_s)
+            return bool(self._blocks)
 
-    def take(self, most_messages: int, most_bytes: int) -> tuple[list[Message], bool]:
-        """Remove the oldest lists up to a number of messages and a size, but at least one list.
+    def take(self, most_messages: int, most_bytes: int) -> tuple[MessageBlock, bool]:
+        """Remove the oldest messages up to a number and a size, but at least one block.
+
+        Messages that came from the caches of publishers are not joined with others.
 
         Parameters
         ----------
         most_messages : int
-            Number of messages after which no further list is taken.
+            Number of messages after which no further block is taken.
         most_bytes : int
-            Size after which no further list is taken. [B]
+            Size after which no further block is taken. [B]
 
         Returns
         -------
-        messages : list of Message
+        messages : MessageBlock
             Empty if nothing is queued.
         recovered : bool
             Whether some of them came from the caches of publishers.
         """
-        out: list[Message] = []
-        size, any_recovered = 0, False
+        out: list[MessageBlock] = []
+        count = size = 0
         with self._changed:
-            while self._lists and len(out) < most_messages and size < most_bytes:
-                messages, of_list, recovered = self._lists.popleft()
-                out += messages
-                size += of_list
-                any_recovered |= recovered
-            self.messages -= len(out)
+            recovered = bool(self._blocks) and self._blocks[0][2]
+            while self._blocks and self._blocks[0][2] == recovered and count < most_messages and size < most_bytes:
+                messages, of_block, _ = self._blocks.popleft()
+                out.append(messages)
+                count, size = count + len(messages), size + of_block
+            self.messages -= count
             self.size -= size
             self._changed.notify_all()
-        return out, any_recovered
+        return MessageBlock.join(out), recovered
 
     def end(self) -> None:
         """Accept no more messages; what is queued can still be taken."""
@@ -119,7 +120,7 @@ class MessageQueue:
         with self._changed:
             self.end()
             count, self.messages, self.size = self.messages, 0, 0
-            self._lists.clear()
+            self._blocks.clear()
         return count
 
     @property

@@ -15,7 +15,7 @@ from core.settings import Settings
 from core.totals.clean_rows import CleanRows
 from core.wire.arrow_batch import select_rows
 from core.wire.decoder import Refused
-from core.wire.message_block import MessageBlock
+from core.wire.message_block import KeyValues, MessageBlock
 from core.wire.messages import BATCH, Leg, Message, Outlook, Plan
 from core.wire.shard import Shard
 
@@ -50,15 +50,14 @@ class ShardedPipeline(Pipeline):
         self.shadows.prefix = f"{prefix}{SPACE}{shard.chunk}/"
         self.days = ShardDays(shard, self.engine, self.displays, prefix)
         self._is_idle = True
+        self._are_batches = KeyValues(lambda key: key.endswith(f"/{BATCH}"), np.bool_)
 
     def take(self, messages: Sequence[Message], record: Callable[[Sequence[Message]], None] | None = None) -> None:
         """Take messages, and of the batches of gateways the rows of this shard's cars, see `Pipeline.take`."""
         block = MessageBlock.of(messages)
-        if self.shard.count > 1 and self.shard.by == "name":
-            is_batch = block.find_of_keys(lambda key: key.endswith(f"/{BATCH}"), np.bool_)
-            if is_batch.any():
-                own = (self._cut_batch(each) if each.key.endswith(f"/{BATCH}") else each for each in block)
-                block = MessageBlock.of([message for message in own if message is not None])
+        if self.shard.count > 1 and self.shard.by == "name" and self._are_batches.get(block).any():
+            own = (self._cut_batch(each) if each.key.endswith(f"/{BATCH}") else each for each in block)
+            block = MessageBlock.of([message for message in own if message is not None])
         super().take(block, record)
 
     def _cut_batch(self, message: Message) -> Message | None:

@@ -19,12 +19,13 @@ The module allows for this observed behaviour of zenoh 1.10:
 import logging
 import time
 from contextlib import suppress
-from itertools import chain, compress, filterfalse, islice, repeat
+from itertools import chain, filterfalse, islice, repeat
 from typing import Any, Final, NamedTuple
 
 import zenoh
 from zenoh import ext, handlers
 
+from core.wire.message_block import MessageBlock
 from core.wire.messages import BATCH, Message
 from stream.receipt_clock import ReceiptClock
 from stream.source import RecoveredMessage
@@ -42,8 +43,9 @@ HOLD_BYTES: Final = 1 << 26
 """Size of live samples and answers that may wait for further answers of caches; more end the wait. [B]"""
 WATCH_S: Final = 1.0
 """Time between two checks of the number of connected routers. [s]"""
-_MOST_KEYS, _LONGEST_KEY = 100_000, 512  # that are remembered as text
+_MOST_KEYS, _MOST_CHARACTERS, _LONGEST_KEY = 100_000, 1 << 23, 512  # that are remembered as text
 _NAP_S: Final = 0.0002, 0.01  # shortest and longest wait for more samples; a busy channel is full after 0.001 s
+_NONE: Final = MessageBlock.of([])
 _log = logging.getLogger("socast.zenoh")
 
 
@@ -70,29 +72,50 @@ class Received(NamedTuple):
 
     Parameters
     ----------
-    messages : list of Message
+    messages : MessageBlock
     recovered : bool
         Whether some of them came from the caches of publishers; these are of the type `RecoveredMessage`.
     samples : int
         Number of samples that were taken from the channels; 0 once nothing is left after the end.
     """
 
-    messages: list[Message]
+    messages: MessageBlock
     recovered: bool
     samples: int
 
 
-class _Keys(dict[Any, str]):
-    """Map a key expression to its text, which is made only once; to an empty text for forecasts, which are no input."""
+class _Keys(dict[Any, int]):
+    """Number the key expressions of messages, and make the text of each only once; forecasts, no input, have -1.
 
-    def __missing__(self, key: Any) -> str:
+    Attributes
+    ----------
+    texts : list of str
+        Text of each number. Once there are many, another list begins, and blocks of messages hold the one before.
+    """
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+        self._characters = 0
+
+    def __missing__(self, key: Any) -> int:
         text = str(key)
-        text = "" if text.endswith("/forecast") else text
-        if len(self) >= _MOST_KEYS:
-            self.clear()
+        number = -1 if text.endswith("/forecast") else len(self.texts)
+        if number >= 0:
+            self.texts.append(text)
+            self._characters += len(text)
         if len(text) <= _LONGEST_KEY:
-            self[key] = text
-        return text
+            self[key] = number
+        return number
+
+    def find_text(self, key: Any) -> str:
+        """Return the text of a key expression; an empty one for forecasts."""
+        return self.texts[number] if (number := self[key]) >= 0 else ""
+
+    def begin_list_if_full(self) -> None:
+        """Begin another list of texts where there are many, as strangers may make up keys."""
+        if len(self) >= _MOST_KEYS or self._characters >= _MOST_CHARACTERS:
+            self.clear()
+            self.texts, self._characters = [], 0
 
 
 def adapt_nap(nap_s: float, fullness: float) -> float:
@@ -207,22 +230,25 @@ class ZenohReceiver:
         self._held, self._answers = [], []
         while part := self._receive(CHANNEL):
             rest += part
-        return sum([bool(self._keys[each.key_expr]) for each in rest])
+        return sum([self._keys[each.key_expr] >= 0 for each in rest])
 
-    def _order(self, samples: list[Any], *, stopping: bool) -> tuple[list[Message], bool]:
+    def _order(self, samples: list[Any], *, stopping: bool) -> tuple[MessageBlock, bool]:
         """Return the messages of live samples, or of all that waited where caches have answered, and which of both."""
         if self._history is not None and self._must_hold(samples, stopping=stopping):
-            return [], False
+            return _NONE, False
         if self._answers:
-            return self._merge(), True
+            return MessageBlock.of(self._merge()), True
         samples, self._held = self._held or samples, []
         if not samples:
-            return [], False
+            return _NONE, False
         self._warn_of_stamps(samples[-1])
-        keys = [self._keys[each.key_expr] for each in samples]
+        self._keys.begin_list_if_full()
+        numbers = [self._keys[each.key_expr] for each in samples]
+        if min(numbers) < 0:
+            samples = [each for each, number in zip(samples, numbers, strict=True) if number >= 0]
+            numbers = [number for number in numbers if number >= 0]
         payloads = [each.payload.to_bytes() for each in samples]
-        fields = zip(keys, payloads, repeat(self._clock.read_ns()))
-        return list(compress(map(tuple.__new__, repeat(Message), fields), keys)), False
+        return MessageBlock.pack(self._keys.texts, numbers, payloads, self._clock.read_ns()), False
 
     def _must_hold(self, samples: list[Any], *, stopping: bool) -> bool:
         """Return whether the received samples must wait for the answers of caches.
@@ -253,7 +279,7 @@ class ZenohReceiver:
         return [
             (RecoveredMessage if id(each) in recovered else Message)(key, each.payload.to_bytes(), stamp)
             for each in merge_samples([*live, *answers])
-            if (key := self._keys[each.key_expr])
+            if (key := self._keys.find_text(each.key_expr))
         ]
 
     def _receive(self, most: int) -> list[Any]:
@@ -267,7 +293,7 @@ class ZenohReceiver:
 
     def _is_batch(self, sample: Any) -> bool:
         """Return whether a sample is a batch of a gateway, which comes by a subscription of its own too."""
-        return self._keys[sample.key_expr].endswith(f"/{BATCH}")
+        return self._keys.find_text(sample.key_expr).endswith(f"/{BATCH}")
 
     def _watch_routers(self) -> None:
         """Log that a router was lost or joined; Zenoh itself reconnects to a router that returns."""

@@ -8,6 +8,7 @@ import zenoh
 from zenoh import ext, handlers
 
 from core.forecast.shard_days import SPACE
+from core.wire.message_block import MessageBlock
 from core.wire.messages import Message
 from core.wire.shard import Shard
 from stream.receipt_clock import ReceiptClock
@@ -45,10 +46,10 @@ class ShardedSource:
             recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
         )
 
-    def __iter__(self) -> Iterator[list[Message]]:
-        """Yield the lists of the source, with the contributions that have come behind them."""
+    def __iter__(self) -> Iterator[MessageBlock]:
+        """Yield the blocks of the source, with the contributions that have come behind them."""
         for messages in self._source:
-            yield messages + self._take()
+            yield MessageBlock.join([messages, self._take()])
         with suppress(zenoh.ZError):
             self._subscriber.undeclare()
 

@@ -13,7 +13,7 @@ from threading import Event, Thread
 from typing import Final
 
 from core.settings import Limits
-from core.wire.messages import Message
+from core.wire.message_block import MessageBlock
 from stream.message_queue import MessageQueue
 from stream.source import LOOK_UP_S
 from stream.zenoh_receiver import ZenohReceiver
@@ -29,6 +29,8 @@ YIELD_S: Final = 3.0
 """Time after a stop for which queued messages are still yielded; later they are dropped. [s]"""
 GATHER_S: Final = 0.01
 """Time for which a short queue waits for more samples; a few large lists cost less than many small ones. [s]"""
+GATHER_BYTES: Final = 1 << 19
+"""Size of messages from which the queue does not wait for more. [B]"""
 FULL_LOG_S: Final = 60.0
 """Least time between two warnings of a full queue. [s]"""
 _log = logging.getLogger("socast.zenoh")
@@ -89,8 +91,8 @@ class ZenohSource:
         """Return the size of the queued messages. [B]"""
         return self._queue.size
 
-    def __iter__(self) -> Iterator[list[Message]]:
-        """Yield the queued messages, a few thousand at a time, or an empty list every `LOOK_UP_S` of silence.
+    def __iter__(self) -> Iterator[MessageBlock]:
+        """Yield the queued messages, a few thousand at a time, or an empty block every `LOOK_UP_S` of silence.
 
         Raises
         ------
@@ -106,7 +108,7 @@ class ZenohSource:
                 if time.monotonic() > self._stop_by_s + YIELD_S - STOP_S:
                     unyielded = self._queue.drop()
                     break
-                if 0 < self._queue.messages < DRAIN and not self._queue.has_ended:
+                if self._is_short() and not self._queue.has_ended:
                     time.sleep(GATHER_S)
                 messages, self.has_recovered = self._queue.take(DRAIN, DRAIN_BYTES)
                 yield messages
@@ -118,6 +120,10 @@ class ZenohSource:
             _log.warning("%d messages dropped: they still waited %g s after the stop", number, YIELD_S)
         if errors:
             raise errors[0]
+
+    def _is_short(self) -> bool:
+        """Return whether so little is queued that it pays to wait for more; few messages may hold many samples."""
+        return 0 < self._queue.messages < DRAIN and self._queue.size < GATHER_BYTES
 
     def _receive_all(self, errors: list[Exception]) -> None:
         """Move samples from Zenoh's channels into the queue, until nothing is left after a stop."""
@@ -140,9 +146,9 @@ class ZenohSource:
                 return
         self._unqueued += self._receiver.drop_rest()
 
-    def _enqueue(self, messages: list[Message], *, recovered: bool) -> None:
+    def _enqueue(self, messages: MessageBlock, *, recovered: bool) -> None:
         """Append messages to the queue; while it is full, wait until it is not, or until the stop has lasted."""
-        size = sum([len(message[1]) for message in messages])
+        size = messages.size
         if size > DRAIN_BYTES and (half := len(messages) // 2):  # many were held
             self._enqueue(messages[:half], recovered=recovered)
             self._enqueue(messages[half:], recovered=recovered)

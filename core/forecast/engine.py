@@ -41,6 +41,9 @@ from core.totals.context import RunContext
 from core.totals.tables import model_columns
 from core.vehicles.fleet import UNKNOWN, Cars, ReplacedKind
 
+MOST_PENDING: Final = 16_000
+"""Number of pending samples and messages from which forecasts are computed. They cost as much for a few rows as for
+many, and their data displace those of the other steps from the processor's cache."""
 SHORT_SHIFT: Final = 0.5
 """A shorter shift does not update the consumption factors. [h]"""
 _UNKNOWN_END: Final = np.array((np.nan, np.nan, np.nan, np.nan), END_OF_SHIFT)[()]
@@ -75,6 +78,11 @@ class PendingInput:
 
     def __bool__(self) -> bool:
         return bool(self._sums or self._arrivals)
+
+    @property
+    def is_full(self) -> bool:
+        """Return whether so much is pending that forecasts should be computed."""
+        return self.size >= MOST_PENDING
 
     def add_sums(self, sums: Sums, rows: int) -> None:
         """Add the sums of a number of rows."""

@@ -29,7 +29,7 @@ from core.totals.accumulator import EDGES, Sums
 from core.totals.clean_rows import CleanRows
 from core.totals.display_yield import DisplayYields
 from core.totals.exact_sums import ExactSums
-from core.wire.message_block import MessageBlock
+from core.wire.message_block import KeyValues, MessageBlock
 from core.wire.messages import Message, Vehicle
 from core.wire.shard import Shard
 
@@ -109,6 +109,7 @@ class ShardDays:
         self._engine, self._displays, self._context = engine, displays, engine.context
         self.cars = CarDays(self._context.settings.gap_time + SILENCE_MARGIN)
         self._keys = f"{prefix}{SPACE}"
+        self._are_contributions = KeyValues(lambda key: key.startswith(self._keys), np.bool_)
         self._width = engine.width
         newest = FleetStatistics(self._context, self._width, ExactSums)
         self._tables = [newest, newest]
@@ -133,7 +134,7 @@ class ShardDays:
     def take_messages(self, messages: Sequence[Message]) -> MessageBlock:
         """Keep contributions, and return the other messages."""
         block = MessageBlock.of(messages)
-        is_contribution = block.find_of_keys(lambda key: key.startswith(self._keys), np.bool_)
+        is_contribution = self._are_contributions.get(block)
         if not is_contribution.any():
             return block
         for message in block.take(is_contribution):

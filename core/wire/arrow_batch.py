@@ -25,6 +25,9 @@ PREFIX: Final = b"\xff\xff\xff\xff"
 _NAMES: Final = "vehicle_id", "ride_id"
 _NUMBERS: Final = tuple(name for name in POSITION if name not in _NAMES)
 _COUNTS: Final = "seq", "occupants"
+_COUNT_PLACES: Final = tuple(POSITION[name] for name in _COUNTS)
+_TIME: Final = POSITION["time_s"]
+_NAN_BITS: Final = np.array([np.nan]).view(np.uint64)[0]
 _MOST_COUNT: Final = 2.0**53
 _DAMAGE: Final = (pa.ArrowException, ValueError, TypeError, LookupError, OSError, MemoryError, struct.error)
 
@@ -117,10 +120,8 @@ def read_rows(payload: bytes, most: float) -> ArrowRows:
         vehicles, rides = _read_texts(table, "vehicle_id"), _read_texts(table, "ride_id")
     except _DAMAGE as error:
         raise BatchError("wrong_type") from error
-    values[np.isnan(values)] = np.nan  # one form of NaN, as its bits are hashed
-    counts = values[[POSITION[name] for name in _COUNTS]]
-    is_count = np.isnan(counts) | ((counts >= 0.0) & (counts <= _MOST_COUNT) & (counts == np.floor(counts)))
-    is_usable = ~np.isnan(values[POSITION["time_s"]]) & ~np.isinf(values).any(axis=0) & is_count.all(axis=0)
+    is_usable = np.empty(table.num_rows, np.bool_)
+    _check_rows(values, values.view(np.uint64), is_usable)
     return ArrowRows(values, vehicles, rides, is_usable & vehicles.is_known)
 
 
@@ -186,6 +187,8 @@ def _read_numbers(name: str, column: pa.ChunkedArray) -> Floats:
     """Return a column of numbers, NaN where unknown; truth values only where the field is one."""
     kind = column.type
     is_flag = name == "charging"
+    if kind == pa.float64() and not is_flag:
+        return np.asarray(column.to_numpy())
     if pa.types.is_null(kind):
         return np.full(len(column), np.nan)
     if not (pa.types.is_boolean(kind) if is_flag else pa.types.is_integer(kind) or pa.types.is_floating(kind)):
@@ -257,6 +260,21 @@ def _find_member(data: bytes, table: int, number: int) -> int:
         return 0
     offset = int(struct.unpack_from("<H", data, members + 4 + 2 * number)[0])
     return table + offset if offset else 0
+
+
+@njit(cache=True)
+def _check_rows(values: Any, bits: Any, is_usable: Any) -> None:
+    """Give every unknown value the same bits, as they are hashed, and write which rows have possible values."""
+    for i in range(len(is_usable)):
+        is_usable[i] = not np.isnan(values[_TIME, i])
+    for k in range(len(values)):
+        is_count = k == _COUNT_PLACES[0] or k == _COUNT_PLACES[1]
+        for i in range(len(is_usable)):
+            value = values[k, i]
+            if np.isnan(value):
+                bits[k, i] = _NAN_BITS
+            elif np.isinf(value) or (is_count and not (0.0 <= value <= _MOST_COUNT and value == np.floor(value))):
+                is_usable[i] = False
 
 
 @njit(cache=True)

@@ -20,7 +20,7 @@ from core.columns import KMH, ZERO_CELSIUS
 from core.settings import Limits
 from core.wire.arrow_batch import PREFIX, ArrowRows, BatchReader
 from core.wire.json_scanner import POSITION, JsonScanner, ScannedSamples
-from core.wire.message_block import MessageBlock
+from core.wire.message_block import KeyValues, MessageBlock
 from core.wire.messages import (
     BATCH,
     IDENTITY,
@@ -132,6 +132,7 @@ class Decoder:
         self.losses = SampleLosses(lanes)
         self.rides = RideNames()
         self._lane_of_key: dict[str, int] = {}
+        self._lanes_of_keys = KeyValues(lambda key: self._lane_of_key.get(key, -1), np.int64, unknown=-1)
         self._names, self._generation = NameLookup(lanes), self.rides.generation
         self._scanner = JsonScanner(self._names)
         self._one = msgspec.json.Decoder(Telemetry)
@@ -174,8 +175,7 @@ class Decoder:
 
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
-        self._lane_of_key.clear()
-        self._names.forget()
+        self._forget_lanes()
         self.losses.keep(lanes)
 
     def dump(self) -> Any:
@@ -189,7 +189,12 @@ class Decoder:
         self.rides.load(rides)
         self.losses.load(losses)
         self.received, self.rejected = Counter(received), Counter(rejected)
+        self._forget_lanes()
+
+    def _forget_lanes(self) -> None:
+        """Forget which lanes the keys and names belong to, as lanes are numbered anew."""
         self._lane_of_key.clear()
+        self._lanes_of_keys.forget()
         self._names.forget()
 
     def refuse(self, kind: str, cause: str) -> None:
@@ -274,8 +279,7 @@ class Decoder:
 
         `first` is the number of its first message, and `rows` that of samples before it.
         """
-        lanes_of_keys = block.find_of_keys(lambda key: self._lane_of_key.get(key, -1), np.int64)
-        scan = self._scanner.scan(block, lanes_of_keys)
+        scan = self._scanner.scan(block, self._lanes_of_keys.get(block))
         odd = np.flatnonzero(~scan.is_scanned).tolist()
         samples: list[Telemetry] = []
         lanes: list[int] = []

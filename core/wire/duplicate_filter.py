@@ -27,7 +27,7 @@ from core.batch import Lanes
 from core.settings import Limits
 from core.wire.arrow_batch import PREFIX, BatchReader, select_rows
 from core.wire.decoder import Refused
-from core.wire.message_block import MessageBlock
+from core.wire.message_block import KeyValues, MessageBlock
 from core.wire.messages import BATCH, LONGEST_KEY, Message
 from core.wire.text_hash import hash_texts
 
@@ -110,6 +110,7 @@ class DuplicateFilter:
         self._lanes, self._limits = lanes, limits
         self._batches = batches or BatchReader(limits.list_samples)
         self._seeds = _KeySeeds()
+        self._seeds_of_keys = KeyValues(self._seeds.__getitem__, np.uint64)
         self._new, self._old = (_make_table(np.empty(0, np.uint64), LEAST) for _ in range(2))
         self._count, self._most = 0, LEAST
         self._part = _Part(MessageBlock.of([]), None, np.empty(0, np.uint64), np.empty(0, np.bool_))
@@ -196,8 +197,7 @@ class DuplicateFilter:
     def _hash_whole(self, messages: MessageBlock) -> Hashes:
         """Return the hash of each message, whose payload is one sample."""
         hashes = np.empty(len(messages), np.uint64)
-        seeds = messages.find_of_keys(self._seeds.__getitem__, np.uint64)
-        columns = messages.columns
+        columns, seeds = messages.columns, self._seeds_of_keys.get(messages)
         hash_texts(columns.text, columns.words, columns.starts, columns.sizes, seeds, hashes)
         return hashes
 

@@ -84,6 +84,23 @@ class MessageBlock(Sequence[Message]):
         """Return messages as a block; a block itself."""
         return messages if isinstance(messages, MessageBlock) else cls(None, list(messages))
 
+    @classmethod
+    def pack(cls, keys: Sequence[str], key: Sequence[int], payloads: list[bytes], receipt_ns: int) -> "MessageBlock":
+        """Return n messages that were received at once.
+
+        Parameters
+        ----------
+        keys : sequence of str
+            Keys, to which more may be appended later.
+        key : sequence of n int
+            Number of each message's key in `keys`.
+        payloads : list of n bytes
+        receipt_ns : int
+            Unix time of receipt. [ns]
+        """
+        columns = _join_payloads(keys, np.array(key, np.int64), payloads)
+        return cls(columns._replace(receipts=np.full(len(payloads), receipt_ns, np.uint64)))
+
     @property
     def columns(self) -> MessageColumns:
         """Return the messages as columns."""
@@ -136,26 +153,6 @@ class MessageBlock(Sequence[Message]):
             objects = list(compress(objects, which.tolist()) if are_flags else map(objects.__getitem__, which.tolist()))
         return MessageBlock(None if self._columns is None else self._columns.select(which), objects)
 
-    def find_of_keys(self, find: Callable[[str], Any], dtype: Any) -> NDArray[Any]:
-        """Return what a function returns for the key of each message; it is called once for each of `keys`.
-
-        Parameters
-        ----------
-        find : callable
-            Function of a key.
-        dtype : dtype
-            Type of its results.
-        """
-        keys, key = self.columns[:2]
-        is_used = np.zeros(len(keys), np.bool_)
-        is_used[key] = True
-        used = np.flatnonzero(is_used)
-        if len(used) < len(keys):
-            keys = [keys[number] for number in used.tolist()]
-        found = np.empty(len(is_used), dtype)
-        found[used] = np.fromiter(map(find, keys), dtype, len(used))
-        return found[key]
-
     def get_first_bytes(self) -> Bytes:
         """Return the first byte of each payload, 0 for an empty one."""
         if self._columns is None and self.objects and len(self.objects[0].payload) > _LARGE:  # they need not be copied
@@ -203,6 +200,53 @@ class MessageBlock(Sequence[Message]):
         return f"MessageBlock.of({list(self)!r})"
 
 
+class KeyValues:
+    """Find a value for the key of each message, and keep those of the last table of keys.
+
+    Blocks of one source share a table of keys, to which the source may append. The function is therefore called once
+    for a key of a source, and not for each message.
+
+    Parameters
+    ----------
+    find : callable
+        Function of a key.
+    dtype : dtype
+        Type of its results.
+    unknown : object, optional
+        Result that may change later: a key with this value is looked up again.
+
+    Examples
+    --------
+    >>> block = MessageBlock.of([Message("fleet/a/telemetry", b"{}", 5), Message("fleet/b/ride", b"[]", 6)])
+    >>> KeyValues(len, np.int64).get(block).tolist()
+    [17, 12]
+    """
+
+    def __init__(self, find: Callable[[str], Any], dtype: Any, unknown: Any = None) -> None:
+        self._find, self._dtype, self._unknown = find, dtype, unknown
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget all values."""
+        self._keys: Sequence[str] = ()
+        self._values = np.empty(0, self._dtype)
+
+    def get(self, block: MessageBlock) -> NDArray[Any]:
+        """Return the values of the keys of the n messages of a block, (n,)."""
+        keys, key = block.columns[:2]
+        known = len(self._values) if keys is self._keys else 0
+        if len(keys) > known:
+            new = keys[known:] if known else keys
+            self._values = np.concatenate([self._values[:known], np.fromiter(map(self._find, new), self._dtype)])
+        self._keys = keys
+        values: NDArray[Any] = self._values[key]
+        if self._unknown is not None and (is_unknown := values == self._unknown).any():
+            again = np.unique(key[is_unknown])
+            self._values[again] = [self._find(keys[number]) for number in again.tolist()]
+            values = self._values[key]
+        return values
+
+
 def get_words(text: Bytes) -> NDArray[np.uint64]:
     """Return the eight bytes from each place of a buffer on, as whole numbers in the same memory."""
     return np.ndarray(len(text) - 7, "<u8", text, strides=(1,))
@@ -210,12 +254,15 @@ def get_words(text: Bytes) -> NDArray[np.uint64]:
 
 def _make_columns(messages: list[Message]) -> MessageColumns:
     """Return messages as columns, without their times of receipt."""
-    payloads = [message[1] for message in messages]
-    sizes = np.fromiter(map(len, payloads), np.int64, len(payloads))
-    payloads.append(bytes(PADDING))
-    text = np.frombuffer(b"\0".join(payloads), np.uint8)
     keys = [message[0] for message in messages]  # to number equal ones would cost more than it saves
-    return MessageColumns(keys, np.arange(len(keys)), text, np.cumsum(sizes + 1) - sizes - 1, sizes)
+    return _join_payloads(keys, np.arange(len(keys)), [message[1] for message in messages])
+
+
+def _join_payloads(keys: Sequence[str], key: Ints, payloads: list[bytes]) -> MessageColumns:
+    """Return payloads in one buffer, with the numbers of their keys."""
+    sizes = np.fromiter(map(len, payloads), np.int64, len(payloads))
+    text = np.frombuffer(b"\0".join([*payloads, bytes(PADDING)]), np.uint8)
+    return MessageColumns(keys, key, text, np.cumsum(sizes + 1) - sizes - 1, sizes)
 
 
 def _copy_blocks(blocks: Sequence[MessageBlock]) -> MessageBlock:

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from core.batch import Floats, grown
-from core.wire.message_block import MessageBlock
+from core.wire.message_block import KeyValues, MessageBlock
 from core.wire.messages import Message
 
 MOST_KEYS: Final = 1 << 18
@@ -33,6 +33,7 @@ class RateLimit:
     def __init__(self, rate: float, burst: float) -> None:
         self._rate, self._burst = rate, burst
         self._place: dict[str, int] = {}
+        self._places = KeyValues(lambda key: self._place.setdefault(key, len(self._place)), np.int64)
         self._tokens, self._last = np.zeros(0), np.zeros(0)
 
     def select(self, messages: Sequence[Message]) -> MessageBlock:
@@ -46,8 +47,7 @@ class RateLimit:
         messages = MessageBlock.of(messages)
         if self._rate == 0.0 or not messages:
             return messages
-        known = self._place
-        places = messages.find_of_keys(lambda key: known.setdefault(key, len(known)), np.int64)
+        places, known = self._places.get(messages), self._place
         if len(self._tokens) < len(known):
             self._tokens, self._last = grown(self._tokens, len(known), self._burst), grown(self._last, len(known))
         receipts = messages.receipt_ns.astype(np.float64) * 1e-9
@@ -65,6 +65,7 @@ class RateLimit:
         keys = list(self._place)
         self._place = {keys[old]: new for new, old in enumerate(left.tolist())}
         self._tokens, self._last = tokens[left], last[left]
+        self._places.forget()
 
 
 @njit(cache=True)

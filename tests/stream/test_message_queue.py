@@ -32,13 +32,15 @@ def test_lists_are_joined_up_to_a_size():
     assert len(queue.take(100, 1)[0]) == 3
 
 
-def test_a_recovered_list_marks_what_is_taken():
+def test_recovered_messages_are_taken_apart_from_others():
     queue = MessageQueue(1e6)
     queue.put(make_list(1), 10, patience_s=0.0)
     queue.put(make_list(1), 10, recovered=True, patience_s=0.0)
+    queue.put(make_list(1), 10, recovered=True, patience_s=0.0)
     queue.put(make_list(1), 10, patience_s=0.0)
-    assert queue.take(2, 1000) == (make_list(1) * 2, True)
-    assert queue.take(2, 1000) == (make_list(1), False)
+    assert queue.take(9, 1000) == (make_list(1), False)
+    assert queue.take(9, 1000) == (make_list(1) * 2, True)
+    assert queue.take(9, 1000) == (make_list(1), False)
 
 
 @pytest.mark.parametrize(("most_bytes", "most_messages"), [(30, 100), (1e6, 3)])

@@ -6,6 +6,7 @@ from threading import Event, Thread
 import msgspec
 import pytest
 
+from core.wire.message_block import MessageBlock
 from core.wire.messages import Message
 from stream import zenoh_source
 from stream.zenoh_receiver import BLOCK_BYTES, Received
@@ -62,7 +63,7 @@ class EndlessReceiver:
 
     def receive(self, **_: bool) -> Received:
         self.given += 3
-        return Received(LISTS, recovered=False, samples=3)
+        return Received(MessageBlock.of(LISTS), recovered=False, samples=3)
 
     def drop_rest(self) -> int:
         self.given += 5

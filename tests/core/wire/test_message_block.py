@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.wire.message_block import PADDING, MessageBlock
+from core.wire.message_block import PADDING, KeyValues, MessageBlock
 from core.wire.messages import Message
 
 MESSAGES = st.lists(
@@ -50,12 +50,41 @@ def test_joined_parts_are_sorted_by_receipt_and_keep_the_order_of_equal_times(pa
     assert joined.sort() == sorted(messages, key=lambda message: message.receipt_ns)
 
 
-@given(MESSAGES)
-def test_function_of_keys_is_called_once_for_a_key(messages):
-    called = []
-    found = make_columns(messages).find_of_keys(lambda key: called.append(key) or ord(key[0]), np.int64)
-    assert found.tolist() == [ord(message.key[0]) for message in messages]
-    assert sorted(called) == sorted({message.key for message in messages})
+@given(st.lists(MESSAGES, max_size=4))
+def test_packed_messages_equal_the_list_of_them(lists):
+    keys: list[str] = []
+    for number, messages in enumerate(lists):
+        keys += sorted({message.key for message in messages} - set(keys))
+        payloads = [message.payload for message in messages]
+        block = MessageBlock.pack(keys, [keys.index(message.key) for message in messages], payloads, number)
+        assert block == [message._replace(receipt_ns=number) for message in messages]
+
+
+@given(st.lists(st.tuples(st.sampled_from(MAKERS), MESSAGES), max_size=4))
+def test_values_of_keys_are_those_of_the_function(blocks):
+    values = KeyValues(lambda key: ord(key[-1]), np.int64)
+    for make, messages in blocks:
+        assert values.get(make(messages)).tolist() == [ord(message.key[-1]) for message in messages]
+
+
+def test_function_is_called_once_for_a_key_of_a_table_that_grows():
+    called, keys = [], ["a"]
+    values = KeyValues(lambda key: called.append(key) or len(called), np.int64)
+    assert values.get(MessageBlock.pack(keys, [0, 0], [b"1", b"2"], 5)).tolist() == [1, 1]
+    keys += ["b", "c"]
+    assert values.get(MessageBlock.pack(keys, [2, 0, 1], [b"1", b"2", b"3"], 5)).tolist() == [3, 1, 2]
+    assert called == ["a", "b", "c"]
+    values.forget()
+    assert values.get(MessageBlock.pack(keys, [0], [b"1"], 5)).tolist() == [4]
+
+
+def test_unknown_value_of_a_key_is_looked_up_again():
+    numbers, keys = {}, ["a", "b"]
+    values = KeyValues(lambda key: numbers.get(key, -1), np.int64, unknown=-1)
+    block = MessageBlock.pack(keys, [0, 1, 0], [b"1", b"2", b"3"], 5)
+    assert values.get(block).tolist() == [-1, -1, -1]
+    numbers["a"] = 7
+    assert values.get(block).tolist() == [7, -1, 7]
 
 
 def test_compact_block_holds_nothing_but_its_payloads():
