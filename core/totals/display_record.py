@@ -32,4 +32,7 @@ def create_unknown_yields(rows: int) -> NDArray[Any]:
     (rows,) DISPLAY_YIELD
         NaN in every field but `contradicted`, which is 0.
     """
-    return np.full(rows, np.array((np.nan,) * (len(DISPLAY_YIELD.names or ()) - 1) + (0.0,), DISPLAY_YIELD))
+    return _UNKNOWN.repeat(rows)
+
+
+_UNKNOWN: Final = np.array([(np.nan,) * (len(DISPLAY_YIELD.names or ()) - 1) + (0.0,)], DISPLAY_YIELD)
