@@ -232,8 +232,8 @@ def measure_scale(repeats: int = 3, few: int = 1000, many: int = 1_000_000) -> M
         f"cost of a sample among {many:,} cars",
         f"among {few:,}",
         ratio,
-        "<= 2",
-        ratio <= 2.0,
+        "<= 1.5",
+        ratio <= 1.5,
         {"us_among_many": median(many_s) * 1e6, "us_among_few": median(few_s) * 1e6},
         "Cache misses limit it. The state of a thousand cars fits into the processor's cache. The state of a "
         "million cars (2 GB) does not, so every sample waits for the state of its car. That state is "
