@@ -14,12 +14,14 @@ from stream.zenoh_session import Node
 
 MOST_WAITING: Final = 100_000
 """Largest number of messages that wait for the reader; the oldest of more are dropped."""
-OBSERVED: Final = "fleet/*/telemetry", "fleet/*/vehicle", "fleet/*/forecast", "findings/**"
+MOST_WAITING_BYTES: Final = 256_000_000
+"""Largest size of their payloads together, as a batch is as large as thousands of samples. [B]"""
+OBSERVED: Final = "fleet/*/telemetry", "fleet/*/batch", "fleet/*/vehicle", "fleet/*/forecast", "findings/**"
 """Keys under the prefix, one by one: an access control may allow some of them only."""
 
 
 class ZenohObserver:
-    """Subscribe to the telemetry, forecasts and findings of a fleet.
+    """Subscribe to the telemetry, batches, forecasts and findings of a fleet.
 
     Parameters
     ----------
@@ -34,7 +36,8 @@ class ZenohObserver:
 
     def __init__(self, node: Node) -> None:
         self.dropped = 0
-        self._waiting: deque[Message] = deque(maxlen=MOST_WAITING)
+        self._waiting: deque[Message] = deque()
+        self._waiting_bytes = 0
         self._lock = Lock()
         self._subscribers: list[Any] = [
             node.session.declare_subscriber(f"{node.prefix}{keys}", self._receive) for keys in OBSERVED
@@ -45,6 +48,7 @@ class ZenohObserver:
         with self._lock:
             taken = list(self._waiting)
             self._waiting.clear()
+            self._waiting_bytes = 0
         return taken
 
     def close(self) -> None:
@@ -56,5 +60,8 @@ class ZenohObserver:
         """Append a sample."""
         message = Message(str(sample.key_expr), sample.payload.to_bytes(), time.time_ns())
         with self._lock:
-            self.dropped += len(self._waiting) == MOST_WAITING
             self._waiting.append(message)
+            self._waiting_bytes += len(message.payload)
+            while len(self._waiting) > MOST_WAITING or self._waiting_bytes > MOST_WAITING_BYTES:
+                self._waiting_bytes -= len(self._waiting.popleft().payload)
+                self.dropped += 1

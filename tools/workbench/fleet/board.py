@@ -5,8 +5,10 @@ live service does. It never computes a forecast.
 """
 
 from array import array
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from math import isfinite, nan
+from itertools import groupby
+from math import nan
 from threading import RLock
 from typing import Any, Final, NamedTuple
 
@@ -15,21 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.wire.messages import Finding, Forecast, Interval, Message, address
-from tools.workbench.fleet.density import TraceDensity, is_possible_fix
+from tools.workbench.fleet.density import TraceDensity
+from tools.workbench.fleet.newest_values import COLUMNS, compile_kernel, make_unknown_cars, write_samples
+from tools.workbench.fleet.samples import Samples, holds_samples, read_samples
 
-COLUMNS: Final = (
-    *("time", "latitude", "longitude", "speed", "soc", "soc_sd", "range", "range_low", "range_high"),
-    *("end", "end_low", "end_high", "risk", "ride_km", "ride_s", "predicted", "measured", "faults"),
-    *("riding", "charging", "far_latitude", "far_longitude"),
-)
-"""Newest values of a car: Unix s, degrees, km/h, %, km, kWh, and numbers; NaN where unknown.
-
-The last two are a fix far from the one before it, which is believed once another one lies near it.
-"""
-NEAR_DEG: Final = 0.05
-"""Distance in latitude and longitude from which a fix is far from the one before it. [deg]"""
-_CAR: Final = np.dtype([(name, np.float64) for name in COLUMNS])
-_UNKNOWN: Final = np.array([(nan,) * len(COLUMNS)], _CAR)
 POINT: Final = ("soc", "end", "end_low", "end_high", "risk", "predicted", "measured", "ride")
 """Values of a point of a history, beside its time; `ride` numbers the rides of the car."""
 MOST_POINTS: Final = 4000
@@ -38,17 +29,6 @@ MOST_CARS: Final = 50_000
 """Largest number of cars; later ones are not shown."""
 MOST_FINDINGS: Final = 200
 """Largest number of findings that are kept, the newest."""
-
-
-class _Sample(msgspec.Struct):
-    """Hold the parts of a telemetry sample that a page shows."""
-
-    time_s: float
-    latitude_deg: float | None = None
-    longitude_deg: float | None = None
-    speed_kmh: float | None = None
-    soc_pct: float | None = None
-    charging: bool | None = None
 
 
 class _Vehicle(msgspec.Struct):
@@ -125,26 +105,26 @@ class Board:
         Rides that have ended, see `tools.terminal.live_table.make_ride_records`.
     density : TraceDensity
         Where the fleet has driven.
-    counts : dict of str to int
+    counts : Counter
         Number of messages taken, by kind.
     """
 
     def __init__(self) -> None:
+        compile_kernel()
         self.lock = RLock()
         self.vehicle_ids: list[str] = []
         self.epoch = 0
         self.rides: list[dict[str, Any]] = []
         self.density = TraceDensity()
-        self.counts: dict[str, int] = {}
+        self.counts: Counter[str] = Counter()
         self.models: dict[str, str] = {}
         self.quality: dict[str, dict[str, int]] = {}
         self.findings: dict[str, Finding] = {}
         self._ride_ids: dict[str, str | None] = {}
         self._rows: dict[str, int] = {}
-        self._values = _UNKNOWN.repeat(64)
+        self._values = make_unknown_cars(64)
         self._histories: list[History] = []
         self._decode = {
-            "telemetry": msgspec.json.Decoder(_Sample | list[_Sample]).decode,
             "forecast": msgspec.json.Decoder(Forecast).decode,
             "vehicle": msgspec.json.Decoder(_Vehicle).decode,
             "finding": msgspec.json.Decoder(Finding).decode,
@@ -183,21 +163,30 @@ class Board:
     def take(self, messages: Iterable[Message]) -> None:
         """Take messages in their order; what is no message of the contract is counted and left out."""
         with self.lock:
-            for key, payload, _ in messages:
-                where = address(key)
-                decode = self._decode.get(where.kind) if where else None
-                if where is None or decode is None:
-                    continue
-                try:
-                    value = decode(payload)
-                except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-                    self.counts["undecodable"] = self.counts.get("undecodable", 0) + 1
-                    continue
-                self.counts[where.kind] = self.counts.get(where.kind, 0) + 1
-                self._take_value(where.identity, value)
+            for are_samples, part in groupby(messages, holds_samples):
+                if are_samples:
+                    for samples in read_samples(part, self.counts):
+                        self._take_samples(samples)
+                else:
+                    for message in part:
+                        self._take_other(message)
+
+    def _take_other(self, message: Message) -> None:
+        """Take a message that holds no samples."""
+        where = address(message.key)
+        decode = self._decode.get(where.kind) if where else None
+        if where is None or decode is None:
+            return
+        try:
+            value = decode(message.payload)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            self.counts["undecodable"] += 1
+            return
+        self.counts[where.kind] += 1
+        self._take_value(where.identity, value)
 
     def _take_value(self, identity: str, value: Any) -> None:
-        """Take the content of a message about a vehicle."""
+        """Take the content of a message that holds no samples."""
         if isinstance(value, Finding):
             self.findings.pop(identity, None)
             self.findings[identity] = value
@@ -205,51 +194,26 @@ class Board:
                 del self.findings[next(iter(self.findings))]
         elif isinstance(value, _Vehicle):
             self.models[identity] = value.model
-        elif (row := self._find_row(identity)) is not None:
-            if isinstance(value, Forecast):
-                self._take_forecast(identity, row, value)
-            else:
-                for sample in value if isinstance(value, list) else [value]:
-                    self._take_sample(row, sample)
+        elif (row := self._find_row(identity)) >= 0:
+            self._take_forecast(identity, row, value)
 
-    def _find_row(self, vehicle_id: str) -> int | None:
-        """Return the row of a car, a new one for a new car; None above `MOST_CARS`."""
-        row = self._rows.get(vehicle_id)
-        if row is None and len(self) < MOST_CARS:
+    def _find_row(self, vehicle_id: str) -> int:
+        """Return the row of a car, a new one for a new car; -1 above `MOST_CARS`."""
+        row = self._rows.get(vehicle_id, -1)
+        if row < 0 and len(self) < MOST_CARS:
             row = self._rows[vehicle_id] = len(self)
             self.vehicle_ids.append(vehicle_id)
             self._histories.append(History())
             if len(self) > len(self._values):
-                self._values = np.concatenate([self._values, _UNKNOWN.repeat(len(self._values))])
+                self._values = np.concatenate([self._values, make_unknown_cars(len(self._values))])
         return row
 
-    def _take_sample(self, row: int, sample: _Sample) -> None:
-        """Take a sample of telemetry."""
-        car = self._values[row]
-        if sample.latitude_deg is not None and sample.longitude_deg is not None:
-            self._take_fix(car, sample.latitude_deg, sample.longitude_deg)
-        if sample.speed_kmh is not None:
-            car["speed"] = sample.speed_kmh
-        if sample.soc_pct is not None and not isfinite(car["soc_sd"]):  # until a forecast brings the filtered charge
-            car["soc"] = sample.soc_pct
-        car["charging"] = float(bool(sample.charging))
-        if not isfinite(car["time"]):
-            car["time"] = sample.time_s
-
-    def _take_fix(self, car: Any, latitude: float, longitude: float) -> None:
-        """Take a position, unless it is impossible or far from the one before it and from the last one that was."""
-        if not is_possible_fix(latitude, longitude):
-            return
-        is_near = [
-            not isfinite(car[y]) or (abs(latitude - car[y]) < NEAR_DEG and abs(longitude - car[x]) < NEAR_DEG)
-            for y, x in (("latitude", "longitude"), ("far_latitude", "far_longitude"))
-        ]
-        if is_near[0] or (is_near[1] and isfinite(car["far_latitude"])):
-            car["latitude"], car["longitude"] = latitude, longitude
-            car["far_latitude"] = car["far_longitude"] = nan
-            self.density.add(latitude, longitude)
-        else:
-            car["far_latitude"], car["far_longitude"] = latitude, longitude
+    def _take_samples(self, samples: Samples) -> None:
+        """Take samples of telemetry."""
+        columns = samples.columns
+        rows = np.array([self._find_row(vehicle_id) for vehicle_id in samples.vehicle_ids], np.int64)
+        is_taken = write_samples(self._values, rows, columns)
+        self.density.add(columns.latitude[is_taken], columns.longitude[is_taken])
 
     def _take_forecast(self, vehicle_id: str, row: int, forecast: Forecast) -> None:
         """Take a forecast, and add a point to the history."""
@@ -291,7 +255,7 @@ class Board:
         with self.lock:
             self.vehicle_ids = state.vehicle_ids.copy()
             self._rows = {name: row for row, name in enumerate(self.vehicle_ids)}
-            self._values = np.concatenate([state.values, _UNKNOWN.repeat(64)])
+            self._values = np.concatenate([state.values, make_unknown_cars(64)])
             self.models, self.quality = state.models.copy(), state.quality.copy()
             self._ride_ids, self.findings = state.ride_ids.copy(), state.findings.copy()
             del self._histories[len(self) :], self.rides[state.rides :]
