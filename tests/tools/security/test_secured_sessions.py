@@ -4,7 +4,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +16,7 @@ import zenoh
 from core.errors import AskError, SettingsError
 from core.wire.messages import Message, Outlook
 from stream import zenoh_standby
+from stream.zenoh_observer import ZenohObserver
 from stream.zenoh_queryable import query_outlook
 from stream.zenoh_receiver import _subscribe
 from stream.zenoh_session import Connection, Node
@@ -175,6 +176,30 @@ def test_nobody_but_the_consumer_reads_telemetry(service):
     assert [sample for sample in heard if sample.payload.to_bytes() == b"private"] == []
     for subscriber in subscribers:
         subscriber.undeclare()
+
+
+def test_observer_sees_batches_with_the_certificate_of_the_consumer_and_not_with_that_of_dispatch(fleet):
+    batch, forecast = "montreal/fleet/depot-3/batch", f"montreal/fleet/{OWN}/forecast"
+    fleet.add([], ["depot-3"])
+    with ExitStack() as ending:
+        ending.enter_context(open_router(fleet))
+        consumer, dispatch, gateway = (
+            ending.enter_context(join(fleet, name)) for name in ("consumer", "dispatch", "gateways/depot-3")
+        )
+        observers = [ending.enter_context(closing(ZenohObserver(node))) for node in (consumer, dispatch)]
+        sinks = [ending.enter_context(closing(ZenohSink(node))) for node in (gateway, consumer)]
+        seen: list[set[str]] = [set(), set()]
+
+        def see_all() -> bool:
+            sinks[0].put([Message(batch, b"batch", 0)])
+            gateway.flush()
+            sinks[1].put([Message(forecast, b"forecast", 0)])
+            for keys, observer in zip(seen, observers, strict=True):
+                keys.update(message.key for message in observer.take())
+            return batch in seen[0] and forecast in seen[1]
+
+        assert eventually(see_all, 20.0)
+        assert batch not in seen[1]
 
 
 def test_outlook_is_answered_for_dispatch(service):

@@ -2,9 +2,11 @@
 
 from contextlib import closing
 
+import pyarrow as pa
 import pytest
 
 from core.errors import AskError
+from core.wire.arrow_batch import write_rows
 from core.wire.messages import Forecast, Message, QualityCounts, Telemetry, encode
 from stream.zenoh_session import Connection, Node
 from stream.zenoh_sink import ZenohSink
@@ -25,6 +27,13 @@ def make_messages(car):
     ]
 
 
+def make_batch(*cars):
+    """Return a sample of each of some cars as the batch of a gateway."""
+    places = {"latitude_deg": [45.5] * len(cars), "longitude_deg": [-73.6] * len(cars)}
+    table = pa.table({"vehicle_id": cars, "time_s": [NOW] * len(cars), "speed_kmh": [40.0] * len(cars)} | places)
+    return Message("fleet/depot-3/batch", write_rows(table), 0)
+
+
 @pytest.fixture(scope="module")
 def observed():
     """Run a service under a prefix, an observer of it, and a stranger that hears everything at the router."""
@@ -40,8 +49,8 @@ def observed():
             sink = ZenohSink(client, "montreal/")
 
             def is_seen():
-                sink.put([*make_messages("taxi-7"), *make_messages("taxi-8")])
-                return len(observer.board) == 2 and observer.board.get_values("taxi-8")["soc"] == 61.5
+                sink.put([*make_messages("taxi-7"), *make_messages("taxi-8"), make_batch("van-1", "van-2")])
+                return len(observer.board) == 4 and observer.board.get_values("taxi-8")["soc"] == 61.5
 
             assert eventually(is_seen)
             yield observer, consumer, heard
@@ -57,6 +66,15 @@ def test_observer_shows_samples_and_forecasts_of_its_prefix(observed):
     assert state["received"] >= 4
 
 
+def test_observer_shows_cars_behind_a_gateway(observed):
+    observer, _, _ = observed
+    for car in ("van-1", "van-2"):
+        values = observer.board.get_values(car)
+        assert (values["latitude"], values["longitude"], values["speed"]) == (45.5, -73.6, 40.0)
+    assert observer.board.density.describe()["count"]
+    assert "undecodable" not in observer.board.counts
+
+
 def test_question_goes_to_the_service(observed):
     observer, consumer, _ = observed
     outlook = observer.ask("taxi-7", {"distance_km": "18", "duration_s": "1500"})
@@ -70,4 +88,4 @@ def test_question_goes_to_the_service(observed):
 def test_observer_publishes_nothing(observed):
     observer, _, heard = observed
     observer.ask("taxi-7", {})
-    assert {key.split("/")[-1] for key in heard} <= {"telemetry", "forecast"}
+    assert {key.split("/")[-1] for key in heard} <= {"telemetry", "batch", "forecast"}
