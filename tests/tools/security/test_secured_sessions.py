@@ -178,28 +178,29 @@ def test_nobody_but_the_consumer_reads_telemetry(service):
         subscriber.undeclare()
 
 
-def test_observer_sees_batches_with_the_certificate_of_the_consumer_and_not_with_that_of_dispatch(fleet):
-    batch, forecast = "montreal/fleet/depot-3/batch", f"montreal/fleet/{OWN}/forecast"
+def test_observer_sees_batches_with_the_certificate_of_the_consumer_and_findings_with_that_of_dispatch(fleet):
+    batch, forecast, finding = (
+        f"montreal/{key}" for key in ("fleet/depot-3/batch", f"fleet/{OWN}/forecast", "findings/all/aero_drag")
+    )
     fleet.add([], ["depot-3"])
     with ExitStack() as ending:
         ending.enter_context(open_router(fleet))
-        consumer, dispatch, gateway = (
-            ending.enter_context(join(fleet, name)) for name in ("consumer", "dispatch", "gateways/depot-3")
-        )
-        observers = [ending.enter_context(closing(ZenohObserver(node))) for node in (consumer, dispatch)]
-        sinks = [ending.enter_context(closing(ZenohSink(node))) for node in (gateway, consumer)]
+        names = ("consumer", "dispatch", "gateways/depot-3", "consumer")
+        *readers, gateway, consumer = (ending.enter_context(join(fleet, name)) for name in names)
+        observers = [ending.enter_context(closing(ZenohObserver(node))) for node in readers]
+        gateway_sink, sink = (ending.enter_context(closing(ZenohSink(node))) for node in (gateway, consumer))
         seen: list[set[str]] = [set(), set()]
 
         def see_all() -> bool:
-            sinks[0].put([Message(batch, b"batch", 0)])
+            gateway_sink.put([Message(batch, b"batch", 0)])
+            sink.put([Message(key, b"published", 0) for key in (finding, forecast)])
             gateway.flush()
-            sinks[1].put([Message(forecast, b"forecast", 0)])
             for keys, observer in zip(seen, observers, strict=True):
                 keys.update(message.key for message in observer.take())
-            return batch in seen[0] and forecast in seen[1]
+            return len(seen[0]) >= 2 and len(seen[1]) >= 2
 
         assert eventually(see_all, 20.0)
-        assert batch not in seen[1]
+        assert seen == [{batch, forecast}, {forecast, finding}]
 
 
 def test_outlook_is_answered_for_dispatch(service):

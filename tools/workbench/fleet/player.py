@@ -16,9 +16,12 @@ from pathlib import Path
 from threading import Condition, Thread
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from core.errors import SettingsError, SocastError
 from core.forecast.plan_checks import parse_leg, parse_vehicle
 from core.pipeline import Pipeline
+from core.wire.message_block import MessageBlock
 from core.wire.messages import Message, Outlook
 from stream.mcap_reader import McapSource
 from stream.source import merge_sources
@@ -28,6 +31,8 @@ from tools.workbench.fleet.ride_parts import compute_ride_parts
 
 BLOCK: Final = 2000
 """Largest number of messages that the pipeline takes while pages wait."""
+BLOCK_BYTES: Final = 1_000_000
+"""Size of their payloads from which it takes no more, because a batch holds thousands of samples. [B]"""
 STEP_S: Final = 0.05
 """Time between two steps of the player. [s]"""
 RIDES_S: Final = 1.0
@@ -360,11 +365,13 @@ class _MessageReader:
         return self._block[self._at].receipt_ns
 
     def take(self, until_ns: int, most: int) -> Sequence[Message]:
-        """Return the next messages up to a time of receipt."""
+        """Return the next messages up to a time of receipt, up to the one that reaches `BLOCK_BYTES`."""
         if self.peek() is None:
             return []
         stop = bisect_right(self._block, until_ns, lo=self._at, key=attrgetter("receipt_ns"))
         out = self._block[self._at : min(stop, self._at + most)]
+        ends = np.cumsum(MessageBlock.of(out).columns.sizes)
+        out = out[: int(np.searchsorted(ends, BLOCK_BYTES)) + 1]
         self._at += len(out)
         self.count += len(out)
         return out

@@ -8,13 +8,13 @@ import pytest
 
 from core.wire.arrow_batch import PREFIX, write_rows
 from core.wire.messages import Message
+from tests.support.batched_recordings import GATEWAY, make_batch
 from tools.bench.workbench import make_fleet_messages
 from tools.workbench.fleet import board as board_module
 from tools.workbench.fleet.board import Board
 from tools.workbench.fleet.density import TraceDensity
 from tools.workbench.fleet.samples import LIMITS
 
-GATEWAY = "fleet/depot-3/batch"
 PLACE = {"latitude_deg": 45.5, "longitude_deg": -73.6}
 
 
@@ -43,14 +43,8 @@ def to_json(samples):
     return [Message(f"fleet/{each['vehicle_id']}/telemetry", json.dumps(each).encode(), 0) for each in samples]
 
 
-def to_batch(samples, key=GATEWAY):
-    names = dict.fromkeys(name for sample in samples for name in sample)
-    table = pa.table({name: [sample.get(name) for sample in samples] for name in names})
-    return Message(key, write_rows(table), 0)
-
-
 def to_batches(samples, size):
-    return [to_batch(samples[at : at + size]) for at in range(0, len(samples), size)]
+    return [make_batch(samples[at : at + size]) for at in range(0, len(samples), size)]
 
 
 def state_of(board):
@@ -76,13 +70,13 @@ def test_batches_and_samples_in_json_are_taken_in_the_order_of_their_arrival(rng
     samples = make_samples(rng)
     one, other = Board(), Board()
     one.take(to_json(samples))
-    other.take([*to_json(samples[:300]), to_batch(samples[300:400]), *to_json(samples[400:])])
+    other.take([*to_json(samples[:300]), make_batch(samples[300:400]), *to_json(samples[400:])])
     assert state_of(other) == state_of(one)
 
 
 def test_car_may_send_its_own_samples_as_a_batch():
     board = Board()
-    board.take([to_batch([{"vehicle_id": "a", "time_s": 1e9, "speed_kmh": 30.0} | PLACE], "fleet/a/telemetry")])
+    board.take([make_batch([{"vehicle_id": "a", "time_s": 1e9, "speed_kmh": 30.0} | PLACE], "fleet/a/telemetry")])
     assert board.get_values("a")["latitude"] == 45.5
     assert board.counts == {"telemetry": 1}
 
@@ -90,7 +84,7 @@ def test_car_may_send_its_own_samples_as_a_batch():
 def test_rows_of_other_cars_under_the_key_of_a_car_are_not_taken():
     board = Board()
     rows = [{"vehicle_id": name, "time_s": 1e9, "speed_kmh": speed} for name, speed in (("a", 30.0), ("b", 50.0))]
-    board.take([to_batch(rows, "fleet/a/telemetry"), to_batch(rows[1:], "fleet/a/telemetry")])
+    board.take([make_batch(rows, "fleet/a/telemetry"), make_batch(rows[1:], "fleet/a/telemetry")])
     assert board.vehicle_ids == ["a"]
     assert board.get_values("a")["speed"] == 30.0
     assert board.counts == {"telemetry": 1, "undecodable": 1}
@@ -127,7 +121,7 @@ def test_batch_that_cannot_be_used_is_counted_and_changes_nothing(payload):
 
 
 def test_batch_that_is_too_large_is_counted_and_changes_nothing(monkeypatch):
-    batch, board = to_batch([{"vehicle_id": "a", "time_s": 1e9}]), Board()
+    batch, board = make_batch([{"vehicle_id": "a", "time_s": 1e9}]), Board()
     monkeypatch.setattr("tools.workbench.fleet.samples.LIMITS", LIMITS._replace(payload_bytes=len(batch.payload) - 1))
     board.take([batch])
     assert (len(board), board.counts) == (0, {"undecodable": 1})
@@ -136,7 +130,7 @@ def test_batch_that_is_too_large_is_counted_and_changes_nothing(monkeypatch):
 def test_cars_of_batches_beyond_the_largest_number_are_not_shown(monkeypatch):
     monkeypatch.setattr(board_module, "MOST_CARS", 2)
     board = Board()
-    board.take([to_batch([{"vehicle_id": name, "time_s": 1e9, "speed_kmh": 30.0} | PLACE for name in "abcab"])])
+    board.take([make_batch([{"vehicle_id": name, "time_s": 1e9, "speed_kmh": 30.0} | PLACE for name in "abcab"])])
     assert board.vehicle_ids == ["a", "b"]
     assert sum(board.density.describe()["count"]) == 4
 

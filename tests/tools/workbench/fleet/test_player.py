@@ -1,5 +1,6 @@
 """The player drives the pipeline of a replay; a seek leads to the state of an uninterrupted run."""
 
+from itertools import islice
 from math import inf, nan
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from core.errors import AskError, SettingsError, SocastError
 from core.pipeline import Pipeline
 from stream.mcap_reader import McapSource
+from tests.support.batched_recordings import write_batched
 from tests.support.players import SHIFT, playing, wait_until_there
 from tests.support.zenoh_sessions import eventually
 from tools.workbench.fleet.board import Board
@@ -121,6 +123,37 @@ def test_question_is_answered_as_by_the_command(player):
         player.ask(name, {"distance_km": "-1", "duration_s": "1200"})
     with pytest.raises(AskError, match="has sent nothing"):
         player.ask("horse", {})
+
+
+def test_cars_of_batches_have_the_values_and_histories_of_the_same_samples_in_json(player, tmp_path):
+    path = tmp_path / "batches.mcap"
+    write_batched(McapSource(SHIFT), path, 100)
+    seek(player, at(player, 1.0))
+    with playing(path) as batched:
+        batched.play()
+        wait_until_there(batched)
+        assert batched.board.counts["batch"] > 200
+        for name in player.board.vehicle_ids:
+            assert repr(batched.board.get_values(name)) == repr(player.board.get_values(name))
+            for one, other in zip(
+                *(each.board.get_history(name).tabulate() for each in (batched, player)), strict=True
+            ):
+                assert np.array_equal(one, other, equal_nan=True)
+        assert np.isfinite(batched.board.column("latitude")).all()
+
+
+def test_player_takes_a_limited_size_of_batches_at_once(monkeypatch, tmp_path):
+    path, sizes = tmp_path / "batches.mcap", []
+    write_batched(islice(McapSource(SHIFT), 2), path, 1000)
+    messages = [message for block in McapSource(path) for message in block]
+    largest = max(len(message.payload) for message in messages)
+    monkeypatch.setattr("tools.workbench.fleet.player.BLOCK_BYTES", 2 * largest)
+    with playing(path) as player:
+        monkeypatch.setattr(player.board, "take", lambda taken: sizes.append(sum(len(each.payload) for each in taken)))
+        player.play()
+        wait_until_there(player)
+        assert sum(sizes) >= sum(len(message.payload) for message in messages)
+    assert max(sizes) < 3 * largest
 
 
 def test_parts_of_a_ride_sum_to_its_prediction(player):
