@@ -244,8 +244,8 @@ class DuplicateFilter:
         several: dict[int, tuple[Sequence[Any], Hashes]] = {}
         extra = 0
         first = messages.get_first_bytes()
-        if (first == PREFIX[0]).any():
-            messages.make_objects()  # the decoder receives the same payloads, and finds them read
+        if any(messages[at].payload.startswith(PREFIX) for at in np.flatnonzero(first == PREFIX[0]).tolist()):
+            messages.make_objects()  # the decoder receives the same batches, and finds them read
         for at in np.flatnonzero(first != _BRACE).tolist():  # a sample begins with {
             if at + extra >= room:
                 break
