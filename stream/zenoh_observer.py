@@ -14,8 +14,10 @@ from stream.zenoh_session import Node
 
 MOST_WAITING: Final = 100_000
 """Largest number of messages that wait for the reader; the oldest of more are dropped."""
-OBSERVED: Final = "fleet/*/telemetry", "fleet/*/vehicle", "fleet/*/forecast", "findings/**"
-"""Keys under the prefix, one by one: an access control may allow some of them only."""
+OF_CARS: Final = "telemetry", "vehicle"
+"""Last chunks of what cars send; each key is subscribed to alone: an access control may allow some of them only."""
+PUBLISHED: Final = "fleet/*/forecast", "findings/**"
+"""Keys of what consumers publish, under the prefix."""
 
 
 class ZenohObserver:
@@ -24,7 +26,7 @@ class ZenohObserver:
     Parameters
     ----------
     node : Node
-        Session and prefix to subscribe with.
+        Session and prefix to subscribe with; with a shard by chunk, the cars are those of the chunks before `fleet`.
 
     Attributes
     ----------
@@ -36,9 +38,9 @@ class ZenohObserver:
         self.dropped = 0
         self._waiting: deque[Message] = deque(maxlen=MOST_WAITING)
         self._lock = Lock()
-        self._subscribers: list[Any] = [
-            node.session.declare_subscriber(f"{node.prefix}{keys}", self._receive) for keys in OBSERVED
-        ]
+        keys = [f"{cars}/{end}" for cars in node.list_cars() for end in OF_CARS]
+        keys += [f"{node.prefix}{each}" for each in PUBLISHED]
+        self._subscribers: list[Any] = [node.session.declare_subscriber(each, self._receive) for each in keys]
 
     def take(self) -> list[Message]:
         """Return the messages that have arrived since the last call, in the order of their arrival."""
