@@ -22,6 +22,7 @@ def join(endpoint: str, nodes: list[Node]) -> bool:
 def test_what_one_node_publishes_reaches_another_one_until_the_router_is_stopped(monkeypatch):
     stop, nodes, seen = Event(), list[Node](), list[str]()
     monkeypatch.setattr("tools.commands.router.stop_on_signals", lambda: nullcontext(stop))
+    monkeypatch.setattr("tools.commands.router.log_lines", lambda **_: None)
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     runs = Thread(target=route, kwargs={"listen": [endpoint]})
     runs.start()
