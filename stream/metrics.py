@@ -196,7 +196,24 @@ METRICS: Final = (
         "Time since the recording was synced to disk.",
         lambda s, now: _age(s.recorded_s, now),
     ),
-    MetricRow("socast_publishes", "gauge", "1 where this consumer publishes, 0 on standby.", lambda s, _: s.publishes),
+    MetricRow(
+        "socast_publishes",
+        "gauge",
+        "1 where this consumer publishes, 0 on standby.",
+        lambda s, _: s.publishes is not False,
+    ),
+    MetricRow(
+        "socast_overlapping_consumers",
+        "gauge",
+        "Other consumers that publish for the same cars.",
+        lambda s, _: len(s.overlapping),
+    ),
+    MetricRow(
+        "socast_shards",
+        "gauge",
+        "Shards that divide the fleet; only with --shard.",
+        lambda s, _: s.shards,
+    ),
     MetricRow(
         "socast_shards_absent",
         "gauge",

@@ -131,11 +131,9 @@ class MqttSource(Closeable):
         self._answered, self._closing = Event(), Event()
         self._refusal = ""
         self._client = self._make_client()
-        scheme, host, port = parse_broker(broker.url)
-        if scheme == "mqtts":
-            self._client.tls_set_context(_make_context(broker))
-        elif broker.authority or broker.certificate or broker.key:
-            raise SettingsError(f"--broker is {broker.url}, which uses no TLS; write mqtts://, or leave out the files")
+        _, host, port = parse_broker(broker.url)
+        if (context := check_broker(broker)) is not None:
+            self._client.tls_set_context(context)
         try:
             self._client.connect(host, port, KEEP_ALIVE_S)
         except (OSError, ValueError) as error:
@@ -299,6 +297,31 @@ def parse_broker(url: str) -> tuple[str, str, int]:
     if parts.scheme not in PORTS or not host or parts.path.strip("/") or parts.query or parts.fragment:
         raise SettingsError(f"--broker is {url!r}; write mqtt://HOST:PORT, or mqtts://HOST:PORT for TLS")
     return parts.scheme, host, port or PORTS[parts.scheme]
+
+
+def check_broker(broker: Broker) -> ssl.SSLContext | None:
+    """Check the address and the files of a broker without connecting, and return the settings of TLS.
+
+    Parameters
+    ----------
+    broker : Broker
+
+    Returns
+    -------
+    ssl.SSLContext or None
+        None for an address without TLS.
+
+    Raises
+    ------
+    SettingsError
+        If the address is not valid or holds a password, files are given without TLS, or one cannot be read.
+    """
+    scheme, _, _ = parse_broker(broker.url)
+    if scheme == "mqtts":
+        return _make_context(broker)
+    if broker.authority or broker.certificate or broker.key:
+        raise SettingsError(f"--broker is {broker.url}, which uses no TLS; write mqtts://, or leave out the files")
+    return None
 
 
 def _make_context(broker: Broker) -> ssl.SSLContext:

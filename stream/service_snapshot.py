@@ -115,9 +115,13 @@ class ServiceSnapshot:
     saved_s, recorded_s : float, optional
         Time of the last state and of the last sync of the recording. [Unix s]
     publishes : bool, optional
-        Whether this consumer publishes, where one of several does.
+        Whether this consumer publishes, where one of several does; None where it always does.
+    overlapping : tuple of str
+        Shares of other consumers that publish for the same cars.
     shard : str
         Share of the fleet that is served, such as `2/4`; empty without shards.
+    shards : int, optional
+        Number of shards that divide the fleet.
     absent_shards : tuple of int, optional
         Shards whose contribution to the daily update is missing.
     tables_of : int, optional
@@ -163,7 +167,9 @@ class ServiceSnapshot:
     saved_s: float | None = None
     recorded_s: float | None = None
     publishes: bool | None = None
+    overlapping: tuple[str, ...] = ()
     shard: str = ""
+    shards: int | None = None
     absent_shards: tuple[int, ...] | None = None
     tables_of: int | None = None
     left_out_contributions: int | None = None
@@ -181,6 +187,14 @@ class Candidate(Protocol):
     @property
     def is_active(self) -> bool:
         """Return whether the consumer publishes now."""
+
+
+class Overlapping(Protocol):
+    """Define what a snapshot reads of the watch on other consumers, `stream.zenoh_overlap.OverlapWatch`."""
+
+    @property
+    def found(self) -> tuple[str, ...]:
+        """Return the shares of other consumers that publish for the same cars."""
 
 
 class _Stamped(msgspec.Struct):
@@ -226,6 +240,8 @@ class SnapshotTaker:
     queries : QueryService, optional
     candidate : Candidate, optional
         Tells whether this consumer publishes, where one of several does.
+    overlap : Overlapping, optional
+        Tells which other consumers publish for the same cars.
     per_vehicle : bool
         Whether to export values of each vehicle.
     now, clock : callable
@@ -240,6 +256,7 @@ class SnapshotTaker:
         checkpoints: Checkpoints | None = None,
         queries: QueryService | None = None,
         candidate: Candidate | None = None,
+        overlap: Overlapping | None = None,
         *,
         per_vehicle: bool = False,
         now: Callable[[], float] = time.time,
@@ -247,7 +264,7 @@ class SnapshotTaker:
     ) -> None:
         self._pipeline, self._source, self._recorder = pipeline, source, recorder
         self._checkpoints, self._queries, self._candidate = checkpoints, queries, candidate
-        self._per_vehicle = per_vehicle
+        self._overlap, self._per_vehicle = overlap, per_vehicle
         self._now, self._clock = now, clock
 
     def __call__(self, tally: Tally, lag: LagMeter) -> ServiceSnapshot:
@@ -269,6 +286,7 @@ class SnapshotTaker:
             answered=queries.answered if queries else 0,
             refused_queries=dict(queries.refused) if queries else {},
             publishes=self._candidate.is_active if self._candidate else None,
+            overlapping=self._overlap.found if self._overlap else (),
             obstacle=self._candidate.failure if self._candidate else "",
             **_read_days(self._pipeline),
             **_read_quality(self._pipeline.quality()),
@@ -338,6 +356,7 @@ def _read_days(pipeline: Pipeline) -> dict[str, Any]:
     days = pipeline.days
     return {
         "shard": str(days.shard),
+        "shards": days.shard.count,
         "absent_shards": days.absent,
         "tables_of": days.tables_of,
         "left_out_contributions": days.left_out,

@@ -157,9 +157,13 @@ def describe_role(snapshot: ServiceSnapshot) -> str:
     ('on standby', '')
     >>> describe_role(ServiceSnapshot(shard="2/4", absent_shards=(1, 3)))
     'shard 2/4, with tables of yesterday: nothing from shards 1, 3'
+    >>> describe_role(ServiceSnapshot(shard="2/4", overlapping=("shard 3/3",)))
+    'shard 2/4, overlaps with shard 3/3'
     """
     words = [{None: "", True: "publishes", False: "on standby"}[snapshot.publishes]]
     words.append(f"shard {snapshot.shard}" if snapshot.shard else "")
+    if snapshot.overlapping:
+        words.append(f"overlaps with {' and '.join(snapshot.overlapping)}")
     if snapshot.absent_shards:
         absent = ", ".join(map(str, snapshot.absent_shards))
         words.append(f"with tables of yesterday: nothing from shard{'s'[: len(snapshot.absent_shards) > 1]} {absent}")

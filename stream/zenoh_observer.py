@@ -16,8 +16,10 @@ MOST_WAITING: Final = 100_000
 """Largest number of messages that wait for the reader; the oldest of more are dropped."""
 MOST_WAITING_BYTES: Final = 256_000_000
 """Largest size of their payloads together, as a batch is as large as thousands of samples. [B]"""
-OBSERVED: Final = "fleet/*/telemetry", "fleet/*/batch", "fleet/*/vehicle", "fleet/*/forecast", "findings/**"
-"""Keys under the prefix, one by one: an access control may allow some of them only."""
+OF_CARS: Final = "telemetry", "batch", "vehicle"
+"""Last chunks of what cars and gateways send; each key is subscribed to alone: an access control may allow some only."""
+PUBLISHED: Final = "fleet/*/forecast", "findings/**"
+"""Keys of what consumers publish, under the prefix."""
 
 
 class ZenohObserver:
@@ -26,7 +28,7 @@ class ZenohObserver:
     Parameters
     ----------
     node : Node
-        Session and prefix to subscribe with.
+        Session and prefix to subscribe with; with a shard by chunk, the cars are those of the chunks before `fleet`.
 
     Attributes
     ----------
@@ -39,9 +41,9 @@ class ZenohObserver:
         self._waiting: deque[Message] = deque()
         self._waiting_bytes = 0
         self._lock = Lock()
-        self._subscribers: list[Any] = [
-            node.session.declare_subscriber(f"{node.prefix}{keys}", self._receive) for keys in OBSERVED
-        ]
+        keys = [f"{cars}/{end}" for cars in node.list_cars() for end in OF_CARS]
+        keys += [f"{node.prefix}{each}" for each in PUBLISHED]
+        self._subscribers: list[Any] = [node.session.declare_subscriber(each, self._receive) for each in keys]
 
     def take(self) -> list[Message]:
         """Return the messages that have arrived since the last call, in the order of their arrival."""

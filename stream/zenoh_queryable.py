@@ -207,8 +207,8 @@ def query_outlook(
     if refusals:
         raise SettingsError(f"{key} is not answered within {timeout_s:g} s; query again, or wait longer")
     raise SettingsError(
-        f"no consumer answers {key}; start `socast live` at the same router and with the same prefix, and "
-        f"send no more than {WAITING} queries at once"
+        f"no consumer answers {key}; start `socast live` at the same router and with the same prefix; where shards "
+        "divide the fleet, the shard of this car may be down"
     )
 
 

@@ -206,7 +206,7 @@ class Standby(Closeable):
                 self.election.look(events, has_router=self._has_stayed_connected())
         except Exception as error:  # noqa: BLE001 - whatever it is, another consumer must be able to take over
             self.failure = f"left the election for good, restart the service: {error!r}"
-            _log.error("passive for good", extra=event_fields(token=self.election.token, error=repr(error)))
+            _log.error("passive until restarted", extra=event_fields(token=self.election.token, error=repr(error)))
         finally:
             self._give_up_token()
 

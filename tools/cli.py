@@ -44,6 +44,7 @@ UsageError: Any = typer.BadParameter.__base__
 COMMANDS: Final = {
     "demo": Command("tools.commands.demo", "demo", "Show a recorded shift as if it were live, in under a minute."),
     "live": Command("tools.commands.live", "live", "Forecast and record cars that send telemetry over Zenoh."),
+    "router": Command("tools.commands.router", "route", "Run a Zenoh router that cars and consumers join."),
     "bridge": Command("tools.commands.bridge", "app", "Pass on telemetry of OVMS modules or VSS signals to Zenoh."),
     "serve": Command("tools.commands.serve", "serve", "Show the fleet and its models in a browser."),
     "ask": Command("tools.commands.ask", "ask_outlook", "Ask a live consumer whether a car can take a ride."),

@@ -12,7 +12,7 @@ from core.vehicles.catalogue import (
     load_catalogue,
     read_catalogue,
 )
-from core.vehicles.data_sheet import list_assumed, read_data_sheets
+from core.vehicles.data_sheet import is_drag_area_assumed, list_assumed, read_data_sheets
 
 __all__ = [
     "ACCESSORIES",
@@ -20,6 +20,7 @@ __all__ = [
     "AccessoryCurve",
     "VehicleModel",
     "add_vehicles",
+    "is_drag_area_assumed",
     "list_assumed",
     "load_catalogue",
     "read_catalogue",

@@ -60,6 +60,13 @@ def list_assumed(vehicle: VehicleModel) -> list[str]:
     return [name for name, source in vehicle.sources.items() if source.startswith("estimated")]
 
 
+def is_drag_area_assumed(vehicle: VehicleModel) -> bool:
+    """Return whether the drag coefficient times the frontal area of a vehicle model is assumed and not known."""
+    assumed = list_assumed(vehicle)
+    is_given = DRAG_AREA in vehicle.sources.get("drag_coefficient", "")
+    return "drag_coefficient" in assumed or ("frontal_area_m2" in assumed and not is_given)
+
+
 def _complete(key: str, table: Any) -> Any:
     """Return a table with priors in place of what it does not give."""
     if not isinstance(table, dict):

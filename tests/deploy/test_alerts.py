@@ -34,7 +34,7 @@ def test_alert_has_metrics_that_exist_and_words(rule):
 
 @pytest.mark.parametrize("rule", RULES, ids=[rule["alert"] for rule in RULES])
 def test_alert_names_labels_that_its_metrics_have(rule):
-    known = {"instance", "job", "le"}.union(*(LABELS.get(name, set()) for name in list_metrics(rule["expr"])))
+    known = {"instance", "job", "shard", "le"}.union(*(LABELS.get(name, set()) for name in list_metrics(rule["expr"])))
     named = set(re.findall(r'(\w+)=~?"', rule["expr"]))
     named |= {label for group in re.findall(r"\b(?:by|on) \(([^)]*)\)", rule["expr"]) for label in group.split(", ")}
     named |= set(re.findall(r"\$labels\.(\w+)", rule["annotations"]["summary"]))

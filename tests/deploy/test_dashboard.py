@@ -50,7 +50,7 @@ def test_counters_are_shown_as_rates_and_labels_exist(panel):
         expression, names = target["expr"], list_metrics(target["expr"])
         for name in names - GAUGES - {"process_resident_memory_bytes"}:
             assert re.search(rf"(rate|increase)\({name}\b", expression), name
-        known = {"instance", "le", "version"}.union(*(labels.get(name, set()) for name in names))
+        known = {"instance", "shard", "le", "version"}.union(*(labels.get(name, set()) for name in names))
         named = set(re.findall(r"\{\{(\w+)\}\}", target["legendFormat"])) | set(re.findall(r'(\w+)=~?"', expression))
         named |= {label for group in re.findall(r"\bby \(([^)]*)\)", expression) for label in group.split(", ")}
         assert named <= known
@@ -72,6 +72,7 @@ def test_dashboard_is_of_grafana_10_and_asks_for_its_data_source():
     assert {variable["name"]: variable["type"] for variable in BOARD["templating"]["list"]} == {
         "datasource": "datasource",
         "instance": "query",
+        "shard": "query",
     }
     assert {"title", "uid", "panels", "time", "refresh"} <= set(BOARD)
     assert any(LAG in name for name in set().union(*map(find_used, PANELS)))

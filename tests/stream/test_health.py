@@ -15,10 +15,12 @@ from stream.loop import Tally, run
 from stream.metrics import READY, make_registry
 from stream.service_snapshot import ServiceSnapshot
 from stream.service_status import LIVE_S, ServiceStatus, ServiceWatch
-from tests.support.service import FULL, Clock, ask_page, read_metrics
+from tests.support.service import FULL as WITH_OVERLAP
+from tests.support.service import Clock, ask_page, read_metrics
 from tests.support.zenoh_sessions import eventually
 
 FREE = HttpAddress(LOOPBACK_HOST, 0)
+FULL = replace(WITH_OVERLAP, overlapping=())
 
 
 @pytest.fixture
@@ -66,6 +68,11 @@ def test_a_consumer_of_several_says_whether_it_publishes_and_is_ready_either_way
     ServiceWatch(status, lambda *_: replace(FULL, publishes=publishes), clock=clock)(Tally())
     assert ask_page(server.address, "/readyz") == (200, answer)
     assert ask_page(server.address, "/livez") == (200, "ok\n")
+
+
+def test_a_consumer_that_overlaps_with_another_one_is_ready_and_names_the_other(server, status, clock):
+    ServiceWatch(status, lambda *_: replace(WITH_OVERLAP, shard="1/2"), clock=clock)(Tally())
+    assert ask_page(server.address, "/readyz") == (200, "ok, publishes, shard 1/2, overlaps with shard 3/3\n")
 
 
 def test_a_consumer_that_has_left_the_election_is_live_and_not_ready(server, status, clock):

@@ -32,6 +32,8 @@ def test_every_value_of_a_snapshot_is_exported_under_its_name():
     assert samples["socast_newest_sample_age_seconds"] == 1.5
     assert samples["socast_state_age_seconds"] == 11.5
     assert samples["socast_publishes"] == 1.0
+    assert samples["socast_overlapping_consumers"] == 1.0
+    assert samples["socast_shards"] == 2.0
     assert samples['socast_vehicle_sample_age_seconds{vehicle="car-2"}'] == 61.5
     assert samples['socast_vehicle_lost_total{vehicle="car-1"}'] == 5.0
     named = {name.partition("{")[0] for name in samples}
@@ -43,6 +45,11 @@ def test_values_that_the_service_does_not_have_are_not_exported():
     assert "socast_messages_total" in named
     assert not {"socast_lost_total", "socast_queue_bytes", "socast_state_age_seconds"} & named
     assert not any(name.startswith("socast_vehicle_") for name in named)
+
+
+@pytest.mark.parametrize(("publishes", "value"), [(None, 1.0), (True, 1.0), (False, 0.0)])
+def test_a_consumer_without_standby_publishes_always(publishes, value):
+    assert read_metrics(export(ServiceSnapshot(publishes=publishes)))["socast_publishes"] == value
 
 
 def test_no_metric_but_those_of_vehicles_has_a_label_for_vehicles():
@@ -80,7 +87,8 @@ def test_every_field_of_a_snapshot_is_exported():
     """A value that differs from that of an empty snapshot changes the text."""
     plain = export(ServiceSnapshot())
     for each in fields(ServiceSnapshot):
-        value = LagCounts((1,) * (len(LAG_BUCKETS) + 1), 1.0) if each.name == "lag" else getattr(FULL, each.name)
+        others = {"lag": LagCounts((1,) * (len(LAG_BUCKETS) + 1), 1.0), "publishes": False}
+        value = others.get(each.name, getattr(FULL, each.name))
         assert export(ServiceSnapshot(**{each.name: value})) != plain or value in (0, None), each.name
 
 

@@ -46,6 +46,12 @@ def test_a_consumer_of_several_tells_whether_it_publishes():
     assert SnapshotTaker(pipeline, source)(Tally(), LagMeter()).publishes is None
 
 
+def test_a_snapshot_names_the_consumers_that_overlap():
+    watch = SimpleNamespace(found=("shard 3/3",))
+    snapshot = SnapshotTaker(Pipeline(), MemorySource([]), overlap=watch)(Tally(), LagMeter())
+    assert snapshot.overlapping == ("shard 3/3",)
+
+
 def test_sample_far_ahead_of_the_clock_is_not_the_newest():
     pipeline = Pipeline()
     source = MemorySource(shift())

@@ -49,5 +49,5 @@ def test_systemd_is_told_of_the_start_the_watchdog_and_the_end(status, clock, tm
         stop.set()
         for _ in range(2):
             watch(Tally())
-        line = "STATUS=9 messages, 4 forecasts, 1 of 2 vehicles active, 2 rides, publishes"
+        line = "STATUS=9 messages, 4 forecasts, 1 of 2 vehicles active, 2 rides, publishes, overlaps with shard 3/3"
         assert received.read() == ["WATCHDOG=1", "READY=1", line, "WATCHDOG=1", line, "STOPPING=1"]

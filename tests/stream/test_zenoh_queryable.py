@@ -165,9 +165,12 @@ def test_query_without_consumer_raises_settings_error():
     with (
         router() as (_, endpoint),
         Node(Connection(connect=(endpoint,), prefix="montreal")) as client,
-        pytest.raises(SettingsError, match="no consumer answers montreal/fleet/taxi-7/outlook; start `socast live`"),
+        pytest.raises(
+            SettingsError, match="no consumer answers montreal/fleet/taxi-7/outlook; start `socast live`"
+        ) as e,
     ):
         query_outlook(client, "taxi-7", RIDE)
+    assert "the shard of this car may be down" in str(e.value)
 
 
 def test_query_without_answer_in_time_raises_settings_error():

@@ -82,6 +82,25 @@ def test_an_observer_of_the_fleet_sees_the_cars_and_forecasts_of_all_shards():
         assert eventually(lambda: seen.extend(each.key for each in observer.take()) or set(seen) >= set(sent))
 
 
+def test_an_observer_of_chunks_sees_the_cars_of_all_chunks_and_the_forecasts():
+    with ExitStack() as ending:
+        _, endpoint = ending.enter_context(router(prefix="city"))
+        viewer = Connection(connect=(endpoint,), prefix="city", shard=Shard(1, 1, "chunk"))
+        observer = ZenohObserver(ending.enter_context(Node(viewer)))
+        ending.callback(observer.close)
+        sink = ZenohSink(ending.enter_context(Node(Connection(connect=(endpoint,)))))
+        ending.callback(sink.close)
+        sent = {"city/1/fleet/a/telemetry", "city/2/fleet/b/vehicle", "city/fleet/a/forecast", "city/findings/a/x"}
+        seen = set()
+
+        def sees_all() -> bool:
+            sink.put([Message(key, b"{}", 0) for key in sent])
+            seen.update(each.key for each in observer.take())
+            return seen == sent
+
+        assert eventually(sees_all)
+
+
 def test_each_shard_elects_one_of_its_own_consumers():
     with ExitStack() as ending:
         _, endpoint = ending.enter_context(router())

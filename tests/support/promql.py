@@ -5,7 +5,20 @@ import re
 STANDARD = {"up", "process_resident_memory_bytes", "process_cpu_seconds_total", "process_start_time_seconds"}
 """Metrics that Prometheus and every process export."""
 FUNCTIONS = {
-    *("changes", "deriv", "histogram_quantile", "increase", "label_values", "max", "min", "rate", "sum", "topk"),
+    *(
+        "changes",
+        "count",
+        "deriv",
+        "histogram_quantile",
+        "increase",
+        "label_values",
+        "max",
+        "min",
+        "rate",
+        "sum",
+        "topk",
+        "vector",
+    ),
     *("and", "by", "on", "unless", "or"),
 }
 

@@ -12,12 +12,14 @@ import logging
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
+
+from rich.console import Console
 
 from core.errors import SettingsError
 from tools.cluster.runner import TaskRecord, run_task
@@ -27,6 +29,12 @@ LOCAL: Final = "local"
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 CONNECT_S: Final = 60.0
 """Longest time to reach a scheduler, and to start workers on a loaded machine. [s]"""
+CERTIFICATES: Final = {
+    "ca_file": "DASK_DISTRIBUTED__COMM__TLS__CA_FILE",
+    "cert": "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT",
+    "key": "DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY",
+}
+"""What a client needs for TLS -> environment variable from which Dask takes its file."""
 _PACKAGES: Final = ("numpy", "numba", "pandas", "pyarrow", "msgspec", "distributed")
 _GB: Final = 10**9
 _CONFIG: Final = {
@@ -218,12 +226,46 @@ def open_runner(
         yield DaskRunner(client, scratch, on_end)
 
 
+def check_certificates(files: Mapping[str, str | None], address: str) -> None:
+    """Refuse to join a scheduler under TLS without certificates.
+
+    Parameters
+    ----------
+    files : mapping of str to str
+        Authority (`ca_file`), certificate (`cert`) and private key (`key`) of the client, as files or in PEM.
+    address : str
+        Address of the scheduler.
+
+    Raises
+    ------
+    SettingsError
+        If one of them is missing, or its file does not exist.
+    """
+    if missing := [variable for part, variable in CERTIFICATES.items() if not files.get(part)]:
+        raise SettingsError(
+            f"--cluster {address} needs certificates: export {', '.join(missing)} with the names of PEM files; "
+            "the guide on clusters shows it"
+        )
+    for part, variable in CERTIFICATES.items():
+        file = str(files[part])
+        if "\n" not in file and not Path(file).is_file():
+            raise SettingsError(f"--cluster {address}: {variable} is {file}, which is no file; name an existing one")
+
+
 def _connect(distributed: Any, place: ClusterPlace, scratch: Path, ending: ExitStack) -> Any:
     """Return a client of a scheduler, which this function starts on this machine if none is named."""
     import dask  # noqa: PLC0415 - an optional package
 
     ending.enter_context(dask.config.set(_CONFIG))
     if place.address:
+        if place.address.startswith("tls://"):
+            check_certificates(distributed.Security().get_tls_config_for_role("client"), place.address)
+        Console(stderr=True).print(
+            f"connecting to {place.address}, for at most {CONNECT_S:.0f} s",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
         return ending.enter_context(distributed.Client(place.address, timeout=CONNECT_S, set_as_default=False))
     cluster = distributed.LocalCluster(
         n_workers=place.workers,

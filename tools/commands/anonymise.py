@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import typer
 
+from core.errors import SettingsError
 from core.wire.messages import Message, Telemetry, Weather, address
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
@@ -26,8 +27,9 @@ MOST_PLACES: Final = 1 << 18
 """Largest number of positions that are kept to find the centre."""
 REMAINS: Final = (
     "What remains can identify a person: times of day and distances of rides, odometers, elevations, the latitude, the "
-    "shape of the streets and the weather. Who knows a ride can find it again, and who compares streets or weather "
-    "with public maps and archives can find the place and the date."
+    "shape of the streets, the weather, and a rare vehicle model or the figures of a vehicle message. Who knows a ride "
+    "can find it again, and who compares streets or weather with public maps and archives can find the place and the "
+    "date."
 )
 """What the summary says at its end."""
 
@@ -70,7 +72,7 @@ def anonymise(
     and hours, so that the sun and the season stay. Only fields of the wire contract pass.
 
     Distances, climbs, headwinds and energies stay: tables of the result are those of the original but for names, places
-    and dates. The summary says what can still identify.
+    and dates. The summary says what can still identify. An existing F.mcap is not overwritten.
 
     Examples
     --------
@@ -79,6 +81,8 @@ def anonymise(
     """
     sources = open_recordings(recordings)
     check_outputs(recordings, out, json_file)
+    if out.is_file():
+        raise SettingsError(f"{out} is there already and would be overwritten; name another file")
     report = rewrite_recordings(sources, out, SystemRandom())
     write_json(json_file, "anonymise", report)
     console = make_console(json_file)
@@ -168,7 +172,7 @@ def describe(report: dict[str, Any], out: Path) -> list[str]:
     return [
         f"{out}: {sum(report['kept'].values()):,} messages",
         f"changed: names of {names or 'nobody'}; {report['positions']:,} positions; all times",
-        f"dropped: {dropped or 'no message'}; key prefixes, fields outside the contract, what the file said of itself",
+        f"dropped: {dropped or 'no message'}; key prefixes, fields outside the contract, file metadata",
         *([] if report["days_stay"] else [DAYS_DIFFER]),
         report["remains"],
     ]

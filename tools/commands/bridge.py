@@ -12,7 +12,7 @@ import typer
 from core.errors import SettingsError, read_input, suggest_names
 from core.vehicles import load_catalogue
 from stream.loop import REPORT_S, stop_on_signals
-from stream.mqtt_source import Broker, MqttSource
+from stream.mqtt_source import Broker, MqttSource, check_broker
 from stream.structured_log import log_lines
 from stream.zenoh_delivery import ZenohDelivery
 from stream.zenoh_session import LOOPBACK, Connection, Node, parse_prefix
@@ -142,6 +142,7 @@ def bridge_ovms(
     socast bridge ovms --broker mqtts://broker.example --user fleet --password-file broker.secret --prefix montreal
     """
     known = Broker(broker, client_id, user, read_password(password_file, os.environ), authority, certificate, key)
+    check_broker(known)  # before the router is joined, so that mistakes come first
     reader = OvmsReader(options.assembler, topics)
     options.run(lambda stack: OvmsSource(stack.enter_context(MqttSource(known, reader.list_topics())), reader))
 

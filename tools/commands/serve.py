@@ -9,6 +9,7 @@ import typer
 
 from core.errors import SettingsError
 from core.pipeline import Pipeline
+from core.wire.shard import By, Shard
 from stream.mcap_reader import McapSource
 from stream.structured_log import log_lines
 from stream.zenoh_session import LOOPBACK, Connection
@@ -47,6 +48,9 @@ def serve(
     config: Annotated[
         Path | None, typer.Option(metavar="F.json5", help="With --live: Zenoh's own configuration, such as TLS.")
     ] = None,
+    shard_by: Annotated[
+        By, typer.Option(metavar="WHAT", help="With --live: `chunk` where consumers have --shard-by chunk.")
+    ] = "name",
     tiles: Annotated[
         Path | None, typer.Option(metavar="F.pmtiles", help="Draw the raster tiles of this file beneath the fleet.")
     ] = None,
@@ -83,8 +87,8 @@ def serve(
             f"socast serve needs the package {error.name}; install it with: pip install 'socast[workbench]'"
         ) from error
     log_lines(level=logging.WARNING)
-    if (connect or config) and not live:
-        raise SettingsError("--connect and --config belong to --live: add it, or leave them out")
+    if (connect or config or shard_by != "name") and not live:
+        raise SettingsError("--connect, --config and --shard-by belong to --live: add it, or leave them out")
     refuse_duplicates(given or [])
     router = ", ".join(connect or [LOOPBACK]) if live else None
     workspace = Workspace(Given(tuple(given or ()), tuple(options.models), tuple(options.effect_files), folder, router))
@@ -93,7 +97,9 @@ def serve(
         ending.callback(workspace.close)
         ending.callback(workbench.jobs.end)
         if live:
-            connection = Connection(tuple(connect or ()), mode="client", prefix=options.prefix, config=config)
+            all_chunks = Shard(1, 1, shard_by) if shard_by == "chunk" else None
+            ends = tuple(connect or ())
+            connection = Connection(ends, mode="client", prefix=options.prefix, config=config, shard=all_chunks)
             workbench.fleet = _observe(connection)
         elif workspace.recordings:
             workbench.fleet = _replay(workspace.recordings, options)

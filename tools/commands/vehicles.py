@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from core.errors import CatalogueError, SettingsError
-from core.vehicles import VehicleModel, list_assumed, load_catalogue, read_data_sheets
+from core.vehicles import VehicleModel, is_drag_area_assumed, list_assumed, load_catalogue, read_data_sheets
 from core.wire.messages import IDENTITY
 from tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
 from tools.terminal.rich_table import Column, make_table
@@ -111,7 +111,7 @@ def _tabulate(vehicles: Mapping[str, VehicleModel]) -> Table:
         assumed = set(list_assumed(vehicle))
         figures = [
             _format(vehicle.mass_kg, "mass_kg" in assumed),
-            _format(vehicle.drag_area_m2, bool(assumed & {"drag_coefficient", "frontal_area_m2"})),
+            _format(vehicle.drag_area_m2, is_drag_area_assumed(vehicle)),
             _format(vehicle.rolling_resistance, "rolling_resistance" in assumed),
             _format(vehicle.nominal_capacity_kwh, "nominal_capacity_kwh" in assumed),
             _format(vehicle.rated_kwh_per_km, "rated_kwh_per_km" in assumed),

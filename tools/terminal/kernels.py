@@ -5,6 +5,7 @@ so that a later start loads them in a fraction of a second. `make` runs this mod
 that, the first command that needs the kernels compiles them.
 """
 
+import argparse
 import logging
 import sys
 import tempfile
@@ -161,8 +162,16 @@ def _record_and_read(messages: Sequence[Message]) -> MessageBlock:
         return MessageBlock.join(McapSource(path)).compact()
 
 
-def main() -> None:
-    """Compile the kernels, and say what was done."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Compile the kernels, and say what was done.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Command line; it takes `--help` only. By default that of the process.
+    """
+    about = "Compile the kernels and keep them in the cache, so that later starts need no compilation."
+    argparse.ArgumentParser(prog="python -m tools.terminal.kernels", description=about).parse_args(arguments)
     log_lines()
     begun = time.monotonic()
     count = compile_kernels()

@@ -28,6 +28,7 @@ from stream.service_snapshot import SnapshotTaker
 from stream.source import Sink
 from stream.state_file import StateFile
 from stream.structured_log import event_fields
+from stream.zenoh_overlap import OverlapWatch
 from stream.zenoh_queryable import ZenohQueryable
 from stream.zenoh_session import Connection, Node
 from stream.zenoh_shards import ShardedSource
@@ -180,6 +181,7 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
     ending.enter_context(act_on_hangup(_choose_act(storage.recorder, stop)))
     node = ending.enter_context(Node(connection))
     role = ending.enter_context(Standby(node)) if options.standby else None
+    overlap = ending.enter_context(OverlapWatch(node, standby=options.standby))
     queryable, sink, watches = _open_outputs(node, ending, role, options.limits)
     source = ZenohSource(node, stop, options.limits.queue_bytes)
     received = ShardedSource(source, node, options.shard) if options.shard else source
@@ -196,7 +198,7 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
         checkpoints,
         watches,
     )
-    _add_watches(parts, options, ending, role, stop)
+    _add_watches(parts, options, ending, role, overlap, stop)
     return parts
 
 
@@ -290,10 +292,15 @@ def _open_outputs(
 
 
 def _add_watches(
-    parts: ServiceParts, options: LiveOptions, ending: ExitStack, role: Standby | None, stop: Event
+    parts: ServiceParts,
+    options: LiveOptions,
+    ending: ExitStack,
+    role: Standby | None,
+    overlap: OverlapWatch,
+    stop: Event,
 ) -> None:
     """Add what the loop calls after each list of messages."""
-    parts.watches.extend([parts.queries, parts.rides, LimitLog(parts.pipeline)])
+    parts.watches.extend([parts.queries, parts.rides, LimitLog(parts.pipeline), overlap])
     if parts.checkpoints:
         parts.watches.append(parts.checkpoints)
     take = SnapshotTaker(
@@ -303,6 +310,7 @@ def _add_watches(
         parts.checkpoints,
         parts.queries,
         role,
+        overlap,
         per_vehicle=options.metrics_per_car,
     )
     parts.watches.extend(parts.monitor.make_watches(take, stop))

@@ -134,6 +134,14 @@ def test_summary_says_what_was_dropped_and_what_remains(tmp_path, capsys):
     assert b"anna" not in read_all_bytes(tmp_path / "shared.mcap")
 
 
+def test_a_file_that_is_there_is_not_overwritten(tmp_path, capsys):
+    write(tmp_path / "own.mcap", "fleet/van-of-anna/telemetry")
+    (tmp_path / "shared.mcap").write_bytes(b"kept")
+    message = refused(capsys, "anonymise", tmp_path / "own.mcap", "-o", tmp_path / "shared.mcap")
+    assert "shared.mcap is there already and would be overwritten; name another file" in message
+    assert (tmp_path / "shared.mcap").read_bytes() == b"kept"
+
+
 def write(path, *keys):
     """Write a recording with one sample under each key."""
     with McapSink(path) as sink:

@@ -43,6 +43,7 @@ def test_command_serves_a_recording_and_stops_cleanly():
 
 def test_mistakes_are_one_line(capsys, tmp_path):
     assert "--live" in refused(capsys, "serve", "--connect", "tcp/127.0.0.1:1")
+    assert "--shard-by belong to --live" in refused(capsys, "serve", "--shard-by", "chunk")
     assert "none.mcap" in refused(capsys, "serve", tmp_path / "none.mcap", "--no-browser")
     assert "given twice" in refused(capsys, "serve", SHIFT, SHIFT, "--no-browser")
     assert "none.pmtiles" in refused(capsys, "serve", "--tiles", tmp_path / "none.pmtiles", "--no-browser")

@@ -31,6 +31,14 @@ def test_new_data_sheet_passes_its_check_and_is_listed(tmp_path):
     assert "nissan-leaf-2013" in vehicles
 
 
+def test_a_drag_area_that_was_given_has_no_tilde(tmp_path):
+    figures = "--mass-kg", 2100, "--capacity-kwh", 75
+    printed, _, _ = called("vehicles", "new", tmp_path / "van.toml", "--drag-area-m2", 0.71, *figures)
+    assert " 0.71 " in printed
+    printed, _, _ = called("vehicles", "new", tmp_path / "bus.toml", *figures)
+    assert "~0." in printed.split("bus")[1].split()[2]
+
+
 def test_recording_with_a_data_sheet_is_predicted_without_the_file(tmp_path):
     file = tmp_path / "my-van.toml"
     done("vehicles", "new", file, "--mass-kg", 1600, "--capacity-kwh", 40)

@@ -17,12 +17,14 @@ from core.errors import AskError, SettingsError
 from core.wire.messages import Message, Outlook
 from stream import zenoh_standby
 from stream.zenoh_observer import ZenohObserver
+from stream.zenoh_overlap import GRACE_S, OverlapWatch
 from stream.zenoh_queryable import query_outlook
 from stream.zenoh_receiver import _subscribe
 from stream.zenoh_session import Connection, Node
 from stream.zenoh_sink import CACHE, ZenohSink
 from stream.zenoh_standby import FencedSink, Standby
 from tests.support.secure_fleets import CARS, EXPIRED, REVOKED, change_tls, join, make_fleet, open_router
+from tests.support.service import Clock
 from tests.support.zenoh_sessions import eventually, serving
 from tools.security.folder import SecureFolder
 
@@ -391,3 +393,19 @@ def test_samples_sent_during_an_outage_of_the_router_are_recovered(fleet):
 
         assert eventually(sends, 10.0)
         assert find_payloads() == [b"%d" % number for number in range(last)]
+
+
+def test_consumers_that_overlap_find_each_other(fleet):
+    clock = Clock()
+    with ExitStack() as ending:
+        ending.enter_context(open_router(fleet))
+        nodes = [ending.enter_context(join(fleet, "consumer")) for _ in range(2)]
+        watches = [ending.enter_context(OverlapWatch(node, standby=False, clock=clock)) for node in nodes]
+
+        def find() -> list[tuple[str, ...]]:
+            clock.now += GRACE_S
+            for watch in watches:
+                watch(None)
+            return [watch.found for watch in watches]
+
+        assert eventually(lambda: find() == [("all cars",)] * 2)

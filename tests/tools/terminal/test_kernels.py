@@ -80,3 +80,11 @@ def test_progress_counts_kernels_from_the_first_to_the_last_but_not_their_parts(
 def test_make_compiles_the_kernels_after_the_installation():
     rule = (ROOT / "Makefile").read_text(encoding="utf-8").partition("$(INSTALLED):")[2].partition("demo:")[0]
     assert "-m tools.terminal.kernels\n\ttouch $@" in rule
+
+
+def test_help_explains_and_compiles_nothing(monkeypatch, capsys):
+    monkeypatch.setattr("tools.terminal.kernels.compile_kernels", lambda: pytest.fail("compiled"))
+    with pytest.raises(SystemExit) as ended:
+        kernels.main(["--help"])
+    assert ended.value.code == 0
+    assert "Compile the kernels and keep them in the cache" in capsys.readouterr().out
