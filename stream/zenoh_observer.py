@@ -17,7 +17,7 @@ MOST_WAITING: Final = 100_000
 MOST_WAITING_BYTES: Final = 256_000_000
 """Largest size of their payloads together, as a batch is as large as thousands of samples. [B]"""
 OF_CARS: Final = "telemetry", "batch", "vehicle"
-"""Last chunks of what cars and gateways send; each key is subscribed to alone: an access control may allow some only."""
+"""Last chunks of what cars and gateways send; each is subscribed to alone: an access control may allow some only."""
 PUBLISHED: Final = "fleet/*/forecast", "findings/**"
 """Keys of what consumers publish, under the prefix."""
 
