@@ -10,7 +10,8 @@ from core.errors import ImportFileError
 from core.vehicles import load_catalogue
 from stream.mcap_writer import MOST_CHANNELS, McapSink
 from stream.recording_metadata import make_metadata
-from tools.importers.table.agreement import AgreementSums, Check, check_agreement
+from tools.importers.table.agreement import AgreementSums
+from tools.importers.table.clock_checks import list_checks, refuse_overlap
 from tools.importers.table.column_map import ColumnMap
 from tools.importers.table.import_summary import ImportSummary
 from tools.importers.table.row_messages import RowMessages, join_signals
@@ -21,8 +22,6 @@ from tools.importers.table.time_sort import sort_rows
 
 MOST_CARS: Final = MOST_CHANNELS // 2
 """Largest number of cars in one recording, with two keys each."""
-CLOCK_TOLERANCE: Final = 300.0
-"""Time by which a row may be later than the last change of its file. [s]"""
 
 
 def open_tables(paths: Sequence[Path], kind: str, columns: ColumnMap) -> list[TableFile]:
@@ -81,6 +80,8 @@ def convert_tables(
     try:
         with McapSink(out, metadata=make_metadata("import", settings=settings or {})) as sink:
             for rows in _sample(sort_rows(_read_limited(reader, tables), out.resolve().parent), columns):
+                if not messages.samples:  # sorting has read all files
+                    refuse_overlap(reader, columns)
                 sums.add(rows)
                 sink.put(messages.make(rows))
     except ImportFileError:
@@ -88,9 +89,9 @@ def convert_tables(
         raise
     if not messages.samples:
         out.unlink()
-        found = ", ".join(f"{count:,} with {cause}" for cause, count in reader.causes.most_common())
+        found = reader.explain_causes(tables[0].decimal)
         raise ImportFileError(
-            f"{tables[0].path}: none of {reader.rows:,} rows can be read ({found or 'no rows'}); correct {columns.path}"
+            f"{tables[0].path}: none of {reader.rows:,} rows can be read ({found}); correct {columns.path}"
         )
     cars = sums.list_cars(reader.vehicles, columns.vehicle.models, columns.vehicle.model)
     return ImportSummary(
@@ -105,7 +106,7 @@ def convert_tables(
         decimal=tables[0].decimal,
         notes=_list_notes(tables, columns),
         cars=cars,
-        checks=[*check_agreement(cars), _check_clock(tables, sums.span[1])],
+        checks=list_checks(tables, columns, reader, cars, sums.span[1]),
     )
 
 
@@ -148,14 +149,3 @@ def _list_notes(tables: Sequence[TableFile], columns: ColumnMap) -> list[str]:
         if model not in load_catalogue()
     ]
     return notes
-
-
-def _check_clock(tables: Sequence[TableFile], last: float) -> Check:
-    """Check that no row is later than the last change of the files, which a wrong zone or unit makes."""
-    changed = max(table.path.stat().st_mtime for table in tables)
-    late = last - changed
-    limit = f"at most {CLOCK_TOLERANCE:g} s after the files were written"
-    found = f"last row {abs(late) / 3600.0:,.1f} h {'after' if late > 0 else 'before'} the files were written"
-    if late <= CLOCK_TOLERANCE:
-        return Check("clock against file", found, limit, True)
-    return Check("clock against file", found, limit, False, "set zone or unit in [time]")

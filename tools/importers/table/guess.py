@@ -30,6 +30,8 @@ from tools.importers.table.table_file import Block, TableFile
 
 MOST_FILES: Final = 8
 """Files from whose first blocks a map is guessed."""
+APART: Final = 30 * 86400.0
+"""Time between the starts of files with clocks that start at 0, for the guess. [s]"""
 GAP: Final = 600.0
 """Gap between rides, as of the cleaning. [s]"""
 
@@ -159,11 +161,14 @@ def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.
     )
     reader = RowReader(provisional)
     needed = set(provisional.list_required_columns())
-    rows = np.concatenate([reader.convert(table, block) for table, block in blocks if needed <= block.keys()])
+    parts = [reader.convert(table, block) for table, block in blocks if needed <= block.keys()]
+    for number, part in enumerate(parts):  # clocks that start at 0 follow each other, so that no files overlap
+        part["time"] += number * APART * time.needs_origin
+    rows = np.concatenate(parts)
     if not len(rows):
-        found = ", ".join(f"{count:,} with {cause}" for cause, count in reader.causes.most_common())
+        table, found = blocks[0][0], reader.explain_causes(blocks[0][0].decimal)
         raise ImportFileError(
-            f"{blocks[0][0].path}: none of its first {reader.rows:,} rows can be read ({found}); write a map by hand"
+            f"{table.path}: none of its first {reader.rows:,} rows can be read ({found}); write a map by hand"
         )
     rows = join_signals(rows[np.lexsort((rows["vehicle"], rows["time"]))])
     sampling = guess_rows(rows)

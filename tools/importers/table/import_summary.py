@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.text import Text
 
 from tools.importers.table.agreement import CarSums, Check
+from tools.importers.table.cells import suggest_decimal
 
 
 class ImportSummary(NamedTuple):
@@ -70,8 +71,7 @@ def list_lines(summary: ImportSummary) -> list[tuple[str, str]]:
         lines.append((f"left out: {count:,} rows with {cause}", "yellow"))
     for column, count in summary.cells.most_common():
         text = summary.examples[column]
-        comma = text.count(",") == 1 and summary.decimal == "."
-        remedy = "; set decimal = ',' in [file]" if comma and text.replace(",", "").lstrip("+-").isdigit() else ""
+        remedy = suggest_decimal(text, summary.decimal)
         lines.append((f"unknown: {count:,} cells of '{column}' hold no number, such as {text!r}{remedy}", "yellow"))
     lines += [(note, "yellow") for note in summary.notes]
     lines += [

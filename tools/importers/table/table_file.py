@@ -46,6 +46,8 @@ OTHER_KINDS: Final[Mapping[bytes, str]] = {
 """First bytes of files that are no tables of text -> what they are."""
 _VALUE: Final = re.compile(r"[+-]?\d+([.,]\d+)?|\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([ T].*)?")
 """A number or a date, with which no header is filled."""
+_THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+"""A number whose comma may divide thousands."""
 
 Block = Mapping[str, pa.Array]
 
@@ -273,12 +275,12 @@ def _find_encoding(head: bytes) -> str:
 
 
 def _find_decimal(rows: Sequence[Sequence[str]], separator: str) -> str:
-    """Return the decimal mark of the numbers in a file."""
-    if separator == ",":
-        return "."
+    """Return the decimal mark of the numbers in a file; beside a separating comma, numbers with a comma are quoted."""
     cells = [cell.strip() for row in rows for cell in row]
-    commas, points = (sum(_is_decimal(cell, mark) for cell in cells) for mark in (",", "."))
-    return "," if commas > points else "."
+    commas, points = ([cell for cell in cells if _is_decimal(cell, mark)] for mark in (",", "."))
+    if separator == "," and all(_THOUSANDS.fullmatch(cell) for cell in commas):
+        return "."
+    return "," if len(commas) > len(points) else "."
 
 
 def _is_decimal(cell: str, mark: str) -> bool:
