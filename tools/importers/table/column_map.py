@@ -5,7 +5,7 @@ A mistake in the file is one line with the file, the line number, the value, wha
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from datetime import datetime, tzinfo
 from difflib import get_close_matches
 from pathlib import Path
@@ -475,6 +475,6 @@ def _suggest(name: str, known: list[str]) -> str:
     return f"did you mean '{near[0]}'?" if near else f"write one of {', '.join(known)}"
 
 
-def has_power(fields: Mapping[str, Any]) -> bool:
+def has_power(fields: Collection[str]) -> bool:
     """Return whether the fields give the power of the battery."""
-    return POWER in fields or {"battery_voltage_v", "battery_current_a"} <= fields.keys()
+    return POWER in fields or {"battery_voltage_v", "battery_current_a"} <= set(fields)

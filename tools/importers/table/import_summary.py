@@ -1,7 +1,7 @@
 """What an import read, what it could not read, and whether the values agree with each other."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ from rich.text import Text
 
 from tools.importers.table.agreement import CarSums, Check
 from tools.importers.table.cells import suggest_decimal
+from tools.importers.table.column_map import has_power
 
 
 class ImportSummary(NamedTuple):
@@ -51,6 +52,29 @@ class ImportSummary(NamedTuple):
     notes: Sequence[str]
     cars: Sequence[CarSums]
     checks: Sequence[Check]
+
+
+def describe_missing(fields: Collection[str]) -> list[str]:
+    """Return a line for each of speed and energy that no field gives.
+
+    Parameters
+    ----------
+    fields : collection of str
+        Fields of the map.
+    """
+    lines = []
+    if "speed_kmh" not in fields:
+        lines.append(
+            "no speed was found: nothing can be predicted; name its column in [fields] of the map, such as "
+            "speed_kmh = { column = 'v', unit = 'km/h' }"
+        )
+    if not has_power(fields):
+        found = "the state of charge alone" if "soc_pct" in fields else "nothing"
+        lines.append(
+            f"no power was found, and no voltage with current: {found} measures the energy; if the file has a power, "
+            "name its column in [fields] of the map, such as battery_power_kw = { column = 'p', unit = 'W' }"
+        )
+    return lines
 
 
 def print_summary(summary: ImportSummary, console: Console) -> None:

@@ -15,6 +15,9 @@ from tools.terminal.rich_table import Column, make_table
 MOST_LEFT_OUT: Final = 40
 """Columns that are not read and are listed in a map."""
 
+MOST_NAMED: Final = 8
+"""Columns that are not read and are named on the terminal."""
+
 
 def write_map_text(guessed: GuessedMap, table: TableFile) -> str:
     """Return a map as TOML.
@@ -58,6 +61,13 @@ def make_guess_table(guessed: GuessedMap) -> Table:
         unit = f"{each.unit or ''}{', sign inverted' if each.sign < 0 else ''}"
         _add(table, each.field, each.column or each.signal or "", unit, "; ".join(each.reasons))
     return table
+
+
+def describe_unread(guessed: GuessedMap) -> str:
+    """Return a line that names the columns that are not read, empty where all are."""
+    names = [name for name, _ in guessed.left_out]
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return f"not read: {', '.join(map(_quote, names[:MOST_NAMED]))}{more}" if names else ""
 
 
 def describe_preset(guessed: GuessedMap) -> str:

@@ -16,6 +16,7 @@ from core.wire.messages import LONGEST_TEXT, join_chunks
 from tools.importers.table.cells import suggest_decimal, to_bools, to_numbers
 from tools.importers.table.column_map import ColumnMap, FieldSource
 from tools.importers.table.row_times import TimeReader
+from tools.importers.table.skipped_files import SkippedFiles
 from tools.importers.table.table_file import WRONG_WIDTH, Block, TableFile
 from tools.importers.table.time_overlaps import TimeSpans
 
@@ -47,6 +48,8 @@ class RowReader:
     ----------
     columns : ColumnMap
         Map of the tables.
+    skipped : SkippedFiles, optional
+        Receives files that cannot be read to their end; None refuses them.
 
     Attributes
     ----------
@@ -62,8 +65,8 @@ class RowReader:
         Times that each file covers.
     """
 
-    def __init__(self, columns: ColumnMap) -> None:
-        self.map = columns
+    def __init__(self, columns: ColumnMap, skipped: SkippedFiles | None = None) -> None:
+        self.map, self.skipped = columns, skipped or SkippedFiles()
         self.vehicles: list[str] = []
         self.rides: list[str] = []
         self.rows = 0
@@ -80,10 +83,14 @@ class RowReader:
     def read(self, tables: Sequence[TableFile]) -> Iterator[np.ndarray]:
         """Yield rows as structured arrays, one per block of a file, in the order of the files."""
         for table in tables:
-            for block in table.iterate_blocks(self.map.list_columns(), self.causes):
-                rows = self.convert(table, block)
-                self.spans.add(str(table.path), rows)
-                yield rows
+            before = self.rows
+            with self.skipped.skip(table.path):
+                for block in table.iterate_blocks(self.map.list_columns(), self.causes):
+                    rows = self.convert(table, block)
+                    self.spans.add(str(table.path), rows)
+                    yield rows
+            if table.path in self.skipped.rows:
+                self.skipped.rows[table.path] = self.rows - before
         self.rows += self.causes[WRONG_WIDTH]
 
     def explain_causes(self, decimal: str) -> str:

@@ -44,6 +44,11 @@ OTHER_KINDS: Final[Mapping[bytes, str]] = {
     b"SQLite format 3": "an SQLite database",
 }
 """First bytes of files that are no tables of text -> what they are."""
+COMPRESSED: Final[Mapping[str, str]] = {".gz": "gzip", ".bz2": "bzip2", ".zst": "Zstandard", ".lz4": "LZ4"}
+"""Ending of a compressed file -> its form."""
+MOST_CONTROLS: Final = 0.01
+"""Share of control characters above which a file is no text. [1]"""
+_CONTROLS: Final = bytes(each for each in range(32) if each not in b"\t\n\v\f\r\x1b\x1a")
 _VALUE: Final = re.compile(r"[+-]?\d+([.,]\d+)?|\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([ T].*)?")
 """A number or a date, with which no header is filled."""
 _THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
@@ -196,6 +201,10 @@ def open_table(path: Path, kind: str, form: FileFormat) -> TableFile:
         if head.lstrip().startswith(start):
             raise ImportFileError(f"{path}: is {words}; save it as CSV and import that")
     encoding = form.encoding or _find_encoding(head)
+    if not encoding.lower().startswith("utf-16") and len(head.translate(None, _CONTROLS)) < len(head) * (
+        1 - MOST_CONTROLS
+    ):
+        raise ImportFileError(f"{path}: is no text file; leave it out, or save the table as CSV")
     try:
         lines = head.decode(encoding, "replace").lstrip("\ufeff").splitlines()
     except LookupError as error:
@@ -238,6 +247,10 @@ def _one_line(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if error.errno is None and path.suffix in COMPRESSED:
+            raise ImportFileError(
+                f"{path}: is no {COMPRESSED[path.suffix]} file, or is incomplete; copy it again, or leave it out"
+            ) from error
         reason = os.strerror(error.errno) if error.errno else error
         raise ImportFileError(f"{path} cannot be read: {reason}; name an existing file") from error
     except (pa.ArrowException, UnicodeDecodeError) as error:
