@@ -65,7 +65,9 @@ def test_rows_before_the_damage_of_a_skipped_file_are_kept_and_counted(folder, t
     lines = "".join(
         f"2024-05-02T{row // 3600:02}:{row // 60 % 60:02}:{row % 60:02}Z,{row},5,7\n" for row in range(80000)
     )
-    (folder / "b.csv").write_bytes(b"time,speed_kmh,soc,power_kw\n" + lines.encode() * 2 + b"2024-05-03T00:00:00Z,\xff,5,7\n")
+    (folder / "b.csv").write_bytes(
+        b"time,speed_kmh,soc,power_kw\n" + lines.encode() * 2 + b"2024-05-03T00:00:00Z,\xff,5,7\n"
+    )
     printed = run(folder, "--guess", "--skip-bad", "--out", tmp_path / "a.mcap")
     assert "in 2 files\n" in printed
     assert "skipped 1 of 2 files (b.csv): is damaged or of another form" in printed

@@ -95,7 +95,7 @@ def find_origin(path: Path, form: str, zone: tzinfo) -> float:
     found = _compile(form).search(path.name)
     try:
         start = datetime.strptime(found[0], form) if found else None  # noqa: DTZ007 - the zone is added below
-    except ValueError:
+    except (ValueError, re.error):  # a day that does not exist, or a directive given twice
         start = None
     if start is None:
         raise ImportFileError(

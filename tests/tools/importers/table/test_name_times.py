@@ -42,5 +42,10 @@ def test_name_of_another_form_is_one_clear_line(name):
         find_origin(Path(name), "ride_%Y-%m-%d_%H%M%S", ZoneInfo("UTC"))
 
 
+def test_directive_given_twice_is_one_clear_line():
+    with pytest.raises(ImportFileError, match="its name has not the form '%Y-%Y'"):
+        find_origin(Path("2024-2024.csv"), "%Y-%Y", ZoneInfo("UTC"))
+
+
 def test_unknown_directive_is_found():
     assert find_unknown_directive("%A %d") == "%A"
