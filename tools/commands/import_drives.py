@@ -19,7 +19,7 @@ from tools.importers.published import list_files
 from tools.importers.synthetic_shifts import START_SOC, SyntheticShift, concatenate_drives, make_plans
 from tools.importers.table.presets import load_presets
 from tools.terminal.output import HtmlFile, VehicleFiles
-from tools.terminal.table_import import TABLE_KINDS, TableImport, import_tables
+from tools.terminal.table_import import TABLE_KINDS, TableImport, check_recording, import_tables
 
 Step = TypeVar("Step")
 PERIOD_S = 3.0
@@ -43,26 +43,32 @@ def import_drives(
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.mcap", help="Recording to write.")] = None,
     map_file: Annotated[
         Path | None,
-        typer.Option("--map", metavar="MAP.toml", help="Which column of csv or parquet is what, in which unit."),
+        typer.Option("--map", metavar="MAP.toml", help="Csv and parquet: which column is what, in which unit."),
     ] = None,
     guess: Annotated[
-        bool, typer.Option("--guess", help="Write a first MAP.toml from presets, names, units, ranges and physics.")
+        bool,
+        typer.Option(
+            "--guess", help="Csv and parquet: write a first MAP.toml from presets, names, units, ranges and physics."
+        ),
     ] = False,
     preset: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help=f"Read csv or parquet as the export of a product: {', '.join(load_presets())}."
+            metavar="NAME",
+            help=f"Csv and parquet: read the files as the export of a product: {', '.join(load_presets())}.",
         ),
     ] = None,
     html_file: HtmlFile = None,
     _: VehicleFiles = None,
     vehicle_model: Annotated[
         str | None,
-        typer.Option(metavar="KEY", help="Vehicle model of cars for which MAP.toml names none."),
+        typer.Option(metavar="KEY", help="Csv and parquet: vehicle model of cars for which MAP.toml names none."),
     ] = None,
     vehicle: Annotated[
         list[int] | None,
-        typer.Option(metavar="VEHID", help="Car of ved to read; may be repeated. Default: all electric cars."),
+        typer.Option(
+            metavar="VEHID", help="Public data set ved: car to read; may be repeated. Default: all electric cars."
+        ),
     ] = None,
     period: Annotated[
         float | None,
@@ -76,18 +82,23 @@ def import_drives(
     shift_hours: Annotated[
         float | None,
         typer.Option(
-            metavar="H", min=0.5, max=24.0, help="Concatenate the rides of each car into synthetic shifts of H hours."
+            metavar="H",
+            min=0.5,
+            max=24.0,
+            help="Public data sets: concatenate the rides of each car into synthetic shifts of H hours.",
         ),
     ] = None,
     time_zone: Annotated[
         str | None,
         typer.Option(
             metavar="ZONE",
-            help="Time zone of the clock in the files. Default: "
+            help="Public data sets: time zone of the clock in the files. Default: "
             f"{', '.join(f'{each.time_zone} ({name})' for name, each in DATA_SETS.items())}.",
         ),
     ] = None,
-    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Skip and name files that cannot be read.")] = False,
+    skip_bad: Annotated[
+        bool, typer.Option("--skip-bad", help="Skip files that cannot be read, and name the cause.")
+    ] = False,
 ) -> None:
     """Convert files of your own, or a public data set of real drives, to a recording.
 
@@ -99,10 +110,11 @@ def import_drives(
     socast import bmw-i3 downloads/ --out i3.mcap
     """
     if data_set in TABLE_KINDS:
-        changed = {"--vehicle": vehicle, "--shift-hours": shift_hours, "--time-zone": time_zone, "--skip-bad": skip_bad}
+        changed = {"--vehicle": vehicle, "--shift-hours": shift_hours, "--time-zone": time_zone}
         if wrong := [option for option, value in changed.items() if value]:
             raise SettingsError(f"{wrong[0]} applies to public data sets only; leave it out, and write the map instead")
-        import_tables(data_set, paths, TableImport(map_file, out, html_file, guess, preset, vehicle_model, period))
+        options = TableImport(map_file, out, html_file, guess, preset, vehicle_model, period, skip_bad)
+        import_tables(data_set, paths, options)
         return
     chosen = get_data_set(data_set)
     if guess or any(option is not None for option in (map_file, html_file, vehicle_model, preset)):
@@ -112,11 +124,12 @@ def import_drives(
         )
     if out is None:
         raise SettingsError("--out is missing; name the recording to write, such as drives.mcap")
+    check_recording(out)
     vehicles = tuple(vehicle or ())
     if vehicles and data_set != "ved":
         raise SettingsError(f"--vehicle is {vehicles[0]}, but {data_set} holds one car; leave --vehicle out")
-    options = ReadOptions(_find_zone(time_zone or chosen.time_zone), vehicles)
-    drives = collect_drives(paths, chosen, options, skip_bad)
+    reading = ReadOptions(_find_zone(time_zone or chosen.time_zone), vehicles)
+    drives = collect_drives(paths, chosen, reading, skip_bad)
     read = {drive.vehicle_id for drive in drives}
     absent = [number for number in vehicles if f"ved-{number}" not in read]
     if absent or not drives:

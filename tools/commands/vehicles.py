@@ -51,7 +51,7 @@ def new_file(
 ) -> None:
     """Write the data sheet of a car of your own.
 
-    What is not known is left out: it is assumed as usual in the catalogue, and a fit corrects it from rides.
+    What is not known is left out: the usual value of the catalogue is used, and a fit corrects it from rides.
 
     Examples
     --------
@@ -88,7 +88,7 @@ def check_file(file: DataSheets, json_file: JsonFile = None) -> None:
     console = make_console(json_file)
     for key, vehicle in vehicles.items():
         assumed = ", ".join(list_assumed(vehicle)) or "nothing"
-        console.print(Text(f"{key}: assumed as usual in the catalogue: {assumed}"), soft_wrap=True)
+        console.print(Text(f"{key}: usual values of the catalogue: {assumed}"), soft_wrap=True)
     console.print(Text(f"{len(vehicles)} vehicle{'s' * (len(vehicles) != 1)} in {file}: all checks passed."))
 
 

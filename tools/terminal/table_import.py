@@ -9,15 +9,18 @@ from core.errors import ImportFileError, SettingsError
 from tools.importers.table.column_map import FileFormat, parse_map, read_map
 from tools.importers.table.conversion import convert_tables, open_tables
 from tools.importers.table.guess import guess_map
-from tools.importers.table.import_summary import print_summary
-from tools.importers.table.map_text import describe_preset, make_guess_table, write_map_text
+from tools.importers.table.import_summary import describe_missing, print_summary
+from tools.importers.table.map_text import describe_preset, describe_unread, make_guess_table, write_map_text
 from tools.importers.table.presets import Preset, get_preset
 from tools.importers.table.sampling import Sampling, find_holds
-from tools.importers.table.table_file import KINDS, list_tables, open_table
+from tools.importers.table.skipped_files import SkippedFiles
+from tools.importers.table.table_file import KINDS, TableFile, list_tables, open_table
 from tools.terminal.output import check_outputs, make_console
 
 TABLE_KINDS = tuple(KINDS)
 """Kinds of tables that `socast import` reads with a map."""
+RECORDING = ".mcap"
+"""Ending of a recording."""
 
 
 class TableImport(NamedTuple):
@@ -35,6 +38,8 @@ class TableImport(NamedTuple):
         Vehicle model of cars for which the map names none.
     period : float, optional
         Time between two samples; None is that of the map. [s]
+    skip_bad : bool
+        Whether to skip and count files that cannot be read.
     """
 
     map_file: Path | None
@@ -44,6 +49,7 @@ class TableImport(NamedTuple):
     preset: str | None
     vehicle_model: str | None
     period: float | None
+    skip_bad: bool = False
 
 
 def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
@@ -71,7 +77,7 @@ def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
     _check_options(kind, options, guesses)
     files = list_tables(paths, kind)
     console = make_console()
-    content = _guess(kind, files, map_file, preset, console) if guesses else None
+    content = _guess(kind, files, options, preset, console) if guesses else None
     if out is None:
         return
     check_outputs([*files, *([map_file] if map_file else [])], out, options.html_file)
@@ -81,8 +87,9 @@ def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
     if options.period is not None:
         holds = columns.sampling.holds if columns.sampling else find_holds()
         columns = columns._replace(sampling=Sampling(options.period, holds))
-    tables = open_tables(files, kind, columns)
-    summary = convert_tables(tables, columns, out, _list_settings(kind, options))
+    skipped = SkippedFiles(options.skip_bad)
+    tables = open_tables(files, kind, columns, skipped)
+    summary = convert_tables(tables, columns, out, _list_settings(kind, options), skipped)
     print_summary(summary, console)
     if options.html_file is not None:
         from tools.report.imported import write  # noqa: PLC0415 - figures take seconds to import
@@ -99,6 +106,8 @@ def _check_options(kind: str, options: TableImport, guesses: bool) -> None:
         )
     if options.out is None and not guesses:
         raise SettingsError("--out is missing; name the recording to write, or use --guess to write a map only")
+    if options.out is not None:
+        check_recording(options.out)
     if options.html_file is not None and options.out is None:
         raise SettingsError("--html is given without --out; the page shows an import, so name a recording too")
 
@@ -114,20 +123,27 @@ def _list_settings(kind: str, options: TableImport) -> dict[str, str]:
     return {"kind": kind} | {name: str(value) for name, value in chosen.items() if value is not None}
 
 
-def _guess(kind: str, files: list[Path], map_file: Path | None, preset: Preset | None, console: Console) -> bytes:
+def _guess(kind: str, files: list[Path], options: TableImport, preset: Preset | None, console: Console) -> bytes:
     """Return a first map, written where a file is named, and show what was decided."""
+    map_file = options.map_file
     if map_file is not None and map_file.exists():
         raise SettingsError(
             f"{map_file} is there already and would be overwritten; name another file, or leave --guess and --preset "
             "out to import with it"
         )
     check_outputs(files, map_file)
-    tables = [open_table(file, kind, FileFormat()) for file in files]
-    guessed = guess_map(tables, preset)
+    skipped = SkippedFiles(options.skip_bad)
+    tables = _open_all(kind, files, skipped)
+    guessed = guess_map(tables, preset, skipped)
     content = write_map_text(guessed, tables[0]).encode()
     if line := describe_preset(guessed):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     console.print(make_guess_table(guessed))
+    lines = [describe_unread(guessed)]
+    if options.out is None:  # an import says the rest itself
+        lines += [*skipped.list_lines(len(files)), *describe_missing([each.field for each in guessed.fields])]
+    for line in filter(None, lines):
+        console.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
     if map_file is None:
         console.print("the map is not kept; --map MAP.toml keeps it, so that you can correct it", markup=False)
         return content
@@ -137,3 +153,32 @@ def _guess(kind: str, files: list[Path], map_file: Path | None, preset: Preset |
         raise ImportFileError(f"{map_file} cannot be written: {error.strerror}; name another file") from error
     console.print(f"map in {map_file}: check it, then import with --map {map_file}", markup=False, soft_wrap=True)
     return content
+
+
+def _open_all(kind: str, files: list[Path], skipped: SkippedFiles) -> list[TableFile]:
+    """Return the form of each file that can be opened."""
+    tables = []
+    for file in files:
+        with skipped.skip(file):
+            tables.append(open_table(file, kind, FileFormat()))
+    if not tables:
+        lines = "; ".join(skipped.list_lines(len(files)))
+        raise ImportFileError(f"{files[0]}: none of the {len(files)} files given can be read ({lines})")
+    return tables
+
+
+def check_recording(out: Path) -> None:
+    """Refuse a recording whose name does not end as recordings do.
+
+    Parameters
+    ----------
+    out : Path
+        Value of `--out`.
+
+    Raises
+    ------
+    SettingsError
+        If it ends otherwise.
+    """
+    if out.suffix != RECORDING:
+        raise SettingsError(f"--out {out}: a recording ends in {RECORDING}; name it {out.with_suffix(RECORDING)}")

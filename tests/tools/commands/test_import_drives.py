@@ -177,7 +177,7 @@ def test_selecting_an_absent_car_is_an_error(tmp_path):
 
 
 def test_unknown_time_zone_is_an_error(tmp_path):
-    result = run_import("ved", ved_file(tmp_path / "w.csv"), "--out", tmp_path / "x", "--time-zone", "Mars/North")
+    result = run_import("ved", ved_file(tmp_path / "w.csv"), "--out", tmp_path / "x.mcap", "--time-zone", "Mars/North")
     assert isinstance(result.exception, SettingsError)
     assert "Mars/North" in str(result.exception)
 

@@ -24,7 +24,7 @@ def test_new_data_sheet_passes_its_check_and_is_listed(tmp_path):
     file = tmp_path / "my-van.toml"
     done("vehicles", "new", file, "--mass-kg", 2100, "--capacity-kwh", 75, "--drag-area-m2", 1.1)
     printed, _, code = called("vehicles", "check", file)
-    assert (code, "assumed as usual in the catalogue: frontal_area_m2" in printed) == (0, True)
+    assert (code, "usual values of the catalogue: frontal_area_m2" in printed) == (0, True)
     printed, _, _ = called("vehicles", "list", "--vehicles", file, "--json", "-")
     vehicles = {each["key"]: each for each in json.loads(printed)["vehicles"]}
     assert vehicles["my-van"]["mass_kg"] == 2100

@@ -34,7 +34,7 @@ def test_load_is_described_in_a_persons_words():
     )
     assert "34 % is measurement noise, 2 % is unexplained within rides and" in shares
     assert "64 % is unexplained and differs from ride to ride" in shares
-    assert absent == "These data cannot tell how much of an error the climate control causes (no climate power)."
+    assert absent == "These data cannot identify how much of an error the climate control causes (no climate power)."
 
 
 def test_climate_power_that_is_logged_is_not_asked_for():

@@ -10,7 +10,8 @@ OTHERS = [
     (["--map", "{tmp}/map.toml"], "--out is missing"),
     (["--map", "{tmp}/map.toml", "--guess", "--html", "{tmp}/x.html"], "--html is given without --out"),
     (["--map", "{tmp}/map.toml", "--guess", "--time-zone", "UTC"], "--time-zone applies to public data sets only"),
-    (["--map", "{tmp}/map.toml", "--out", "{tmp}/car.csv"], "is read and would be overwritten"),
+    (["--map", "{tmp}/map.toml", "--out", "{tmp}/car.csv"], "a recording ends in .mcap; name it"),
+    (["--guess", "--out", "{tmp}/car.mcap", "--html", "{tmp}/car.csv"], "is read and would be overwritten"),
 ]
 
 

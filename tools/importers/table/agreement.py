@@ -250,7 +250,7 @@ def _check_sign(total: Mapping[str, float]) -> Check:
     if 200.0 <= mass <= 7500.0:
         return Check("power of acceleration", found, limit, True)
     if mass < -100.0:
-        words = "acceleration charges the battery: turn the sign of the current or the power in [fields]"
+        words = "acceleration charges the battery: invert the sign of the current or the power in [fields]"
     else:
         words = "power and speed do not belong together: check their units, and that their clocks agree"
     return Check("power of acceleration", found, limit, False, words)
@@ -266,7 +266,7 @@ def _check_consumption(total: Mapping[str, float]) -> Check:
     if 0.05 <= used <= 1.0:
         return Check("energy per km", found, limit, True)
     words = (
-        "the sign of current or power is wrong: turn it in [fields]"
+        "the sign of current or power is wrong: invert it in [fields]"
         if used < 0
         else "check the units of power and speed"
     )
@@ -318,7 +318,7 @@ def _judge_capacity(found: str, limit: str, passed: bool, sign: float, scale: fl
     if passed:
         return Check("energy against charge", found, limit, True)
     if sign < 0:
-        words = "the charge rises while energy is drawn: turn the sign of the current or the power in [fields]"
+        words = "the charge rises while energy is drawn: invert the sign of the current or the power in [fields]"
     elif scale > 8:
         words = "the charge hardly changes; if it is a fraction, set unit = '1' for soc_pct"
     else:

@@ -34,3 +34,22 @@ def to_numbers(cells: pa.Array, decimal: str) -> tuple[Floats, pa.Array]:
     wrong = cells.filter(pc.fill_null(pc.invert(is_number), False))
     numbers = pc.cast(pc.if_else(is_number, texts, pa.scalar(None, texts.type)), pa.float64())
     return numbers.to_numpy(zero_copy_only=False).astype("f8"), wrong
+
+
+def suggest_decimal(text: str, decimal: str) -> str:
+    """Return the remedy for a cell that is no number because of its decimal comma, empty for all other cells.
+
+    Parameters
+    ----------
+    text : str
+        The cell.
+    decimal : str
+        Decimal mark with which it was read.
+
+    Examples
+    --------
+    >>> suggest_decimal("10,5", "."), suggest_decimal("fast", ".")
+    ("; set decimal = ',' in [file]", '')
+    """
+    is_comma = text.count(",") == 1 and decimal == "."
+    return "; set decimal = ',' in [file]" if is_comma and text.replace(",", "").lstrip("+-").isdigit() else ""

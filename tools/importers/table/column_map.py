@@ -5,7 +5,7 @@ A mistake in the file is one line with the file, the line number, the value, wha
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from datetime import datetime, tzinfo
 from difflib import get_close_matches
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from core.errors import ImportFileError, SettingsError, read_input
+from tools.importers.table.name_times import find_unknown_directive
 from tools.importers.table.sampling import (
     HOLD,
     LONGEST_HOLD,
@@ -26,6 +27,8 @@ from tools.terminal.settings_file import explain_toml
 
 TIME_UNITS: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 """Unit of a time in numbers -> seconds."""
+GUESSED_ORIGIN: Final = "2000-01-01T00:00:00"
+"""Time of the number 0 in a guessed map, which a person must correct."""
 NOMINAL_VOLTAGE: Final = 360.0
 """Voltage of a traction battery of which only the power is known. [V]"""
 LONGEST_MAP: Final = 1 << 20
@@ -49,6 +52,7 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
         "zone": str,
         "origin": str,
         "day_from_file_name": bool,
+        "origin_from_file_name": str,
     },
     "ride": {"column": str, "from_file_name": bool, "gap_s": (int, float)},
     "rows": {"period_s": (int, float), "hold_s": (int, float)},
@@ -100,6 +104,8 @@ class TimeSource(NamedTuple):
         Unix time of the number 0. [s]
     day_from_file_name : bool
         Whether the table holds times of day, and the name of its file the day.
+    origin_form : str, optional
+        Form of the time of the number 0 in the name of the file, as of `strptime`.
     """
 
     columns: tuple[str, ...]
@@ -108,6 +114,12 @@ class TimeSource(NamedTuple):
     zone: tzinfo
     origin: float
     day_from_file_name: bool = False
+    origin_form: str | None = None
+
+    @property
+    def is_relative(self) -> bool:
+        """Whether numbers count from a start that the map gives for all files alike."""
+        return self.unit_s is not None and self.origin != 0.0
 
 
 class VehicleSource(NamedTuple):
@@ -275,6 +287,8 @@ class _MapReader:
     def need(self, table: str, key: str) -> Any:
         """Return a value that must be there."""
         value = self.tables.get(table, {}).get(key)
+        if table not in self.tables:
+            raise ImportFileError(f"{self.path}: has no table [{table}]; add [{table}] with {key} = ...")
         if not value:
             raise self.refuse((table,), f"[{table}] has no {key}; add {key} = ...")
         return value
@@ -308,14 +322,31 @@ class _MapReader:
         if unit is not None and "format" in table:
             raise self.refuse(("time", "format"), "a time has a unit or a format; leave one of them out")
         zone = self.find_zone(table.get("zone", "UTC"))
-        of_name = table.get("day_from_file_name", False)
-        if of_name and "origin" in table:
+        of_name, form = table.get("day_from_file_name", False), self.read_origin_form(table)
+        if (of_name or form) and "origin" in table:
             raise self.refuse(
                 ("time", "origin"), "a day comes from origin or from the file name; leave one of them out"
             )
-        return TimeSource(
-            names, TIME_UNITS.get(unit) if unit else None, table.get("format"), zone, self.find_origin(zone), of_name
-        )
+        seconds, zero = TIME_UNITS.get(unit) if unit else None, self.find_origin(zone)
+        return TimeSource(names, seconds, table.get("format"), zone, zero, of_name, form)
+
+    def read_origin_form(self, table: Mapping[str, Any]) -> str | None:
+        """Return the form of the time of the number 0 in the names of files."""
+        form: str | None = table.get("origin_from_file_name")
+        if form is None:
+            return None
+        where = ("time", "origin_from_file_name")
+        if "unit" not in table:
+            raise self.refuse(
+                where, "origin_from_file_name is the time of the number 0; add unit = 's', or leave it out"
+            )
+        if table.get("day_from_file_name"):
+            raise self.refuse(where, "the file name gives the day or the origin; leave one of them out")
+        if unknown := find_unknown_directive(form):
+            raise self.refuse(where, f"'{form}' holds '{unknown}'; write a form such as ride_%Y-%m-%d_%H%M%S")
+        if not any(day in form for day in ("%d", "%j")):
+            raise self.refuse(where, f"'{form}' holds no day; write a form such as ride_%Y-%m-%d_%H%M%S")
+        return form
 
     def find_zone(self, name: str) -> ZoneInfo:
         """Return the time zone of a name."""
@@ -344,6 +375,10 @@ class _MapReader:
         table = self.tables.get("vehicle", {})
         given = [key for key in ("column", "name", "from_file_name") if table.get(key)]
         if len(given) != 1:
+            if "vehicle" not in self.tables:
+                raise ImportFileError(
+                    f"{self.path}: names no car; add [vehicle] with name = ..., column = ... or from_file_name = true"
+                )
             found = " and ".join(given) or "none"
             raise self.refuse(
                 ("vehicle",), f"[vehicle] needs one of column, name and from_file_name, and has {found}; correct it"
@@ -440,6 +475,6 @@ def _suggest(name: str, known: list[str]) -> str:
     return f"did you mean '{near[0]}'?" if near else f"write one of {', '.join(known)}"
 
 
-def has_power(fields: Mapping[str, Any]) -> bool:
+def has_power(fields: Collection[str]) -> bool:
     """Return whether the fields give the power of the battery."""
-    return POWER in fields or {"battery_voltage_v", "battery_current_a"} <= fields.keys()
+    return POWER in fields or {"battery_voltage_v", "battery_current_a"} <= set(fields)

@@ -10,22 +10,24 @@ from core.errors import ImportFileError
 from core.vehicles import load_catalogue
 from stream.mcap_writer import MOST_CHANNELS, McapSink
 from stream.recording_metadata import make_metadata
-from tools.importers.table.agreement import AgreementSums, Check, check_agreement
+from tools.importers.table.agreement import AgreementSums
+from tools.importers.table.clock_checks import list_checks, refuse_overlap
 from tools.importers.table.column_map import ColumnMap
-from tools.importers.table.import_summary import ImportSummary
+from tools.importers.table.import_summary import ImportSummary, describe_missing
 from tools.importers.table.row_messages import RowMessages, join_signals
 from tools.importers.table.row_reader import RowReader
 from tools.importers.table.sampling import sample_rows
+from tools.importers.table.skipped_files import SkippedFiles
 from tools.importers.table.table_file import TableFile, open_table
 from tools.importers.table.time_sort import sort_rows
 
 MOST_CARS: Final = MOST_CHANNELS // 2
 """Largest number of cars in one recording, with two keys each."""
-CLOCK_TOLERANCE: Final = 300.0
-"""Time by which a row may be later than the last change of its file. [s]"""
 
 
-def open_tables(paths: Sequence[Path], kind: str, columns: ColumnMap) -> list[TableFile]:
+def open_tables(
+    paths: Sequence[Path], kind: str, columns: ColumnMap, skipped: SkippedFiles | None = None
+) -> list[TableFile]:
     """Return the form of each file, after a check that the columns of the map are there.
 
     Parameters
@@ -36,15 +38,24 @@ def open_tables(paths: Sequence[Path], kind: str, columns: ColumnMap) -> list[Ta
         `csv` or `parquet`.
     columns : ColumnMap
         The map.
+    skipped : SkippedFiles, optional
+        Receives files that cannot be read; None refuses them.
 
     Raises
     ------
     ImportFileError
-        If a file lacks a required column, or no file has another column of the map.
+        If no file can be read, a file lacks a required column, or no file has another column of the map.
     """
-    tables = [open_table(path, kind, columns.file) for path in paths]
-    for table in tables:
-        table.check_columns(columns.list_required_columns())
+    tables: list[TableFile] = []
+    skipped = skipped or SkippedFiles()
+    for path in paths:
+        with skipped.skip(path):
+            table = open_table(path, kind, columns.file)
+            table.check_columns(columns.list_required_columns())
+            tables.append(table)
+    if not tables:
+        lines = "; ".join(skipped.list_lines(len(paths)))
+        raise ImportFileError(f"{paths[0]}: none of the {len(paths)} files given can be read ({lines})")
     for name in columns.list_columns():
         if not any(name in table.names for table in tables):
             tables[0].check_columns([name])
@@ -52,7 +63,11 @@ def open_tables(paths: Sequence[Path], kind: str, columns: ColumnMap) -> list[Ta
 
 
 def convert_tables(
-    tables: Sequence[TableFile], columns: ColumnMap, out: Path, settings: Mapping[str, Any] | None = None
+    tables: Sequence[TableFile],
+    columns: ColumnMap,
+    out: Path,
+    settings: Mapping[str, Any] | None = None,
+    skipped: SkippedFiles | None = None,
 ) -> ImportSummary:
     """Write the rows of tables as a recording in the order of time.
 
@@ -66,6 +81,8 @@ def convert_tables(
         The recording.
     settings : mapping of str to object, optional
         Settings of the import for the metadata of the recording.
+    skipped : SkippedFiles, optional
+        Receives files that cannot be read to their end; None refuses them.
 
     Returns
     -------
@@ -76,11 +93,15 @@ def convert_tables(
     ImportFileError
         If no row can be read.
     """
-    reader, sums = RowReader(columns), AgreementSums()
+    skipped = skipped or SkippedFiles()
+    opened = len(tables) + len(skipped.rows)
+    reader, sums = RowReader(columns, skipped), AgreementSums()
     messages = RowMessages(columns, reader)
     try:
         with McapSink(out, metadata=make_metadata("import", settings=settings or {})) as sink:
             for rows in _sample(sort_rows(_read_limited(reader, tables), out.resolve().parent), columns):
+                if not messages.samples:  # sorting has read all files
+                    refuse_overlap(reader, columns)
                 sums.add(rows)
                 sink.put(messages.make(rows))
     except ImportFileError:
@@ -88,14 +109,14 @@ def convert_tables(
         raise
     if not messages.samples:
         out.unlink()
-        found = ", ".join(f"{count:,} with {cause}" for cause, count in reader.causes.most_common())
+        found = reader.explain_causes(tables[0].decimal)
         raise ImportFileError(
-            f"{tables[0].path}: none of {reader.rows:,} rows can be read ({found or 'no rows'}); correct {columns.path}"
+            f"{tables[0].path}: none of {reader.rows:,} rows can be read ({found}); correct {columns.path}"
         )
     cars = sums.list_cars(reader.vehicles, columns.vehicle.models, columns.vehicle.model)
     return ImportSummary(
         out=out,
-        files=len(tables),
+        files=opened - list(skipped.rows.values()).count(0),
         rows=reader.rows,
         samples=messages.samples,
         hours=sum(car.sums["duration"] for car in cars) / 3600.0,
@@ -103,9 +124,9 @@ def convert_tables(
         cells=reader.cells,
         examples=reader.examples,
         decimal=tables[0].decimal,
-        notes=_list_notes(tables, columns),
+        notes=[*skipped.list_lines(opened), *_list_notes(tables, columns)],
         cars=cars,
-        checks=[*check_agreement(cars), _check_clock(tables, sums.span[1])],
+        checks=list_checks(tables, columns, reader, cars, sums.span[1]),
     )
 
 
@@ -135,6 +156,7 @@ def _list_notes(tables: Sequence[TableFile], columns: ColumnMap) -> list[str]:
         for table in tables
         if (missing := sorted(names - set(table.names)))
     ]
+    notes += describe_missing(columns.fields)
     if columns.vehicle.model is None and not columns.vehicle.models:
         notes.append(
             "no vehicle model: the energy of the cars is measured and not predicted; give --vehicle-model, such as "
@@ -148,14 +170,3 @@ def _list_notes(tables: Sequence[TableFile], columns: ColumnMap) -> list[str]:
         if model not in load_catalogue()
     ]
     return notes
-
-
-def _check_clock(tables: Sequence[TableFile], last: float) -> Check:
-    """Check that no row is later than the last change of the files, which a wrong zone or unit makes."""
-    changed = max(table.path.stat().st_mtime for table in tables)
-    late = last - changed
-    limit = f"at most {CLOCK_TOLERANCE:g} s after the files were written"
-    found = f"last row {abs(late) / 3600.0:,.1f} h {'after' if late > 0 else 'before'} the files were written"
-    if late <= CLOCK_TOLERANCE:
-        return Check("clock against file", found, limit, True)
-    return Check("clock against file", found, limit, False, "set zone or unit in [time]")

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Final, NamedTuple
 from zoneinfo import ZoneInfo
@@ -26,10 +27,13 @@ from tools.importers.table.presets import Preset, find_preset
 from tools.importers.table.row_messages import join_signals
 from tools.importers.table.row_reader import RowReader
 from tools.importers.table.sampling import Sampling, find_holds, sample_rows
-from tools.importers.table.table_file import Block, TableFile
+from tools.importers.table.skipped_files import SkippedFiles
+from tools.importers.table.table_file import TableFile
 
 MOST_FILES: Final = 8
 """Files from whose first blocks a map is guessed."""
+APART: Final = 30 * 86400.0
+"""Time between the starts of files with clocks that start at 0, for the guess. [s]"""
 GAP: Final = 600.0
 """Gap between rides, as of the cleaning. [s]"""
 
@@ -78,7 +82,9 @@ class GuessedMap(NamedTuple):
     preset: Preset | None
 
 
-def guess_map(tables: Sequence[TableFile], preset: Preset | None = None) -> GuessedMap:
+def guess_map(
+    tables: Sequence[TableFile], preset: Preset | None = None, skipped: SkippedFiles | None = None
+) -> GuessedMap:
     """Guess the map of tables.
 
     Parameters
@@ -87,6 +93,8 @@ def guess_map(tables: Sequence[TableFile], preset: Preset | None = None) -> Gues
         Files of one form.
     preset : Preset, optional
         The export that they are; None finds it by the columns.
+    skipped : SkippedFiles, optional
+        Receives files whose first rows cannot be read; None refuses them.
 
     Raises
     ------
@@ -104,7 +112,7 @@ def guess_map(tables: Sequence[TableFile], preset: Preset | None = None) -> Gues
     preset = preset or find_preset(names)
     if preset is not None and preset.extra_cells:
         tables = [table._replace(extra_cells=True) for table in tables]
-    blocks = [(table, block) for table in tables if (block := _read_first_block(table)) is not None]
+    blocks = _read_first_blocks(tables, skipped or SkippedFiles())
     if not blocks:
         raise ImportFileError(f"{tables[0].path}: has a header and no rows; name another file")
     sources = choose_sources(names, blocks, preset)
@@ -138,11 +146,14 @@ def guess_map(tables: Sequence[TableFile], preset: Preset | None = None) -> Gues
     )
 
 
-def _read_first_block(table: TableFile) -> Block | None:
-    """Return the first rows of a file, None where it has none."""
-    return next(
-        (block for block in table.iterate_blocks(table.names, Counter()) if len(next(iter(block.values())))), None
-    )
+def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles) -> Blocks:
+    """Return the first rows of each file that has some."""
+    blocks = []
+    for table in tables:
+        with skipped.skip(table.path):
+            found = (block for block in table.iterate_blocks(table.names, Counter()) if len(next(iter(block.values()))))
+            blocks += [(table, block) for block in islice(found, 1)]
+    return blocks
 
 
 def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.ndarray, GuessedRows | None]:
@@ -159,11 +170,14 @@ def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.
     )
     reader = RowReader(provisional)
     needed = set(provisional.list_required_columns())
-    rows = np.concatenate([reader.convert(table, block) for table, block in blocks if needed <= block.keys()])
+    parts = [reader.convert(table, block) for table, block in blocks if needed <= block.keys()]
+    for number, part in enumerate(parts):  # clocks that start at 0 follow each other, so that no files overlap
+        part["time"] += number * APART * time.needs_origin
+    rows = np.concatenate(parts)
     if not len(rows):
-        found = ", ".join(f"{count:,} with {cause}" for cause, count in reader.causes.most_common())
+        table, found = blocks[0][0], reader.explain_causes(blocks[0][0].decimal)
         raise ImportFileError(
-            f"{blocks[0][0].path}: none of its first {reader.rows:,} rows can be read ({found}); write a map by hand"
+            f"{table.path}: none of its first {reader.rows:,} rows can be read ({found}); write a map by hand"
         )
     rows = join_signals(rows[np.lexsort((rows["vehicle"], rows["time"]))])
     sampling = guess_rows(rows)

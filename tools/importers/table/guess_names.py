@@ -7,11 +7,22 @@ from typing import Final, NamedTuple
 from tools.importers.table.units import FIELD_UNITS, POWER, convertible, spell_unit
 
 TIME: Final = "time"
+OTHER_TIME: Final = "other time"
+"""Role of a column that probably holds a time, used where no column of the role `TIME` does."""
 VEHICLE: Final = "vehicle"
 RIDE: Final = "ride"
 SIGNAL: Final = "signal"
 VALUE: Final = "value"
 
+_UNITS: Final = r"kwh|kw|mwh|kmh|kmph|kph|mph|mps|km/hr?|m/s|mi/h|kv|mv|ma|mah|°?deg[cf]|°[cf]"
+_UNIT: Final = re.compile(_UNITS, re.IGNORECASE)
+"""Unit that is a word of its own, in any spelling."""
+_UNIT_AT_END: Final = re.compile(
+    r"(.*?[a-z0-9)])(kWh|KWh|KWH|kW|KW|Kw|MWh|[Kk]mh|KMH|K[Mm]?ph|KPH|Mph|MPH|Mps|MPS|kV|KV|mAh|[dD]eg[CF]|°[CF])"
+)
+"""Word with a unit at its end, as its letters show."""
+_OTHER_QUANTITIES: Final = frozenset({"wh", "kwh", "mwh", "ah", "mah", "rpm", "nm", "bar", "kpa", "psi"})
+"""Units, in small letters, of nothing that is read: energy, charge, torque, pressure."""
 _NOT_THE_PACK: Final = (
     r"\b(12 ?v|aux|auxiliary|cells?|charger|ac|grid|motor|engine|fan|phase|max|min|limit|limitation|device|wheel|heater"
     r"|hvac|maf|ptc|obd|module)\b"
@@ -22,6 +33,13 @@ _TIME_NAMES: Final = (
     r"|(recorded|created|received|logged) at|m time utc)$"
     r"|\b(timestamp|date time)$"
 )
+_OTHER_TIME_NAMES: Final = (
+    r"^(local|gps|device|log|sample|record|event|utc) ?(time|date ?time)$"
+    r"|^(time|date ?time|date|time ?stamp) ?(utc|local|gmt)$"
+)
+_SPEED_LETTERS: Final = r"^(v|gps|car|vehicle|obd)? ?(kmh|km/h|kph|kmph|mph)$|^v (m/s|mps)$"
+_BATTERY: Final = r"(bat|batt|battery|pack|hv|traction|hv (batt|battery))"
+_POWER_LETTERS: Final = rf"^(kw|(p|pwr) k?w|{_BATTERY}( p| pwr)? kw|{_BATTERY} (p|pwr)( k?w)?)$"
 _AMBIENT: Final = (
     r"\b(outside|ambient|ext|external|exterior|outdoor|air|v e)\b.*\b(temp|temperature)\b|^oat\b|\bambient\b"
     r"|\b(aussentemperatur|umgebungstemperatur)\b"
@@ -30,6 +48,7 @@ _HVAC: Final = r"\b(hvac|climate|heating|heater|air ?con|air conditioning)\b.*\b
 _NO_STATE: Final = r"\b(power|rate|current|voltage|kwh|energy|time|mode|dcfc|type)\b"
 _RULES: Final = (
     (TIME, _TIME_NAMES, ""),
+    (OTHER_TIME, _OTHER_TIME_NAMES, ""),
     (VEHICLE, r"^(vehicle|veh|car|vin|device|asset|plate|unit)( (id|name|number))?$|^(veh|vehicle|car|device)id$", ""),
     (RIDE, r"^(drive|trip|ride|journey|session)( (id|number))?$|^(trip|drive|ride)id$", ""),
     ("latitude_deg", r"\b(lat|latitude)\b", ""),
@@ -44,12 +63,12 @@ _RULES: Final = (
     ("hvac_w", _HVAC, r"\b(no power|on|state|set|fan)\b|temp"),
     (
         "battery_voltage_v",
-        r"\b(voltage|volts?|spannung|batteriespannung|tension|voltaje|tensione|spanning)\b",
+        rf"\b(voltage|volts?|spannung|batteriespannung|tension|voltaje|tensione|spanning)\b|^{_BATTERY} [vu]$",
         _NOT_THE_PACK,
     ),
     (
         POWER,
-        r"\b(power|leistung|puissance|potencia|potenza|vermogen|batterieleistung)\b",
+        rf"\b(power|leistung|puissance|potencia|potenza|vermogen|batterieleistung)\b|{_POWER_LETTERS}",
         rf"{_NOT_THE_PACK}|\bno power\b",
     ),
     (
@@ -62,7 +81,7 @@ _RULES: Final = (
     ),
     (
         "battery_current_a",
-        r"\b(current|amps|amperes?|strom|batteriestrom|courant|corriente|corrente|stroom)\b",
+        rf"\b(current|amps|amperes?|strom|batteriestrom|courant|corriente|corrente|stroom)\b|^{_BATTERY} [ia]$",
         rf"{_NOT_THE_PACK}|\blocation\b",
     ),
     (
@@ -72,7 +91,7 @@ _RULES: Final = (
     ),
     (
         "speed_kmh",
-        r"\b(speed|velocity|geschwindigkeit|vitesse|velocidad|velocit|snelheid)\b",
+        rf"\b(speed|spd|gpsspeed|gpsspd|velocity|geschwindigkeit|vitesse|velocidad|velocit|snelheid)\b|{_SPEED_LETTERS}",
         r"\b(wind|fan|motor|engine|limit|posted|average|max|rpm)\b",
     ),
     ("occupants", r"\b(occupants?|passengers|people)\b", ""),
@@ -104,6 +123,9 @@ def guess_name(name: str) -> NamedColumn | None:
     bare, bracketed = _take_brackets(name.partition("#")[0])
     words = _split_words(bare)
     text = " ".join(words).lower()
+    last = (bracketed or (words[-1] if words else "")).lower()
+    if last in _OTHER_QUANTITIES:
+        return None
     for role, pattern, unless in _RULES:
         if re.search(pattern, text) and not (unless and re.search(unless, text)):
             return NamedColumn(name, role, _find_unit(role, bracketed, words))
@@ -120,26 +142,34 @@ def _take_brackets(name: str) -> tuple[str, str | None]:
 
 
 def _split_words(name: str) -> list[str]:
-    """Return the words of a name, divided at signs, and where small letters meet capitals.
+    """Return the words of a name, divided at signs, and where small letters meet capitals; units stay whole.
 
-    >>> _split_words("DiagnosticStateOfChargeId"), _split_words("batt_current_A")
-    (['Diagnostic', 'State', 'Of', 'Charge', 'Id'], ['batt', 'current', 'A'])
+    >>> _split_words("DiagnosticStateOfChargeId"), _split_words("batt_current_A"), _split_words("PackPowerkW")
+    (['Diagnostic', 'State', 'Of', 'Charge', 'Id'], ['batt', 'current', 'A'], ['Pack', 'Power', 'kW'])
     """
     plain = unicodedata.normalize("NFKD", name.replace("ß", "ss"))
     name = "".join(letter for letter in plain if not unicodedata.combining(letter))
-    divided = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])|(?<=[a-z])(?=[A-Z]+$)", " ", name)
-    return re.findall(r"[A-Za-z0-9°%]+", divided)
+    words = []
+    for token in re.findall(r"[kK][mM]/h(?:r)?\b|m/s\b|mi/h\b|[A-Za-z0-9°%]+", name):
+        found = _UNIT_AT_END.fullmatch(token)
+        rest, unit = found.groups() if found else (token, None)
+        if not rest or _UNIT.fullmatch(token):
+            words.append(token)
+            continue
+        words += re.sub(r"(?<=[a-z])(?=[A-Z][a-z])|(?<=[a-z])(?=[A-Z]+$)", " ", rest).split()
+        words += [unit] if unit else []
+    return words
 
 
 def _find_unit(role: str, bracketed: str | None, words: list[str]) -> str | None:
     """Return the unit that a name gives."""
-    if role == TIME:
+    if role in {TIME, OTHER_TIME}:
         return bracketed if bracketed in {"s", "ms", "us", "ns", "min", "h"} else None
     if role not in FIELD_UNITS:
         return None
     if bracketed and convertible(bracketed, role):
         return bracketed
-    endings = [words[-1], "/".join(words[-2:])] if len(words) > 1 else []
+    endings = [words[-1], "/".join(words[-2:])] if len(words) > 1 else words if _UNIT.fullmatch("".join(words)) else []
     return next((unit for unit in endings if _is_unit(unit, role)), None)
 
 

@@ -7,7 +7,17 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from tools.importers.table.column_map import FieldSource
-from tools.importers.table.guess_names import RIDE, SIGNAL, TIME, VALUE, VEHICLE, NamedColumn, guess_name
+from tools.importers.table.guess_contents import choose_bare, find_times
+from tools.importers.table.guess_names import (
+    OTHER_TIME,
+    RIDE,
+    SIGNAL,
+    TIME,
+    VALUE,
+    VEHICLE,
+    NamedColumn,
+    guess_name,
+)
 from tools.importers.table.guess_time import GuessedTime, guess_time
 from tools.importers.table.presets import Preset
 from tools.importers.table.table_file import Block, TableFile
@@ -85,9 +95,9 @@ def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) 
         taken = {each.field for each in fields}
         chosen, left_out = _choose_by_name(roles, words, long, blocks)
         fields += [each for each in chosen if each.field not in taken]
-    time = (_find_time_of_preset(preset, blocks) if preset else None) or (
-        guess_time(roles[TIME], blocks) if TIME in roles else None
-    )
+        bare = choose_bare(names, blocks, {each.field for each in fields})
+        fields += [Source(each.field, each.column, None, each.unit, reason=each.reason) for each in bare]
+    time = (_find_time_of_preset(preset, blocks) if preset else None) or _guess_clock(names, roles, blocks)
     vehicle, ride = (
         _find_filled([*given, *(each.name for each in roles.get(role, ()) if by_name or role == VEHICLE)], blocks)
         for role, given in ((VEHICLE, preset.vehicle if preset else ()), (RIDE, preset.ride if preset else ()))
@@ -98,6 +108,14 @@ def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) 
     known = read | ({each.name for each in named} if by_name else set())
     left_out += [(name, unread) for name in names if name not in known]
     return Sources(time, vehicle, ride, long, fields, left_out)
+
+
+def _guess_clock(names: Sequence[str], roles: Mapping[str, list[NamedColumn]], blocks: Blocks) -> GuessedTime | None:
+    """Return the clock: of columns called so, else of those with other names of times, or with cells that are times."""
+    named = [*roles.get(TIME, ()), *roles.get(OTHER_TIME, ())]
+    by_cells = [each for each in find_times(names, blocks) if each.name not in {one.name for one in named}]
+    candidates = [*named, *by_cells]
+    return guess_time(candidates, blocks) if candidates else None
 
 
 def count_known(name: str, blocks: Blocks) -> int:

@@ -1,7 +1,9 @@
 """Guess how a column of a table holds time: numbers in a unit, ISO 8601, or another format of text."""
 
+import re
 from collections.abc import Sequence
 from itertools import product
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -11,6 +13,7 @@ import pyarrow.compute as pc
 
 from core.errors import ImportFileError
 from tools.importers.table.guess_names import NamedColumn
+from tools.importers.table.name_times import guess_name_form
 from tools.importers.table.table_file import Block, TableFile
 
 EPOCH_UNITS: Final = (("s", 1e8, 1e10), ("ms", 1e11, 1e13), ("us", 1e14, 1e16), ("ns", 1e17, 1e19))
@@ -20,6 +23,7 @@ _CLOCKS: Final = (" %H:%M:%S", " %H:%M:%S.%f", " %H:%M", " %I:%M:%S %p", " %I:%M
 FORMATS: Final = tuple(date + clock for date, clock in product(_DATES, _CLOCKS))
 """Formats of text that are tried after ISO 8601."""
 _TIME_OF_DAY: Final = r"\s*\d{1,2}:\d\d(:\d\d(\.\d+)?)?\s*"
+_TIME_OF_HALF_DAY: Final = _TIME_OF_DAY + r"([ap]m\s*)?"
 TRIED: Final = 2000
 """Cells that are tried."""
 
@@ -43,6 +47,8 @@ class GuessedTime(NamedTuple):
         Why.
     day_from_file_name : bool
         Whether the table holds times of day, and the name of its file the day.
+    origin_form : str, optional
+        Form of the start of the clock in the names of the files.
     """
 
     columns: tuple[str, ...]
@@ -52,6 +58,7 @@ class GuessedTime(NamedTuple):
     needs_origin: bool
     reason: str
     day_from_file_name: bool = False
+    origin_form: str | None = None
 
 
 def guess_time(candidates: Sequence[NamedColumn], blocks: Sequence[tuple[TableFile, Block]]) -> GuessedTime:
@@ -72,23 +79,47 @@ def guess_time(candidates: Sequence[NamedColumn], blocks: Sequence[tuple[TableFi
     names = [each.name for each in candidates]
     units = {each.name: each.unit for each in candidates}
     path, example = blocks[0][0].path, ""
-    of_day: GuessedTime | None = None
-    pairs = [tuple(names[:2])] if len(names) > 1 else []
-    for columns in [*((name,) for name in names), *pairs]:
+    less: list[GuessedTime] = []
+    for columns in [*_pair_date_and_time(names, blocks), *((name,) for name in names)]:
         cells = _collect(columns, blocks)
         if cells is None or not len(cells):
             continue
         found = _read(columns, cells, units.get(columns[0]))
-        if found is not None and not found.day_from_file_name:
+        if found is not None and not (found.day_from_file_name or found.needs_origin):
             return found
-        of_day = of_day or found
+        less += [found] if found else []
         example = str(cells[0].as_py())
-    if of_day is not None:
-        return of_day
+    if less:
+        found = min(less, key=lambda each: each.day_from_file_name)
+        return _find_origin(found, [table.path for table, _ in blocks]) if found.needs_origin else found
     raise ImportFileError(
         f"{path}: column '{names[0]}' holds {example[:40]!r}, which is no time in a known form; "
         "write a map by hand with a format in [time]"
     )
+
+
+def _pair_date_and_time(names: Sequence[str], blocks: Sequence[tuple[TableFile, Block]]) -> list[tuple[str, ...]]:
+    """Return the first two columns as date and time of day, in the order in which they are so."""
+    for date, clock in (names[:2], names[:2][::-1]) if len(names) > 1 else ():
+        cells = _collect((clock,), blocks)
+        if cells is None or not len(cells) or pa.types.is_timestamp(cells.type):
+            continue
+        if (
+            pd.Series([str(cell) for cell in cells.to_pylist()])
+            .str.fullmatch(_TIME_OF_HALF_DAY, flags=re.IGNORECASE)
+            .mean()
+            > 0.9
+        ):
+            return [(date, clock)]
+    return []
+
+
+def _find_origin(found: GuessedTime, paths: Sequence[Path]) -> GuessedTime:
+    """Return a clock that starts at 0 with the form of its start in the names of the files, where they have it."""
+    form = guess_name_form(paths)
+    if form is None:
+        return found
+    return found._replace(reason="numbers from a start that the name of the file holds", origin_form=form)
 
 
 def _collect(columns: Sequence[str], blocks: Sequence[tuple[TableFile, Block]]) -> Any:

@@ -15,6 +15,9 @@ CANDIDATES: Final = {"speed_kmh": ("km/h", "mph", "m/s"), "odometer_km": ("km", 
 """Field -> units among which distances decide."""
 FASTEST: Final = 0.1
 """Speed above which an odometer cannot count in kilometres. [km/s]"""
+USUAL: Final = (0.05, 1.0)
+POSSIBLE: Final = (0.003, 15.0)
+"""Consumptions of road vehicles, and those that a unit in a name may give before it is doubted. [kWh/km]"""
 _COMPARISONS: Final = (
     ("speed_kmh", "fixes", None),
     ("odometer_km", "odometer", "speed_kmh"),
@@ -61,11 +64,13 @@ def guess_values(rows: np.ndarray, known: Mapping[str, KnownUnit]) -> dict[str, 
         if unit is not None or not FIELD_UNITS[field]:
             reason = source or (f"unit in the name: {unit}" if unit else "")
             found[field] = GuessedUnit(unit, 1, (reason,) if reason else ())
+            if unit is not None and not source.startswith("preset") and FIELD_UNITS[field]:
+                found[field] = _correct_unit(field, unit, rows) or found[field]
             continue
         guessed, reason = _guess_by_range(field, rows)
         if guessed == "m" and field == "odometer_km":
             settled.add(field)
-        found[field] = GuessedUnit(guessed, 1, (reason,) if reason else ())
+        found[field] = GuessedUnit(guessed, 1, tuple(filter(None, (reason, source))))
         rows[field] = _convert(field, guessed, rows[field])
     for field, measured, beside in _COMPARISONS:
         if field not in units or field in settled or (beside is not None and beside not in settled):
@@ -77,6 +82,43 @@ def guess_values(rows: np.ndarray, known: Mapping[str, KnownUnit]) -> dict[str, 
             rows[field] = _convert(field, unit, rows[field])
             settled.add(field)
     return found | _guess_signs(rows, found, {field: each.sign for field, each in known.items()})
+
+
+def _correct_unit(field: str, unit: str, rows: np.ndarray) -> GuessedUnit | None:
+    """Return another unit than that in the name, with which values become possible, and scale the rows; else None."""
+    values = rows[field][np.isfinite(rows[field])]
+    size = float(np.percentile(np.abs(values), 99)) if len(values) else 0.0
+    limits = {"battery_voltage_v": 2000.0, "battery_current_a": 5000.0, "hvac_w": 50e3, POWER: 5000.0}
+    named = find_conversion(unit, field)
+    shown = f"the name says {unit}, and values up to {size / named.factor:.4g} {unit} are impossible"
+    other = None
+    if size > limits.get(field, np.inf):
+        base = FIELD_UNITS[field]
+        other = {POWER: "W", "hvac_w": "W"}.get(field, f"m{base}")
+    elif field == "soc_pct" and named.factor == 1.0 and 0.0 < values.max(initial=0.0) <= 1.0 and np.ptp(values) > 0.02:
+        other, shown = "1", f"the name says {unit}, and all values are at most 1"
+    elif field == POWER and (used := _measure_consumption(rows)) and not POSSIBLE[0] <= used <= POSSIBLE[1]:
+        other = next(
+            (each for each in ("W", "kW") if _fits(used * find_conversion(each, field).factor / named.factor)), None
+        )
+        shown = f"the name says {unit}, and driving would take {used:.3g} kWh/km"
+    if other is None or (changed := find_conversion(other, field)) == named:
+        return None
+    rows[field] *= changed.factor / named.factor
+    return GuessedUnit(other, 1, (f"{other} by the values: {shown}; check it",))
+
+
+def _fits(consumption: float) -> bool:
+    """Return whether a consumption is that of a road vehicle. [kWh/km]"""
+    return USUAL[0] <= consumption <= USUAL[1]
+
+
+def _measure_consumption(rows: np.ndarray) -> float | None:
+    """Return the energy by power per distance [kWh/km], None where less than 1 km has power and speed."""
+    if "speed_kmh" not in (rows.dtype.names or ()):
+        return None
+    total = _sum(rows[["time", "vehicle", "speed_kmh", POWER]])
+    return abs(total["energy"]) / total["distance"] / 3600.0 if total["distance"] > 1000.0 else None
 
 
 def _convert(field: str, unit: str | None, values: Floats) -> Floats:
@@ -136,8 +178,8 @@ def _guess_by_distance(field: str, measured: str, rows: np.ndarray) -> str | Non
 def _guess_signs(
     rows: np.ndarray, found: Mapping[str, GuessedUnit], signs: Mapping[str, int | None]
 ) -> dict[str, GuessedUnit]:
-    """Return the current and the power that are turned because acceleration would charge the battery."""
-    turned = {}
+    """Return the current and the power with their signs, inverted where acceleration would charge the battery."""
+    inverted = {}
     pairs = (("battery_current_a", "battery_voltage_v"), (POWER, POWER))
     for field, beside in pairs:
         if field not in found or (beside not in found and field != POWER):
@@ -146,20 +188,20 @@ def _guess_signs(
         total = _sum(rows[names])
         given = signs[field] or 1
         sign, reason = _judge_sign(fit_mass(total), total, is_given=signs[field] is not None)
-        turned[field] = found[field]._replace(sign=sign * given, reasons=(*found[field].reasons, reason))
-    return turned
+        inverted[field] = found[field]._replace(sign=sign * given, reasons=(*found[field].reasons, reason))
+    return inverted
 
 
 def _judge_sign(mass: float | None, total: Mapping[str, float], *, is_given: bool) -> tuple[int, str]:
     """Return by what a power is multiplied so that driving discharges, and the reason."""
-    turned = "turned against the preset: with its sign, " if is_given else "turned: as it stands, "
+    inverted = "sign inverted against the preset: with its sign, " if is_given else "sign inverted: as it stands, "
     if mass is not None and abs(mass) > 100.0:
         if mass < 0:
-            return -1, f"{turned}acceleration would charge the battery"
+            return -1, f"{inverted}acceleration would charge the battery"
         return 1, "sign: acceleration discharges the battery"
     if total["distance"] > 1000.0:
         if total["energy"] < 0:
-            return -1, f"{turned}driving would charge the battery"
+            return -1, f"{inverted}driving would charge the battery"
         return 1, "sign: driving discharges the battery"
     if is_given:
         return 1, "sign of the preset: too little driving to check"

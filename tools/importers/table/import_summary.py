@@ -1,7 +1,7 @@
 """What an import read, what it could not read, and whether the values agree with each other."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.text import Text
 
 from tools.importers.table.agreement import CarSums, Check
+from tools.importers.table.cells import suggest_decimal
+from tools.importers.table.column_map import has_power
 
 
 class ImportSummary(NamedTuple):
@@ -52,6 +54,29 @@ class ImportSummary(NamedTuple):
     checks: Sequence[Check]
 
 
+def describe_missing(fields: Collection[str]) -> list[str]:
+    """Return a line for each of speed and energy that no field gives.
+
+    Parameters
+    ----------
+    fields : collection of str
+        Fields of the map.
+    """
+    lines = []
+    if "speed_kmh" not in fields:
+        lines.append(
+            "no speed was found: nothing can be predicted; name its column in [fields] of the map, such as "
+            "speed_kmh = { column = 'v', unit = 'km/h' }"
+        )
+    if not has_power(fields):
+        found = "the state of charge alone" if "soc_pct" in fields else "nothing"
+        lines.append(
+            f"no power was found, and no voltage with current: {found} measures the energy; if the file has a power, "
+            "name its column in [fields] of the map, such as battery_power_kw = { column = 'p', unit = 'W' }"
+        )
+    return lines
+
+
 def print_summary(summary: ImportSummary, console: Console) -> None:
     """Print a summary, one line for each statement."""
     for line, style in list_lines(summary):
@@ -70,8 +95,7 @@ def list_lines(summary: ImportSummary) -> list[tuple[str, str]]:
         lines.append((f"left out: {count:,} rows with {cause}", "yellow"))
     for column, count in summary.cells.most_common():
         text = summary.examples[column]
-        comma = text.count(",") == 1 and summary.decimal == "."
-        remedy = "; set decimal = ',' in [file]" if comma and text.replace(",", "").lstrip("+-").isdigit() else ""
+        remedy = suggest_decimal(text, summary.decimal)
         lines.append((f"unknown: {count:,} cells of '{column}' hold no number, such as {text!r}{remedy}", "yellow"))
     lines += [(note, "yellow") for note in summary.notes]
     lines += [

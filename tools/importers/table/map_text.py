@@ -6,6 +6,7 @@ from typing import Final
 from rich.table import Table
 from rich.text import Text
 
+from tools.importers.table.column_map import GUESSED_ORIGIN
 from tools.importers.table.guess import GAP, GuessedField, GuessedMap
 from tools.importers.table.table_file import TableFile
 from tools.importers.table.units import FIELD_UNITS, POWER
@@ -13,6 +14,9 @@ from tools.terminal.rich_table import Column, make_table
 
 MOST_LEFT_OUT: Final = 40
 """Columns that are not read and are listed in a map."""
+
+MOST_NAMED: Final = 8
+"""Columns that are not read and are named on the terminal."""
 
 
 def write_map_text(guessed: GuessedMap, table: TableFile) -> str:
@@ -54,9 +58,16 @@ def make_guess_table(guessed: GuessedMap) -> Table:
     if guessed.rows:
         _add(table, "rows", "", f"every {guessed.rows.period:g} s", guessed.rows.reason)
     for each in guessed.fields:
-        unit = f"{each.unit or ''}{', turned' if each.sign < 0 else ''}"
+        unit = f"{each.unit or ''}{', sign inverted' if each.sign < 0 else ''}"
         _add(table, each.field, each.column or each.signal or "", unit, "; ".join(each.reasons))
     return table
+
+
+def describe_unread(guessed: GuessedMap) -> str:
+    """Return a line that names the columns that are not read, empty where all are."""
+    names = [name for name, _ in guessed.left_out]
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return f"not read: {', '.join(map(_quote, names[:MOST_NAMED]))}{more}" if names else ""
 
 
 def describe_preset(guessed: GuessedMap) -> str:
@@ -86,7 +97,9 @@ def _add(table: Table, *cells: str) -> None:
 
 def _describe_zone(guessed: GuessedMap) -> str:
     """Return what is assumed of the time zone."""
-    return "" if guessed.time.has_zone or guessed.time.needs_origin else "; zone not stated, UTC assumed"
+    time = guessed.time
+    is_known = time.has_zone or (time.needs_origin and time.origin_form is None)
+    return "" if is_known else "; zone not stated, UTC assumed"
 
 
 def _describe_vehicle(guessed: GuessedMap) -> str:
@@ -131,8 +144,11 @@ def _write_time(guessed: GuessedMap) -> list[str]:
         lines.append(f"format = {_quote(time.form)}")
     if time.day_from_file_name:
         lines.append("day_from_file_name = true   # the file holds times of day; its name holds the day")
-    if time.needs_origin:
-        lines += ['origin = "2000-01-01T00:00:00"   # time of the number 0: correct it', 'zone = "UTC"']
+    if time.origin_form:
+        lines.append(f"origin_from_file_name = {_quote(time.origin_form)}   # time of the number 0")
+        lines.append('zone = "UTC"   # of the time in the file name: correct it where it is local time')
+    elif time.needs_origin:
+        lines += [f'origin = "{GUESSED_ORIGIN}"   # time of the number 0: correct it', 'zone = "UTC"']
     elif not time.has_zone:
         lines.append('zone = "UTC"   # the file does not state it: correct it where it is local time')
     return [*lines, ""]

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
 from core.wire.messages import LONGEST_TEXT, join_chunks
-from tools.importers.table.cells import to_bools, to_numbers
+from tools.importers.table.cells import suggest_decimal, to_bools, to_numbers
 from tools.importers.table.column_map import ColumnMap, FieldSource
 from tools.importers.table.row_times import TimeReader
+from tools.importers.table.skipped_files import SkippedFiles
 from tools.importers.table.table_file import WRONG_WIDTH, Block, TableFile
+from tools.importers.table.time_overlaps import TimeSpans
 
 Bools = NDArray[np.bool_]
 
@@ -46,6 +48,8 @@ class RowReader:
     ----------
     columns : ColumnMap
         Map of the tables.
+    skipped : SkippedFiles, optional
+        Receives files that cannot be read to their end; None refuses them.
 
     Attributes
     ----------
@@ -57,10 +61,12 @@ class RowReader:
         Rows that cannot be read, by cause.
     cells : Counter of (str, str)
         Cells that hold no number where one belongs, by column and first such text; their rows are kept.
+    spans : TimeSpans
+        Times that each file covers.
     """
 
-    def __init__(self, columns: ColumnMap) -> None:
-        self.map = columns
+    def __init__(self, columns: ColumnMap, skipped: SkippedFiles | None = None) -> None:
+        self.map, self.skipped = columns, skipped or SkippedFiles()
         self.vehicles: list[str] = []
         self.rides: list[str] = []
         self.rows = 0
@@ -70,15 +76,36 @@ class RowReader:
         self.dtype = np.dtype(
             [("time", "f8"), ("vehicle", "i4"), ("ride", "i4"), *((name, "f8") for name in columns.fields)]
         )
+        self.spans = TimeSpans()
         self._places: dict[str, dict[str, int]] = {"vehicle": {}, "ride": {}}
         self._times = TimeReader(columns.time)
 
     def read(self, tables: Sequence[TableFile]) -> Iterator[np.ndarray]:
         """Yield rows as structured arrays, one per block of a file, in the order of the files."""
         for table in tables:
-            for block in table.iterate_blocks(self.map.list_columns(), self.causes):
-                yield self.convert(table, block)
+            before = self.rows
+            with self.skipped.skip(table.path):
+                for block in table.iterate_blocks(self.map.list_columns(), self.causes):
+                    rows = self.convert(table, block)
+                    self.spans.add(str(table.path), rows)
+                    yield rows
+            if table.path in self.skipped.rows:
+                self.skipped.rows[table.path] = self.rows - before
         self.rows += self.causes[WRONG_WIDTH]
+
+    def explain_causes(self, decimal: str) -> str:
+        """Return why rows cannot be read, and the remedy where the decimal mark is wrong.
+
+        Parameters
+        ----------
+        decimal : str
+            Decimal mark with which the file was read.
+        """
+        found = ", ".join(f"{count:,} with {cause}" for cause, count in self.causes.most_common()) or "no rows"
+        wrong = next(
+            ((text, each) for text in self.examples.values() if (each := suggest_decimal(text, decimal))), None
+        )
+        return f"{found}, such as {wrong[0]!r}{wrong[1]}" if wrong else found
 
     def convert(self, table: TableFile, block: Block) -> np.ndarray:
         """Return the readable rows of a block."""

@@ -1,6 +1,5 @@
 """Read the clock of a table: the Unix times of its rows, also in the hour that a clock repeats."""
 
-import re
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -11,15 +10,13 @@ import pyarrow.compute as pc
 
 from core.batch import Floats, Ints
 from core.columns import SECONDS_PER_DAY
-from core.errors import ImportFileError
 from tools.importers.table.cells import Bools, to_bools, to_numbers
 from tools.importers.table.column_map import TimeSource
+from tools.importers.table.name_times import find_day, find_origin
 from tools.importers.table.table_file import Block, TableFile
 
 NEIGHBOUR: Final = 600.0
 """Longest time from a row of the repeated hour to the row beside it that shows which of both hours it is. [s]"""
-DAY_IN_NAME: Final = re.compile(r"(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
-"""Year, month and day in the name of a file."""
 _OFFSET: Final = r"(Z|[+-]\d\d:?(\d\d)?)$"
 
 
@@ -75,8 +72,7 @@ class TimeReader:
         unclear = np.zeros(len(missing), bool)
         if self.source.unit_s is not None:
             numbers, _ = to_numbers(cells[0], table.decimal)
-            origin = self.source.origin if day is None else pd.Timestamp(day, tz=self.source.zone).timestamp()
-            times = origin + numbers * self.source.unit_s
+            times = self._find_zero(table.path, day) + numbers * self.source.unit_s
         elif pa.types.is_timestamp(cells[0].type):
             times, unclear = self._localize(cells[0].to_pandas(), vehicles)
         else:
@@ -84,6 +80,12 @@ class TimeReader:
             joined = texts[0] if len(texts) == 1 else pc.binary_join_element_wise(*texts, " ")
             times, unclear = self._parse(joined, vehicles, day)
         return RowTimes(times if day is None else self._add_days(times), missing, unclear)
+
+    def _find_zero(self, path: Path, day: str | None) -> float:
+        """Return the Unix time of the number 0 in a file. [s]"""
+        if self.source.origin_form is not None:
+            return find_origin(path, self.source.origin_form, self.source.zone)
+        return self.source.origin if day is None else pd.Timestamp(day, tz=self.source.zone).timestamp()
 
     def _parse(self, texts: pa.Array, vehicles: Ints, day: str | None) -> tuple[Floats, Bools]:
         """Return the Unix times of texts [s], NaN where unreadable, and which of them are unclear."""
@@ -150,28 +152,6 @@ class TimeReader:
         times = times.copy()
         times[known] += days * SECONDS_PER_DAY
         return times
-
-
-def find_day(path: Path) -> str:
-    """Return the day that the name of a file holds, such as `2024-05-01`.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    ImportFileError
-        If its name holds none.
-    """
-    found = DAY_IN_NAME.search(path.name)
-    if not found:
-        raise ImportFileError(
-            f"{path}: its name holds no day such as 2024-05-01, which day_from_file_name needs; "
-            "rename the file, or set origin in [time]"
-        )
-    return "-".join(found.groups())
 
 
 def _to_seconds(stamps: Any) -> Floats:

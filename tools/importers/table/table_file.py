@@ -44,8 +44,15 @@ OTHER_KINDS: Final[Mapping[bytes, str]] = {
     b"SQLite format 3": "an SQLite database",
 }
 """First bytes of files that are no tables of text -> what they are."""
+COMPRESSED: Final[Mapping[str, str]] = {".gz": "gzip", ".bz2": "bzip2", ".zst": "Zstandard", ".lz4": "LZ4"}
+"""Ending of a compressed file -> its form."""
+MOST_CONTROLS: Final = 0.01
+"""Share of control characters above which a file is no text. [1]"""
+_CONTROLS: Final = bytes(each for each in range(32) if each not in b"\t\n\v\f\r\x1b\x1a")
 _VALUE: Final = re.compile(r"[+-]?\d+([.,]\d+)?|\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([ T].*)?")
 """A number or a date, with which no header is filled."""
+_THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+"""A number whose comma may divide thousands."""
 
 Block = Mapping[str, pa.Array]
 
@@ -194,6 +201,10 @@ def open_table(path: Path, kind: str, form: FileFormat) -> TableFile:
         if head.lstrip().startswith(start):
             raise ImportFileError(f"{path}: is {words}; save it as CSV and import that")
     encoding = form.encoding or _find_encoding(head)
+    if not encoding.lower().startswith("utf-16") and len(head.translate(None, _CONTROLS)) < len(head) * (
+        1 - MOST_CONTROLS
+    ):
+        raise ImportFileError(f"{path}: is no text file; leave it out, or save the table as CSV")
     try:
         lines = head.decode(encoding, "replace").lstrip("\ufeff").splitlines()
     except LookupError as error:
@@ -236,6 +247,10 @@ def _one_line(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if error.errno is None and path.suffix in COMPRESSED:
+            raise ImportFileError(
+                f"{path}: is no {COMPRESSED[path.suffix]} file, or is incomplete; copy it again, or leave it out"
+            ) from error
         reason = os.strerror(error.errno) if error.errno else error
         raise ImportFileError(f"{path} cannot be read: {reason}; name an existing file") from error
     except (pa.ArrowException, UnicodeDecodeError) as error:
@@ -273,12 +288,12 @@ def _find_encoding(head: bytes) -> str:
 
 
 def _find_decimal(rows: Sequence[Sequence[str]], separator: str) -> str:
-    """Return the decimal mark of the numbers in a file."""
-    if separator == ",":
-        return "."
+    """Return the decimal mark of the numbers in a file; beside a separating comma, numbers with a comma are quoted."""
     cells = [cell.strip() for row in rows for cell in row]
-    commas, points = (sum(_is_decimal(cell, mark) for cell in cells) for mark in (",", "."))
-    return "," if commas > points else "."
+    commas, points = ([cell for cell in cells if _is_decimal(cell, mark)] for mark in (",", "."))
+    if separator == "," and all(_THOUSANDS.fullmatch(cell) for cell in commas):
+        return "."
+    return "," if len(commas) > len(points) else "."
 
 
 def _is_decimal(cell: str, mark: str) -> bool:

@@ -117,7 +117,7 @@ def format_size(load: Mapping[str, Any], key: str = "size") -> str:
 
 
 def describe_location(result: Result) -> list[str]:
-    """Return where the error of a model lives, a line for each load, and what the data cannot tell."""
+    """Return where the error of a model lives, a line for each load, and what the data cannot identify."""
     location = get_mapping(result, "error_location")
     if not location:
         return []
@@ -129,7 +129,7 @@ def describe_location(result: Result) -> list[str]:
         lines.append("No load differs between rides, days or vehicles beyond what sampling causes.")
     if absent:
         untold = ", ".join(f"{JUDGED_BY[each]} (no {each})" for each in absent if each in JUDGED_BY)
-        lines.append(f"These data cannot tell {untold}.")
+        lines.append(f"These data cannot identify {untold}.")
     return lines
 
 

@@ -40,6 +40,9 @@ def test_map_holds_conversions(tmp_path):
         ('"t"', '"t"\nunit = "days"', 5, "unit is 'days', must be one of s, ms"),
         ('"t"', "7", 4, "column is 7, must be text in quotes or a list"),
         ('"t"', '"t"\norigin = "noon"', 5, "origin is 'noon', must be a date and time"),
+        ('"t"', '"t"\norigin_from_file_name = "%Y-%m-%d"', 5, "add unit = 's'"),
+        ('"t"', '"t"\nunit = "s"\norigin_from_file_name = "%A"', 6, "'%A' holds '%A'; write a form such as ride_%Y-"),
+        ('"t"', '"t"\nunit = "s"\norigin_from_file_name = "%H%M"', 6, "'%H%M' holds no day"),
         ("[time]", "[clock]", 3, "no table is called 'clock'"),
         ('name = "taxi-7"', "", 1, "[vehicle] needs one of column, name and from_file_name, and has none"),
         ('name = "taxi-7"', 'nmae = "x"', 2, "'vehicle' has no key 'nmae'; did you mean 'name'?"),
@@ -57,6 +60,20 @@ def test_mistake_is_one_line_with_its_place(tmp_path, old, new, line, words):
     assert message.startswith(f"{path}, line {line}"), message
     assert words in message
     assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ('[vehicle]\nname = "taxi-7"\n', "names no car; add [vehicle] with name = ..."),
+        ('[time]\ncolumn = "t"\n', "has no table [time]; add [time] with column = ..."),
+    ],
+)
+def test_missing_table_is_named_without_a_line(tmp_path, table, words):
+    path = write(tmp_path, GOOD.replace(table, ""))
+    with pytest.raises(ImportFileError) as refused:
+        read_map(path)
+    assert str(refused.value).startswith(f"{path}: {words}")
 
 
 def test_missing_map_names_the_way_to_write_one(tmp_path):

@@ -55,6 +55,7 @@ SAME = [
     pytest.param("t,speed\n2024-05-01T12:00:00Z,10.5\n", {}, id="plain"),
     pytest.param("\ufefft,speed\n2024-05-01 12:00:00,10.5\n", {}, id="BOM"),
     pytest.param("t;speed\n2024-05-01T12:00:00Z;10,5\n", {}, id="semicolon and decimal comma"),
+    pytest.param('t,speed\n2024-05-01T12:00:00Z,"10,5"\n', {}, id="comma and quoted decimal comma"),
     pytest.param("t\tspeed\n2024-05-01T14:00:00+02:00\t10.5\n", {}, id="tabulator and offset"),
     pytest.param("t,speed\n2024-05-01T12:00:00Z,10.5\n".encode("utf-16"), {}, id="UTF-16"),
     pytest.param("t,speed,Höhe\n2024-05-01T12:00:00Z,10.5,7\n".encode("latin-1"), {}, id="Latin-1"),
@@ -180,9 +181,10 @@ def test_rows_table_holds_values_and_sets_the_period(tmp_path):
     assert [s.speed_kmh for s in samples[:3]] == [36.0, 36.0, 36.0]
 
 
-def test_decimal_comma_that_is_not_declared_is_named_with_its_remedy(tmp_path):
+def test_decimal_comma_that_the_map_denies_is_named_with_its_remedy(tmp_path):
     content = 't,speed,soc\n2024-05-01T12:00:00Z,"10,5",80\n'
-    _, summary = run(tmp_path, content, fields='soc_pct = { column = "soc" }')
+    fields = 'soc_pct = { column = "soc" }'
+    _, summary = run(tmp_path, content, more="[file]\ndecimal = '.'", fields=fields)
     assert any("'10,5'; set decimal = ',' in [file]" in line for line, _ in list_lines(summary))
 
 

@@ -118,7 +118,7 @@ def test_other_table_is_refused_by_a_preset_in_one_line(tmp_path):
     assert "--preset is 'leaf', must be one of abrp, car-scanner" in errors
 
 
-def test_sign_of_the_preset_is_turned_where_the_drive_says_otherwise(tmp_path):
+def test_sign_of_the_preset_is_inverted_where_the_drive_says_otherwise(tmp_path):
     file = own_tables.vss(tmp_path / "car.csv")
     frame = pd.read_csv(file)
     for name in frame.columns[frame.columns.str.contains("CurrentCurrent|CurrentPower")]:
@@ -126,7 +126,7 @@ def test_sign_of_the_preset_is_turned_where_the_drive_says_otherwise(tmp_path):
     frame.to_csv(file, index=False)
     samples, _, map_text = import_guessed(tmp_path, file)
     assert power(samples) == pytest.approx(DRIVE["power"], abs=4)
-    assert map_text.count("turned against the preset") == 2
+    assert map_text.count("sign inverted against the preset") == 2
 
 
 def test_geotab_trip_and_status_data_are_joined(tmp_path):
@@ -147,14 +147,14 @@ def test_teslamate_names_rides_by_its_drives(tmp_path):
     assert [each.ride_id for each in samples] == ["7"] * 600 + [None] * 600
 
 
-def test_charging_current_of_wrong_sign_is_turned_and_said_so(tmp_path):
+def test_charging_current_of_wrong_sign_is_inverted_and_said_so(tmp_path):
     samples, printed, map_text = import_guessed(tmp_path, own_tables.abrp(tmp_path / "car.csv", sign=-1))
     assert power(samples) == pytest.approx(DRIVE["power"], abs=4)
     for field in ("battery_current_a", "battery_power_kw"):
         (line,) = [line for line in map_text.splitlines() if line.startswith(field)]
         assert "sign = -1" in line
-        assert "turned against the preset: with its sign, acceleration would charge the battery" in line
-    assert "turned" in printed
+        assert "sign inverted against the preset: with its sign, acceleration would charge the battery" in line
+    assert "sign inverted" in printed
 
 
 def test_guessed_map_never_overwrites_a_map(tmp_path):

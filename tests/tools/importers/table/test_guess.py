@@ -18,6 +18,28 @@ NAMES = [
     ("batt_current_A", "battery_current_a", "A"),
     ("HV Battery Current[A]", "battery_current_a", "A"),
     ("power_w", "battery_power_kw", "w"),
+    ("power_kW", "battery_power_kw", "kW"),
+    ("Power kW", "battery_power_kw", "kW"),
+    ("Leistung_kW", "battery_power_kw", "kW"),
+    ("PackPowerkW", "battery_power_kw", "kW"),
+    ("P_W", "battery_power_kw", "W"),
+    ("battery_kw", "battery_power_kw", "kw"),
+    ("kW", "battery_power_kw", "kW"),
+    ("speedMph", "speed_kmh", "Mph"),
+    ("SpeedKph", "speed_kmh", "Kph"),
+    ("spd_kph", "speed_kmh", "kph"),
+    ("v_kmh", "speed_kmh", "kmh"),
+    ("speed km/h", "speed_kmh", "km/h"),
+    ("GPSspeed", "speed_kmh", None),
+    ("batt_v", "battery_voltage_v", "v"),
+    ("batt_i", "battery_current_a", None),
+    ("packVoltage_kV", "battery_voltage_v", "kV"),
+    ("voltage_mV", "battery_voltage_v", "mV"),
+    ("current_mA", "battery_current_a", "mA"),
+    ("outsideTempDegF", "ambient_c", "DegF"),
+    ("battery_temp_degC", "battery_temperature_c", "degC"),
+    ("local_time", "other time", None),
+    ("timestamp_utc", "other time", None),
     ("OAT[DegC]", "ambient_c", "DegC"),
     ("elapsed_s", "time", "s"),
     ("timestamp_ms", "time", "ms"),
@@ -39,7 +61,21 @@ def test_name_gives_field_and_unit(name, role, unit):
 
 
 @pytest.mark.parametrize(
-    "name", ["wind speed", "motor power", "12V voltage", "cell voltage max", "inside_temp", "charger current", "notes"]
+    "name",
+    [
+        "wind speed",
+        "windSpeedKph",
+        "speed_limit_kph",
+        "motor power",
+        "motor_kW",
+        "battery_power_kWh",
+        "soc_Ah",
+        "12V voltage",
+        "cell voltage max",
+        "inside_temp",
+        "charger current",
+        "notes",
+    ],
 )
 def test_names_of_other_quantities_are_left_out(name):
     assert guess_name(name) is None

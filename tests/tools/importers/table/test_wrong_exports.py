@@ -56,7 +56,7 @@ def test_wrong_sign_is_found_with_its_remedy(export):
     file, map_file = export
     change(map_file, r"sign = 1", "sign = -1")
     printed = import_with(file, map_file)
-    assert "acceleration charges the battery: turn the sign of the current or the power in [fields]" in printed
+    assert "acceleration charges the battery: invert the sign of the current or the power in [fields]" in printed
 
 
 def test_wrong_unit_of_power_is_found(export):

@@ -1,0 +1,132 @@
+"""Guess from its cells what a column holds, where its name says too little."""
+
+import re
+from collections.abc import Collection, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from core.batch import Floats
+from tools.importers.table.cells import to_numbers
+from tools.importers.table.guess_names import TIME, NamedColumn
+from tools.importers.table.table_file import Block, TableFile
+from tools.importers.table.units import convertible
+
+Blocks = Sequence[tuple[TableFile, Block]]
+
+TRIED: Final = 2000
+"""Cells of a column that are tried."""
+LOWEST_VOLTAGE: Final = 20.0
+HIGHEST_VOLTAGE: Final = 1500.0
+"""Limits of the voltage of a traction battery, within which a column `V` must lie. [V]"""
+LARGEST_CURRENT: Final = 2000.0
+"""Limit of a column `I`. [A]"""
+_ISO: Final = r"^\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d"
+_BARE: Final = re.compile(
+    r"^(V|U|I|[tT]emp(?:erature)?)[ _]*[\[(]?(V|A|(?:[dD]eg ?|°)?[cCfFK]|[cC]elsius|[fF]ahrenheit)?[\])]?$"
+)
+
+
+class BareColumn(NamedTuple):
+    """Hold a column with a name of one letter or of no place: its field, its unit where the name has one, and why."""
+
+    field: str
+    column: str
+    unit: str | None
+    reason: str
+
+
+def find_times(names: Sequence[str], blocks: Blocks) -> list[NamedColumn]:
+    """Return the columns that hold nothing but times in ISO 8601, or time stamps of Parquet, most of them different.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Columns of the tables.
+    blocks : sequence of (TableFile, Block)
+        First rows of the tables.
+    """
+    return [NamedColumn(name, TIME, None) for name in names if _holds_times(_take_cells(name, blocks))]
+
+
+def choose_bare(names: Sequence[str], blocks: Blocks, taken: Collection[str]) -> list[BareColumn]:
+    """Return voltage and current called `V` and `I`, and the one temperature called `temp`, if their values fit.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Columns of the tables.
+    blocks : sequence of (TableFile, Block)
+        First rows of the tables.
+    taken : collection of str
+        Fields that have a source.
+    """
+    found: dict[str, list[tuple[str, str | None]]] = {}
+    for name in names:
+        if match := _BARE.match(name):
+            found.setdefault(match[1].upper()[:4], []).append((name, match[2]))
+    voltages, currents, temperatures = (
+        found.get("V", []) + found.get("U", []),
+        found.get("I", []),
+        found.get("TEMP", []),
+    )
+    chosen = []
+    if voltages and currents and not {"battery_voltage_v", "battery_current_a"} & set(taken):
+        (voltage, volt), (current, ampere) = voltages[0], currents[0]
+        if _is_voltage(_take_numbers(voltage, blocks)) and _is_current(_take_numbers(current, blocks)):
+            reason = "'{}' and '{}' have values of a battery"
+            chosen = [
+                BareColumn("battery_voltage_v", voltage, volt, reason.format(voltage, current)),
+                BareColumn("battery_current_a", current, ampere, reason.format(current, voltage)),
+            ]
+    if len(temperatures) == 1 and not {"ambient_c", "battery_temperature_c"} & set(taken):
+        ((name, unit),) = temperatures
+        unit = unit if unit and convertible(unit, "ambient_c") else None
+        words = "the name states no place, taken as outside: check it"
+        chosen.append(BareColumn("ambient_c", name, unit, f"unit in the name: {unit}; {words}" if unit else words))
+    return chosen
+
+
+def _take_cells(name: str, blocks: Blocks) -> Any:
+    """Return the first cells of a column, None where it has none."""
+    for _, block in blocks:
+        if name in block and len(block[name]) > block[name].null_count:
+            return block[name].drop_null().slice(0, TRIED)
+    return None
+
+
+def _take_numbers(name: str, blocks: Blocks) -> Floats:
+    """Return the first numbers of a column."""
+    for table, block in blocks:
+        if name in block:
+            numbers, _ = to_numbers(block[name].slice(0, TRIED), table.decimal)
+            known: Floats = numbers[np.isfinite(numbers)]
+            if len(known):
+                return known
+    return np.zeros(0)
+
+
+def _holds_times(cells: Any) -> bool:
+    """Return whether cells are times of rows: in one form, and at least half of them different."""
+    if cells is None or 2 * pc.count_distinct(cells).as_py() < len(cells):
+        return False
+    if pa.types.is_timestamp(cells.type):
+        return True
+    if not (pa.types.is_string(cells.type) or pa.types.is_large_string(cells.type)):
+        return False
+    return bool(pc.all(pc.match_substring_regex(cells, _ISO)).as_py())
+
+
+def _is_voltage(values: Floats) -> bool:
+    """Return whether values are those of a traction battery. [V]"""
+    if not len(values):
+        return False
+    low, high = np.percentile(values, [5, 95]).tolist()
+    return bool(low > LOWEST_VOLTAGE and high < HIGHEST_VOLTAGE and high < 2.0 * low)
+
+
+def _is_current(values: Floats) -> bool:
+    """Return whether values may be currents of a battery: they change. [A]"""
+    return len(values) > 0 and bool(np.ptp(values) > 0 and np.abs(values).max() < LARGEST_CURRENT)

@@ -1,0 +1,126 @@
+"""Find times that files, or parts of one file, cover twice for one car."""
+
+from collections import defaultdict
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from core.batch import Floats
+from tools.importers.table.units import POWER
+
+BACKWARD: Final = 60.0
+"""Step back between two rows of a file, in the order of the file, from which a new part of the file begins. [s]"""
+LEAST: Final = 60.0
+"""Time that must be covered twice; less is the end of one ride and the start of the next. [s]"""
+LEAST_SHARE: Final = 0.5
+"""Share of the shorter part that is covered twice, where this is less than `LEAST`. [1]"""
+MOST_PARTS: Final = 0.01
+"""Parts per row of a file above which its rows are in no order, and the file counts as one part. [1]"""
+KEY_FIELDS: Final = ("speed_kmh", POWER, "battery_current_a", "soc_pct", "odometer_km")
+"""Fields of which the first that the map has is compared: files with other fields may cover the same time."""
+
+
+class Overlap(NamedTuple):
+    """Hold what is covered twice.
+
+    Parameters
+    ----------
+    files : int
+        Files that cover time twice, one where it is a file whose clock steps back.
+    duration : float
+        Time that is covered twice. [s]
+    start : float
+        First such time. [Unix s]
+    vehicle : int
+        Place of the first such car.
+    """
+
+    files: int
+    duration: float
+    start: float
+    vehicle: int
+
+
+class _Part(NamedTuple):
+    """Hold the span of rows that follow each other in a file."""
+
+    start: float
+    end: float
+    file: str
+
+
+class TimeSpans:
+    """Collect the spans of time that each file covers for each car."""
+
+    def __init__(self) -> None:
+        self._parts: dict[int, dict[str, list[Floats]]] = defaultdict(lambda: defaultdict(list))
+        self._rows: dict[tuple[int, str], int] = defaultdict(int)
+        self._steps_back: dict[tuple[int, str], int] = defaultdict(int)
+
+    def add(self, file: str, rows: np.ndarray) -> None:
+        """Add rows of a file, in the order of the file.
+
+        Parameters
+        ----------
+        file : str
+            The file.
+        rows : structured array
+            Rows after those of the calls before.
+        """
+        names = rows.dtype.names or ()
+        key = next((name for name in KEY_FIELDS if name in names), None)
+        known = rows if key is None else rows[np.isfinite(rows[key])]
+        for vehicle in np.unique(known["vehicle"]).tolist():
+            times = known["time"][known["vehicle"] == vehicle]
+            parts = self._parts[vehicle][file]
+            cuts = np.flatnonzero(np.diff(times) < -BACKWARD) + 1
+            is_ordered = len(cuts) <= 1 + MOST_PARTS * len(times)
+            new = [
+                np.array([part.min(), part.max(), part[-1]])
+                for part in (np.split(times, cuts) if is_ordered else [times])
+            ]
+            if parts and times[0] - parts[-1][2] >= -BACKWARD:
+                last = parts.pop()
+                new[0] = np.array([min(last[0], new[0][0]), max(last[1], new[0][1]), new[0][2]])
+            parts += new
+            self._rows[vehicle, file] += len(times)
+            self._steps_back[vehicle, file] += len(cuts)
+
+    def find_overlap(self) -> Overlap | None:
+        """Return what is covered twice, None where nothing is."""
+        files: set[str] = set()
+        duration, start, car = 0.0, np.inf, -1
+        for vehicle, of_files in self._parts.items():
+            twice = _find_twice(self._list_parts(vehicle, of_files))
+            for first, second, length in twice:
+                files |= {first.file, second.file}
+                duration += length
+                if second.start < start:
+                    start, car = second.start, vehicle
+        return Overlap(len(files), duration, float(start), car) if files else None
+
+    def _list_parts(self, vehicle: int, of_files: Mapping[str, list[Floats]]) -> list[_Part]:
+        """Return the parts of all files of a car in the order of time; a file in no order is one part."""
+        parts = []
+        for file, spans in of_files.items():
+            ends = np.array(spans)
+            if self._steps_back[vehicle, file] > 1 + MOST_PARTS * self._rows[vehicle, file]:
+                ends = np.array([[ends[:, 0].min(), ends[:, 1].max(), 0.0]])
+            parts += [_Part(float(low), float(high), file) for low, high, _ in ends]
+        return sorted(parts)
+
+
+def _find_twice(parts: list[_Part]) -> list[tuple[_Part, _Part, float]]:
+    """Return pairs of parts that cover the same time, and for how long the second of them does so. [s]"""
+    found = []
+    before: _Part | None = None
+    for part in parts:
+        if before is not None:
+            length = min(before.end, part.end) - part.start
+            shorter = min(before.end - before.start, part.end - part.start)
+            if length > min(LEAST, LEAST_SHARE * shorter) and length > 0.0:
+                found.append((before, part, length))
+        if before is None or part.end > before.end:
+            before = part
+    return found
