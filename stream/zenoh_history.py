@@ -21,13 +21,15 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
-from math import inf
+from math import inf, isfinite
 from typing import Any, Final
 
 import msgspec
 import zenoh
 from zenoh import handlers
 
+from core.settings import Limits
+from core.wire.arrow_batch import PREFIX, BatchError, read_times
 from stream.zenoh_session import Node, format_zenoh_error
 
 ANSWER_S: Final = 10.0
@@ -228,6 +230,7 @@ class _Sent(msgspec.Struct, gc=False):
 
 
 _sent = msgspec.json.Decoder(_Sent | list[_Sent]).decode
+_MOST_ROWS: Final = Limits().list_samples
 
 
 def merge_samples(samples: Sequence[Any]) -> list[Any]:
@@ -265,10 +268,14 @@ def _find_time(sample: Any) -> float:
     """Return when a sample was published, in units of 2^-32 s of Unix time; minus infinity if nothing tells."""
     if sample.timestamp is not None:
         return int(str(sample.timestamp).partition("/")[0])
+    payload = sample.payload.to_bytes()
     try:
-        sent = _sent(sample.payload.to_bytes())
+        if payload.startswith(PREFIX):
+            time_s = read_times(payload, _MOST_ROWS)[0].item()
+            return time_s * 2.0**32 if isfinite(time_s) else -inf
+        sent = _sent(payload)
         return (sent[0] if isinstance(sent, list) else sent).time_s * 2.0**32
-    except (msgspec.MsgspecError, UnicodeDecodeError, IndexError, RecursionError):
+    except (BatchError, msgspec.MsgspecError, UnicodeDecodeError, IndexError, RecursionError):
         return -inf
 
 

@@ -6,7 +6,7 @@ compressed, because what they expand to is unknown before, and its columns are c
 """
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from math import inf
 from typing import Any, Final, NamedTuple
 
@@ -125,6 +125,30 @@ def read_rows(payload: bytes, most: float) -> ArrowRows:
     return ArrowRows(values, vehicles, rides, is_usable & vehicles.is_known)
 
 
+def read_times(payload: bytes, most: float) -> Floats:
+    """Return the time of each row of a batch, NaN where unknown, without a look at other columns. [Unix s]
+
+    Parameters
+    ----------
+    payload : bytes
+        Batch in Arrow's stream format.
+    most : float
+        Largest number of rows.
+
+    Raises
+    ------
+    BatchError
+        See `read_rows`.
+    """
+    table = _read_table(payload, most, ("time_s",))
+    if table.num_columns != 1:
+        raise BatchError("wrong_type")
+    try:
+        return _read_numbers("time_s", table.column(0))
+    except _DAMAGE as error:
+        raise BatchError("wrong_type") from error
+
+
 def select_rows(payload: bytes, mask: Sequence[bool]) -> bytes:
     """Return a batch with some of its rows only, and without columns that are no fields of telemetry.
 
@@ -153,11 +177,11 @@ def write_rows(table: pa.Table) -> bytes:
     return payload
 
 
-def _read_table(payload: bytes, most: float) -> pa.Table:
-    """Return the columns of a batch that are fields of telemetry, checked."""
+def _read_table(payload: bytes, most: float, names: Collection[str] = POSITION) -> pa.Table:
+    """Return the columns of a batch that have one of some names, checked."""
     try:
         is_compressed = _is_compressed(payload)
-        batches = [] if is_compressed else list(_read_batches(payload, most))
+        batches = [] if is_compressed else list(_read_batches(payload, most, names))
     except _DAMAGE as error:
         raise BatchError("not_arrow") from error
     if is_compressed:
@@ -169,12 +193,12 @@ def _read_table(payload: bytes, most: float) -> pa.Table:
     return pa.Table.from_batches(batches)
 
 
-def _read_batches(payload: bytes, most: float) -> Iterator[pa.RecordBatch]:
+def _read_batches(payload: bytes, most: float, names: Collection[str]) -> Iterator[pa.RecordBatch]:
     """Yield the parts of a batch up to the one that exceeds the largest number of rows."""
     rows = 0
     with pa.ipc.open_stream(pa.py_buffer(payload)) as reader:
         for batch in reader:
-            kept = batch.select([i for i, name in enumerate(batch.schema.names) if name in POSITION])
+            kept = batch.select([i for i, name in enumerate(batch.schema.names) if name in names])
             rows += batch.num_rows
             if rows <= most:
                 kept.validate(full=True)

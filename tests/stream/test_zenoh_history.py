@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import zenoh
 
+from core.wire.arrow_batch import PREFIX
 from core.wire.messages import Message
 from stream.zenoh_history import (
     ANSWER_S,
@@ -23,6 +24,7 @@ from stream.zenoh_history import (
 )
 from stream.zenoh_session import Connection, Node
 from stream.zenoh_sink import ZenohSink
+from tests.support.batched_recordings import make_batch
 from tests.support.zenoh_sessions import eventually, router
 
 SPACES = ("weather/**", "fleet/**")
@@ -65,6 +67,19 @@ def test_publishers_without_stamps_are_merged_by_the_times_in_their_payloads():
     two = [sample(json.dumps([{"time_s": n}]).encode(), key="fleet/b/telemetry", number=n) for n in (2, 3)]
     merged = [json.loads(text) for text in texts(merge_samples([*one, *two]))]
     assert [(each[0] if isinstance(each, list) else each)["time_s"] for each in merged] == [1, 2, 3, 4]
+
+
+def test_gateways_without_stamps_are_merged_by_the_first_times_in_their_batches():
+    one = [sample(make_payload(n), key="fleet/one/batch", number=n) for n in (1, 4)]
+    two = [sample(make_payload(n), key="fleet/two/batch", number=n) for n in (2, 3)]
+    single = sample(b'{"time_s": 2.5}', number=1)
+    broken = sample(PREFIX, key="fleet/three/batch", number=1)
+    assert merge_samples([*one, *two, single, broken]) == [broken, one[0], two[0], single, two[1], one[1]]
+
+
+def make_payload(time_s: float) -> bytes:
+    """Return a batch whose first sample is of a time."""
+    return make_batch([{"vehicle_id": "a", "time_s": each} for each in (float(time_s), 99.0)]).payload
 
 
 def test_a_sample_that_came_twice_is_returned_once():

@@ -10,6 +10,9 @@ from collections.abc import Sequence
 from random import Random
 from typing import Final, NamedTuple
 
+import numpy as np
+
+from core.batch import Floats
 from tools.anonymise.sphere_map import SphereMap, make_sphere_map
 
 WEEK_S: Final = 7 * 86400
@@ -26,6 +29,8 @@ EPOCHS_S: Final = 0.0, 315_964_800.0, 946_684_800.0
 """Times that clocks show which were never set: the beginning of 1970, of GPS and of 2000. [Unix s]"""
 RUNNING_S: Final = 400 * 86400.0
 """Time for which such a clock may have run. [s]"""
+FINE_S: Final = 2.0**53 * 1e-6
+"""Times up to here are rounded to microseconds; floats of later ones are coarser. [Unix s]"""
 FARTHEST_DEG: Final = 175.0
 """Largest longitude to which an area moves, because computations with longitudes fail beside 180. [deg]"""
 HASH_BYTES: Final = 6
@@ -67,8 +72,22 @@ class Disguise(NamedTuple):
 
         A time of a clock that was never set stays: moved, it would give the shift away.
         """
-        is_set = not any(0.0 <= time_s - epoch_s <= RUNNING_S for epoch_s in EPOCHS_S)
-        return round(time_s + self.shift_s, 6) if is_set else time_s
+        return float(self.shift_all(np.array([time_s]))[0])
+
+    def shift_all(self, times_s: Floats) -> Floats:
+        """Return times in the anonymised recording, see `shift`. [Unix s]
+
+        Parameters
+        ----------
+        times_s : (n,) float
+            Times. [Unix s]
+        """
+        moved = times_s + self.shift_s
+        is_fine = np.abs(moved) < FINE_S
+        moved = np.where(is_fine, np.round(np.where(is_fine, moved, 0.0), 6), moved)
+        ages_s = [times_s - epoch_s for epoch_s in EPOCHS_S]
+        is_unset = np.any([(age_s >= 0.0) & (age_s <= RUNNING_S) for age_s in ages_s], axis=0)
+        return np.where(is_unset, times_s, moved)
 
     def turn(self, direction_deg: float) -> float:
         """Return a compass direction in the anonymised recording; one outside 0 to 360 stays. [deg]"""

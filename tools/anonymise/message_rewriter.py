@@ -6,7 +6,21 @@ from typing import Any, Final
 import msgspec
 
 from core.vehicles import load_catalogue
-from core.wire.messages import Message, Plan, Ride, Telemetry, Vehicle, Weather, Wire, address, encode
+from core.wire.arrow_batch import PREFIX, BatchError
+from core.wire.messages import (
+    BATCH,
+    Address,
+    Message,
+    Plan,
+    Ride,
+    Telemetry,
+    Vehicle,
+    Weather,
+    Wire,
+    address,
+    encode,
+)
+from tools.anonymise.batch_rewriter import rewrite_batch
 from tools.anonymise.disguise import Disguise
 
 KEPT: Final[dict[str, type[Wire]]] = {
@@ -16,7 +30,16 @@ KEPT: Final[dict[str, type[Wire]]] = {
     "plan": Plan,
     "weather": Weather,
 }
-"""Kind of message that passes -> its struct. What consumers publish does not: a replay makes it again."""
+"""Kind of message that passes in JSON -> its struct. What consumers publish does not: a replay makes it again."""
+REFUSED_BATCHES: Final = {
+    "too_large": "batches too large",
+    "not_arrow": "damaged batches",
+    "compressed": "compressed batches",
+    "too_many_samples": "batches of too many rows",
+    "empty_list": "empty batches",
+    "wrong_type": "batches with a column missing or of a wrong type",
+}
+"""Cause for which a batch cannot be used at all -> how it is counted."""
 _UNREADABLE: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 
 
@@ -33,7 +56,8 @@ class MessageRewriter:
     kept : Counter of str
         Number of messages by kind.
     dropped : Counter of str
-        Number of messages by cause: `unknown key`, `of consumers` and `unreadable`.
+        Number of messages by cause: `unknown key`, `of consumers`, `unreadable`, and those of `REFUSED_BATCHES`. Rows
+        of other batches that cannot be used are counted as `unusable rows of batches`.
     names : dict of str to set of str
         Pseudonyms by kind.
     positions : int
@@ -43,7 +67,8 @@ class MessageRewriter:
     def __init__(self, disguise: Disguise) -> None:
         self.kept: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
-        self.names: dict[str, set[str]] = {kind: set() for kind in ("car", "station", "ride", "driver", "model")}
+        kinds = "car", "gateway", "station", "ride", "driver", "model"
+        self.names: dict[str, set[str]] = {kind: set() for kind in kinds}
         self.positions = 0
         self._disguise = disguise
         self._models = frozenset(load_catalogue())
@@ -63,23 +88,42 @@ class MessageRewriter:
         if known is None:
             self.dropped["unknown key"] += 1
             return None
-        if known.kind not in KEPT:
+        if known.kind not in {*KEPT, BATCH}:
             self.dropped["of consumers"] += 1
             return None
-        try:
-            if known.kind == "telemetry" and message.payload.lstrip()[:1] == b"[":
-                samples = [self._rewrite(each) for each in self._samples.decode(message.payload)]
-                payload = b"[" + b",".join(map(encode, samples)) + b"]"
-            else:
-                payload = encode(self._rewrite(self._decoders[known.kind].decode(message.payload)))
-        except _UNREADABLE:
-            self.dropped["unreadable"] += 1
+        is_batch = known.kind == BATCH or (known.kind == "telemetry" and message.payload.startswith(PREFIX))
+        payload = self._rewrite_batch(message.payload) if is_batch else self._rewrite_json(known, message.payload)
+        if payload is None:
             return None
         self.kept[known.kind] += 1
         receipt_ns = message.receipt_ns + self._disguise.shift_s * 1_000_000_000
         if known.kind == "weather":
             return Message(f"weather/{self._rename('station', known.identity)}", payload, receipt_ns)
-        return Message(f"fleet/{self._rename('car', known.identity)}/{known.kind}", payload, receipt_ns)
+        sender = "gateway" if known.kind == BATCH else "car"
+        return Message(f"fleet/{self._rename(sender, known.identity)}/{known.kind}", payload, receipt_ns)
+
+    def _rewrite_batch(self, payload: bytes) -> bytes | None:
+        """Return a batch in its disguise; None if none of its rows can be used, and count what is left out."""
+        try:
+            rewritten = rewrite_batch(payload, self._disguise, self._rename)
+        except BatchError as error:
+            self.dropped[REFUSED_BATCHES[str(error)]] += 1
+            return None
+        self.positions += rewritten.positions
+        if rewritten.left_out:
+            self.dropped["unusable rows of batches"] += rewritten.left_out
+        return rewritten.payload or None
+
+    def _rewrite_json(self, known: Address, payload: bytes) -> bytes | None:
+        """Return a payload in JSON in its disguise; count it and return None if it cannot be read."""
+        try:
+            if known.kind == "telemetry" and payload.lstrip()[:1] == b"[":
+                samples = [self._rewrite(each) for each in self._samples.decode(payload)]
+                return b"[" + b",".join(map(encode, samples)) + b"]"
+            return encode(self._rewrite(self._decoders[known.kind].decode(payload)))
+        except _UNREADABLE:
+            self.dropped["unreadable"] += 1
+            return None
 
     def _rewrite(self, value: Any) -> Wire:
         """Return a decoded message in its disguise."""

@@ -38,16 +38,29 @@ class SphereMap(NamedTuple):
         latitude_deg, longitude_deg : float
             Position. [deg]
         """
-        valid = abs(latitude_deg) <= 90.0, abs(longitude_deg) <= 180.0
-        if not all(valid):
-            return tuple(0.0 if is_valid else INVALID for is_valid in valid)  # type: ignore[return-value]
-        if latitude_deg == 0.0 == longitude_deg:
-            return latitude_deg, longitude_deg
-        x, y, z = (self.matrix @ to_vector(latitude_deg, longitude_deg)).tolist()
-        return (
-            round(float(np.degrees(np.arctan2(z, np.hypot(x, y)))), DECIMALS),
-            round(float(np.degrees(np.arctan2(y, x))), DECIMALS),
+        latitudes, longitudes = self.move_all(np.array([latitude_deg]), np.array([longitude_deg]))
+        return float(latitudes[0]), float(longitudes[0])
+
+    def move_all(self, latitude_deg: Vectors, longitude_deg: Vectors) -> tuple[Vectors, Vectors]:
+        """Return the places to which positions move, see `move`.
+
+        Parameters
+        ----------
+        latitude_deg, longitude_deg : (n,) float
+            Positions. [deg]
+        """
+        is_valid = np.abs(latitude_deg) <= 90.0, np.abs(longitude_deg) <= 180.0
+        is_on_earth = is_valid[0] & is_valid[1]
+        before = to_vector(np.where(is_on_earth, latitude_deg, 0.0), np.where(is_on_earth, longitude_deg, 0.0))
+        # written out, so that a position moves to the same bits with and without others
+        x, y, z = (row[0] * before[0] + row[1] * before[1] + row[2] * before[2] for row in self.matrix)
+        moved = np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
+        stays = (latitude_deg == 0.0) & (longitude_deg == 0.0)
+        latitude, longitude = (
+            np.where(is_on_earth, np.where(stays, 0.0, np.round(degrees, DECIMALS)), np.where(valid, 0.0, INVALID))
+            for degrees, valid in zip(moved, is_valid, strict=True)
         )
+        return latitude, longitude
 
 
 def make_sphere_map(centre: tuple[float, float], to: tuple[float, float], turn_deg: float) -> SphereMap:

@@ -1,6 +1,7 @@
 """`socast anonymise`: hide the names, places and dates of recordings, so that they can be shared."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from random import Random, SystemRandom
 from typing import Annotated, Any, Final, NamedTuple
@@ -10,7 +11,9 @@ import numpy as np
 import typer
 
 from core.errors import SettingsError
-from core.wire.messages import Message, Telemetry, Weather, address
+from core.wire.arrow_batch import PREFIX
+from core.wire.messages import Message, Weather, address
+from core.wire.sample_reader import SampleColumns, holds_samples, is_possible_fix, read_samples
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
 from stream.recording_metadata import make_metadata
@@ -21,6 +24,10 @@ from tools.anonymise.sphere_map import find_centre
 from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
 
+HOUR_NS: Final = 3_600_000_000_000
+"""An hour. [ns]"""
+OLDEST_S: Final = 86400.0
+"""Age at receipt up to which the time of a sample in a batch tells when a car sends. [s]"""
 EVERY: Final = 10
 """One of so many samples of a car is read to find the centre of the area."""
 MOST_PLACES: Final = 1 << 18
@@ -40,6 +47,9 @@ DAYS_DIFFER: Final = (
 """What the summary says where no shift keeps the days."""
 
 
+_decode_weather: Final = msgspec.json.Decoder(Weather).decode
+
+
 class Extent(NamedTuple):
     """Hold times and place of recordings.
 
@@ -50,7 +60,7 @@ class Extent(NamedTuple):
     centre : tuple of (float, float) or None
         Latitude and longitude of the centre of the positions, None if there are none. [deg]
     busy : list of bool
-        Whether telemetry was received in each of the 24 hours of the day, UTC.
+        Whether samples were received in each of the 24 hours of the day, UTC, or were in batches and have such a time.
     """
 
     begin_s: float
@@ -140,20 +150,23 @@ def find_extent(sources: Sequence[McapSource]) -> Extent:
     """
     spans = [span for source in sources if (span := source.span_ns)]
     begin, end = (min(span[0] for span in spans), max(span[1] for span in spans)) if spans else (0, 0)
-    decoders = {"telemetry": msgspec.json.Decoder(Telemetry), "weather": msgspec.json.Decoder(Weather)}
-    places: dict[str, list[tuple[float, float]]] = {kind: [] for kind in decoders}
+    cars: list[tuple[float, float]] = []
+    stations: list[tuple[float, float]] = []
     hours: set[int] = set()
     with show_progress(sources, words="reading") as step:
         for source in sources:
             for messages in source:
-                for kind, decoder in decoders.items():
-                    places[kind] += _read_places(messages, kind, decoder)
-                    if len(places[kind]) > MOST_PLACES:
-                        del places[kind][::2]
-                hours |= {each.receipt_ns // 3_600_000_000_000 % 24 for each in messages if _is(each, "telemetry")}
+                samples = [each for each in messages if holds_samples(each)]
+                hours |= {each.receipt_ns // HOUR_NS % 24 for each in samples}
+                for columns in _read_some(samples, hours):
+                    is_fix = columns.find_fixes()
+                    cars += zip(columns.latitude[is_fix].tolist(), columns.longitude[is_fix].tolist(), strict=True)
+                stations += _read_stations(messages)
+                for places in (cars, stations):
+                    if len(places) > MOST_PLACES:
+                        del places[::2]
                 step()
-    found = places["telemetry"] or places["weather"]
-    centre = find_centre(*np.array(found).T) if found else None
+    centre = find_centre(*np.array(cars or stations).T) if cars or stations else None
     return Extent(begin * 1e-9, end * 1e-9, centre, [hour in hours for hour in range(24)])
 
 
@@ -178,21 +191,26 @@ def describe(report: dict[str, Any], out: Path) -> list[str]:
     ]
 
 
-def _is(message: Message, kind: str) -> bool:
-    """Return whether a message is of a kind."""
-    known = address(message.key)
-    return known is not None and known.kind == kind
+def _read_some(messages: Sequence[Message], hours: set[int]) -> Iterator[SampleColumns]:
+    """Yield some samples of messages that hold samples; add the hours of all samples in batches."""
+    single = [each for each in messages if not each.payload.startswith(PREFIX)]
+    for samples in read_samples(single[::EVERY], Counter()):
+        yield samples.columns
+    batches = [each for each in messages if each.payload.startswith(PREFIX)]
+    receipt_s = np.array([each.receipt_ns * 1e-9 for each in batches])
+    for _, numbers, columns in read_samples(batches, Counter()):
+        age_s = receipt_s[list(numbers)] - columns.time
+        hours |= set(np.unique(columns.time[np.abs(age_s) <= OLDEST_S] // 3600.0 % 24.0).astype(int).tolist())
+        yield SampleColumns(*(column[::EVERY] for column in columns))
 
 
-def _read_places(messages: Sequence[Message], kind: str, decoder: Any) -> list[tuple[float, float]]:
-    """Return some positions of messages of a kind."""
-    found = []
-    for message in [each for each in messages if _is(each, kind)][::EVERY]:
+def _read_stations(messages: Sequence[Message]) -> list[tuple[float, float]]:
+    """Return some positions of weather stations."""
+    found: list[tuple[float, float]] = []
+    for message in [each for each in messages if (known := address(each.key)) and known.kind == "weather"][::EVERY]:
         try:
-            value = decoder.decode(message.payload)
+            value = _decode_weather(message.payload)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
             continue
-        position = value.latitude_deg, value.longitude_deg
-        if None not in position and abs(position[0]) <= 90.0 and abs(position[1]) <= 180.0 and any(position):
-            found.append(position)
-    return found
+        found.append((value.latitude_deg, value.longitude_deg))
+    return [place for place in found if is_possible_fix(*np.array(place))]

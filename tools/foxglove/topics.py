@@ -1,12 +1,15 @@
 """Turn telemetry, forecasts and findings into positions and warnings for Foxglove."""
 
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
 from typing import Final
 
 import msgspec
+import numpy as np
 
 from core.wire.messages import Finding, Forecast, Message, address
+from core.wire.sample_reader import holds_samples, read_samples
 from tools.commands.ask import HIGH_RISK, LOW_RISK
 from tools.foxglove.schemas import ERROR, INFO, LOCATION, LOG, WARNING, LocationFix, Log, Timestamp
 
@@ -25,16 +28,6 @@ LEVEL_OF_STATUS: Final = {"proposed": INFO, "sure": WARNING, "gone": INFO}
 _LOST: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 
 
-class _Position(msgspec.Struct, gc=False):
-    """Hold the fields of a sample that a position needs."""
-
-    time_s: float
-    latitude_deg: float | None = None
-    longitude_deg: float | None = None
-    elevation_m: float | None = None
-
-
-_decode_positions = msgspec.json.Decoder(_Position | list[_Position]).decode
 _decode_forecast = msgspec.json.Decoder(Forecast).decode
 _decode_finding = msgspec.json.Decoder(Finding).decode
 
@@ -56,7 +49,7 @@ class ViewerTopics:
         Parameters
         ----------
         messages : sequence of Message
-            Telemetry, forecasts and findings; other messages and undecodable payloads give nothing.
+            Telemetry, batches, forecasts and findings; other messages and undecodable payloads give nothing.
 
         Returns
         -------
@@ -65,25 +58,28 @@ class ViewerTopics:
             about several vehicles is under the name of their group. The times of receipt are those of the messages.
         """
         out: list[Message] = []
+        for are_samples, part in groupby(messages, holds_samples):
+            several = list(part)
+            out += _make_fixes(several) if are_samples else self._make_log(several)
+        return out
+
+    def _make_log(self, messages: Iterable[Message]) -> Iterator[Message]:
+        """Yield the lines of the log for which forecasts and findings call."""
         for key, payload, receipt_ns in messages:
             known = address(key)
             if known is None:
                 continue
-            fleet = key.rpartition("/")[0]
             try:
-                if known.kind == "telemetry":
-                    fixes = _make_fixes(known.identity, payload)
-                    out += [Message(f"{fleet}/{LOCATION}", fix, receipt_ns) for fix in fixes]
-                elif known.kind == "forecast":
-                    lines = self._make_lines(known.identity, _decode_forecast(payload))
-                    out += [Message(f"{fleet}/{LOG}", line, receipt_ns) for line in lines]
+                if known.kind == "forecast":
+                    fleet = key.rpartition("/")[0]
+                    for line in self._make_lines(known.identity, _decode_forecast(payload)):
+                        yield Message(f"{fleet}/{LOG}", line, receipt_ns)
                 elif known.kind == "finding":
                     prefix = key.removesuffix(f"findings/{known.identity}")
                     topic = f"{prefix}fleet/{known.identity.partition('/')[0]}/{LOG}"
-                    out.append(Message(topic, _make_finding_line(_decode_finding(payload)), receipt_ns))
+                    yield Message(topic, _make_finding_line(_decode_finding(payload)), receipt_ns)
             except _LOST:
                 continue
-        return out
 
     def _make_lines(self, car: str, forecast: Forecast) -> Iterator[bytes]:
         """Yield the lines of the log that a forecast calls for."""
@@ -103,17 +99,17 @@ class ViewerTopics:
             self._digits[car, cause] = digits
 
 
-def _make_fixes(car: str, payload: bytes) -> list[bytes]:
-    """Return the positions of a sample, or of a list of samples; none for an impossible position."""
-    samples = _decode_positions(payload)
-    return [
-        msgspec.json.encode(
-            LocationFix(_make_timestamp(each.time_s), car, latitude, longitude, each.elevation_m or 0.0)
-        )
-        for each in (samples if isinstance(samples, list) else [samples])
-        if (latitude := each.latitude_deg) is not None and (longitude := each.longitude_deg) is not None
-        if abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and (latitude or longitude)
-    ]
+def _make_fixes(messages: Sequence[Message]) -> Iterator[Message]:
+    """Yield the positions of all samples of messages; none for an impossible position."""
+    for vehicle_ids, numbers, columns in read_samples(messages, Counter()):
+        elevation = np.nan_to_num(columns.elevation)
+        for row in np.flatnonzero(columns.find_fixes()).tolist():
+            key, _, receipt_ns = messages[numbers[row]]
+            fleet = key.rsplit("/", 2)[0]
+            time = _make_timestamp(columns.time[row].item())
+            place = columns.latitude[row].item(), columns.longitude[row].item(), elevation[row].item()
+            fix = LocationFix(time, vehicle_ids[row], *place)
+            yield Message(f"{fleet}/{vehicle_ids[row]}/{LOCATION}", msgspec.json.encode(fix), receipt_ns)
 
 
 def _make_finding_line(finding: Finding) -> bytes:

@@ -1,17 +1,21 @@
 """Find the messages before which a vehicle is queried about its shift, from the event times in the messages alone.
 
 The day is divided into slots of `QUERY_INTERVAL`. A vehicle is queried when its first sample of another slot is about
-to be taken, so that the answer rests on all messages before that sample, and on no other. How a source divides messages
-into lists changes nothing.
+to be taken, so that the answer rests on all messages before that sample, and on no other. A list or batch of samples is
+taken as a whole, and counts by the first sample of each vehicle in it. How a source divides messages into lists changes
+nothing.
 """
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from math import floor, isfinite
 from typing import Final
 
 import msgspec
 
-from core.wire.messages import Message, address
+from core.wire.arrow_batch import PREFIX
+from core.wire.messages import BATCH, Message, address
+from core.wire.sample_reader import read_samples
 
 QUERY_INTERVAL: Final = 1800.0
 """Length of a slot. [s]"""
@@ -52,18 +56,28 @@ class QueryTimes:
         """
         start = 0
         for place, message in enumerate(messages):
-            whose = address(message.key)
-            if whose is None or whose.kind != "telemetry":
-                continue
-            slot = self._find_slot(message.payload)
-            before = self._slots.get(whose.identity)
-            if slot is None or slot == before:
-                continue
-            self._slots[whose.identity] = slot
-            if before is not None:
-                yield messages[start:place], whose.identity
-                start = place
+            for vehicle_id, slot in self._find_slots(message):
+                before = self._slots.get(vehicle_id)
+                if slot is None or slot == before:
+                    continue
+                self._slots[vehicle_id] = slot
+                if before is not None:
+                    yield messages[start:place], vehicle_id
+                    start = place
         yield messages[start:], None
+
+    def _find_slots(self, message: Message) -> Iterable[tuple[str, int | None]]:
+        """Return the vehicles of a message and the slots of their first samples in it."""
+        whose = address(message.key)
+        if whose is None or whose.kind not in {"telemetry", BATCH}:
+            return ()
+        if not message.payload.startswith(PREFIX):
+            return ((whose.identity, self._find_slot(message.payload)),) if whose.kind != BATCH else ()
+        first: dict[str, int | None] = {}
+        for vehicle_ids, _, columns in read_samples([message], Counter()):
+            for vehicle_id, time in zip(vehicle_ids, columns.time.tolist(), strict=True):
+                first.setdefault(vehicle_id, floor(time / QUERY_INTERVAL))
+        return first.items()
 
     def _find_slot(self, payload: bytes) -> int | None:
         """Return the slot of a sample, or of the first of several; None where a payload tells no time."""

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from core.batch import Lanes
 from core.pipeline import Pipeline
 from core.settings import Limits
-from core.wire.arrow_batch import PREFIX, read_rows, select_rows, write_rows
+from core.wire.arrow_batch import PREFIX, BatchError, read_rows, read_times, select_rows, write_rows
 from core.wire.decoder import Decoder
 from core.wire.messages import Message, Telemetry
 from stream.mcap_reader import McapSource
@@ -156,6 +156,19 @@ def test_columns_may_have_any_type_of_number_and_coded_names():
     assert decoded.charging.tolist()[::2] == [1.0, 0.0]
     assert np.isnan(decoded.soc[1])
     assert decoder.rejected == {}
+
+
+def test_times_are_read_alone():
+    whole = pa.table({"vehicle_id": [1, 2], "time_s": [5, None], "soc_pct": ["much", "little"]})
+    np.testing.assert_array_equal(read_times(write_rows(whole), 2), [5.0, np.nan])
+    for table, cause in (
+        (whole.drop(["time_s"]), "wrong_type"),
+        (whole.append_column("time_s", [[1, 2]]), "wrong_type"),
+        (whole.set_column(1, "time_s", [["noon", "night"]]), "wrong_type"),
+        (pa.concat_tables([whole, whole]), "too_many_samples"),
+    ):
+        with pytest.raises(BatchError, match=cause):
+            read_times(write_rows(table), 2)
 
 
 def test_damaged_batches_raise_nothing():

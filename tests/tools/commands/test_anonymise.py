@@ -12,9 +12,10 @@ from core.wire.messages import Message, Telemetry, encode
 from stream.mcap_format import iterate_records
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
+from tests.support.batched_recordings import make_batch
 from tests.support.commands import done, refused
 from tests.support.paths import RECORDINGS
-from tools.commands.anonymise import REMAINS, rewrite_recordings
+from tools.commands.anonymise import REMAINS, find_extent, rewrite_recordings
 
 pytestmark = pytest.mark.long
 HIDDEN = {"ride_id", "ride_key", "vehicle_id", "driver_id", "date", "winter", "summer", "start_s", "end_s"}
@@ -147,6 +148,41 @@ def write(path, *keys):
     with McapSink(path) as sink:
         sample = encode(Telemetry("van-of-anna", 1.7e9, latitude_deg=45.5, longitude_deg=-73.6))
         sink.put([Message(key, sample, round(1.7e18) + at) for at, key in enumerate(keys)])
+
+
+def write_batches(path):
+    """Write batches that came hours after their samples, and one that cannot be read; return the samples."""
+    times = 1.7e9 + 60.0 * np.arange(240)
+    samples = [
+        {"vehicle_id": "van-of-anna", "time_s": time, "ride_id": "anna-7", "plate": "XYZ"}
+        | {"latitude_deg": 45.5 + 0.0007 * at, "longitude_deg": -73.6 + 0.0003 * at}
+        for at, time in enumerate(times.tolist())
+    ]
+    receipt_ns = round((times[-1] + 7200.0) * 1e9)
+    with McapSink(path) as sink:
+        batches = [make_batch(samples[at : at + 80], "depot/fleet/north-gate/batch", receipt_ns) for at in (0, 80, 160)]
+        sink.put([*batches, batches[0]._replace(payload=batches[0].payload[:-99])])
+    return samples
+
+
+def test_batches_of_gateways_pass_and_leave_no_trace_of_names_dates_and_places(tmp_path):
+    samples = write_batches(tmp_path / "own.mcap")
+    report = rewrite_recordings([McapSource(tmp_path / "own.mcap")], tmp_path / "shared.mcap", Random(1))
+    assert (report["kept"], report["dropped"]) == ({"batch": 3}, {"damaged batches": 1})
+    assert {kind: count for kind, count in report["names"].items() if count} == {"car": 1, "gateway": 1, "ride": 1}
+    assert report["positions"] == len(samples)
+    data = read_all_bytes(tmp_path / "shared.mcap")
+    assert [text for text in (b"anna", b"north", b"depot", b"XYZ", b"plate") if text in data] == []
+    numbers = {value for sample in samples for value in sample.values() if isinstance(value, float)}
+    assert len(numbers) == 3 * len(samples)
+    assert not any(np.float64(number).tobytes() in data for number in numbers)
+
+
+def test_extent_of_batches_has_their_place_and_the_hours_of_their_samples(tmp_path):
+    write_batches(tmp_path / "own.mcap")
+    extent = find_extent([McapSource(tmp_path / "own.mcap")])
+    assert extent.centre == pytest.approx((45.584, -73.564), abs=0.005)
+    assert [hour for hour, is_busy in enumerate(extent.busy) if is_busy] == [0, 1, 2, 4, 22, 23]
 
 
 def test_wrong_calls_are_one_line(tmp_path, capsys):

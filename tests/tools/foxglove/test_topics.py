@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from core.wire.messages import Cause, Finding, Forecast, Message, QualityCounts, Telemetry, encode
+from tests.support.batched_recordings import make_batch
 from tools.foxglove.schemas import ERROR, INFO, SCHEMAS, WARNING
 from tools.foxglove.topics import ViewerTopics
 
@@ -83,6 +84,25 @@ def test_every_sample_of_a_list_becomes_a_position():
     payload = msgspec.json.encode([make_sample(), make_sample(time_s=1.5e9 + 3.0)])
     made = convert(Message("fleet/a/telemetry", payload, 7))
     assert [fix["timestamp"]["sec"] for _, fix in made] == [1_500_000_000, 1_500_000_003]
+
+
+@pytest.mark.parametrize("key", ["north/fleet/depot-3/batch", "north/fleet/a/telemetry"])
+def test_every_sample_of_a_batch_becomes_a_position_of_its_car(key):
+    samples = [make_sample(elevation_m=31.0), make_sample(time_s=1.5e9 + 3.0), make_sample(latitude_deg=None)]
+    other = [make_sample(vehicle_id="b")] if key.endswith("batch") else []
+    batch = make_batch([msgspec.structs.asdict(each) for each in samples + other], key, 7)
+    single = [Message(f"north/fleet/{each.vehicle_id}/telemetry", encode(each), 7) for each in samples + other]
+    made = convert(batch)
+    assert made == convert(*single)
+    assert [topic for topic, _ in made] == [f"north/fleet/{car}/location" for car in ["a", "a", *"b" * len(other)]]
+
+
+def test_positions_and_warnings_stay_in_the_order_of_their_messages():
+    one, other = (Message(f"fleet/{car}/telemetry", encode(make_sample(vehicle_id=car)), 7) for car in "ab")
+    made = convert(one, make_forecast(0.9), make_batch([msgspec.structs.asdict(make_sample())], receipt_ns=8), other)
+    assert [topic for topic, _ in made] == [
+        *("fleet/a/location", "north/fleet/a/log", "fleet/a/location", "fleet/b/location")
+    ]
 
 
 @pytest.mark.parametrize(

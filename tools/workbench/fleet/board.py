@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.wire.messages import Finding, Forecast, Interval, Message, address
+from core.wire.sample_reader import Samples, holds_samples, read_samples
 from tools.workbench.fleet.density import TraceDensity
 from tools.workbench.fleet.newest_values import COLUMNS, compile_kernel, make_unknown_cars, write_samples
-from tools.workbench.fleet.samples import Samples, holds_samples, read_samples
 
 POINT: Final = ("soc", "end", "end_low", "end_high", "risk", "predicted", "measured", "ride")
 """Values of a point of a history, beside its time; `ride` numbers the rides of the car."""

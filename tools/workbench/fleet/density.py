@@ -8,7 +8,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.wire.messages import Message
-from tools.workbench.fleet.samples import read_samples
+from core.wire.sample_reader import read_samples
 
 CELL_DEG: Final = 0.0005
 """Height and width of a cell of the finest grid. [deg]"""
@@ -54,7 +54,7 @@ class TraceDensity:
         """Count the fixes of recordings from beginning to end, and none that are added later."""
         whole, read = TraceDensity(), 0
         for messages in source:
-            for _, columns in read_samples(messages, Counter()):
+            for _, _, columns in read_samples(messages, Counter()):
                 is_fix = columns.find_fixes()
                 whole.add(columns.latitude[is_fix], columns.longitude[is_fix])
                 read += len(is_fix)

@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from core.batch import Ints
-from tools.workbench.fleet.samples import SampleColumns
+from core.wire.sample_reader import SampleColumns
 
 COLUMNS: Final = (
     *("time", "latitude", "longitude", "speed", "soc", "soc_sd", "range", "range_low", "range_high"),
@@ -54,7 +54,9 @@ def write_samples(cars: NDArray[np.void], rows: Ints, samples: SampleColumns) ->
 
 def compile_kernel() -> None:
     """Compile the loop over samples, or load it from the cache, so that nobody waits for it later."""
-    write_samples(make_unknown_cars(1), np.zeros(1, np.int64), SampleColumns(*np.zeros((6, 1))))
+    write_samples(
+        make_unknown_cars(1), np.zeros(1, np.int64), SampleColumns(*np.zeros((len(SampleColumns._fields), 1)))
+    )
 
 
 @njit(cache=True)

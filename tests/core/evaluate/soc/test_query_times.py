@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from core.evaluate.soc.query_times import QUERY_INTERVAL, QueryTimes
 from core.wire.messages import Message
+from tests.support.batched_recordings import make_batch
 
 
 def sample(car, time, receipt=0):
@@ -72,3 +73,19 @@ def test_other_messages_call_for_no_query_and_lists_of_samples_count_by_their_fi
     plan = Message("fleet/a/plan", b'{"time_s": 9999.0}', 0)
     odd = Message("fleet/a/lunch", b'{"time_s": 9999.0}', 0)
     assert queries([[sample("a", 0.0), plan, odd, several, sample("a", 1803.0)]]) == [(3, "a")]
+
+
+def batch(key, *rows):
+    return make_batch([{"vehicle_id": car, "time_s": time} for car, time in rows], key)
+
+
+def test_each_vehicle_of_a_batch_is_due_before_the_batch_with_its_first_sample_of_another_slot():
+    first = batch("fleet/depot/batch", ("a", 0.0), ("b", 3.0), ("c", 3.0))
+    second = batch("fleet/depot/batch", ("a", QUERY_INTERVAL), ("b", 6.0), ("c", 1805.0), ("a", 9999.0))
+    broken = Message("fleet/depot/batch", b'{"time_s": 9999.0}', 0)
+    assert queries([[first, broken], [second]]) == [(2, "a"), (2, "c")]
+
+
+def test_batch_of_one_car_counts_as_its_samples_in_json():
+    own = batch("fleet/a/telemetry", ("b", 9999.0), ("a", QUERY_INTERVAL))
+    assert queries([[sample("a", 0.0), own, sample("b", 9999.0)]]) == [(1, "a")]

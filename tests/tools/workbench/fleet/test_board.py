@@ -8,12 +8,12 @@ import pytest
 
 from core.wire.arrow_batch import PREFIX, write_rows
 from core.wire.messages import Message
+from core.wire.sample_reader import LIMITS
 from tests.support.batched_recordings import GATEWAY, make_batch
 from tools.bench.workbench import make_fleet_messages
 from tools.workbench.fleet import board as board_module
 from tools.workbench.fleet.board import Board
 from tools.workbench.fleet.density import TraceDensity
-from tools.workbench.fleet.samples import LIMITS
 
 PLACE = {"latitude_deg": 45.5, "longitude_deg": -73.6}
 
@@ -122,7 +122,7 @@ def test_batch_that_cannot_be_used_is_counted_and_changes_nothing(payload):
 
 def test_batch_that_is_too_large_is_counted_and_changes_nothing(monkeypatch):
     batch, board = make_batch([{"vehicle_id": "a", "time_s": 1e9}]), Board()
-    monkeypatch.setattr("tools.workbench.fleet.samples.LIMITS", LIMITS._replace(payload_bytes=len(batch.payload) - 1))
+    monkeypatch.setattr("core.wire.sample_reader.LIMITS", LIMITS._replace(payload_bytes=len(batch.payload) - 1))
     board.take([batch])
     assert (len(board), board.counts) == (0, {"undecodable": 1})
 

@@ -1,4 +1,7 @@
-"""Read the samples of telemetry that a page shows as columns, from single samples, lists and batches alike."""
+"""Read times, positions and displays of telemetry as columns, from single samples, lists and batches alike.
+
+It is for viewers and commands that need no more of a sample. `core.wire.decoder` decodes all fields for the pipeline.
+"""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,7 +26,7 @@ LIMITS: Final = Limits()
 
 
 class _Sample(msgspec.Struct):
-    """Hold the parts of a telemetry sample that a page shows."""
+    """Hold the parts of a telemetry sample that are read."""
 
     time_s: float
     latitude_deg: float | None = None
@@ -31,6 +34,7 @@ class _Sample(msgspec.Struct):
     speed_kmh: float | None = None
     soc_pct: float | None = None
     charging: bool | None = None
+    elevation_m: float | None = None
 
 
 _KINDS: Final = "telemetry", BATCH
@@ -49,6 +53,7 @@ class SampleColumns(NamedTuple):
     speed : (n,) float. [km/h]
     soc : (n,) float. [%]
     charging : (n,) float. 1 while the car charges, 0 while it does not.
+    elevation : (n,) float. [m]
     """
 
     time: Floats
@@ -57,6 +62,7 @@ class SampleColumns(NamedTuple):
     speed: Floats
     soc: Floats
     charging: Floats
+    elevation: Floats
 
     def find_fixes(self) -> NDArray[np.bool_]:
         """Return which samples have a position that can be that of a car, see `is_possible_fix`."""
@@ -70,10 +76,13 @@ class Samples(NamedTuple):
     ----------
     vehicle_ids : sequence of str
         Vehicle of each sample.
+    numbers : sequence of int
+        Number of the message of each sample, among those that are read.
     columns : SampleColumns
     """
 
     vehicle_ids: Sequence[str]
+    numbers: Sequence[int]
     columns: SampleColumns
 
 
@@ -93,17 +102,18 @@ def read_samples(messages: Iterable[Message], counts: Counter[str]) -> Iterator[
         Number of messages by kind, which is added to; `undecodable` are those without any sample that can be used.
     """
     vehicle_ids: list[str] = []
+    numbers: list[int] = []
     rows: list[tuple[Any, ...]] = []
-    for key, payload, _ in messages:
+    for number, (key, payload, _) in enumerate(messages):
         where = address(key)
         if where is None or where.kind not in _KINDS:
             continue
         is_batch = where.kind == BATCH
         if payload.startswith(PREFIX):
             if rows:
-                yield _make_samples(vehicle_ids, rows)
-                vehicle_ids, rows = [], []
-            batch = _read_batch(payload, None if is_batch else where.identity)
+                yield _make_samples(vehicle_ids, numbers, rows)
+                vehicle_ids, numbers, rows = [], [], []
+            batch = _read_batch(payload, number, None if is_batch else where.identity)
             is_decoded = len(batch.vehicle_ids) > 0
             if is_decoded:
                 yield batch
@@ -111,10 +121,11 @@ def read_samples(messages: Iterable[Message], counts: Counter[str]) -> Iterator[
             decoded = [] if is_batch else _read_json(payload)
             is_decoded = len(decoded) > 0
             vehicle_ids += [where.identity] * len(decoded)
+            numbers += [number] * len(decoded)
             rows += decoded
         counts[where.kind if is_decoded else "undecodable"] += 1
     if rows:
-        yield _make_samples(vehicle_ids, rows)
+        yield _make_samples(vehicle_ids, numbers, rows)
 
 
 def is_possible_fix(latitude: Floats, longitude: Floats) -> NDArray[np.bool_]:
@@ -143,14 +154,14 @@ def _read_json(payload: bytes) -> list[tuple[Any, ...]]:
     return [msgspec.structs.astuple(sample) for sample in (value if isinstance(value, list) else [value])]
 
 
-def _make_samples(vehicle_ids: list[str], rows: list[tuple[Any, ...]]) -> Samples:
+def _make_samples(vehicle_ids: list[str], numbers: list[int], rows: list[tuple[Any, ...]]) -> Samples:
     """Return samples, given as the fields of each, as columns."""
     table = np.array(rows, np.float64)
-    return Samples(vehicle_ids, SampleColumns(*np.ascontiguousarray(table.T)))
+    return Samples(vehicle_ids, numbers, SampleColumns(*np.ascontiguousarray(table.T)))
 
 
-def _read_batch(payload: bytes, only: str | None) -> Samples:
-    """Return the samples of a batch that can be used, of one vehicle only if one is given."""
+def _read_batch(payload: bytes, number: int, only: str | None) -> Samples:
+    """Return the samples of a batch, a message of a number, that can be used; of one vehicle only if one is given."""
     vehicle_ids: list[str] = []
     table, is_used = np.empty((len(Batch._fields), 0)), np.zeros(0, np.bool_)
     if len(payload) <= LIMITS.payload_bytes:
@@ -160,7 +171,8 @@ def _read_batch(payload: bytes, only: str | None) -> Samples:
             is_named = [_is_name(name) if only is None else name == only for name in vehicle_ids]
             is_used = read.is_usable & is_named
     columns = SampleColumns(*(table[place][is_used] for place in _PLACES))
-    return Samples(list(compress(vehicle_ids, is_used)), columns)
+    vehicle_ids = list(compress(vehicle_ids, is_used))
+    return Samples(vehicle_ids, [number] * len(vehicle_ids), columns)
 
 
 def _list_vehicles(names: Texts) -> list[str]:
