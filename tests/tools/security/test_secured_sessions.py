@@ -25,6 +25,7 @@ from tests.support.secure_fleets import CARS, EXPIRED, REVOKED, change_tls, join
 from tests.support.zenoh_sessions import eventually, serving
 from tools.security.folder import SecureFolder
 
+pytestmark = pytest.mark.long
 OWN, OTHER = CARS
 
 
