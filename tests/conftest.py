@@ -21,6 +21,8 @@ settings.load_profile("quick")
 sys.dont_write_bytecode = False  # with the tests that pytest has rewritten in a cache, a worker starts 15 s earlier
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
+MORE_WORKERS = 1
+"""Number of parallel workers beyond one for each processor."""
 COMPILER = pytest.StashKey[Popen[str]]()
 """Process that compiles the kernels while the parallel workers collect tests."""
 
@@ -33,6 +35,12 @@ def pytest_configure(config: pytest.Config) -> None:
             os.environ.setdefault(f"{library}_NUM_THREADS", "1")
         config.stash[COMPILER] = start_compiler()
         config.option.loadscopereorder = False
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """Start more workers than processors, because a worker often waits for processes, sessions and pages."""
+    return None if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ else (os.cpu_count() or 1) + MORE_WORKERS
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -10,6 +10,7 @@ from core.pipeline import Pipeline
 from core.snapshot import SCHEMAS
 from tests.support.forged_states import COMPONENTS, forge, make_content, make_pipeline, nest, run
 
+pytestmark = pytest.mark.long
 MUTATIONS = 12
 """Number of mutations of each part, chosen by a fixed seed."""
 FEWER: Final = {"engine": 5, "days": 1}

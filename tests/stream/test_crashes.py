@@ -18,6 +18,7 @@ from stream.recorder import Recorder, list_recordings
 from stream.state_file import StateFile
 from tests.support.faulty_shifts import decodable_shift
 
+pytestmark = pytest.mark.long
 CACHE = 64
 """Number of messages that caches deliver again after a crash."""
 LIST = 16

@@ -11,10 +11,9 @@ import pytest
 from core.errors import SettingsError
 from stream.elevation_files import open_elevation
 from stream.elevation_tiles import SD_TAG, TILE_SD, read_tile
-from tests.support.ground import SRTM_NODES, hills, srtm_of_hills
+from tests.support.ground import SRTM_NODES, hills, north_up, srtm_of_hills
 
 rasterio = pytest.importorskip("rasterio")
-from rasterio.transform import from_origin  # noqa: E402
 from rasterio.warp import transform as convert  # noqa: E402
 
 LATITUDE, LONGITUDE = np.radians([45.5, 45.51, 45.99]), np.radians([-73.6, -73.61, -73.01])
@@ -88,7 +87,7 @@ def geographic(path, size=200, **options):
     north, west = 45.51, -73.61
     latitude, longitude = north - step * (np.arange(size) + 0.5), west + step * (np.arange(size) + 0.5)
     elevation = hills(np.radians(latitude)[:, None], np.radians(longitude)[None, :])
-    return write_geotiff(path, "EPSG:4326", from_origin(west, north, step, step), elevation, **options)
+    return write_geotiff(path, "EPSG:4326", north_up(west, north, step), elevation, **options)
 
 
 def test_geotiff_states_its_uncertainty(tmp_path):
@@ -104,7 +103,7 @@ def test_geotiff_in_metres_is_resampled(tmp_path):
     grid = np.meshgrid(east, north)
     longitude, latitude = convert("EPSG:32618", "EPSG:4326", *(each.ravel() for each in grid))
     elevation = hills(np.radians(latitude), np.radians(longitude)).reshape(100, 100)
-    transform = from_origin(x - 500.0, y + 500.0, 10.0, 10.0)
+    transform = north_up(x - 500.0, y + 500.0, 10.0)
     raster = read_tile(write_geotiff(tmp_path / "utm.tif", "EPSG:32618", transform, elevation))
     near = LATITUDE[:1] + 3e-5, LONGITUDE[:1] - 2e-5
     assert raster.find_ground(*near).elevation == pytest.approx(hills(*near), abs=0.2)
@@ -153,7 +152,7 @@ def test_archive_with_no_tile_or_several_is_refused(tmp_path):
 def test_wrong_uncertainty_and_missing_coordinate_system_are_refused(tmp_path):
     assert "must be above 0" in refused(geographic(tmp_path / "city.tif", tags={SD_TAG: "0"}))
     elevation = np.zeros((20, 20))
-    nowhere = write_geotiff(tmp_path / "nowhere.tif", None, from_origin(0.0, 1.0, 0.1, 0.1), elevation)
+    nowhere = write_geotiff(tmp_path / "nowhere.tif", None, north_up(0.0, 1.0, 0.1), elevation)
     assert "coordinate system" in refused(nowhere)
 
 

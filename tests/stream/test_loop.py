@@ -28,6 +28,7 @@ from stream.zenoh_session import Connection, Node
 from stream.zenoh_source import ZenohSource
 from tests.support.recorded_shift import shift
 
+pytestmark = pytest.mark.long
 Results = tuple[list[Message], list[Message], str]
 
 

@@ -22,6 +22,8 @@ from tests.support.commands import refused
 from tests.support.shards import make_night, run_shards
 from tests.support.zenoh_sessions import Consumer, eventually, router
 
+pytestmark = pytest.mark.long
+
 
 @contextmanager
 def shard_consumer(endpoint: str, shard: Shard) -> Iterator[Consumer]:

@@ -3,6 +3,7 @@
 import signal
 from typing import Any
 
+import pytest
 from zenoh import SampleKind
 from zenoh.handlers import FifoChannel
 
@@ -13,6 +14,8 @@ from stream.zenoh_standby import FENCE_S, LEASE_S, SETTLE_S, Election, FencedSin
 from tests.support.commands import refused
 from tests.support.takeovers import Takeovers
 from tests.support.zenoh_sessions import eventually, router
+
+pytestmark = pytest.mark.long
 
 
 class Clock:

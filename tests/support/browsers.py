@@ -66,7 +66,7 @@ class Visit:
         self.errors: list[str] = []
         self._context.route(lambda address: not address.startswith(server.origin), self._block)
         self.page = self._context.new_page()
-        self.page.set_default_timeout(10_000)
+        self.page.set_default_timeout(60_000)
         self.page.on("console", self._keep_error)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(server.address)
@@ -79,7 +79,7 @@ class Visit:
         """Wait until a script of the page gives a true value; the page's policy forbids Playwright's own way."""
         from tests.support.zenoh_sessions import eventually  # noqa: PLC0415 - Zenoh takes long to import
 
-        assert eventually(lambda: self.page.evaluate(script, argument), 10.0), script
+        assert eventually(lambda: self.page.evaluate(script, argument)), script
 
     def close(self) -> None:
         """Close the window."""

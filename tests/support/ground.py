@@ -1,6 +1,7 @@
 """Ground whose elevation is known, fixes on it, and tiles of it."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -55,15 +56,21 @@ def street_fixes(rides, seed=1, noise=2.0, offsets=(0.0,), ride_sd=0.0, error=No
     return ElevationFixes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
+def north_up(west: float, north: float, step: float) -> Any:
+    """Return the transform of a grid with square pixels, given its corner in the north-west."""
+    from rasterio import Affine  # noqa: PLC0415 - an extra; its `from_origin` calls what affine is about to drop
+
+    return Affine(step, 0.0, west, 0.0, -step, north)
+
+
 def write_srtm(path: Path, elevation) -> Path:
     """Write an SRTM tile through rasterio, with rows from north to south; the name gives its corner."""
     import rasterio  # noqa: PLC0415 - an extra
-    from rasterio.transform import from_origin  # noqa: PLC0415
 
     sign = {"N": 1, "S": -1, "E": 1, "W": -1}
     south, west = sign[path.name[0]] * int(path.name[1:3]), sign[path.name[3]] * int(path.name[4:7])
     step = 1.0 / (SRTM_NODES - 1)
-    transform = from_origin(west - step / 2, south + 1 + step / 2, step, step)
+    transform = north_up(west - step / 2, south + 1 + step / 2, step)
     options = {"driver": "SRTMHGT", "dtype": "int16", "count": 1, "nodata": -32768, "crs": "EPSG:4326"}
     from rasterio.io import MemoryFile  # noqa: PLC0415
     from rasterio.shutil import copy  # noqa: PLC0415

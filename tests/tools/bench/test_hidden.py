@@ -29,6 +29,7 @@ from tools.simulator.hidden import EFFECTS
 from tools.simulator.hidden_shapes import OTHER_SHAPES, strip_shape
 from tools.simulator.settings import STEPS_PER_SAMPLE, Hidden
 
+pytestmark = pytest.mark.long
 SMALL = replace(FLEET, seed=3, vehicles=2, days=2, day_step=100)
 COLD = Hidden("cold_rolling", 0.06)
 

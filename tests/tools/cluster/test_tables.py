@@ -21,6 +21,7 @@ from tools.cluster.ordering import Ordering
 from tools.cluster.runner import InProcessRunner
 from tools.cluster.tables import make_tables
 
+pytestmark = pytest.mark.long
 RECORDINGS = Path(__file__).parents[3] / "recordings"
 PHASES = [phase for phase in Phase if phase is not Phase.shrink]
 

@@ -17,6 +17,8 @@ from tests.support.router_process import RouterProcess
 from tests.support.zenoh_sessions import eventually
 from tools.commands.bridge import PASSWORD, parse_models, read_password
 
+pytestmark = pytest.mark.long
+
 
 @needs_mosquitto
 def test_restart_of_the_broker_loses_nothing_that_it_had_acknowledged(tmp_path):

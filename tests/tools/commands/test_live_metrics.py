@@ -79,7 +79,7 @@ def test_service_is_watched_from_its_start_to_its_end(tmp_path, monkeypatch):
         with socket.create_connection(address):  # a client that sends nothing delays no stop
             began = time.monotonic()
             process.terminate()
-            assert eventually(lambda: told.read() and process.poll() is not None, 20.0)
+            assert eventually(lambda: told.read() and process.poll() is not None)
             assert process.returncode == 0
             assert time.monotonic() - began < 20.0
         lines = told.read()

@@ -31,7 +31,7 @@ def test_service_forecasts_a_car_and_answers_dispatch_alone(tmp_path, capsys, em
         at = ("--prefix", "montreal", "--config")
         _, printed, code = called("replay", recording, *at, fleet.locate("taxi-1"), "--speed", "max")
         assert (code, "published 82 messages" in printed) == (0, True), printed
-        assert eventually(lambda: any(line.get("messages", 0) >= 41 for line in logged(log)), 30.0)
+        assert eventually(lambda: any(line.get("messages", 0) >= 41 for line in logged(log)))
         out, _, code = called("ask", "taxi-1", *at, fleet.path / "dispatch.json5")
         assert (code, "taxi-1" in out) == (0, True)
         assert "taxi-7' has sent nothing" in refused(capsys, "ask", "taxi-7", *at, fleet.path / "dispatch.json5")
