@@ -72,10 +72,14 @@ class Disguise(NamedTuple):
 
         A time of a clock that was never set stays: moved, it would give the shift away.
         """
-        return float(self.shift_all(np.array([time_s]))[0])
+        is_set = not any(0.0 <= time_s - epoch_s <= RUNNING_S for epoch_s in EPOCHS_S)
+        moved = time_s + self.shift_s
+        if not is_set:
+            return time_s
+        return round(moved * 1e6) / 1e6 if abs(moved) < FINE_S else moved
 
     def shift_all(self, times_s: Floats) -> Floats:
-        """Return times in the anonymised recording, see `shift`. [Unix s]
+        """Return times in the anonymised recording, to the bit those of `shift`. [Unix s]
 
         Parameters
         ----------
@@ -84,7 +88,7 @@ class Disguise(NamedTuple):
         """
         moved = times_s + self.shift_s
         is_fine = np.abs(moved) < FINE_S
-        moved = np.where(is_fine, np.round(np.where(is_fine, moved, 0.0), 6), moved)
+        moved = np.where(is_fine, np.rint(np.where(is_fine, moved, 0.0) * 1e6) / 1e6, moved)
         ages_s = [times_s - epoch_s for epoch_s in EPOCHS_S]
         is_unset = np.any([(age_s >= 0.0) & (age_s <= RUNNING_S) for age_s in ages_s], axis=0)
         return np.where(is_unset, times_s, moved)

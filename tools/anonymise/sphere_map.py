@@ -1,6 +1,6 @@
 """A rigid map of the Earth's surface: a rotation of the sphere, which keeps distances and angles."""
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +9,7 @@ Vectors = NDArray[np.float64]
 INVALID: Final = 999.0
 """Coordinate that replaces one that is not on Earth, in degrees."""
 
-DECIMALS: Final = 9
-"""Decimal places of positions: 0.1 mm, so that distances stay."""
+_PER_DEGREE: Final = 1e9  # positions are rounded to 0.1 mm, so that distances stay
 
 
 class SphereMap(NamedTuple):
@@ -38,11 +37,16 @@ class SphereMap(NamedTuple):
         latitude_deg, longitude_deg : float
             Position. [deg]
         """
-        latitudes, longitudes = self.move_all(np.array([latitude_deg]), np.array([longitude_deg]))
-        return float(latitudes[0]), float(longitudes[0])
+        valid = abs(latitude_deg) <= 90.0, abs(longitude_deg) <= 180.0
+        if not all(valid):
+            return tuple(0.0 if is_valid else INVALID for is_valid in valid)  # type: ignore[return-value]
+        if latitude_deg == 0.0 == longitude_deg:
+            return latitude_deg, longitude_deg
+        latitude, longitude = (float(degrees) for degrees in self._rotate(latitude_deg, longitude_deg))
+        return round(latitude * _PER_DEGREE) / _PER_DEGREE, round(longitude * _PER_DEGREE) / _PER_DEGREE
 
     def move_all(self, latitude_deg: Vectors, longitude_deg: Vectors) -> tuple[Vectors, Vectors]:
-        """Return the places to which positions move, see `move`.
+        """Return the places to which positions move, to the bit those of `move`.
 
         Parameters
         ----------
@@ -51,16 +55,25 @@ class SphereMap(NamedTuple):
         """
         is_valid = np.abs(latitude_deg) <= 90.0, np.abs(longitude_deg) <= 180.0
         is_on_earth = is_valid[0] & is_valid[1]
-        before = to_vector(np.where(is_on_earth, latitude_deg, 0.0), np.where(is_on_earth, longitude_deg, 0.0))
-        # written out, so that a position moves to the same bits with and without others
-        x, y, z = (row[0] * before[0] + row[1] * before[1] + row[2] * before[2] for row in self.matrix)
-        moved = np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
+        moved = self._rotate(np.where(is_on_earth, latitude_deg, 0.0), np.where(is_on_earth, longitude_deg, 0.0))
         stays = (latitude_deg == 0.0) & (longitude_deg == 0.0)
         latitude, longitude = (
-            np.where(is_on_earth, np.where(stays, 0.0, np.round(degrees, DECIMALS)), np.where(valid, 0.0, INVALID))
+            np.where(
+                is_on_earth,
+                np.where(stays, 0.0, np.rint(degrees * _PER_DEGREE) / _PER_DEGREE),
+                np.where(valid, 0.0, INVALID),
+            )
             for degrees, valid in zip(moved, is_valid, strict=True)
         )
         return latitude, longitude
+
+    def _rotate(self, latitude_deg: Any, longitude_deg: Any) -> tuple[Any, Any]:
+        """Return one or several positions rotated; written out, so that both give the same bits."""
+        latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
+        radius = np.cos(latitude)
+        before = radius * np.cos(longitude), radius * np.sin(longitude), np.sin(latitude)
+        x, y, z = (a * before[0] + b * before[1] + c * before[2] for a, b, c in self.matrix.tolist())
+        return np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
 
 
 def make_sphere_map(centre: tuple[float, float], to: tuple[float, float], turn_deg: float) -> SphereMap:

@@ -77,9 +77,9 @@ def anonymise(
 ) -> None:
     """Hide names, places and dates of recordings, merged in time order, so that they can be shared.
 
-    Names of cars, rides, drivers and stations are hashed with a random salt that is thrown away. One random rotation of
-    the Earth moves and turns all positions, and wind directions turn alike. All times are shifted alike by whole weeks
-    and hours, so that the sun and the season stay. Only fields of the wire contract pass.
+    Names of cars, gateways, rides, drivers and stations are hashed with a random salt that is thrown away. One random
+    rotation of the Earth moves and turns all positions, and wind directions turn alike. All times are shifted alike by
+    whole weeks and hours, so that the sun and the season stay. Only fields of the wire contract pass.
 
     Distances, climbs, headwinds and energies stay: tables of the result are those of the original but for names, places
     and dates. The summary says what can still identify. An existing F.mcap is not overwritten.

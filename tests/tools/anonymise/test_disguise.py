@@ -88,3 +88,11 @@ def test_no_sample_comes_to_another_day_where_cars_rest_at_some_time(seed):
     days = [(time + shift_s) // 86400 for time in times]
     assert [day - days[0] for day in days] == [time // 86400 for time in times]
     assert not keeps_days(shift_s // 3600 % 24, [True] * 24)
+
+
+def test_times_shift_together_to_the_bits_to_which_each_shifts_alone():
+    rng, disguise = np.random.default_rng(3), make(1)
+    odd = [0.0, 946_684_800.0, 946_684_799.0, 315_964_900.5, -5.0, 1e15, -1e300, 1e300]
+    times = np.concatenate([odd, BEGIN + rng.uniform(0.0, 1e7, 1000), rng.uniform(-1e10, 1e10, 1000)])
+    assert disguise.shift_all(times).tolist() == [disguise.shift(each) for each in times.tolist()]
+    assert np.isnan(disguise.shift_all(np.array([np.nan]))).all()

@@ -39,6 +39,16 @@ def test_centre_moves_to_its_place_and_headings_there_turn(turn, heading):
     assert (measure_heading(to, moved) - heading - turn + 180.0) % 360.0 == pytest.approx(180.0, abs=0.01)
 
 
+ODD = st.sampled_from([0.0, -0.0, 91.0, -181.0, 1e300, float("inf"), float("nan")])
+
+
+@given(places=st.lists(st.tuples(LATITUDES | ODD, LONGITUDES | ODD), min_size=1, max_size=20))
+def test_positions_move_together_to_the_bits_to_which_each_moves_alone(places):
+    sphere_map = make_sphere_map((45.5, -73.6), (45.0, 20.0), 77.0)
+    together = sphere_map.move_all(*np.array(places).T)
+    assert np.array_equal(together, np.array([sphere_map.move(*place) for place in places]).T)
+
+
 @pytest.mark.parametrize(
     ("position", "moved"),
     [((91.0, -73.6), (INVALID, 0.0)), ((45.5, 181.0), (0.0, INVALID)), ((float("nan"), 5.0), (INVALID, 0.0))],
