@@ -205,6 +205,7 @@ def run_and_read_log(source=None, *, as_json: bool, **settings) -> list[str]:
     finally:
         logging.getLogger("socast").handlers.clear()
         logging.getLogger("socast").propagate = True
+        logging.getLogger("socast").setLevel(logging.NOTSET)
     return text.getvalue().splitlines()
 
 
