@@ -69,6 +69,8 @@ def diagnose_deviations(
         `deviations` and `cars`, lists of plain values.
     """
     candidates = keep_declared_values(build_candidates(base.windows, model, without, scopes=True))
+    if not candidates.variants:
+        return {"deviations": [], "cars": []}
     groups = gather_siblings(base, candidates, known)
     ways = list_groups(base.windows, groups, of_vehicle or {})
     found, first = find_deviations(groups, candidates.sign, ways)
