@@ -15,6 +15,7 @@ from core.diagnose.add import add
 from core.diagnose.add.holdout import select_final_days
 from core.diagnose.add.terms import build_term_columns
 from core.diagnose.dataset import gather_windows
+from core.diagnose.deviation_words import find_leading_deviation
 from core.diagnose.findings import list_findings, measure_fleet_use, merge_findings
 from core.diagnose.ranking import LEAST_GAIN
 from core.diagnose.siblings.groups import read_groups
@@ -123,6 +124,7 @@ def diagnose_rides(
         insert_commands(result, model, rides, effects_file or (), vehicles or ())
         if findings:
             after = _keep_findings(result, table, earlier, findings)
+    result |= _word_result(result)
     write_json(json_file, "diagnose", result)
     show_report("diagnosis.page", result, html_file, json_file, suggested=_write_suggestion(result, suggest))
     if html_file is not None:
@@ -320,6 +322,13 @@ def _diagnose(
     return result
 
 
+def _word_result(result: dict[str, Any]) -> dict[str, list[str]]:
+    """Return the sentences with which the report of a diagnosis begins and ends, for JSON."""
+    from tools.report.diagnosis import sentences  # noqa: PLC0415 - tables of reports take a second to import
+
+    return {"headline": sentences.describe_verdict(result), "next_step": sentences.describe_next_step(result)}
+
+
 def _auto(
     model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, least_gain: float, console: Console
 ) -> tuple[LinearModel, dict[str, Any]]:
@@ -333,9 +342,8 @@ def _auto(
     for step in range(1, MAX_STEPS + 1):
         result = _diagnose(model, rides, windows, least_gain, leave_out=final)
         page.print_step(result, step, console)
-        deviations = [one for one in result.get("deviations") or () if one["columns"]]
         entry = next((m for m in result.get("missing") or () if m["effect"] == result.get("verdict")), None)
-        entry = entry or next(iter(deviations), None)
+        entry = entry or find_leading_deviation([one for one in result.get("deviations") or () if one["columns"]])
         if entry is None:
             break
         name, scopes = parse_term(entry)

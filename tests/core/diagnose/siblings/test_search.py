@@ -1,4 +1,4 @@
-"""Test the search for deviations in few cars and few days, where some tests have no date, no sibling or no candidate."""
+"""Test the search for deviations in few cars and few days, where tests may have no date, sibling or candidate."""
 
 import numpy as np
 import pytest
