@@ -272,7 +272,7 @@ def insert_commands(
         entry["commands"] = [entry["command"], shlex.join(["socast", "live", "--model", model, "--model", file, *own])]
 
 
-def parse_term(entry: dict[str, Any]) -> tuple[str, list[str]]:
+def parse_term(entry: Mapping[str, Any]) -> tuple[str, list[str]]:
     """Return the name of a missing effect, or of its variant, and its scopes."""
     columns = [str(column) for column in entry.get("columns") or ()]
     names = [column.removeprefix(EFFECT_PREFIX) for column in columns if column.startswith(EFFECT_PREFIX)]

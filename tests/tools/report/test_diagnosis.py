@@ -146,6 +146,14 @@ def test_effect_outside_the_credible_set_is_explained():
     assert not any("is not needed" in line for line in sentences.describe_verdict(make_diagnosis()))
 
 
+def test_noise_above_the_error_is_called_overestimated():
+    result = make_diagnosis(structure_remains=False)
+    result["error"] |= {"mae_kwh": 0.0596, "noise_floor_kwh": 0.113}
+    assert "is 0.113 kWh, more than the error: it is overestimated" in sentences.describe_error(result)[-1]
+    assert "100 %" not in printed(result)
+    assert "does not exceed measurement noise" not in printed(result)
+
+
 def test_many_held_out_dates_are_counted():
     held_out = {"rides": 269, "dates": [f"2018-03-{day:02d}" for day in range(3, 12)], "final": True}
     result = make_diagnosis()

@@ -110,12 +110,24 @@ def describe_error(result: Result) -> list[str]:
         lines.append(f"{how}, it would be {format_energy(refitted)} (in sample).")
     if implausible := get_mapping(result, "model").get("implausible"):
         lines.append(f"NOT plausible in this model: {'; '.join(map(str, implausible))}.")
-    if mae and floor is not None:
+    if is_noise_overestimated(result):
         lines.append(
-            f"Measurement noise alone causes {format_energy(floor)}, {format_percent(min(floor / mae, 1.0), 0)} of the "
+            f"The measurement noise that follows from the uncertainty of the measured energy is {format_energy(floor)},"
+            " more than the error: it is overestimated for these drives, and its share of the error is unknown."
+        )
+    elif mae and floor is not None:
+        lines.append(
+            f"Measurement noise alone causes {format_energy(floor)}, {format_percent(floor / mae, 0)} of the "
             "error: a model without any error would still show it."
         )
     return lines
+
+
+def is_noise_overestimated(result: Result) -> bool:
+    """Return whether the estimated measurement noise exceeds the error of the model, which contains the noise."""
+    errors = get_mapping(result, "error")
+    mae, floor = get_number(errors.get("mae_kwh")), get_number(errors.get("noise_floor_kwh"))
+    return mae is not None and floor is not None and floor > mae
 
 
 def _describe_bias(value: Any) -> str:
@@ -287,11 +299,13 @@ def describe_remainder(result: Result) -> list[str]:
         last, floor = get_number(steps[-1]["mae_kwh"]) or 0.0, get_number(steps[-1].get("noise_floor_kwh"))
         errors = " -> ".join(f"{get_number(step['mae_kwh']):.3g}" for step in steps)
         added = "; each missing effect fitted without the days that it is evaluated on" if len(steps) > 1 else ""
+        excessive = is_noise_overestimated(result)
+        noise = "overestimated, see the error above" if excessive else format_energy(floor)
         lines.append(
             f"Mean absolute error with all terms refitted to these rides for each car (in sample{added}): {errors} kWh "
-            f"per ride; measurement noise {format_energy(floor)}."
+            f"per ride; measurement noise {noise}."
         )
-        if floor is not None and last <= floor and not result.get("structure_remains"):
+        if floor is not None and last <= floor and not excessive and not result.get("structure_remains"):
             lines.append("The remaining error does not exceed measurement noise.")
     if result.get("structure_remains"):
         lines.append(
