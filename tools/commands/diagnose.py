@@ -27,10 +27,12 @@ from core.fit.measurement_noise import compute_noise_floor, compute_noise_varian
 from core.fit.ride_blocks import get_names
 from core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from core.models.features import EFFECT_PREFIX, FEATURES, is_scope
+from core.settings import Settings
 from core.wire.messages import Finding
 from tools.cluster.dask_runner import ClusterPlace
 from tools.commands.fit import RECORDING, Rides, inputs
 from tools.commands.tables import WINDOWS, in_memory, tables_by_workers
+from tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables, word_settings
 from tools.terminal.cluster_option import insert_cluster_options
 from tools.terminal.findings_file import read_findings, show_changes, write_findings
 from tools.terminal.output import (
@@ -67,6 +69,7 @@ LeastGain = Annotated[
 
 
 @insert_cluster_options
+@insert_cleaning_options
 def diagnose_rides(
     rides: Rides,
     *,
@@ -75,6 +78,7 @@ def diagnose_rides(
     html_file: HtmlFile = None,
     effects_file: EffectFiles = None,
     vehicles: VehicleFiles = None,
+    settings: Settings,
     place: ClusterPlace | None,
     suggest: Annotated[
         Path | None, typer.Option(metavar="FILE.py", help="Write the suggested effect, if any, to a file.")
@@ -96,16 +100,25 @@ def diagnose_rides(
         Path | None, typer.Option("--out", "-o", metavar="M2", help="With --auto: the model file to write.")
     ] = None,
 ) -> None:
-    """Find where a model fails, which physical effects it lacks, and what error remains."""
+    """Find where a model fails, which physical effects it lacks, which cars changed, and what error remains.
+
+    Examples
+    --------
+    socast diagnose tables --model fitted.json --html diagnosis.html --json diagnosis.json
+    socast diagnose tables --model fitted.json --since 2018-11-01 --findings findings.json
+    socast diagnose motorway.mcap --model fitted.json --speed-limit-kmh 180
+    socast diagnose tables --model fitted.json --auto -o best.json
+    """
     _check_options(auto, out, groups, findings)
     first_day = _parse_date(since) if since else None
+    refuse_cleaning_of_tables(inputs(rides), settings)
     loaded = models.load(model)
-    inputs = [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())]
-    check_outputs(inputs, json_file, html_file, suggest, findings, out)
+    read_from = [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())]
+    check_outputs(read_from, json_file, html_file, suggest, findings, out)
     earlier = read_findings(findings) if findings else []
     wanted = [*loaded.effects, *effects.list_tabulated()]
-    with tables_by_workers(rides, place, wanted, effects_file or (), vehicles or ()) as given:
-        table, windows = read_tables(given, loaded)
+    with tables_by_workers(rides, place, wanted, effects_file or (), vehicles or (), settings) as given:
+        table, windows = read_tables(given, loaded, settings)
     if first_day is not None:
         table, windows = select_since(table, windows, first_day)
     console = make_console(json_file)
@@ -121,7 +134,7 @@ def diagnose_rides(
     else:
         of_vehicle = read_groups(groups) if groups else None
         result = _diagnose(loaded, table, windows, least_gain, of_vehicle)
-        insert_commands(result, model, rides, effects_file or (), vehicles or ())
+        insert_commands(result, model, rides, effects_file or (), vehicles or (), settings)
         if findings:
             after = _keep_findings(result, table, earlier, findings)
     result |= _word_result(result)
@@ -167,7 +180,9 @@ def read_files(given: Sequence[Path]) -> list[Path]:
     return files if files[0].suffix == RECORDING else [*files, *(file.with_name(WINDOWS) for file in files)]
 
 
-def read_tables(given: Sequence[Path], model: LinearModel) -> tuple[pd.DataFrame, pd.DataFrame]:
+def read_tables(
+    given: Sequence[Path], model: LinearModel, settings: Settings | None = None
+) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride and window tables, read from tables or made from recordings with every known effect.
 
     Raises
@@ -177,11 +192,14 @@ def read_tables(given: Sequence[Path], model: LinearModel) -> tuple[pd.DataFrame
     ModelError
         A table cannot be read, a column is missing, or the rides are of other vehicle models than the model.
     """
-    return check_tables(model, *read_both_tables(given, model.effects))
+    return check_tables(model, *read_both_tables(given, model.effects, settings=settings))
 
 
 def read_both_tables(
-    given: Sequence[Path], wanted: Sequence[str] = (), report: Callable[[float], None] | None = None
+    given: Sequence[Path],
+    wanted: Sequence[str] = (),
+    report: Callable[[float], None] | None = None,
+    settings: Settings | None = None,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride and window tables, read from tables or made from recordings with every known effect.
 
@@ -193,6 +211,8 @@ def read_both_tables(
         Further variants of effects that tables of recordings contain.
     report : callable, optional
         Function that receives the share of the recordings that was read. [1]
+    settings : Settings, optional
+        Settings of the cleaning of recordings; the default ones by default.
 
     Raises
     ------
@@ -203,7 +223,7 @@ def read_both_tables(
     """
     files = inputs(given)
     if files[0].suffix == RECORDING:
-        return in_memory(files, [*wanted, *effects.list_tabulated()], report)
+        return in_memory(files, [*wanted, *effects.list_tabulated()], report, settings)
     beside = [file.with_name(WINDOWS) for file in files]
     for file in beside:
         if not is_table(file):
@@ -252,6 +272,7 @@ def insert_commands(
     data: Sequence[Path],
     effect_files: Sequence[Path] = (),
     vehicle_files: Sequence[Path] = (),
+    settings: Settings | None = None,
 ) -> None:
     """Insert into the entry of each missing effect and deviation that a term can hold the command that adds it.
 
@@ -260,6 +281,7 @@ def insert_commands(
     stem = model if model in BUILT_IN_MODELS else str(Path(model).with_suffix(""))
     own = [word for path in effect_files for word in ("--effects", str(path))]
     own += [word for path in vehicle_files for word in ("--vehicles", str(path))]
+    own += word_settings(settings or Settings())
     deviations = [entry for entry in result.get("deviations") or () if entry["columns"]]
     for entry in [*(result.get("missing") or ()), *deviations]:
         name, scopes = parse_term(entry)
