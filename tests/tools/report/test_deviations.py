@@ -1,11 +1,15 @@
 """Test the report of cars that deviate or change: sentences, commands and figures."""
 
+from io import StringIO
+
 import pytest
+from rich.console import Console
 
 from tests.support.diagnosis_result import make_deviation, make_diagnosis, make_empty_diagnosis, make_ranked_car
 from tools.commands.diagnose import insert_commands
 from tools.report.diagnosis.deviation_figures import draw_deviations
 from tools.report.diagnosis.deviations import describe_deviation, describe_deviations, describe_spread
+from tools.report.diagnosis.page import print_step
 from tools.report.diagnosis.sentences import describe_next_step, describe_verdict
 
 
@@ -60,6 +64,12 @@ def test_change_whose_net_energy_may_be_zero_is_stated_by_its_most_probable_caus
     assert first.startswith("Finding: taxi-005 uses more since 14 November 2018")
     assert size.startswith("If the cause is low tyre pressure, soft tyres: rolling resistance is higher by 16 ± 5 %")
     assert describe_deviations(result)[0].startswith("taxi-005 uses 4.1 % more (95 % interval −1.0 to 5.0 %) since")
+
+
+def test_step_of_the_automatic_loop_states_the_change_that_it_adds():
+    console = Console(width=200, file=StringIO())
+    print_step(make_change(), 1, console)
+    assert "Finding: taxi-005 uses 4.1 ± 0.9 % more" in console.file.getvalue()
 
 
 def test_change_of_uncertain_size_is_neither_headline_nor_next_step():

@@ -89,8 +89,8 @@ def describe_finding(found: Mapping[str, Any]) -> list[str]:
     """Return a deviation with the probability that it is real."""
     q = get_number(found.get("q"))
     lines = [f"Finding: {word_deviation(found, sized=has_certain_share(found))}."]
-    if not has_certain_share(found):
-        lines.append(f"If the cause is {name_cause(str(found.get('effect')))}, {found.get('words')}.")
+    if not has_certain_share(found) and found.get("words"):
+        lines.append(f"If the cause is {name_cause(str(found.get('effect')))}, {found['words']}.")
     if q is not None:
         sure = f"more than {format_percent(MOST_SURE)}" if 1.0 - q > MOST_SURE else format_percent(1.0 - q)
         lines.append(
