@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from datetime import date
 from typing import Any, Final
 
+from core.formatting import format_minus
+
 PERCENT: Final = 100.0
 SEVERAL: Final = 3
 """Number of causes above which a sentence names only the most probable ones."""
@@ -17,13 +19,70 @@ CAUSES: Final = {
 """Words for effects whose names read badly in a sentence."""
 
 
-def word_deviation(one: Mapping[str, Any]) -> str:
+def has_certain_share(one: Mapping[str, Any]) -> bool:
+    """Return whether the 95 % interval of the net energy of a deviation, over all its causes, excludes zero.
+
+    Parameters
+    ----------
+    one : mapping
+        Entry of `deviations` in a diagnosis. A slow growth is judged by its rate.
+
+    Examples
+    --------
+    >>> has_certain_share({"share_ci95": [0.01, 0.12]}), has_certain_share({"share_ci95": [-0.01, 0.12]})
+    (True, False)
+    """
+    return _excludes_zero(one.get(f"{_name_size(one)}_ci95"))
+
+
+def has_certain_size(one: Mapping[str, Any]) -> bool:
+    """Return whether the size of a deviation is certain: its net energy, or the coefficient of its first cause.
+
+    Parameters
+    ----------
+    one : mapping
+        Entry of `deviations` in a diagnosis.
+
+    Notes
+    -----
+    Causes that move energy without taking any, such as wind, widen the interval of the net energy although the change
+    is real. The coefficient of the most probable cause is then the size, if it is plausible.
+    """
+    coefficient = one.get("coefficient") or {}
+    return has_certain_share(one) or bool(coefficient.get("plausible") and _excludes_zero(coefficient.get("ci95")))
+
+
+def _excludes_zero(limits: Sequence[float | None] | None) -> bool:
+    """Return whether an interval is known and excludes zero."""
+    low, high = limits or (None, None)
+    return low is not None and high is not None and low * high > 0.0
+
+
+def find_leading_deviation(deviations: Sequence[Mapping[str, Any]] | None) -> Mapping[str, Any] | None:
+    """Return the first deviation of certain size, which a diagnosis may put into its headline; None without one.
+
+    Parameters
+    ----------
+    deviations : sequence of mapping, optional
+        Entries of `deviations` in a diagnosis.
+    """
+    return next((one for one in deviations or () if has_certain_size(one)), None)
+
+
+def name_deviating(one: Mapping[str, Any]) -> str:
+    """Return who deviates in the middle of a sentence: a car, a group, or all cars."""
+    return "all cars" if one.get("of") == "all" else str(one.get("who"))
+
+
+def word_deviation(one: Mapping[str, Any], *, sized: bool = True) -> str:
     """Return a deviation as a sentence.
 
     Parameters
     ----------
     one : mapping
         Entry of `deviations` in a diagnosis.
+    sized : bool
+        Whether the sentence gives the net energy.
 
     Examples
     --------
@@ -35,20 +94,35 @@ def word_deviation(one: Mapping[str, Any]) -> str:
     'taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018 (12 to 16 November): low tyre pressure 60 %, brake drag 40 %'
     """
     who = "All cars use" if one.get("of") == "all" else f"{one.get('who')} uses"
-    return f"{who} {_word_size(one)}{_word_date(one)}: {_name_causes(one.get('causes') or ())}"
+    return f"{who} {_word_size(one, sized=sized)}{_word_date(one)}: {_name_causes(one.get('causes') or ())}"
 
 
-def _word_size(one: Mapping[str, Any]) -> str:
-    """Return how much more or less is used: a share of the energy, or a rate for a ramp."""
-    ramp = one.get("kind") == "ramp"
-    name = "share_per_month" if ramp else "share"
+def _word_size(one: Mapping[str, Any], *, sized: bool) -> str:
+    """Return how much more or less is used: a share of the energy, or a rate for a ramp.
+
+    An interval that contains zero is given by its ends, because ± would hide that it is not symmetric.
+    """
+    name = _name_size(one)
     share = float(one.get(name) or 0.0)
     low, high = (share if end is None else end for end in one.get(f"{name}_ci95") or (share, share))
     direction = "more" if share >= 0.0 else "less"
     half = 0.5 * PERCENT * (high - low)
     digits = 1 if half < 10.0 else 0
-    size = f"{PERCENT * abs(share):.{digits}f} ± {half:.{digits}f} % {direction}"
-    return f"{size} each month" if ramp else size
+    size = f"{PERCENT * abs(share):.{digits}f}"
+    if not sized:
+        size = direction
+    elif low < 0.0 < high:
+        least, most = (low, high) if share >= 0.0 else (-high, -low)
+        interval = format_minus(f"{PERCENT * least:.{digits}f} to {PERCENT * most:.{digits}f} %")
+        size = f"{size} % {direction} (95 % interval {interval})"
+    else:
+        size = f"{size} ± {half:.{digits}f} % {direction}"
+    return size if name == "share" else f"{size} each month"
+
+
+def _name_size(one: Mapping[str, Any]) -> str:
+    """Return the name of the size of a deviation: its share of the energy, or the monthly growth of a ramp."""
+    return "share_per_month" if one.get("kind") == "ramp" else "share"
 
 
 def _word_date(one: Mapping[str, Any]) -> str:
@@ -70,13 +144,14 @@ def _format_date(day: date, beside: date | None = None) -> str:
 def _name_causes(causes: Sequence[Mapping[str, Any]]) -> str:
     """Return the causes of a credible set with their probabilities, the most probable first."""
     names = [
-        f"{_name_cause(str(one.get('effect')))} {PERCENT * (one.get('probability') or 0.0):.0f} %" for one in causes
+        f"{name_cause(str(one.get('effect')))} {PERCENT * (one.get('probability') or 0.0):.0f} %" for one in causes
     ]
     if len(names) > SEVERAL:
-        names = [*names[:SEVERAL], f"or one of {len(names) - SEVERAL} others"]
+        others = len(names) - SEVERAL
+        names = [*names[:SEVERAL], "or another cause" if others == 1 else f"or one of {others} others"]
     return ", ".join(names)
 
 
-def _name_cause(effect: str) -> str:
+def name_cause(effect: str) -> str:
     """Return an effect in words."""
     return CAUSES.get(effect, effect.replace("_", " "))

@@ -50,7 +50,7 @@ from core.fit.block_sums import (
     survey_block,
 )
 from core.fit.regression import LEAST_GROUPS, NO_VARIATION, ClusterScores, Influence, Moments, Solution, solve
-from core.fit.ride_blocks import ENERGY, RideSource, ThinnedRides, suggest_rides
+from core.fit.ride_blocks import ENERGY, RideSource, ThinnedRides, word_too_few_rides
 from core.models import ANY, BASIC_PHYSICAL, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
 from core.models.derived_features import DERIVED_COLUMNS
 from core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, list_raw_columns
@@ -168,12 +168,7 @@ class _Fitting:
         least = _RIDES_PER_COEFFICIENT * (len(self.terms) if self.plan.free else CURVE_NUMBERS if self.curved else 1)
         rides = self.groups[ANY].rides
         if rides < least:
-            why = ", ".join(f"{n:,} {reason}" for reason, n in sorted(self.left_out.items()))
-            reasons = f" ({why} left out)" if why else ""
-            raise ModelError(
-                f"recipe {self.plan.name}: {rides:,} rides to fit to{reasons}, and it needs {least}: "
-                f"{suggest_rides(self.left_out)}"
-            )
+            raise ModelError(word_too_few_rides(self.plan.name, rides, least, self.left_out))
         self.counts = {key: group.rides for key, group in sorted(self.groups.items()) if key != ANY}
         self.groups = {key: group for key, group in self.groups.items() if group.rides >= least}
         if max(self.counts.values(), default=0) == rides:  # with one vehicle model, its fit equals that of all rides

@@ -344,18 +344,51 @@ def select_trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.Da
     return (block.loc[~left] if left.any() else block), left_out
 
 
+def word_too_few_rides(name: str, rides: int, least: int, left_out: Mapping[str, int]) -> str:
+    """Return that a recipe has too few rides, with the reasons why others are left out, and the remedy.
+
+    Parameters
+    ----------
+    name : str
+        Name of the recipe.
+    rides : int
+        Number of rides to fit to.
+    least : int
+        Number that the recipe needs.
+    left_out : mapping of str to int
+        Number of rides left out, by reason.
+
+    Examples
+    --------
+    >>> word_too_few_rides("road_load", 0, 3, {"too_short": 2})
+    'recipe road_load: 2 rides, all unfit (2 too short), and it needs 3: give more rides'
+    >>> word_too_few_rides("road_load", 1, 3, {})
+    'recipe road_load: 1 rides to fit to, and it needs 3: give more rides'
+    """
+    why = ", ".join(f"{n:,} {reason.replace('_', ' ')}" for reason, n in sorted(left_out.items()))
+    known = f"{rides:,} rides to fit to{f' ({why} left out)' if why else ''}"
+    if why and not rides:
+        known = f"{sum(left_out.values()):,} rides, all unfit ({why})"
+    return f"recipe {name}: {known}, and it needs {least}: {suggest_rides(left_out)}"
+
+
 def suggest_rides(left_out: Mapping[str, int]) -> str:
     """Return what to do where too few rides are left to fit to.
 
     Parameters
     ----------
     left_out : mapping of str to int
-        Number of rides or windows left out, by reason.
+        Number of rides left out, by reason.
     """
     if left_out.get(UNKNOWN_VEHICLE):
         return (
             "some are of cars whose vehicle model is unknown; name it as you import (--vehicle-model, and --vehicles "
             "for a car of your own) and make the tables again, or give more rides"
+        )
+    if left_out.get("too_little_distance", 0) > 0.5 * sum(left_out.values()):
+        return (
+            "if no speed and no position was read, name their columns as you import and make the tables again; "
+            "otherwise give longer rides"
         )
     return "give more rides"
 

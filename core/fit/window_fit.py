@@ -38,7 +38,7 @@ from core.fit.priors import (
     flatten_curve,
     is_curved,
 )
-from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable, suggest_rides
+from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable, word_too_few_rides
 from core.fit.row_noise import build_variance_parts
 from core.fit.window_problem import GroupRows
 from core.fit.window_solver import GroupFit, solve_group
@@ -66,7 +66,9 @@ READ: Final = (
 """Columns that the weights and the distortions need, besides those of the terms."""
 
 
-def fit_rows(name: str, terms: tuple[Term, ...], rows: pd.DataFrame) -> tuple[LinearModel, dict[str, GroupFit]]:
+def fit_rows(
+    name: str, terms: tuple[Term, ...], rows: pd.DataFrame, ride_table: pd.DataFrame | None = None
+) -> tuple[LinearModel, dict[str, GroupFit]]:
     """Return a model fitted to measured rows, without an interval, and the fit of each vehicle model.
 
     Parameters
@@ -77,6 +79,8 @@ def fit_rows(name: str, terms: tuple[Term, ...], rows: pd.DataFrame) -> tuple[Li
         Terms of the model.
     rows : DataFrame
         Windows or rides, as `core.fit.measured_rows.join_tables` returns them.
+    ride_table : DataFrame, optional
+        Rides of the same recordings, to say why rides are left out where too few are left.
 
     Returns
     -------
@@ -92,15 +96,15 @@ def fit_rows(name: str, terms: tuple[Term, ...], rows: pd.DataFrame) -> tuple[Li
     """
     _check(name, terms, rows)
     read = _list_columns(terms)
-    good, left_out = select_trainable(rows, read)
+    good, _ = select_trainable(rows, read)
     good = good.assign(**{VEHICLE: get_names(good, VEHICLE), "date": get_names(good, "date")})
     good = good.sort_values([VEHICLE, "date", "ride_key"], kind="stable", ignore_index=True)
     kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
     keys = good["ride_key"].to_numpy(dtype=object)
     if (count := len(set(keys.tolist()))) < LEAST_OWN_RIDES:
-        raise ModelError(
-            f"recipe {name}: {count} rides to fit to, and it needs {LEAST_OWN_RIDES}: {suggest_rides(left_out)}"
-        )
+        every = rows.drop_duplicates("ride_key") if ride_table is None else ride_table
+        reasons = select_trainable(every, [column for column in read if column in every])[1]
+        raise ModelError(word_too_few_rides(name, count, LEAST_OWN_RIDES, reasons))
     fills = {key: _find_fills(terms, good.iloc[at]) for key, at in _split_groups(kinds)}
     rides = {key: len(set(keys[at].tolist())) for key, at in _split_groups(kinds)}
     alone = len(rides) == 2 and rides[ANY] == min(rides.values())

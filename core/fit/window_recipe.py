@@ -68,7 +68,7 @@ class WindowRecipe:
             If a column is missing, the tables are not of the same rides, or there are too few rides.
         """
         rows = _select(rides) if windows is None else join_tables(rides, windows)
-        model, groups = fit_rows(self.name, self.terms, rows)
+        model, groups = fit_rows(self.name, self.terms, rows, rides)
         if covariance:
             model = add_window_interval(model, groups, rides)
         done: dict[str, Any] = {"action": "fit", "recipe": self.name}

@@ -16,7 +16,10 @@ from core.errors import ModelError
 from core.fit.measured_rows import join_tables
 from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from core.models import LinearModel
+from core.settings import Settings
 from tools.commands.diagnose import LeastGain, read_files, read_tables
+from tools.commands.fit import inputs
+from tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables
 from tools.terminal.output import (
     EffectFiles,
     JsonFile,
@@ -28,8 +31,10 @@ from tools.terminal.output import (
 )
 
 
+@insert_cleaning_options
 def add_effect(
     effect: Annotated[str, typer.Argument(metavar="EFFECT", help="Effect of `socast effects list`, or a variant.")],
+    *,
     model: Annotated[str, typer.Option("--model", metavar="M", help="Model name or file; the file is not changed.")],
     data: Annotated[list[Path], typer.Option("--data", metavar="TABLES|REC", help="Rides to fit to; may be repeated.")],
     out: Annotated[
@@ -50,18 +55,20 @@ def add_effect(
     force: Annotated[bool, typer.Option("--force", help="Add the effect even if it does not help.")] = False,
     effects_file: EffectFiles = None,
     vehicles: VehicleFiles = None,
+    settings: Settings,
     least_gain: LeastGain = LEAST_GAIN,
     json_file: JsonFile = None,
 ) -> None:
     """Add an effect to a model, refit it, and compare the errors on held-out days and vehicles."""
     from tools.report import history  # noqa: PLC0415 - figures take seconds to import
 
+    refuse_cleaning_of_tables(inputs(data), settings)
     base = models.load(model)
     build_term_columns(effect, scope or ())  # refuses a wrong scope before the rides are read
     check_outputs(
         [*read_files(data), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())], out, json_file
     )
-    added = try_effect(base, effect, scope or (), *read_tables(data, base), least=least_gain)
+    added = try_effect(base, effect, scope or (), *read_tables(data, base, settings), least=least_gain)
     write_json(json_file, "add", added.trial)
     console = make_console(json_file)
     history.print_trial(added.trial, console)

@@ -18,9 +18,11 @@ from core.evaluate.compare.models import ComparedRides, compare_predictions, sel
 from core.evaluate.compare.ride_trace import find_ride, trace_ride
 from core.evaluate.paper.results import to_json_values
 from core.models import BUILT_IN_MODELS, LinearModel
+from core.settings import Settings
 from tools.cluster.dask_runner import ClusterPlace
 from tools.commands.fit import RECORDING, Rides, inputs, ride_files
 from tools.commands.tables import WINDOWS, in_memory, tables_by_workers
+from tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables, word_settings
 from tools.terminal.cluster_option import insert_cluster_options
 from tools.terminal.output import (
     EffectFiles,
@@ -36,6 +38,7 @@ from tools.terminal.table_files import KEY, is_table, read
 
 
 @insert_cluster_options
+@insert_cleaning_options
 def compare_models(
     rides: Rides,
     *,
@@ -51,6 +54,7 @@ def compare_models(
     ] = None,
     effects_file: EffectFiles = None,
     vehicles: VehicleFiles = None,
+    settings: Settings,
     place: ClusterPlace | None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
@@ -64,34 +68,37 @@ def compare_models(
     --------
     socast compare tables --model fitted.json --model extended_physical --html compared.html
     socast compare recordings/shift.mcap --model extended_physical --ride 'taxi-005#1'
+    socast compare motorway.mcap --model fitted.json --speed-limit-kmh 180
     socast compare tables --model fitted.json --json - | jq .models
     """
     if ride is not None and against:
         raise SettingsError("--ride shows one ride of the first rides; leave out --against")
+    files = [*inputs(rides), *inputs(against or ())]
+    refuse_cleaning_of_tables(files, settings)
     read = [
-        *inputs(rides),
-        *inputs(against or ()),
+        *files,
         *select_model_files(model),
         *(effects_file or ()),
         *(vehicles or ()),
     ]
     check_outputs(read, json_file, html_file)
-    chosen, words = named(model), _words(rides, effects_file or (), vehicles or ())
-    wanted, files = [name for each in chosen.values() for name in each.effects], (effects_file or (), vehicles or ())
+    chosen, words = named(model), [*_words(rides, effects_file or (), vehicles or ()), *word_settings(settings)]
+    wanted, loaded = [name for each in chosen.values() for name in each.effects], (effects_file or (), vehicles or ())
     with ExitStack() as folders:
         first, second = (
-            folders.enter_context(tables_by_workers(given, place, wanted, *files)) for given in (rides, against or ())
+            folders.enter_context(tables_by_workers(given, place, wanted, *loaded, settings))
+            for given in (rides, against or ())
         )
         if ride is not None:
-            result: dict[str, Any] = {"trace": _trace(first, ride, chosen)}
+            result: dict[str, Any] = {"trace": _trace(first, ride, chosen, settings)}
         else:
-            table, read_windows = _read(first, chosen)
+            table, read_windows = _read(first, chosen, settings)
             selected = select_rides(table, chosen)
             result = compare_predictions(selected)
             _say_commands(result, words, dict(zip(chosen, model, strict=True)))
             if against:
                 shown = " ".join(map(str, rides)), " ".join(map(str, against))
-                result["against"] = _against(selected, second, shown, chosen)
+                result["against"] = _against(selected, second, shown, chosen, settings)
         result = to_json_values(result)
         write_json(json_file, "compare", result)
         if html_file is not None and ride is None:
@@ -132,23 +139,25 @@ def _recorded(given: Sequence[Path]) -> bool:
     return given[0].suffix == RECORDING
 
 
-def _summed(given: Sequence[Path], chosen: Mapping[str, LinearModel]) -> tuple[pd.DataFrame, pd.DataFrame]:
+def _summed(
+    given: Sequence[Path], chosen: Mapping[str, LinearModel], settings: Settings
+) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride table and the window table of recordings."""
     wanted = [name for model in chosen.values() for name in model.effects]
-    return in_memory(given, wanted)
+    return in_memory(given, wanted, settings=settings)
 
 
-def _rides(given: Sequence[Path], chosen: Mapping[str, LinearModel]) -> pd.DataFrame:
+def _rides(given: Sequence[Path], chosen: Mapping[str, LinearModel], settings: Settings) -> pd.DataFrame:
     """Return the ride table of recordings or of files of rides."""
-    return _summed(given, chosen)[0] if _recorded(given) else read(ride_files(given))
+    return _summed(given, chosen, settings)[0] if _recorded(given) else read(ride_files(given))
 
 
 def _read(
-    given: Sequence[Path], chosen: Mapping[str, LinearModel]
+    given: Sequence[Path], chosen: Mapping[str, LinearModel], settings: Settings
 ) -> tuple[pd.DataFrame, Callable[[str], pd.DataFrame]]:
     """Return the ride table, and a function that reads the windows of a ride by its key."""
     if _recorded(given):
-        rides, windows = _summed(given, chosen)
+        rides, windows = _summed(given, chosen, settings)
         return rides, lambda _: windows
     files = ride_files(given)
     return read(files), lambda key: _windows(files, key)
@@ -170,10 +179,10 @@ def _trace_worst(
     return traces
 
 
-def _trace(given: Sequence[Path], name: str, chosen: Mapping[str, LinearModel]) -> dict[str, Any]:
+def _trace(given: Sequence[Path], name: str, chosen: Mapping[str, LinearModel], settings: Settings) -> dict[str, Any]:
     """Return the trace of a ride."""
     if _recorded(given):
-        rides, windows = _summed(given, chosen)
+        rides, windows = _summed(given, chosen, settings)
         return trace_ride(find_ride(rides, name), windows, chosen)
     files = ride_files(given)
     row = find_ride(read(files), name)
@@ -197,10 +206,14 @@ def _windows(files: Sequence[Path], key: str) -> pd.DataFrame:
 
 
 def _against(
-    compared: ComparedRides, against: Sequence[Path], shown: tuple[str, str], chosen: Mapping[str, LinearModel]
+    compared: ComparedRides,
+    against: Sequence[Path],
+    shown: tuple[str, str],
+    chosen: Mapping[str, LinearModel],
+    settings: Settings,
 ) -> dict[str, Any]:
     """Return the differences between two sets of rides, and the errors of models on the second set."""
-    other = select_rides(_rides(against, chosen), chosen)
+    other = select_rides(_rides(against, chosen, settings), chosen)
     second = compare_predictions(other)
     return {
         "first": shown[0],

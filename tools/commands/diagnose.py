@@ -15,6 +15,7 @@ from core.diagnose.add import add
 from core.diagnose.add.holdout import select_final_days
 from core.diagnose.add.terms import build_term_columns
 from core.diagnose.dataset import gather_windows
+from core.diagnose.deviation_words import find_leading_deviation
 from core.diagnose.findings import list_findings, measure_fleet_use, merge_findings
 from core.diagnose.ranking import LEAST_GAIN
 from core.diagnose.siblings.groups import read_groups
@@ -26,10 +27,12 @@ from core.fit.measurement_noise import compute_noise_floor, compute_noise_varian
 from core.fit.ride_blocks import get_names
 from core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from core.models.features import EFFECT_PREFIX, FEATURES, is_scope
+from core.settings import Settings
 from core.wire.messages import Finding
 from tools.cluster.dask_runner import ClusterPlace
 from tools.commands.fit import RECORDING, Rides, inputs
 from tools.commands.tables import WINDOWS, in_memory, tables_by_workers
+from tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables, word_settings
 from tools.terminal.cluster_option import insert_cluster_options
 from tools.terminal.findings_file import read_findings, show_changes, write_findings
 from tools.terminal.output import (
@@ -66,6 +69,7 @@ LeastGain = Annotated[
 
 
 @insert_cluster_options
+@insert_cleaning_options
 def diagnose_rides(
     rides: Rides,
     *,
@@ -74,6 +78,7 @@ def diagnose_rides(
     html_file: HtmlFile = None,
     effects_file: EffectFiles = None,
     vehicles: VehicleFiles = None,
+    settings: Settings,
     place: ClusterPlace | None,
     suggest: Annotated[
         Path | None, typer.Option(metavar="FILE.py", help="Write the suggested effect, if any, to a file.")
@@ -95,16 +100,25 @@ def diagnose_rides(
         Path | None, typer.Option("--out", "-o", metavar="M2", help="With --auto: the model file to write.")
     ] = None,
 ) -> None:
-    """Find where a model fails, which physical effects it lacks, and what error remains."""
+    """Find where a model fails, which physical effects it lacks, which cars changed, and what error remains.
+
+    Examples
+    --------
+    socast diagnose tables --model fitted.json --html diagnosis.html --json diagnosis.json
+    socast diagnose tables --model fitted.json --since 2018-11-01 --findings findings.json
+    socast diagnose motorway.mcap --model fitted.json --speed-limit-kmh 180
+    socast diagnose tables --model fitted.json --auto -o best.json
+    """
     _check_options(auto, out, groups, findings)
     first_day = _parse_date(since) if since else None
+    refuse_cleaning_of_tables(inputs(rides), settings)
     loaded = models.load(model)
-    inputs = [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())]
-    check_outputs(inputs, json_file, html_file, suggest, findings, out)
+    read_from = [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())]
+    check_outputs(read_from, json_file, html_file, suggest, findings, out)
     earlier = read_findings(findings) if findings else []
     wanted = [*loaded.effects, *effects.list_tabulated()]
-    with tables_by_workers(rides, place, wanted, effects_file or (), vehicles or ()) as given:
-        table, windows = read_tables(given, loaded)
+    with tables_by_workers(rides, place, wanted, effects_file or (), vehicles or (), settings) as given:
+        table, windows = read_tables(given, loaded, settings)
     if first_day is not None:
         table, windows = select_since(table, windows, first_day)
     console = make_console(json_file)
@@ -120,9 +134,10 @@ def diagnose_rides(
     else:
         of_vehicle = read_groups(groups) if groups else None
         result = _diagnose(loaded, table, windows, least_gain, of_vehicle)
-        insert_commands(result, model, rides, effects_file or (), vehicles or ())
+        insert_commands(result, model, rides, effects_file or (), vehicles or (), settings)
         if findings:
             after = _keep_findings(result, table, earlier, findings)
+    result |= _word_result(result)
     write_json(json_file, "diagnose", result)
     show_report("diagnosis.page", result, html_file, json_file, suggested=_write_suggestion(result, suggest))
     if html_file is not None:
@@ -165,7 +180,9 @@ def read_files(given: Sequence[Path]) -> list[Path]:
     return files if files[0].suffix == RECORDING else [*files, *(file.with_name(WINDOWS) for file in files)]
 
 
-def read_tables(given: Sequence[Path], model: LinearModel) -> tuple[pd.DataFrame, pd.DataFrame]:
+def read_tables(
+    given: Sequence[Path], model: LinearModel, settings: Settings | None = None
+) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride and window tables, read from tables or made from recordings with every known effect.
 
     Raises
@@ -175,11 +192,14 @@ def read_tables(given: Sequence[Path], model: LinearModel) -> tuple[pd.DataFrame
     ModelError
         A table cannot be read, a column is missing, or the rides are of other vehicle models than the model.
     """
-    return check_tables(model, *read_both_tables(given, model.effects))
+    return check_tables(model, *read_both_tables(given, model.effects, settings=settings))
 
 
 def read_both_tables(
-    given: Sequence[Path], wanted: Sequence[str] = (), report: Callable[[float], None] | None = None
+    given: Sequence[Path],
+    wanted: Sequence[str] = (),
+    report: Callable[[float], None] | None = None,
+    settings: Settings | None = None,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride and window tables, read from tables or made from recordings with every known effect.
 
@@ -191,6 +211,8 @@ def read_both_tables(
         Further variants of effects that tables of recordings contain.
     report : callable, optional
         Function that receives the share of the recordings that was read. [1]
+    settings : Settings, optional
+        Settings of the cleaning of recordings; the default ones by default.
 
     Raises
     ------
@@ -201,7 +223,7 @@ def read_both_tables(
     """
     files = inputs(given)
     if files[0].suffix == RECORDING:
-        return in_memory(files, [*wanted, *effects.list_tabulated()], report)
+        return in_memory(files, [*wanted, *effects.list_tabulated()], report, settings)
     beside = [file.with_name(WINDOWS) for file in files]
     for file in beside:
         if not is_table(file):
@@ -250,6 +272,7 @@ def insert_commands(
     data: Sequence[Path],
     effect_files: Sequence[Path] = (),
     vehicle_files: Sequence[Path] = (),
+    settings: Settings | None = None,
 ) -> None:
     """Insert into the entry of each missing effect and deviation that a term can hold the command that adds it.
 
@@ -258,6 +281,7 @@ def insert_commands(
     stem = model if model in BUILT_IN_MODELS else str(Path(model).with_suffix(""))
     own = [word for path in effect_files for word in ("--effects", str(path))]
     own += [word for path in vehicle_files for word in ("--vehicles", str(path))]
+    own += word_settings(settings or Settings())
     deviations = [entry for entry in result.get("deviations") or () if entry["columns"]]
     for entry in [*(result.get("missing") or ()), *deviations]:
         name, scopes = parse_term(entry)
@@ -270,7 +294,7 @@ def insert_commands(
         entry["commands"] = [entry["command"], shlex.join(["socast", "live", "--model", model, "--model", file, *own])]
 
 
-def parse_term(entry: dict[str, Any]) -> tuple[str, list[str]]:
+def parse_term(entry: Mapping[str, Any]) -> tuple[str, list[str]]:
     """Return the name of a missing effect, or of its variant, and its scopes."""
     columns = [str(column) for column in entry.get("columns") or ()]
     names = [column.removeprefix(EFFECT_PREFIX) for column in columns if column.startswith(EFFECT_PREFIX)]
@@ -320,6 +344,13 @@ def _diagnose(
     return result
 
 
+def _word_result(result: dict[str, Any]) -> dict[str, list[str]]:
+    """Return the sentences with which the report of a diagnosis begins and ends, for JSON."""
+    from tools.report.diagnosis import sentences  # noqa: PLC0415 - tables of reports take a second to import
+
+    return {"headline": sentences.describe_verdict(result), "next_step": sentences.describe_next_step(result)}
+
+
 def _auto(
     model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, least_gain: float, console: Console
 ) -> tuple[LinearModel, dict[str, Any]]:
@@ -333,9 +364,8 @@ def _auto(
     for step in range(1, MAX_STEPS + 1):
         result = _diagnose(model, rides, windows, least_gain, leave_out=final)
         page.print_step(result, step, console)
-        deviations = [one for one in result.get("deviations") or () if one["columns"]]
         entry = next((m for m in result.get("missing") or () if m["effect"] == result.get("verdict")), None)
-        entry = entry or next(iter(deviations), None)
+        entry = entry or find_leading_deviation([one for one in result.get("deviations") or () if one["columns"]])
         if entry is None:
             break
         name, scopes = parse_term(entry)

@@ -182,7 +182,10 @@ def tabulate(
 
 
 def in_memory(
-    recordings: Sequence[Path], wanted: Sequence[str], report: Callable[[float], None] | None = None
+    recordings: Sequence[Path],
+    wanted: Sequence[str],
+    report: Callable[[float], None] | None = None,
+    settings: Settings | None = None,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride table and the window table of recordings, and print warnings about data that could not be read.
 
@@ -194,12 +197,14 @@ def in_memory(
         Names of the effects that the tables contain in addition to the default ones.
     report : callable, optional
         As of `tabulate`.
+    settings : Settings, optional
+        Settings of cleaning; the default ones by default.
 
     Returns
     -------
     rides, windows : DataFrame
     """
-    pipeline = Pipeline(also=wanted, keep_forecasts=False, two_sided=True)
+    pipeline = Pipeline(settings=settings or Settings(), also=wanted, keep_forecasts=False, two_sided=True)
     sources = open_recordings(recordings)
     parts: list[tuple[pd.DataFrame, pd.DataFrame]] = []
     tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)), report)
@@ -215,6 +220,7 @@ def tables_by_workers(
     wanted: Sequence[str],
     effect_files: Sequence[Path],
     vehicle_files: Sequence[Path],
+    settings: Settings | None = None,
 ) -> Iterator[Sequence[Path]]:
     """Yield a folder of tables that workers have made of recordings, in place of these; without workers the recordings.
 
@@ -228,6 +234,8 @@ def tables_by_workers(
         As of `in_memory`.
     effect_files, vehicle_files : sequence of Path
         Files that the workers load.
+    settings : Settings, optional
+        As of `in_memory`.
 
     Raises
     ------
@@ -248,7 +256,7 @@ def tables_by_workers(
             place,
             model=EXTENDED_PHYSICAL.name,
             wanted=wanted,
-            settings=Settings(),
+            settings=settings or Settings(),
             effect_files=effect_files,
             vehicle_files=vehicle_files,
         )

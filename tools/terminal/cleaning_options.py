@@ -1,10 +1,13 @@
 """The settings of cleaning as command-line options in everyday units, the same for every command."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
 from core.columns import KMH
+from core.errors import SettingsError
 from core.settings import LIMITS, Settings
 from tools.terminal.option_groups import insert_options
 
@@ -89,6 +92,53 @@ def make_settings(
     return Settings(
         period=period_s, speed_limit=speed_limit_kmh * KMH, window=smoothing, least_distance=least_distance_km * _KM
     )
+
+
+def word_settings(settings: Settings) -> list[str]:
+    """Return the options of cleaning that differ from their defaults, as words of a command.
+
+    Parameters
+    ----------
+    settings : Settings
+        Settings of cleaning.
+
+    Examples
+    --------
+    >>> word_settings(make_settings(speed_limit_kmh=180.0)), word_settings(make_settings())
+    (['--speed-limit-kmh', '180'], [])
+    """
+    values = {
+        "--speed-limit-kmh": (settings.speed_limit / KMH, SPEED_LIMIT_KMH),
+        "--period-s": (settings.period, PERIOD_S),
+        "--smoothing": (settings.window, SMOOTHING),
+        "--least-distance-km": (settings.least_distance / _KM, LEAST_DISTANCE_KM),
+    }
+    changed = {name: round(value, 6) for name, (value, default) in values.items() if round(value, 6) != default}
+    return [word for name, value in changed.items() for word in (name, f"{value:g}")]
+
+
+def refuse_cleaning_of_tables(files: Sequence[Path], settings: Settings) -> None:
+    """Refuse options of cleaning beside tables, which are cleaned already.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Recordings, or files of rides.
+    settings : Settings
+        Settings of cleaning.
+
+    Raises
+    ------
+    SettingsError
+        An option of cleaning is given, and a file is no recording.
+    """
+    words = word_settings(settings)
+    tables = [file for file in files if file.suffix != ".mcap"]
+    if words and tables:
+        raise SettingsError(
+            f"{' '.join(words)} cleans recordings, and {tables[0]} holds rides that are cleaned already; leave it out, "
+            "and give it to `socast tables` as you make the tables"
+        )
 
 
 insert_cleaning_options = insert_options("settings", make_settings)

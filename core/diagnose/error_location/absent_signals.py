@@ -1,31 +1,43 @@
-"""List what drives cannot tell because a signal is absent."""
+"""List what drives cannot show because a signal is absent, or present in too few rides."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from core.fit.ride_blocks import get_names, get_numbers
 
 LEAST_KNOWN: Final = 0.5
-"""Share of the windows or rides in which a signal must be known."""
+"""Share of the rides in which a signal must be known."""
 
 
-def _knows(column: str) -> Callable[[pd.DataFrame], bool]:
-    return lambda table: column in table and float(np.isfinite(get_numbers(table, column)).mean()) >= LEAST_KNOWN
+def _knows(column: str) -> Callable[[pd.DataFrame], NDArray[np.bool_]]:
+    """Return a function that finds the rides in which a column is known."""
+
+    def find(table: pd.DataFrame) -> NDArray[np.bool_]:
+        return np.isfinite(get_numbers(table, column)) if column in table else np.zeros(len(table), np.bool_)
+
+    return find
 
 
-def _varies(column: str) -> Callable[[pd.DataFrame], bool]:
-    return lambda table: _knows(column)(table) and bool(np.nan_to_num(get_numbers(table, column)).any())
+def _varies(column: str) -> Callable[[pd.DataFrame], NDArray[np.bool_]]:
+    """Return a function that finds the rides in which a column is known, none where it is zero in all rides."""
+
+    def find(table: pd.DataFrame) -> NDArray[np.bool_]:
+        known = _knows(column)(table)
+        return known & bool(get_numbers(table, column)[known].any()) if known.any() else known
+
+    return find
 
 
-def _knows_drivers(table: pd.DataFrame) -> bool:
-    names = get_names(table, "driver_id")
-    return sum(map(bool, names)) >= LEAST_KNOWN * len(names)
+def _knows_drivers(table: pd.DataFrame) -> NDArray[np.bool_]:
+    """Return the rides whose driver is known."""
+    return np.array([bool(name) for name in get_names(table, "driver_id")], dtype=np.bool_)
 
 
-SIGNALS: Final[dict[str, Callable[[pd.DataFrame], bool]]] = {
+SIGNALS: Final[Mapping[str, Callable[[pd.DataFrame], NDArray[np.bool_]]]] = {
     "elevation": _varies("effect_climbing"),
     "wind": _knows("wind_speed_kmh"),
     "precipitation": _knows("precipitation_mm_h"),
@@ -37,11 +49,11 @@ SIGNALS: Final[dict[str, Callable[[pd.DataFrame], bool]]] = {
     "driver": _knows_drivers,
     "climate power": _knows("hvac_kwh"),
 }
-"""Whether a ride table holds each signal."""
+"""The rides of a table in which each signal is known."""
 
 
-def list_absent_signals(rides: pd.DataFrame) -> tuple[str, ...]:
-    """Return the signals that are unknown in most rides.
+def count_absent_signals(rides: pd.DataFrame) -> dict[str, int]:
+    """Return the signals that are unknown in most rides, each with the number of rides in which it is known.
 
     Parameters
     ----------
@@ -50,7 +62,8 @@ def list_absent_signals(rides: pd.DataFrame) -> tuple[str, ...]:
 
     Returns
     -------
-    tuple of str
-        Keys of `SIGNALS`.
+    dict of str to int
+        Keys are those of `SIGNALS`.
     """
-    return tuple(name for name, is_known in SIGNALS.items() if not is_known(rides))
+    known = {name: int(find(rides).sum()) for name, find in SIGNALS.items()}
+    return {name: count for name, count in known.items() if count < LEAST_KNOWN * len(rides)}

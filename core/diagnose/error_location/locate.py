@@ -9,13 +9,13 @@ hidden load show (`FLOORS`).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from core.diagnose.dataset import Windows
-from core.diagnose.error_location.absent_signals import list_absent_signals
+from core.diagnose.error_location.absent_signals import count_absent_signals
 from core.diagnose.error_location.floors import FLOORS
 from core.diagnose.error_location.kinds import Kind
 from core.diagnose.error_location.location_model import (
@@ -89,6 +89,10 @@ class ErrorLocation:
         Levels that the data can tell.
     absent_kinds, absent_signals : tuple of str
         Kinds without energy in these drives, and signals that most rides lack.
+    partial_signals : mapping of str to (int, int)
+        Those of the absent signals that some rides have: the number of these rides, and of all rides.
+    noise_limited : bool
+        Whether the stated measurement noise exceeds what windows scatter, so that its share is an upper limit.
     """
 
     loads: tuple[LocatedLoad, ...]
@@ -97,6 +101,8 @@ class ErrorLocation:
     levels: tuple[str, ...]
     absent_kinds: tuple[str, ...]
     absent_signals: tuple[str, ...]
+    partial_signals: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    noise_limited: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Return the location as plain values."""
@@ -119,10 +125,11 @@ def locate_error(windows: Windows, base: BaseProjection) -> ErrorLocation:
     ErrorLocation
         Without loads where the windows are too few.
     """
-    absent = list_absent_signals(windows.rides)
+    counts, rides = count_absent_signals(windows.rides), len(windows.rides)
+    absent, partial = tuple(counts), {name: (count, rides) for name, count in counts.items() if count}
     located = build_location_model(windows, base)
     if located is None:
-        return ErrorLocation((), (), {}, (), (), absent)
+        return ErrorLocation((), (), {}, (), (), absent, partial)
     search = LoadSearch(located)
     selected = search.select()
     places = [load.place for load in selected]
@@ -131,11 +138,13 @@ def locate_error(windows: Windows, base: BaseProjection) -> ErrorLocation:
     loads = [_raise_level(load, place, places, located, best) for load, place in zip(loads, places, strict=True)]
     rest = [_describe_limit(place, located, search, best) for place in np.ndindex(search.shape) if place not in places]
     claims = {place for load, place in zip(loads, places, strict=True) if load.claimed}
-    shares = _share_error(located, best, {place: loads[places.index(place)].level for place in claims})
+    shares, limited = _share_error(located, best, {place: loads[places.index(place)].level for place in claims})
     loads += _locate_cars(located, best)
     claimed = tuple(sorted((load for load in loads if load.claimed), key=lambda load: -load.size_w))
     levels = tuple(dict.fromkeys([*located.levels.names, *(load.level for load in loads)]))
-    return ErrorLocation(claimed, (*loads, *rest), shares, levels, located.kinds.dropped, absent)
+    return ErrorLocation(
+        claimed, (*loads, *rest), shares, levels, located.kinds.dropped, absent, partial, noise_limited=limited
+    )
 
 
 def _describe(
@@ -219,8 +228,13 @@ def _locate_cars(located: LocationModel, best: Variances) -> list[LocatedLoad]:
     return [_describe(load, cars, None, (), best) for load in LoadSearch(cars).select()]
 
 
-def _share_error(located: LocationModel, best: Variances, claimed: Mapping[Place, str]) -> dict[str, float]:
-    """Return the shares of the squared error of rides; loads without a claimed level count as scatter."""
+def _share_error(
+    located: LocationModel, best: Variances, claimed: Mapping[Place, str]
+) -> tuple[dict[str, float], bool]:
+    """Return the shares of the squared error of rides, and whether the scatter of windows limits that of noise.
+
+    Loads without a claimed level count as scatter.
+    """
     windows, rides = located.windows, len(located.windows.rides)
     parts = {"measurement": 0.0, "scatter": 0.0}
     parts["scatter"] = best.criterion.scale * float(np.mean(located.noise.sum_ride_variances(rides)))
@@ -230,10 +244,12 @@ def _share_error(located: LocationModel, best: Variances, claimed: Mapping[Place
         parts[level] = parts.get(level, 0.0) + float(size) ** 2 * energy[place[1]]
     stated = compute_noise_variance(windows.rides)
     stated = stated[np.isfinite(stated)]
-    parts["measurement"] = min(float(np.mean(stated)), parts["scatter"]) if len(stated) else 0.0
+    noise = float(np.mean(stated)) if len(stated) else 0.0
+    limited = noise > parts["scatter"]
+    parts["measurement"] = min(noise, parts["scatter"])
     parts["scatter"] -= parts["measurement"]
     total = sum(parts.values())
-    return {name: part / total for name, part in parts.items()} if total > 0.0 else {}
+    return ({name: part / total for name, part in parts.items()} if total > 0.0 else {}), limited
 
 
 def _convert(value: Any) -> Any:

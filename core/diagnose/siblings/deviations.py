@@ -20,6 +20,7 @@ from core.columns import SECONDS_PER_DAY
 from core.diagnose.add.refit import CoefficientEstimate
 from core.diagnose.add.terms import describe_coefficient
 from core.diagnose.candidates import Candidates, build_candidates
+from core.diagnose.deviation_words import has_certain_size
 from core.diagnose.projection import BaseProjection
 from core.diagnose.siblings.causes import (
     average_places,
@@ -66,14 +67,17 @@ def diagnose_deviations(
     Returns
     -------
     dict
-        `deviations` and `cars`, lists of plain values.
+        `deviations` and `cars`, lists of plain values. Deviations whose interval of the size contains zero are last.
     """
     candidates = keep_declared_values(build_candidates(base.windows, model, without, scopes=True))
+    if not candidates.variants:
+        return {"deviations": [], "cars": []}
     groups = gather_siblings(base, candidates, known)
     ways = list_groups(base.windows, groups, of_vehicle or {})
     found, first = find_deviations(groups, candidates.sign, ways)
+    deviations = [_describe(question, search, candidates) for question, search in found]
     return {
-        "deviations": [_describe(question, search, candidates) for question, search in found],
+        "deviations": sorted(deviations, key=lambda one: not has_certain_size(one)),
         "cars": rank_cars(first, candidates.sign),
     }
 

@@ -132,6 +132,7 @@ def _ask_cars(groups: Sequence[Siblings], g: int, sign: Ints) -> Iterator[Questi
         base = SiblingBase(siblings, estimate_spread_without(groups, g, car))
         scores = base.score_shifts(car)
         changes = [scan_changes(siblings, scores, car, "step"), scan_changes(siblings, scores, car, "ramp")]
+        changes = [scan for scan in changes if len(scan.begin)]  # a car of few shifts has no date for a step, or none
         chance = estimate_chance(scores, siblings.start[siblings.car == car], changes, sign)
         for scan in changes:
             yield Question(name, "car", members, scan, np.array([chance]))

@@ -193,7 +193,7 @@ def test_single_vehicle_model_can_be_fitted(table):
             lambda t: t.iloc[: LEAST_POOLED_RIDES - 1],
             f"{LEAST_POOLED_RIDES - 1} rides to fit to, and it needs {LEAST_POOLED_RIDES}",
         ),
-        (lambda t: t.assign(energy_kwh=np.nan), "0 rides to fit to .*no_measured_energy"),
+        (lambda t: t.assign(energy_kwh=np.nan), "200 rides, all unfit .200 no measured energy"),
         (lambda t: t.assign(energy_kwh=1.5), "energy_kwh is 1.5 in all 200 rides: nothing can be learned"),
     ],
 )

@@ -127,5 +127,8 @@ def test_too_few_rides_and_missing_columns_are_refused(tables):
     rides, windows = tables
     with pytest.raises(ModelError, match="recipe road_load: 2 rides to fit to, and it needs 3: give more rides"):
         fit_to_windows("road_load", rides.iloc[:2], windows)
+    unfit = rides.assign(fit_for_training=False, unfit_reason="too_little_distance").iloc[:24]
+    with pytest.raises(ModelError, match=r"24 rides, all unfit \(24 too little distance\).* if no speed"):
+        fit_to_windows("road_load", unfit, windows)
     with pytest.raises(ModelError, match="recipe road_load: column 'effect_braking' is missing: make the tables again"):
         fit_to_windows("road_load", rides, windows.drop(columns="effect_braking"))

@@ -59,6 +59,12 @@ def result(written):
     return json.loads((written / "c.json").read_text())
 
 
+def test_recording_is_cleaned_as_the_options_say(result):
+    """A limit below usual speeds rejects samples, and so leaves less distance."""
+    out, *_ = called("compare", SHIFT, *MODELS, "--speed-limit-kmh", "40", "--json", "-")
+    assert json.loads(out)["models"] != result["models"]
+
+
 @pytest.fixture
 def halves(shift, tmp_path):
     """Return the shift's rides in two folders."""

@@ -127,7 +127,10 @@ def written(table: pd.DataFrame, path: Path) -> Path:
     [
         (lambda t: t.drop(columns="odometer_km"), "column 'odometer_km' is missing: make the tables again"),
         (lambda t: t.iloc[5:6], "1 rides to fit to, and it needs 80: give more rides"),
-        (lambda t: t.assign(energy_kwh=np.nan), "0 rides to fit to (895 no_measured_energy, 5 too_long left out)"),
+        (
+            lambda t: t.assign(energy_kwh=np.nan),
+            "900 rides, all unfit (895 no measured energy, 5 too long)",
+        ),
         (lambda t: pd.concat([t.iloc[5:6]] * 100), "all 100 rides are alike: nothing can be learned"),
         (lambda t: t.assign(energy_kwh=1.0), "energy_kwh is 1 in all 895 rides"),
         (lambda t: t.assign(lost_m="x"), "column 'lost_m' of the ride table is no number"),

@@ -1,11 +1,16 @@
 """Test the report of cars that deviate or change: sentences, commands and figures."""
 
+from io import StringIO
+
 import pytest
+from rich.console import Console
 
 from tests.support.diagnosis_result import make_deviation, make_diagnosis, make_empty_diagnosis, make_ranked_car
 from tools.commands.diagnose import insert_commands
 from tools.report.diagnosis.deviation_figures import draw_deviations
 from tools.report.diagnosis.deviations import describe_deviation, describe_deviations, describe_spread
+from tools.report.diagnosis.page import print_step
+from tools.report.diagnosis.sentences import describe_next_step, describe_verdict
 
 
 def test_change_is_stated_with_size_date_and_causes():
@@ -27,6 +32,60 @@ def test_ramp_is_stated_as_a_rate():
 def test_less_energy_of_all_cars_is_called_less():
     changed = make_deviation(of="all", who="all", share=-0.03, share_ci95=[-0.04, -0.02])
     assert describe_deviation(changed)[0].startswith("All cars use 3.0 ± 1.0 % less since")
+
+
+def make_change(**changes):
+    """Return a diagnosis that finds no effect but a change."""
+    return make_empty_diagnosis() | {"structure_remains": True, "deviations": [make_deviation(**changes)]}
+
+
+def test_change_is_the_headline_and_its_command_the_next_step():
+    result = make_change()
+    insert_commands(result, "base.json", ["tables"])
+    first, sure, common = describe_verdict(result)[:3]
+    assert first.startswith("Finding: taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018")
+    assert "probability of more than 99.9 %" in sure
+    assert common.startswith("Effects in all cars at all times: ")
+    advice, command = describe_next_step(result)
+    assert advice.endswith("add tyre_pressure in taxi-005 since 2018-11-14.")
+    assert command == result["deviations"][0]["command"]
+
+
+def test_change_follows_the_effect_that_is_missing_everywhere():
+    result = make_diagnosis()
+    assert describe_verdict(result)[0].startswith("Effects in all cars at all times: cold_rolling")
+    assert any(line.startswith("Finding: taxi-005") for line in describe_verdict(result))
+    assert describe_next_step(result)[-1].startswith("Then test the finding")
+
+
+def test_change_whose_net_energy_may_be_zero_is_stated_by_its_most_probable_cause():
+    result = make_change(share_ci95=[-0.01, 0.05])
+    first, size, *_ = describe_verdict(result)
+    assert first.startswith("Finding: taxi-005 uses more since 14 November 2018")
+    assert size.startswith("If the cause is low tyre pressure, soft tyres: rolling resistance is higher by 16 ± 5 %")
+    assert describe_deviations(result)[0].startswith("taxi-005 uses 4.1 % more (95 % interval −1.0 to 5.0 %) since")
+
+
+def test_step_of_the_automatic_loop_states_the_change_that_it_adds():
+    console = Console(width=200, file=StringIO())
+    print_step(make_change(), 1, console)
+    assert "Finding: taxi-005 uses 4.1 ± 0.9 % more" in console.file.getvalue()
+
+
+def test_change_of_uncertain_size_is_neither_headline_nor_next_step():
+    unsure = {"value": 1.0, "ci95": [-0.5, 2.5], "unit": "1", "plausible": True}
+    result = make_change(share_ci95=[-0.01, 0.05], coefficient=unsure)
+    assert not any("Finding" in line for line in describe_verdict(result))
+    assert "Write an effect of your own" in describe_next_step(result)[0]
+    assert any("contains zero: record more rides" in line for line in describe_deviations(result))
+
+
+@pytest.mark.parametrize(("changes", "held"), [({"kind": "ramp"}, "a growth"), ({"of": "group"}, "a group")])
+def test_change_that_no_term_holds_is_to_be_checked(changes, held):
+    rate = {"share_per_month": 0.02, "share_per_month_ci95": [0.01, 0.03]}
+    (line,) = describe_next_step(make_change(columns=[], **changes, **rate))
+    assert line.startswith("Check taxi-005 for low tyre pressure since 2018-11-14")
+    assert f"no term of a model holds {held}" in line
 
 
 def test_many_causes_are_counted():

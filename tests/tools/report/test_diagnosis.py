@@ -132,6 +132,28 @@ def test_effects_without_a_signal_are_listed():
     assert sentence.endswith("demisting")
 
 
+def test_probabilities_of_a_missing_effect_add_up():
+    _, line, *_ = sentences.describe_missing_effect(make_missing_effect())
+    assert line == (
+        "the largest missing effect with a probability of 87 % (alone 84 %, with others 3 %); or else air_density "
+        "10 %, a cause that is not in the library 2 %, several effects of which another is the largest 1 %"
+    )
+
+
+def test_effect_outside_the_credible_set_is_explained():
+    lines = sentences.describe_verdict(make_diagnosis(verdict="brake_drag", deviations=[]))
+    assert lines[-1] == "Beside brake_drag, which was found next, cold_rolling is not needed."
+    assert not any("is not needed" in line for line in sentences.describe_verdict(make_diagnosis()))
+
+
+def test_noise_above_the_error_is_called_overestimated():
+    result = make_diagnosis(structure_remains=False)
+    result["error"] |= {"mae_kwh": 0.0596, "noise_floor_kwh": 0.113}
+    assert "is 0.113 kWh, more than the error: it is overestimated" in sentences.describe_error(result)[-1]
+    assert "100 %" not in printed(result)
+    assert "does not exceed measurement noise" not in printed(result)
+
+
 def test_many_held_out_dates_are_counted():
     held_out = {"rides": 269, "dates": [f"2018-03-{day:02d}" for day in range(3, 12)], "final": True}
     result = make_diagnosis()
@@ -188,7 +210,7 @@ def test_page_has_every_figure_and_table(tmp_path):
 
 def test_page_states_the_probable_cause_once(tmp_path):
     text = " ".join(page(make_diagnosis(), tmp_path).text)
-    assert text.count("Probable cause of the error") == 1
+    assert text.count("Effects in all cars at all times: cold_rolling 84 %") == 1
     assert (
         "Probable cause of what remains after cold_rolling@reference=283.15, brake_drag: no missing effect 80 %" in text
     )

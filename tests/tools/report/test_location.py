@@ -19,11 +19,11 @@ def make_load(level="ride", kind="constant", size=640.0, claimed=True, **more):
     return load | {"other_kinds": [], "other_levels": []} | more
 
 
-def make_result(*loads, shares=None, absent=("climate power",)):
+def make_result(*loads, shares=None, absent=("climate power",), **more):
     shares = shares or {"measurement": 0.34, "scatter": 0.02, "ride": 0.64}
     quiet = [make_load("day", kind.name, 12.0, claimed=False) for kind in KINDS]
     location = {"loads": list(loads), "estimates": [*loads, *quiet], "shares": shares, "levels": ["ride", "day"]}
-    return {"error_location": location | {"absent_kinds": [], "absent_signals": list(absent)}}
+    return {"error_location": location | {"absent_kinds": [], "absent_signals": list(absent)} | more}
 
 
 def test_load_is_described_in_a_persons_words():
@@ -34,13 +34,25 @@ def test_load_is_described_in_a_persons_words():
     )
     assert "34 % is measurement noise, 2 % is unexplained within rides and" in shares
     assert "64 % is unexplained and differs from ride to ride" in shares
-    assert absent == "These data cannot identify how much of an error the climate control causes (no climate power)."
+    assert absent == "These data cannot show how much of an error the climate control causes (no climate power)."
 
 
 def test_climate_power_that_is_logged_is_not_asked_for():
     _, load = describe_location(make_result(make_load(), absent=()))
     assert "Log the climate power" not in load
     assert "contain the measured climate power" in load
+
+
+def test_climate_power_of_some_rides_is_counted_and_to_be_compared_there():
+    _, load, absent = describe_location(make_result(make_load(), partial_signals={"climate power": [15, 31]}))
+    assert "15 of 31 rides contain the measured climate power: compare it there. Log the climate power." in load
+    assert absent.endswith("the climate control causes (climate power in 15 of 31 rides only).")
+
+
+def test_share_of_overestimated_noise_is_an_upper_limit():
+    shares, note, _ = describe_location(make_result(shares={"measurement": 0.51, "day": 0.49}, noise_limited=True))[:3]
+    assert "at most 51 % is measurement noise" in shares
+    assert "overestimated" in note
 
 
 @pytest.mark.parametrize("level", LEVELS)

@@ -3,7 +3,15 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from core.diagnose.deviation_words import SEVERAL, word_deviation
+from core.diagnose.deviation_words import (
+    SEVERAL,
+    has_certain_share,
+    has_certain_size,
+    name_cause,
+    name_deviating,
+    word_deviation,
+)
+from tools.report.cells import format_percent
 from tools.report.evaluation.result import Result, get_number
 
 WH: Final = 1000.0
@@ -12,6 +20,8 @@ NOTABLE: Final = 1.0
 """Deviation from which a car that was not named is described. [spreads]"""
 MOST_CARS: Final = 3
 """Number of cars that the terminal describes in spreads."""
+MOST_SURE: Final = 0.999
+"""Probability above which a report gives only this bound. [1]"""
 DIRECTIONS: Final = {
     "rolling": ("rolls harder", "rolls more easily"),
     "drag": ("has more drag", "has less drag"),
@@ -57,6 +67,8 @@ def describe_deviation(one: Mapping[str, Any]) -> list[str]:
     """
     causes = one.get("causes") or ()
     lines = [word_deviation(one)]
+    if not has_certain_size(one):
+        lines.append("- the interval of its size contains zero: record more rides before you rely on it")
     amounts = []
     if (per_km := get_number(one.get("kwh_per_km"))) is not None:
         amounts.append(f"{WH * per_km:+.3g} Wh/km")
@@ -67,9 +79,40 @@ def describe_deviation(one: Mapping[str, Any]) -> list[str]:
     if len(causes) > 1:
         remedies = dict.fromkeys(str(cause["shown_by"]) for cause in causes[:SEVERAL] if cause.get("shown_by"))
         lines += [f"- to distinguish the causes, record {remedy}" for remedy in remedies]
-    elif one.get("words"):
-        lines.append(f"- {one['words']}")
+    if one.get("words") and (len(causes) == 1 or not has_certain_share(one)):
+        words = str(one["words"])
+        lines.append(f"- {words}" if len(causes) == 1 else f"- if it is {name_cause(str(one.get('effect')))}: {words}")
     return [*lines, str(one["command"])] if one.get("command") else lines
+
+
+def describe_finding(found: Mapping[str, Any]) -> list[str]:
+    """Return a deviation with the probability that it is real."""
+    q = get_number(found.get("q"))
+    lines = [f"Finding: {word_deviation(found, sized=has_certain_share(found))}."]
+    if not has_certain_share(found) and found.get("words"):
+        lines.append(f"If the cause is {name_cause(str(found.get('effect')))}, {found['words']}.")
+    if q is not None:
+        sure = f"more than {format_percent(MOST_SURE)}" if 1.0 - q > MOST_SURE else format_percent(1.0 - q)
+        lines.append(
+            f"This finding is real with a probability of {sure} (one minus the rate of false findings); the "
+            "probabilities of its causes hold if it is."
+        )
+    return lines
+
+
+def advise_test(found: Mapping[str, Any], then: str = "") -> list[str]:
+    """Return how to test a deviation, with the command where a term can hold it."""
+    who, since, effect = name_deviating(found), found.get("since"), str(found.get("effect"))
+    when = f" since {since}" if since else ""
+    if not found.get("columns"):
+        what = "a growth" if found.get("kind") == "ramp" else "a group"
+        lines = [
+            f"Check {who} for {name_cause(effect)}{when}: no term of a model holds {what}, so no command tests it."
+        ]
+    else:
+        lines = [f"Test the finding on days to which it was not fitted: add {effect} in {who}{when}."]
+        lines += [str(found["command"])] if found.get("command") else []
+    return [f"{then} {lines[0][0].lower()}{lines[0][1:]}", *lines[1:]] if then else lines
 
 
 def describe_spread(car: Mapping[str, Any]) -> str:

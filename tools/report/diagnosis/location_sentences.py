@@ -1,9 +1,10 @@
-"""Describe in sentences where the error of a model lives, and what would tell its cause."""
+"""Describe in sentences where the error of a model lives, and what would show its cause."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Final
 
-from tools.report.cells import format_percent
+from tools.report.cells import format_count, format_percent
 from tools.report.evaluation.result import Result, get_mapping, get_number
 
 UNITS: Final = {
@@ -98,6 +99,7 @@ JUDGED_BY: Final = {
     "climate power": "how much of an error the climate control causes",
 }
 """What cannot be judged without a signal."""
+NONE_ABSENT: Final[Mapping[str, str]] = MappingProxyType({})
 LEAST_SHARE: Final = 0.005
 """Least share of the squared error that is mentioned."""
 
@@ -117,20 +119,36 @@ def format_size(load: Mapping[str, Any], key: str = "size") -> str:
 
 
 def describe_location(result: Result) -> list[str]:
-    """Return where the error of a model lives, a line for each load, and what the data cannot identify."""
+    """Return where the error of a model lives, a line for each load, and what the data cannot show."""
     location = get_mapping(result, "error_location")
     if not location:
         return []
     loads = location.get("loads") or ()
-    absent = [str(each) for each in location.get("absent_signals") or ()]
+    absent, partial = location.get("absent_signals") or (), dict(location.get("partial_signals") or {})
+    known_in = {str(each): _word_known_rides(partial.get(each)) for each in absent}
     lines = describe_shares(location)
-    lines += [describe_load(load, absent) for load in loads if is_known(load)]
+    lines += [describe_load(load, known_in) for load in loads if is_known(load)]
     if not loads and location.get("estimates"):
         lines.append("No load differs between rides, days or vehicles beyond what sampling causes.")
     if absent:
-        untold = ", ".join(f"{JUDGED_BY[each]} (no {each})" for each in absent if each in JUDGED_BY)
-        lines.append(f"These data cannot identify {untold}.")
+        unseen = (
+            f"{JUDGED_BY[each]} ({_word_signal(each, in_)})" for each, in_ in known_in.items() if each in JUDGED_BY
+        )
+        lines.append(f"These data cannot show {', '.join(unseen)}.")
     return lines
+
+
+def _word_known_rides(counts: Any) -> str:
+    """Return in how many of all rides a signal is known, an empty text where it is in none."""
+    numbers = [get_number(each) for each in counts] if isinstance(counts, list | tuple) else []
+    if len(numbers) != 2 or None in numbers:
+        return ""
+    return f"{format_count(numbers[0])} of {format_count(numbers[1])} rides"
+
+
+def _word_signal(name: str, known_in: str) -> str:
+    """Return that a signal is absent, or in how many rides it is."""
+    return f"{name} in {known_in} only" if known_in else f"no {name}"
 
 
 def is_known(load: Mapping[str, Any]) -> bool:
@@ -139,14 +157,24 @@ def is_known(load: Mapping[str, Any]) -> bool:
     return str(load.get("level")) in LEVEL_NAMES and str(load.get("kind")) in KIND_NAMES and None not in sizes
 
 
-def describe_load(load: Mapping[str, Any], absent: Sequence[str] = ()) -> str:
-    """Return a load in a person's words, with its likely cause and a remedy."""
+def describe_load(load: Mapping[str, Any], absent: Mapping[str, str] = NONE_ABSENT) -> str:
+    """Return a load in a person's words, with its likely cause and a remedy.
+
+    Parameters
+    ----------
+    load : mapping
+        Entry of `loads` of the location of an error.
+    absent : mapping of str to str
+        Signals that most rides lack, each with the rides that have it in words, such as `15 of 31 rides`.
+    """
     level, kind = str(load.get("level")), str(load.get("kind"))
     what = LOADS[kind].format(size=format_size(load))
     low, high = format_size(load, "low"), format_size(load, "high")
     cause, remedy = CAUSES[kind][level]
     if "climate power" in remedy and "climate power" not in absent:
         remedy = "The drives contain the measured climate power: compare it."
+    elif "climate power" in remedy and (rides := absent["climate power"]):
+        remedy = f"{rides} contain the measured climate power: compare it there. {remedy}"
     watts = get_number(load.get("size_w")) or 0.0
     mean = "" if kind == "constant" else f", {watts:.0f} W on average"
     text = (
@@ -163,7 +191,8 @@ def describe_shares(location: Mapping[str, Any]) -> list[str]:
     shares = {str(name): get_number(share) or 0.0 for name, share in dict(location.get("shares") or {}).items()}
     if not shares:
         return []
-    parts = [f"{format_percent(shares.pop('measurement', 0.0), 0)} is measurement noise"]
+    most = "at most " if location.get("noise_limited") else ""
+    parts = [f"{most}{format_percent(shares.pop('measurement', 0.0), 0)} is measurement noise"]
     scatter = shares.pop("scatter", 0.0)
     if scatter >= LEAST_SHARE:
         parts.append(f"{format_percent(scatter, 0)} is unexplained within rides")
@@ -174,4 +203,10 @@ def describe_shares(location: Mapping[str, Any]) -> list[str]:
     ]
     text = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
     how = "all terms refitted for each vehicle, with any smooth curve of temperature"
-    return [f"Of the squared error of rides ({how}), {text}."]
+    lines = [f"Of the squared error of rides ({how}), {text}."]
+    if most:
+        lines.append(
+            "The noise that follows from the uncertainty of the measured energy exceeds the scatter of windows: it is "
+            "overestimated for these drives, and its share is an upper limit."
+        )
+    return lines

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
+from core.diagnose.deviation_words import find_leading_deviation
 from core.evaluate.paper.results import to_json_values
 from tools.report.diagnosis import deviations, figures, sentences, tables
 from tools.report.diagnosis.cause_figures import draw_causes
@@ -91,7 +92,9 @@ def print_step(result: Any, step: int, console: Console) -> None:
     print_heading(f"Step {step}", console)
     first = next((m for m in values.get("missing") or () if m.get("effect") == values.get("verdict")), None)
     if first is None:
-        print_lines(["No further effect is missing."], console)
+        found = find_leading_deviation([one for one in values.get("deviations") or () if one.get("columns")])
+        lines = ["No further effect is missing."] if found is None else deviations.describe_finding(found)
+        print_lines(lines, console)
         return
     meaning, *more = sentences.describe_missing_effect(first)
     print_lines(

@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from core.diagnose.candidates import NOT_IN_DATA
+from core.diagnose.deviation_words import find_leading_deviation
 from core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN
 from tools.report.cells import format_count, format_percent
+from tools.report.diagnosis.deviations import advise_test, describe_finding
 from tools.report.evaluation.data_tables import MEASURED_BY
 from tools.report.evaluation.result import Result, get_mapping, get_number
 
@@ -108,12 +110,24 @@ def describe_error(result: Result) -> list[str]:
         lines.append(f"{how}, it would be {format_energy(refitted)} (in sample).")
     if implausible := get_mapping(result, "model").get("implausible"):
         lines.append(f"NOT plausible in this model: {'; '.join(map(str, implausible))}.")
-    if mae and floor is not None:
+    if is_noise_overestimated(result):
         lines.append(
-            f"Measurement noise alone causes {format_energy(floor)}, {format_percent(min(floor / mae, 1.0), 0)} of the "
+            f"The measurement noise that follows from the uncertainty of the measured energy is {format_energy(floor)},"
+            " more than the error: it is overestimated for these drives, and its share of the error is unknown."
+        )
+    elif mae and floor is not None:
+        lines.append(
+            f"Measurement noise alone causes {format_energy(floor)}, {format_percent(floor / mae, 0)} of the "
             "error: a model without any error would still show it."
         )
     return lines
+
+
+def is_noise_overestimated(result: Result) -> bool:
+    """Return whether the estimated measurement noise exceeds the error of the model, which contains the noise."""
+    errors = get_mapping(result, "error")
+    mae, floor = get_number(errors.get("mae_kwh")), get_number(errors.get("noise_floor_kwh"))
+    return mae is not None and floor is not None and floor > mae
 
 
 def _describe_bias(value: Any) -> str:
@@ -205,14 +219,32 @@ def describe_causes(causes: Any, most: int = MOST_CAUSES) -> str:
 
 
 def describe_verdict(result: Result) -> list[str]:
-    """Return the sentences with which a report begins: the probable causes, and among which the largest one is."""
-    causes = result.get("causes") or ()
+    """Return the sentences with which a report begins: what was found of cars and dates, and the probable causes.
+
+    Notes
+    -----
+    A car, a group or all cars that changed come first where no effect is missing in all cars at all times. Those whose
+    interval of the size contains zero are left out.
+    """
+    found = find_leading_deviation(result.get("deviations"))
+    finding = [] if found is None else describe_finding(found)
+    causes = _describe_common_causes(result, everywhere=bool(finding))
+    return [*causes, *finding] if result.get("verdict") else [*finding, *causes]
+
+
+def _describe_common_causes(result: Result, *, everywhere: bool) -> list[str]:
+    """Return the probable causes in all cars at all times, and among which the largest one is."""
+    causes, verdict = result.get("causes") or (), result.get("verdict")
     if not causes:
         return []
-    lines = [f"Probable cause of the error: {describe_causes(causes)}."]
+    first = str(causes[0].get("effect"))
+    of = "Effects in all cars at all times" if everywhere or first == NONE else "Probable cause of the error"
+    lines = [f"{of}: {describe_causes(causes)}."]
     credible = [CAUSE_NAMES.get(str(name), str(name)) for name in result.get("credible_set") or ()]
     if len(credible) > 1:
         lines.append(f"The largest cause is one of these in nine cases of ten: {', '.join(credible)}.")
+    if verdict and credible and verdict not in credible:
+        lines.append(f"Beside {verdict}, which was found next, {credible[0]} is not needed.")
     return lines
 
 
@@ -230,12 +262,9 @@ def describe_competition(result: Result) -> list[str]:
 def describe_missing_effect(one: Mapping[str, Any]) -> list[str]:
     """Return all statements about a missing effect, the most important first."""
     meaning = str(one.get("words") or name_effect(one))
-    causes = describe_causes(one.get("causes"))
     lines = [
         f"{meaning}; {describe_scope(one)}",
-        f"the largest missing effect with a probability of {format_percent(one.get('probability'), 0)}: {causes}"
-        if causes
-        else "",
+        _describe_probability(one),
         describe_gain(one),
         describe_coefficient(one),
         *describe_rivals(one),
@@ -243,6 +272,23 @@ def describe_missing_effect(one: Mapping[str, Any]) -> list[str]:
     if equal := [str(each) for each in one.get("equivalents") or ()]:
         lines.append(f"equal in energy, on average, to {' or '.join(equal)}")
     return [line for line in lines if line]
+
+
+def _describe_probability(one: Mapping[str, Any]) -> str:
+    """Return the probability that an effect is the largest missing one, alone and with others, and the other causes."""
+    chances = {str(each.get("effect")): get_number(each.get("probability")) or 0.0 for each in one.get("causes") or ()}
+    if not chances:
+        return ""
+    whole, alone, several = get_number(one.get("probability")), chances.pop(str(one.get("effect")), 0.0), 0.0
+    if whole is not None:
+        several = max(whole - alone, 0.0)
+    led = {SEVERAL: max(chances.pop(SEVERAL, 0.0) - several, 0.0)}
+    rest = sorted((chances | led).items(), key=lambda item: -item[1])
+    others = describe_causes([{"effect": name, "probability": chance} for name, chance in rest], MOST_CAUSES - 1)
+    words = f"the largest missing effect with a probability of {format_percent(whole, 0)}"
+    parts = f"alone {format_percent(alone, 0)}, with others {format_percent(several, 0)}"
+    text = f"{words} ({parts}){f'; or else {others}' if others else ''}"
+    return text.replace(CAUSE_NAMES[SEVERAL], "several effects of which another is the largest")
 
 
 def describe_remainder(result: Result) -> list[str]:
@@ -253,11 +299,13 @@ def describe_remainder(result: Result) -> list[str]:
         last, floor = get_number(steps[-1]["mae_kwh"]) or 0.0, get_number(steps[-1].get("noise_floor_kwh"))
         errors = " -> ".join(f"{get_number(step['mae_kwh']):.3g}" for step in steps)
         added = "; each missing effect fitted without the days that it is evaluated on" if len(steps) > 1 else ""
+        excessive = is_noise_overestimated(result)
+        noise = "overestimated, see the error above" if excessive else format_energy(floor)
         lines.append(
             f"Mean absolute error with all terms refitted to these rides for each car (in sample{added}): {errors} kWh "
-            f"per ride; measurement noise {format_energy(floor)}."
+            f"per ride; measurement noise {noise}."
         )
-        if floor is not None and last <= floor and not result.get("structure_remains"):
+        if floor is not None and last <= floor and not excessive and not result.get("structure_remains"):
             lines.append("The remaining error does not exceed measurement noise.")
     if result.get("structure_remains"):
         lines.append(
@@ -321,16 +369,18 @@ def find_recommended(result: Result) -> str | None:
 
 def describe_next_step(result: Result) -> list[str]:
     """Return what to do next, with the command where there is one."""
-    chosen = result.get("verdict")
+    chosen, found = result.get("verdict"), find_leading_deviation(result.get("deviations"))
+    testing = [] if found is None else advise_test(found, then="Then" if chosen else "")
     if not chosen:
-        return [_advise_without_effect(result)]
+        return testing or [_advise_without_effect(result)]
     first = _find_verdict(result)
     doubts = _list_doubts(first)
     if doubts:
         lines = [f"Do not rely on {chosen} yet: {' and '.join(doubts)}. Record more rides. To try it all the same:"]
     else:
         lines = [f"Add {chosen}, {describe_scope(first)}."]
-    return [*lines, str(first["command"])] if first.get("command") else [line.split(" To try")[0] for line in lines]
+    adding = [*lines, str(first["command"])] if first.get("command") else [line.split(" To try")[0] for line in lines]
+    return [*adding, *testing]
 
 
 def _advise_without_effect(result: Result) -> str:

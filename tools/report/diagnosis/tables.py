@@ -87,13 +87,14 @@ def tabulate_candidates(result: Result) -> ReportTable:
 def tabulate_errors(result: Result) -> ReportTable:
     """Return the errors of the model and the noise floor."""
     part = get_mapping(result, "error")
+    excessive = ", overestimated" if sentences.is_noise_overestimated(result) else ""
     values = (
         ("model as given", part.get("mae_kwh")),
         (
             "same terms refitted to these rides for each car, any curve of temperature (in sample)",
             part.get("mae_refitted_kwh"),
         ),
-        ("measurement noise alone", part.get("noise_floor_kwh")),
+        (f"measurement noise alone{excessive}", part.get("noise_floor_kwh")),
     )
     rows = tuple(Row(what, (Cell(_plain(value)),)) for what, value in values if get_number(value) is not None)
     return ReportTable("Mean absolute error of a ride", "model", ("kWh",), rows)

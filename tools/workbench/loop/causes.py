@@ -5,6 +5,7 @@ from typing import Any
 
 from core import effects
 from core.diagnose.add.add import AdditionTrial, force_addition
+from core.diagnose.deviation_words import find_leading_deviation
 from core.diagnose.partial_residual import compute_candidate_residual
 from core.errors import SocastError
 from core.evaluate.paper.results import to_json_values
@@ -41,8 +42,9 @@ def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Mapping
     -------
     dict
         `causes`, each with its probability, whether it is in the credible set, and for an effect its declaration and
-        how it was ranked; the `recommended` effect, None where it is in doubt; sentences; the entries of `missing`
-        effects and of `deviations` of cars, with the command that adds each.
+        how it was ranked; the `recommended` effect, None where it is in doubt; who has the leading `finding`, None
+        without one; sentences; the entries of `missing` effects and of `deviations` of cars, with the command that
+        adds each.
     """
     ranked = {str(row["effect"]): row for row in diagnosis.get("candidates") or ()}
     credible = set(diagnosis.get("credible_set") or ())
@@ -69,6 +71,7 @@ def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Mapping
         "error": diagnosis["error"],
         "causes": causes,
         "recommended": find_recommended(diagnosis),
+        "finding": None if (found := find_leading_deviation(diagnosis.get("deviations"))) is None else found["who"],
         "verdict_sentences": describe_verdict(diagnosis),
         "next": [line for line in describe_next_step(diagnosis) if not line.startswith("socast ")],
         "remainder": describe_remainder(diagnosis),

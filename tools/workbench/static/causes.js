@@ -80,7 +80,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
   function drawVerdict() {
     const lines = record.verdict_sentences;
     put(verdict, 
-      el("h2", {}, record.recommended ? `Most probably missing: ${record.recommended.replaceAll("_", " ")}` : record.causes[0]?.name === "none" ? "Most probably, no effect is missing" : "No effect is certain enough to be recommended"),
+      el("h2", {}, record.recommended ? `Most probably missing: ${record.recommended.replaceAll("_", " ")}` : record.finding ? (record.finding === "all" ? "All cars changed" : `A finding about ${record.finding}`) : record.causes[0]?.name === "none" ? "Most probably, no effect is missing" : "No effect is certain enough to be recommended"),
       el("p", {}, lines.join(" ")),
       el("p", {}, record.next.join(" ")),
       record.held_out.rides > 0 && el("p", { class: "note small" }, `${number(record.held_out.rides)} rides of ${record.held_out.dates.length} days are set aside; an added effect is evaluated on them.`),

@@ -1,0 +1,31 @@
+"""Test the options of cleaning: they are repeated in printed commands, and refused beside tables."""
+
+from pathlib import Path
+
+import pytest
+
+from core.errors import SettingsError
+from core.settings import Settings
+from tools.commands.diagnose import insert_commands
+from tools.terminal.cleaning_options import make_settings, refuse_cleaning_of_tables, word_settings
+
+MOTORWAY = make_settings(speed_limit_kmh=180.0, least_distance_km=1.5)
+WORDS = "--speed-limit-kmh 180 --least-distance-km 1.5"
+
+
+def test_only_changed_settings_are_worded():
+    assert " ".join(word_settings(MOTORWAY)) == WORDS
+    assert word_settings(Settings()) == []
+
+
+def test_options_beside_tables_are_refused_with_the_remedy():
+    with pytest.raises(SettingsError, match=f"{WORDS} cleans recordings, and tables/rides.parquet .* `socast tables`"):
+        refuse_cleaning_of_tables([Path("tables/rides.parquet")], MOTORWAY)
+    refuse_cleaning_of_tables([Path("kept.mcap")], MOTORWAY)
+    refuse_cleaning_of_tables([Path("tables/rides.parquet")], Settings())
+
+
+def test_command_that_adds_an_effect_cleans_the_recording_alike():
+    missing = {"effect": "headwind", "columns": ["effect_headwind"]}
+    insert_commands({"missing": [missing]}, "base.json", [Path("kept.mcap")], settings=MOTORWAY)
+    assert all(WORDS in command for command in missing["commands"])
