@@ -43,13 +43,7 @@ def evaluate_tables(
     repeats: Annotated[int, typer.Option(help="Number of splits by ride.")] = REPEATS,
     recipes: Annotated[
         str | None,
-        typer.Option(
-            "--recipes",
-            "--recipe",
-            metavar="A,B",
-            help=f"Only these of {', '.join(RECIPES)}, {SEGMENTS}.",
-            show_default=False,
-        ),
+        typer.Option(metavar="A,B", help=f"Only these of {', '.join(RECIPES)}, {SEGMENTS}.", show_default=False),
     ] = None,
     leave_out_of_training: Annotated[
         list[str] | None,
