@@ -10,7 +10,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Final
+from typing import BinaryIO, Final
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
@@ -44,13 +44,16 @@ class OversizedError(ValueError):
     """Refuse a record that would take more memory or time than its file justifies."""
 
 
-def iterate_records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the opcode and the body of each record.
+def read_records(file: BinaryIO, start: int, length: int, largest: int) -> Iterator[tuple[int, bytes]]:
+    """Yield the opcode and the body of each record of a part of a file, one at a time.
 
     Parameters
     ----------
-    data : bytes
-        Consecutive records.
+    file : file
+    start, length : int
+        Place and size of the part. [B]
+    largest : int
+        Size of the largest record. [B]
 
     Yields
     ------
@@ -59,17 +62,17 @@ def iterate_records(data: bytes) -> Iterator[tuple[int, bytes]]:
     Raises
     ------
     struct.error
-        If the data end within the head of a record.
+        If the file ends within the head of a record.
     ValueError
-        If a record has no opcode.
+        If a record has no opcode, is too large, or reaches beyond the part.
     """
-    at = 0
-    while at < len(data):
-        opcode, length = RECORD.unpack_from(data, at)
-        if not opcode:
-            raise ValueError("a record without opcode")
-        at += RECORD.size + length
-        yield opcode, data[at - length : at]
+    file.seek(start)
+    while length:
+        opcode, size = RECORD.unpack(file.read(RECORD.size))
+        length -= RECORD.size + size
+        if not opcode or size > largest or length < 0:
+            raise ValueError("a record without opcode, too large or beyond its part")
+        yield opcode, file.read(size)
 
 
 def iterate_strings(body: bytes, at: int, count: int) -> Iterator[bytes]:

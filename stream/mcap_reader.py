@@ -48,8 +48,8 @@ from stream.mcap_format import (
     decode_metadata,
     decompress_chunk,
     explain_foreign_channel,
-    iterate_records,
     iterate_strings,
+    read_records,
 )
 from stream.mcap_losses import ALLOWANCE, EXPANSION, Losses
 from stream.mcap_scan import NO_RECORDS, scan_chunk
@@ -63,7 +63,9 @@ MOST_YIELDED: Final = 16_000
 MOST_YIELDED_BYTES: Final = 8 << 20
 """Size of messages from which no further chunk is read before they are yielded. [B]"""
 LARGEST_SUMMARY: Final = 64 << 20
-"""Largest summary that is read; the chunks of a file with a larger one are found by a scan. [B]"""
+"""Largest summary that is read of any file. [B]"""
+SUMMARY_SHARE: Final = 8
+"""Ratio of a large file to the largest summary that is read of it; with a larger one, a scan finds the chunks."""
 LARGEST_DESCRIPTION: Final = 1 << 20
 """Largest schema or channel. [B]"""
 MOST_DESCRIPTIONS: Final = 1 << 18
@@ -270,29 +272,32 @@ class McapSource:
                 f"{self.path} is of another contract: {reason}; record with `socast live --record DIR`"
             )
 
-    def _read_summary(self, file: BinaryIO) -> tuple[int, bytes]:
-        """Return the place of the summary and its records; no records without an intact summary."""
+    def _locate_summary(self, file: BinaryIO) -> tuple[int, int]:
+        """Return the place of the summary and its size; a size of 0 without an intact summary."""
         size = file.seek(0, 2)
         if size < 2 * len(MAGIC) + _TAIL:
-            return 0, b""
+            return 0, 0
         file.seek(size - _TAIL)
         tail = file.read(_TAIL)
         opcode, _, start, _, crc = FOOTER_RECORD.unpack(tail[: FOOTER_RECORD.size])
         length = size - _TAIL - start
-        if opcode != FOOTER or not tail.endswith(MAGIC) or not start or not 0 <= length <= LARGEST_SUMMARY:
-            return 0, b""
+        most = max(LARGEST_SUMMARY, size // SUMMARY_SHARE)
+        if opcode != FOOTER or not tail.endswith(MAGIC) or not start or not 0 <= length <= most:
+            return 0, 0
         file.seek(start)
-        data = file.read(length)
-        is_damaged = crc and zlib.crc32(tail[: FOOTER_RECORD.size - 4], zlib.crc32(data)) != crc
-        return start, b"" if is_damaged else data
+        found = 0
+        for at in range(0, length if crc else 0, RAW_BLOCK):
+            found = zlib.crc32(file.read(min(RAW_BLOCK, length - at)), found)
+        is_damaged = crc and zlib.crc32(tail[: FOOTER_RECORD.size - 4], found) != crc
+        return start, 0 if is_damaged else length
 
     def _read_index(self, file: BinaryIO) -> list[_Block]:
         """Return the chunks that the summary lists; an empty list without an intact summary that counts them."""
-        start, data = self._read_summary(file)
+        start, length = self._locate_summary(file)
         blocks: list[_Block] = []
         count = chunks = None
         try:
-            for opcode, body in iterate_records(data):
+            for opcode, body in read_records(file, start, length, LARGEST_DESCRIPTION):
                 if opcode == CHUNK_INDEX:
                     first_ns, last_ns, offset, length = _CHUNK_PLACE.unpack_from(body)
                     blocks.append(_Block(first_ns, last_ns, offset, length, chunked=True))

@@ -201,6 +201,19 @@ def test_index_that_lacks_chunks_is_replaced_by_a_scan(tmp_path):
     assert source.losses.is_contradicted
 
 
+@pytest.mark.parametrize(("share", "is_read"), [(1, True), (1 << 40, False)])
+def test_summary_is_read_up_to_a_share_of_the_file(tmp_path, monkeypatch, share: int, is_read: bool):
+    sent = make_telemetry(400, cars=2)
+    path = write_recording(tmp_path / "r.mcap", sent, 2000)
+    monkeypatch.setattr(mcap_reader, "LARGEST_SUMMARY", 100)
+    monkeypatch.setattr(mcap_reader, "SUMMARY_SHARE", share)
+    source = McapSource(path)
+    assert source.count == (len(sent) if is_read else None)
+    assert source.blocks > 1
+    assert [each for messages in source for each in messages] == sent
+    assert not source.losses
+
+
 def test_footer_with_any_place_of_the_summary_loses_no_message(tmp_path):
     path = write_recording(tmp_path / "r.mcap", SENT, 1000)
     data = bytearray(path.read_bytes())

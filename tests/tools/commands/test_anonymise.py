@@ -1,6 +1,7 @@
 """`socast anonymise` keeps tables, and leaves no trace of names, places and dates in the file."""
 
 import json
+from io import BytesIO
 from random import Random
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from core.errors import SocastError
 from core.wire.messages import Message, Telemetry, encode
-from stream.mcap_format import iterate_records
+from stream.mcap_format import read_records
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
 from tests.support.batched_recordings import make_batch
@@ -102,7 +103,7 @@ def read_all_bytes(path):
 
     whole = path.read_bytes()
     parts = [whole]
-    for opcode, body in iterate_records(whole[8:-8]):
+    for opcode, body in read_records(BytesIO(whole), 8, len(whole) - 16, len(whole)):
         if opcode == 6:
             begin = body.index(b"zstd") + 4 + 8
             parts.append(zstandard.ZstdDecompressor().decompress(body[begin:], max_output_size=1 << 26))
