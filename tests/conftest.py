@@ -76,25 +76,12 @@ def _write_to_the_cache_of_the_system() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
-def _restore_effects() -> Iterator[None]:
-    """Remove the effects that a test has loaded from files, so that no later test depends on the order."""
-    from core.effects import registry  # noqa: PLC0415 - tests that start processes need no core
+def _restore_libraries() -> Iterator[None]:
+    """Remove the effects and vehicle models that a test has loaded, so that no later test depends on the order."""
+    from tests.support.libraries import restored_libraries  # noqa: PLC0415 - tests that start processes need no core
 
-    effects, files = dict(registry._library), dict(registry._brought_by)
-    yield
-    for kept, now in ((effects, registry._library), (files, registry._brought_by)):
-        if now != kept:
-            now.clear()
-            now.update(kept)
-
-
-@pytest.fixture(autouse=True)
-def _restore_vehicles() -> Iterator[None]:
-    """Remove the vehicle models that a test has added to the catalogue."""
-    from core.vehicles import catalogue  # noqa: PLC0415 - tests that start processes need no core
-
-    yield
-    catalogue._OWN.clear()
+    with restored_libraries():
+        yield
 
 
 @pytest.fixture
