@@ -1,5 +1,6 @@
 """Settings and fixtures of every test."""
 
+import gc
 import os
 import sys
 from collections.abc import Iterator
@@ -49,6 +50,19 @@ def pytest_xdist_node_collection_finished(node: Any) -> None:
     if compiler := node.config.stash.get(COMPILER, None):
         wait_for_compiler(compiler)
         del node.config.stash[COMPILER]
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection() -> None:
+    """Keep the tests, as they are collected, from the search for garbage, which would find them alive each time."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Search only what tests make for garbage, and more rarely; that saves a twentieth of their processor time."""
+    gc.freeze()
+    gc.set_threshold(10_000, 20, 20)
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
