@@ -117,6 +117,7 @@ class MixedModel:
         products = sum_ride_products(columns, weight, levels[0])
         energy = np.full((len(fixed.place), 1), self._p)
         self._place = np.column_stack([fixed.place, energy])
+        self._grids = [np.ix_(place, place) for place in self._place]
         self._own = products[:, : self.size, : self.size].copy()
         self._beside = products[:, : self.size, self.size :].copy()
         of_groups = sum_units(products[:, self.size :, self.size :], self._levels[0].group)
@@ -228,8 +229,8 @@ class MixedModel:
     def _assemble(self, of_groups: Floats) -> Floats:
         """Return the sums of groups at the places of their coefficients, (p + 1, p + 1)."""
         total = np.zeros((self._p + 2, self._p + 2))
-        for sums, place in zip(of_groups, self._place, strict=True):
-            total[np.ix_(place, place)] += sums  # absent columns, which are zero, fall on the last place
+        for sums, grid in zip(of_groups, self._grids, strict=True):
+            total[grid] += sums  # absent columns, which are zero, fall on the last place
         return total[:-1, :-1]
 
     def _spread(self, beside: Floats, group: Ints) -> Floats:
@@ -281,9 +282,9 @@ class MixedModel:
         if level.is_global:
             return np.asarray(step.beside @ by_total)
         out = np.empty_like(step.beside)
-        for g, place in enumerate(self._place):
+        for g, grid in enumerate(self._grids):
             rows = slice(level.edges[g], level.edges[g + 1])
-            out[rows] = step.beside[rows] @ padded[np.ix_(place, place)]
+            out[rows] = step.beside[rows] @ padded[grid]
         return out
 
 

@@ -5,7 +5,7 @@ from core.diagnose.dataset import Windows
 from core.fit.row_noise import build_variance_parts, estimate_variance
 
 
-def estimate_window_variance(windows: Windows, residual: Floats) -> Floats:
+def estimate_window_variance(windows: Windows, residual: Floats, parts: Floats | None = None) -> Floats:
     """Return the variance of the residual of each window: that of its measurement plus parts that grow with the drive.
 
     Parameters
@@ -14,6 +14,8 @@ def estimate_window_variance(windows: Windows, residual: Floats) -> Floats:
         The windows.
     residual : (n,) float
         Residual after refitting. [kWh]
+    parts : (n, 4) float, optional
+        Parts of the variance, as `build_variance_parts` returns them for the windows. [kWh^2]
 
     Returns
     -------
@@ -25,5 +27,4 @@ def estimate_window_variance(windows: Windows, residual: Floats) -> Floats:
     The variance is a sum of the measurement variance and parts proportional to the squares of the rolling energy, of
     the acceleration energy, and of the energy of a constant power. The coefficients are fitted and not negative.
     """
-    parts = build_variance_parts(windows.table)
-    return estimate_variance(parts, residual)
+    return estimate_variance(build_variance_parts(windows.table) if parts is None else parts, residual)

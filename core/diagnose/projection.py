@@ -18,6 +18,7 @@ Association 58 (1963) 993, DOI 10.1080/01621459.1963.10480682. On components of 
 Swamy and Arora, Econometrica 40 (1972) 261, DOI 10.2307/1909405.
 """
 
+from copy import copy
 from typing import Final
 
 import numpy as np
@@ -29,7 +30,7 @@ from core.diagnose.noise import estimate_window_variance
 from core.fit.block_sums import build_design
 from core.fit.distortions import gather_distortions
 from core.fit.ride_blocks import get_names, get_numbers
-from core.fit.row_noise import compute_robust_weights
+from core.fit.row_noise import build_variance_parts, compute_robust_weights
 from core.models import ANY, LinearModel, Term
 from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns
 
@@ -74,13 +75,14 @@ class BaseProjection:
     """
 
     def __init__(self, windows: Windows, model: LinearModel, taken: Floats | None = None) -> None:
-        self.windows, self._model = windows, model
+        self.windows = windows
         self._taken = np.zeros(len(windows.measured)) if taken is None else taken
         self.cars = [np.flatnonzero(windows.vehicle == v) for v in range(int(windows.vehicle.max()) + 1)]
         self.kinds = _kinds(windows)
         curved = any(ACCESSORIES_COLUMN in term.columns for term in model.terms)
         physical = tuple(term for term in model.terms if _physical(term))
         others = tuple(term for term in model.terms if not _physical(term))
+        self._variance_parts = build_variance_parts(windows.table)
         self._windows_of_ride = np.bincount(windows.ride).astype(np.float64)
         self._per_car = np.column_stack([_terms(windows, model, physical, self.kinds), _car(windows, curved)])
         self._few = np.column_stack([windows.predicted, get_numbers(windows.table, "duration_s") / 3600.0])
@@ -96,7 +98,7 @@ class BaseProjection:
             self._project()
             standardised = self._unmixed(self.project_out(energy - self._taken[:, np.newaxis])[:, 0])
             left = standardised / np.sqrt(self.weight)
-            variance = estimate_window_variance(self.windows, left)
+            variance = estimate_window_variance(self.windows, left, self._variance_parts)
             self.weight = compute_robust_weights(left / np.sqrt(variance)) ** 2 / variance
             self.ride_correlation = self._correlation(left * np.sqrt(self.weight))
         self._project()
@@ -107,7 +109,9 @@ class BaseProjection:
         base = self
         for _ in range(REWEIGHTINGS):
             size, *_ = np.linalg.lstsq(base.project_out(columns), base.residual, rcond=None)
-            base = BaseProjection(self.windows, self._model, columns @ size)
+            base = copy(self)
+            base._taken = columns @ size  # noqa: SLF001
+            base._weigh()  # noqa: SLF001
         return base
 
     def _correlation(self, standardised: Floats) -> float:

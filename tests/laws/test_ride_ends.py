@@ -1,5 +1,7 @@
 """Test that rides that end between samples give the same results for any cut of the input and after any restart."""
 
+from functools import cache
+
 import pandas as pd
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,9 +16,15 @@ FLEET = in_order(shift("a"), shift("b", rides=1), shift("c", rides=2), sent("d",
 BEGIN = START + ONE_DAY * DAYS
 
 
+@cache
+def run_whole():
+    """Return the forecasts and the tables of an uninterrupted run."""
+    return run_parts([FLEET])
+
+
 @given(cuts=st.lists(st.integers(0, len(FLEET)), max_size=6), restart=st.booleans())
 def test_cuts_and_restarts_change_no_result(cuts, restart):
-    forecasts, tables = run_parts([FLEET])
+    forecasts, tables = run_whole()
     parts, others = run_parts(chunked(FLEET, cuts), restart=restart)
     assert parts == forecasts
     assert len(tables[0]) == 7
@@ -26,7 +34,7 @@ def test_cuts_and_restarts_change_no_result(cuts, restart):
 
 def test_restart_before_and_after_each_end_changes_no_result():
     places = [i for i, message in enumerate(FLEET) if b'"end"' in message.payload]
-    forecasts, tables = run_parts([FLEET])
+    forecasts, tables = run_whole()
     parts, others = run_parts(chunked(FLEET, [at + step for at in places for step in (0, 1)]), restart=True)
     assert parts == forecasts
     assert all(one.equals(other) for one, other in zip(others, tables, strict=True))

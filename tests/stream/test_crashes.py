@@ -3,6 +3,7 @@
 import io
 import os
 import shutil
+from collections import defaultdict
 from collections.abc import Callable
 from itertools import count, pairwise
 from pathlib import Path
@@ -71,22 +72,35 @@ def expected(sent: list[Message]) -> tuple[set[Message], bytes]:
     return set(pipeline.push(sent)), pipeline.snapshot()
 
 
-def run_until_crash(folder: Path, sent: list[Message]) -> int | None:
-    """Run a consumer; return how many messages it had been given when it crashed, None if it did not."""
-    consumer = None
-    given = 0
-    try:
-        consumer = Consumer(folder)
+class CrashedFolders:
+    """Copies of the folder of a running consumer, each as the end of its process at a time would leave it.
+
+    Parameters
+    ----------
+    parent : Path
+        Folder of the folders.
+    """
+
+    def __init__(self, parent: Path) -> None:
+        self.folder = parent / "running"
+        self.folder.mkdir()
+        self.given = 0
+        self.copies: defaultdict[str, list[tuple[Path, int]]] = defaultdict(list)
+
+    def add(self, name: str) -> None:
+        """Copy the folder, under the name of a moment, with how many messages the consumer had been given."""
+        copies = self.copies[name]
+        copies.append((self.folder.with_name(f"{name}-{len(copies)}"), self.given))
+        shutil.copytree(self.folder, copies[-1][0])
+
+    def run(self, sent: list[Message]) -> None:
+        """Run a consumer to its end."""
+        consumer = Consumer(self.folder)
         for start in range(0, len(sent), LIST * SAVE):
-            given = min(start + LIST * SAVE, len(sent))
-            consumer.take(sent[start:given])
+            self.given = min(start + LIST * SAVE, len(sent))
+            consumer.take(sent[start : self.given])
         consumer.recorder.close()
-    except Crash:
-        return given
-    finally:
-        if consumer is not None:
-            consumer.free_locks()
-    return None
+        consumer.free_locks()
 
 
 def assert_continues(folder: Path, sent: list[Message], given: int, expected: tuple[set[Message], bytes]) -> None:
@@ -101,49 +115,49 @@ def assert_continues(folder: Path, sent: list[Message], given: int, expected: tu
     assert consumer.pipeline.snapshot() == expected[1]
 
 
-class CrashingFile:
-    """A file that reaches the disk byte by byte until the process ends."""
+class WatchedFile:
+    """A file that reaches the disk at once; the folders are copied at each thousandth byte of all such files."""
 
-    def __init__(self, path: Path, left: list[int]) -> None:
-        self._file, self._left = io.FileIO(path, "wb"), left
+    def __init__(self, path: Path, written: list[int], crashed: CrashedFolders) -> None:
+        self._file, self._written, self._crashed = io.FileIO(path, "wb"), written, crashed
 
     def write(self, data: bytes) -> int:
-        self._file.write(data[: max(0, self._left[0])])
-        self._left[0] -= len(data)
-        if self._left[0] < 0:
-            raise Crash
+        rest = memoryview(data)
+        while len(rest) > (left := 1000 - self._written[0] % 1000):
+            self._write(rest[:left])
+            self._crashed.add("byte")
+            rest = rest[left:]
+        self._write(rest)
         return len(data)
+
+    def _write(self, data: memoryview) -> None:
+        self._written[0] += self._file.write(data)
 
     def __getattr__(self, name: str) -> object:
         return getattr(self._file, name)
 
 
-def open_crashing(left: list[int]) -> Callable[..., object]:
-    """Return a replacement of `Path.open` that makes the process end after some bytes written to recordings."""
-    plain = Path.open
+def open_watched(crashed: CrashedFolders) -> Callable[..., object]:
+    """Return a replacement of `Path.open` that watches what is written to recordings."""
+    plain, written = Path.open, [0]
 
     def choose(path: Path, mode: str = "r", *arguments: object, **named: object) -> object:
         if path.suffix == ".mcap" and "w" in mode:
-            return CrashingFile(path, left)
+            return WatchedFile(path, written, crashed)
         return plain(path, mode, *arguments, **named)
 
     return choose
 
 
 def test_crash_at_each_thousandth_byte_of_the_recording(tmp_path, monkeypatch, sent, expected):
-    crashes = 0
-    for byte in count(1000, 1000):
-        folder = tmp_path / str(byte)
-        folder.mkdir()
-        with monkeypatch.context() as disk:
-            disk.setattr(Path, "open", open_crashing([byte]))
-            given = run_until_crash(folder, sent)
-        if given is None:
-            break
-        crashes += 1
+    crashed = CrashedFolders(tmp_path)
+    with monkeypatch.context() as disk:
+        disk.setattr(Path, "open", open_watched(crashed))
+        crashed.run(sent)
+    for folder, given in crashed.copies["byte"]:
         assert_continues(folder, sent, given, expected)
         shutil.rmtree(folder)
-    assert crashes > 20
+    assert len(crashed.copies["byte"]) > 20
 
 
 _STEPS: list[tuple[object, str]] = [
@@ -172,21 +186,41 @@ def make_crash(owner: object, name: str, number: int, *, before: bool) -> Callab
     return crash
 
 
-@pytest.mark.parametrize("before", [True, False], ids=["before", "after"])
-@pytest.mark.parametrize("step", range(len(_STEPS)), ids=[name for _, name in _STEPS])
-def test_crash_at_each_step_of_saving_the_state(tmp_path, monkeypatch, sent, expected, step, before):
-    owner, name = _STEPS[step]
-    crashes = 0
-    for number in (0, 1, 2, 5, 9):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        with monkeypatch.context() as disk:
-            disk.setattr(owner, name, make_crash(owner, name, number, before=before))
-            given = run_until_crash(folder, sent)
-        if given is not None:
-            crashes += 1
-            assert_continues(folder, sent, given, expected)
-    assert crashes >= 2
+def copy_at_calls(crashed: CrashedFolders, owner: object, name: str) -> Callable[..., object]:
+    """Return a replacement of a function that copies the folders before and after some of its calls."""
+    genuine: Callable[..., object] = getattr(owner, name)
+    calls = count()
+
+    def call(*arguments: object) -> object:
+        chosen = next(calls) in {0, 1, 2, 5, 9}
+        if chosen:
+            crashed.add(f"{name}-before")
+        result = genuine(*arguments)
+        if chosen:
+            crashed.add(f"{name}-after")
+        return result
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def crashed_at_steps(tmp_path_factory, sent: list[Message]) -> dict[str, list[tuple[Path, int]]]:
+    """Return what crashes before and after the steps of saving the state leave of one run."""
+    crashed = CrashedFolders(tmp_path_factory.mktemp("steps"))
+    with pytest.MonkeyPatch.context() as disk:
+        for owner, name in _STEPS:
+            disk.setattr(owner, name, copy_at_calls(crashed, owner, name))
+        crashed.run(sent)
+    return crashed.copies
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+@pytest.mark.parametrize("step", [name for _, name in _STEPS])
+def test_crash_at_each_step_of_saving_the_state(sent, expected, crashed_at_steps, step, when):
+    copies = crashed_at_steps[f"{step}-{when}"]
+    for folder, given in copies:
+        assert_continues(folder, sent, given, expected)
+    assert len(copies) >= 2
 
 
 @pytest.fixture(scope="module")

@@ -5,17 +5,15 @@ output stands for any number of lines. A printed number may differ by `TOLERANCE
 another processor rounds otherwise. The version of a model may differ altogether, because it depends on every digit.
 """
 
-import os
 import re
 import shlex
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
+from tests.support.libraries import restored_libraries
 from tests.support.paths import ROOT
 from tools.cli import main
 
@@ -30,8 +28,6 @@ NUMBER = re.compile(r"(?<![^\s(\[│±])[+\-−±]?\d[\d,]*(?:\.\d+)?(?:e[+-]\d+
 VERSION = re.compile(r"\b[0-9a-f]{12}\b")
 RULES = re.compile(r"[─-╿]+")
 """Lines of tables; their length depends on the width of the columns."""
-LOADS_EFFECTS: Final = re.compile(r" --effects | --vehicles |^socast effects check ")
-"""Commands that add effects or vehicles to those of the process; they run in a process of their own."""
 
 
 class DocumentedCommand(NamedTuple):
@@ -76,35 +72,19 @@ def _commands_of_block(block: str) -> Iterator[DocumentedCommand]:
 def run_command(command: str, folder: Path) -> list[str]:
     """Run a command in a folder and return the lines that it prints.
 
-    It runs in this process, which saves seconds of imports, unless it would leave effects behind in the library.
+    It runs in this process, which saves seconds of imports, and leaves no effect or vehicle model behind.
     """
     program, *arguments = shlex.split(command)
     assert program == "socast", f"{command} is not a command of the project"
-    code, out, errors = (_run_apart if LOADS_EFFECTS.search(command) else _run_here)(arguments, folder)
-    assert code == 0, f"{command}: {errors}"
-    return [line.rstrip() for line in out.strip("\n").split("\n")]
-
-
-def _run_here(arguments: list[str], folder: Path) -> tuple[object, str, str]:
-    """Run a command in this process; return its exit code, output and error output."""
     out, errors = StringIO(), StringIO()
     code: object = 0
-    with chdir(folder), redirect_stdout(out), redirect_stderr(errors):
+    with restored_libraries(), chdir(folder), redirect_stdout(out), redirect_stderr(errors):
         try:
             main(arguments)
         except SystemExit as ended:
             code = ended.code
-    return code, out.getvalue(), errors.getvalue()
-
-
-def _run_apart(arguments: list[str], folder: Path) -> tuple[object, str, str]:
-    """Run a command in a process of its own; return its exit code, output and error output."""
-    done = subprocess.run(
-        [sys.executable, "-m", "tools.cli", *arguments],
-        cwd=folder, capture_output=True, text=True, timeout=120, check=False,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    return done.returncode, done.stdout, done.stderr
+    assert code == 0, f"{command}: {errors.getvalue()}"
+    return [line.rstrip() for line in out.getvalue().strip("\n").split("\n")]
 
 
 def prepare_folder(folder: Path) -> Path:

@@ -40,6 +40,7 @@ from core.diagnose.add.refit import (
     TermAddition,
     assess_addition,
     predict_with_effects_held_out,
+    project_plain,
     refit_with,
 )
 from core.diagnose.add.terms import (
@@ -300,10 +301,11 @@ def _evaluate(
     development = data.only(~_are_on_days(data, final))
     folds = split_into_day_folds(development, seed)
     report(0.15, "evaluating the effect on held-out days")
-    predictions = predict_with_effects_held_out(addition, development.rows, [fold[development.ride] for fold in folds])
+    plain, base = project_plain(addition, development.rows)
+    predictions = predict_with_effects_held_out(addition, plain, base, [fold[development.ride] for fold in folds])
     before, after = map(development.by_ride, predictions)
     of_effect = compare_errors(development.table, before, after)
-    evidence = assess_addition(addition, development.rows, sign=sign, seed=seed)
+    evidence = assess_addition(addition, base, sign=sign, seed=seed)
     report(0.3, "refitting all terms and evaluating on held-out days")
     on_days = compare_errors(development.table, *predict_held_out(addition, development, folds))
     report(0.6, "refitting all terms and evaluating on held-out vehicles")

@@ -257,8 +257,23 @@ def _off(others: Floats, *columns: Floats) -> list[Floats]:
     return [column - basis @ (basis.T @ column) for column in columns]
 
 
+def project_plain(change: TermAddition, rows: pd.DataFrame) -> tuple[LinearModel, BaseProjection]:
+    """Return the original terms of a model fitted to rows, and the projection off them.
+
+    Parameters
+    ----------
+    change : TermAddition
+        The terms of the model, and the term to add.
+    rows : DataFrame
+        See `refit_with`.
+    """
+    with limit_to_one_thread():
+        plain = refit(change, rows)
+        return plain, BaseProjection(convert_to_windows(rows), plain)
+
+
 def predict_with_effects_held_out(
-    change: TermAddition, rows: pd.DataFrame, folds: Sequence[NDArray[np.bool_]]
+    change: TermAddition, plain: LinearModel, base: BaseProjection, folds: Sequence[NDArray[np.bool_]]
 ) -> tuple[Floats, Floats]:
     """Return predictions for which only the coefficients of effects are fitted without the predicted rows.
 
@@ -266,8 +281,8 @@ def predict_with_effects_held_out(
     ----------
     change : TermAddition
         The terms of the model, and the term to add.
-    rows : (n,) DataFrame
-        Windows or rides.
+    plain, base : LinearModel, BaseProjection
+        Fit of the original terms to n windows or rides, and the projection off them, from `project_plain`.
     folds : sequence of (n,) bool
         Rows that are held out together.
 
@@ -276,11 +291,9 @@ def predict_with_effects_held_out(
     before, after : (n,) float
         Predictions without and with the term; NaN for rows that are in no fold. [kWh]
     """
-    terms = (*change.effects, change.added)
+    terms, rows = (*change.effects, change.added), base.windows.table
     before, after = (np.full(len(rows), np.nan) for _ in range(2))
     with limit_to_one_thread():
-        plain = refit(change, rows)
-        base = BaseProjection(convert_to_windows(rows), plain)
         for fold in folds:
             estimates = _estimates(base, terms, ~fold)
             known = plain
@@ -310,15 +323,15 @@ class AdditionEvidence(NamedTuple):
     half: float
 
 
-def assess_addition(change: TermAddition, rows: pd.DataFrame, *, sign: int, seed: int) -> AdditionEvidence:
+def assess_addition(change: TermAddition, base: BaseProjection, *, sign: int, seed: int) -> AdditionEvidence:
     """Return the evidence in rows for a term that a model lacks, by the same test as `core.diagnose.forward_selection`.
 
     Parameters
     ----------
     change : TermAddition
         The terms of the model, and the term to add.
-    rows : DataFrame
-        See `refit_with`.
+    base : BaseProjection
+        Projection of the rows off the original terms, from `project_plain`.
     sign : int
         Sign of the coefficient that physics demands; a coefficient of the other sign has no gain.
     seed : int
@@ -329,12 +342,12 @@ def assess_addition(change: TermAddition, rows: pd.DataFrame, *, sign: int, seed
     AdditionEvidence
         Probability and gain.
     """
+    windows = base.windows
+    rows = windows.table
     with limit_to_one_thread():
-        base = BaseProjection(convert_to_windows(rows), refit(change, rows))
         columns = build_design((*change.effects, change.added), Columns(rows), len(rows))
         left = base.project_out(columns)
         column, residual = _off(left[:, :-1], left[:, -1], base.residual)
-    windows = base.windows
     clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
     if clusters[0].count < 2 or not column.any():
         return AdditionEvidence(1.0, 0.0, nan)

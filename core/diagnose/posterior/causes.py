@@ -135,7 +135,7 @@ def compute_cause_evidence(
             continue
         form = SelectedForm(singles.variants[first], singles.evidence[first].coefficient)
         both = beside.add(form)
-        seconds = both.compare({*taken, first})
+        seconds = both.compare({*taken, first}, stiff=False)
         unknown[first] = both.weigh_unknown()
         for second, evidence in seconds.evidence.items():
             pair = (first, second) if first < second else (second, first)
@@ -247,15 +247,15 @@ class _Comparison:
         alike = np.abs(self._shapes.T @ forms) > ALIKE * sizes
         return np.asarray(~alike.any(axis=1))
 
-    def compare(self, taken: set[str]) -> _Singles:
-        """Return the evidence of each effect that is not taken."""
+    def compare(self, taken: set[str], *, stiff: bool = True) -> _Singles:
+        """Return the evidence of each effect that is not taken; that without bends where it is wanted."""
         families = self._families
         by_variant = [
             self._weigh(at) if families.names[int(families.effects[at])] not in taken else ABSENT
             for at in range(len(families.variants))
         ]
         evidence: dict[str, LogEvidence] = {}
-        stiff: dict[str, float] = {}
+        without_bends: dict[str, float] = {}
         variants: dict[str, str] = {}
         for number, name in enumerate(families.names):
             own = [at for at in np.flatnonzero(families.effects == number).tolist() if by_variant[at] is not ABSENT]
@@ -264,9 +264,10 @@ class _Comparison:
             best = max(own, key=lambda at: by_variant[at].log_evidence)
             mean = np.logaddexp.reduce([by_variant[at].log_evidence for at in own]) - np.log(len(own))
             evidence[name] = LogEvidence(float(mean), by_variant[best].coefficient)
-            stiff[name] = self._weigh(best, 0.0).log_evidence
+            if stiff:
+                without_bends[name] = self._weigh(best, 0.0).log_evidence
             variants[name] = families.variants[best]
-        return _Singles(evidence, stiff, variants)
+        return _Singles(evidence, without_bends, variants)
 
     def _weigh(self, at: int, bend: float = BEND) -> LogEvidence:
         """Return the evidence of one form with its bends."""

@@ -91,12 +91,14 @@ def compute_marginal_likelihood(
     near = np.abs(match) / size + DEVIATIONS / np.sqrt(size)
     values = np.concatenate([grid, near[(near > grid[0]) & (near < grid[-1])]])
     values.sort()
-    values = values[np.r_[True, values[1:] != values[:-1]]]
+    values = values[np.concatenate([[True], values[1:] != values[:-1]])]
     signs = np.array([sign] if sign else [1, -1])
     likelihood = _integrate_bends(products, signs[:, np.newaxis] * values, bend) + log_density(values)
     likelihood -= np.log(len(signs))
     top = float(likelihood.max())
-    integral = float(np.trapezoid(np.exp(likelihood - top), np.log(values), axis=1).sum())
+    density, logarithm = np.exp(likelihood - top), np.log(values)
+    step = logarithm[1:] - logarithm[:-1]  # of the trapezoidal rule
+    integral = float((step * (density[:, 1:] + density[:, :-1]) / 2.0).sum(axis=1).sum())
     best = np.unravel_index(int(likelihood.argmax()), likelihood.shape)
     return LogEvidence(top + float(np.log(max(integral, 1e-300))), float(signs[best[0]] * values[best[1]]))
 

@@ -168,16 +168,23 @@ def test_what_charging_reaches_is_learned_for_the_next_day():
     assert 0.0 < variance[0] < 0.2**2
 
 
+@cache
+def forecast_whole(sends):
+    """Return the messages of a stream, and its forecasts without cuts."""
+    messages = [m for _, m in stream(sends=sends)]
+    return messages, [m.payload for m in trained_pipeline().push(messages)]
+
+
 @given(st.lists(st.integers(0, 490), max_size=5), st.booleans())
 def test_cuts_and_restarts_change_no_forecast_with_charges(cuts, sends):
-    messages = [m for _, m in stream(sends=sends)]
+    messages, expected = forecast_whole(sends)
     pipeline, payloads = trained_pipeline(), []
     for chunk in chunked(messages, cuts):
         payloads += [m.payload for m in pipeline.push(chunk)]
         again = trained_pipeline()
         again.restore(pipeline.snapshot())
         pipeline = again
-    assert payloads == [m.payload for m in trained_pipeline().push(messages)]
+    assert payloads == expected
 
 
 def test_query_equals_forecast_with_a_charge_ahead_and_at_the_charger():

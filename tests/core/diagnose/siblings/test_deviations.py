@@ -1,5 +1,7 @@
 """Test deviations: what one car has, or what began on a date, is found with its car, date and size."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -21,13 +23,19 @@ def find(shares, *, cars=4, groups=None, **errors):
     return result["deviations"], result["cars"]
 
 
+@cache
+def find_in_one_car(effect):
+    """Return the same of cars of which one has an effect."""
+    return find({f"{effect} {CAR}": 0.05})
+
+
 def names(deviation):
     return [cause["effect"] for cause in deviation["causes"]]
 
 
 @pytest.mark.parametrize("effect", ["cornering", "night_lights", "headwind"])
 def test_effect_of_one_car_is_found_in_that_car_always(effect):
-    (only,), cars = find({f"{effect} {CAR}": 0.05})
+    (only,), cars = find_in_one_car(effect)
     assert (only["who"], only["kind"], only["since"]) == ("taxi-1", "always", None)
     assert effect in names(only)
     assert only["columns"] == [f"effect_{only['effect']}", CAR]
@@ -40,7 +48,7 @@ def test_effect_of_one_car_is_found_in_that_car_always(effect):
 
 
 def test_deviation_states_the_number_of_tests_of_all_cars_and_forms():
-    of_four = find({f"headwind {CAR}": 0.05})[0][0]["tests"]
+    of_four = find_in_one_car("headwind")[0][0]["tests"]
     of_six = find({f"headwind {CAR}": 0.05}, cars=6)[0][0]["tests"]
     assert of_four * (3 * 6 + 1) == of_six * (3 * 4 + 1)  # three forms of each car, and all cars from a date on
 
