@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from core import models
@@ -29,8 +29,6 @@ from tests.support.telemetry import (
 )
 
 pytestmark = pytest.mark.long
-EXAMPLES = 8
-"""Number of examples where each is several runs of a fleet."""
 
 
 def same(one, other):
@@ -59,7 +57,6 @@ def test_single_messages_give_the_same_results():
     same(single, whole)
 
 
-@settings(max_examples=EXAMPLES)
 @given(seed=st.integers(0, 200))
 def test_other_vehicles_do_not_change_the_results_of_a_vehicle(seed):
     streams = [car(name, seed + i) for i, name in enumerate(CARS)]
@@ -230,7 +227,6 @@ def pushed(pipeline, messages, cuts=()):
     return out, pipeline.snapshot()
 
 
-@settings(max_examples=EXAMPLES)
 @given(seed=st.integers(0, 200), cuts=st.lists(st.integers(0, TWO_DAYS + 48), max_size=12))
 def test_any_chunking_gives_the_same_forecasts_and_learned_state(seed, cuts):
     messages = two_days(seed)
@@ -247,7 +243,6 @@ def test_single_messages_give_the_same_forecasts_and_learned_state():
     assert pushed(trained_pipeline(), messages, range(len(messages))) == pushed(trained_pipeline(), messages)
 
 
-@settings(max_examples=EXAMPLES)
 @given(seed=st.integers(0, 200), at=st.integers(0, TWO_DAYS + 48), near=st.sampled_from(["any", "midnight", "plan"]))
 def test_restart_at_any_time_changes_no_forecast(seed, at, near):
     messages = two_days(seed)
@@ -281,7 +276,6 @@ def test_restart_after_every_message_around_midnight_changes_no_forecast():
     assert (out, kept) == (whole, state)
 
 
-@settings(max_examples=EXAMPLES)
 @given(seed=st.integers(0, 200), car=st.sampled_from(DRIVEN))
 def test_other_vehicles_on_the_same_day_do_not_change_the_forecasts_of_a_vehicle(seed, car):
     messages = two_days(seed)

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import core.pipeline
@@ -45,7 +45,6 @@ def weather(number):
 
 
 @pytest.mark.parametrize("block", [100, 4000])
-@settings(max_examples=8)
 @given(cuts=st.lists(st.integers(0, 1400), max_size=6))
 def test_cuts_weather_and_block_size_change_no_forecast(block, cuts):
     assert in_blocks(block, day(*weather(40)), cuts) == expected()
@@ -123,7 +122,6 @@ def test_vehicle_messages_and_observations_do_not_cut_a_batch(monkeypatch):
     assert len(calls) == 1
 
 
-@settings(max_examples=8)
 @given(cuts=st.lists(st.integers(0, 1400), max_size=6), queried=st.lists(st.integers(0, 6), max_size=3))
 def test_status_queries_and_snapshots_change_no_forecast(cuts, queried):
     pipeline, messages = trained_pipeline(), day(*weather(5))

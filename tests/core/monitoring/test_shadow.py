@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from core import effects
@@ -103,7 +103,6 @@ def test_running_errors_continue_after_a_restart(seed, at):
     assert published + second.model_errors() == errors
 
 
-@settings(max_examples=8)
 @given(seed=st.integers(0, 100))
 def test_contribution_of_a_vehicle_is_independent_of_others(seed):
     streams = [lapped(name, 3, 2, seed + place, name) for place, name in enumerate(MODELS)]
