@@ -42,8 +42,8 @@ from core.totals.tables import model_columns
 from core.vehicles.fleet import UNKNOWN, Cars, ReplacedKind
 
 MOST_PENDING: Final = 16_000
-"""Number of pending samples and messages from which forecasts are computed. They cost as much for a few rows as for
-many, and their data displace those of the other steps from the processor's cache."""
+"""Number of pending samples and messages from which forecasts are computed; a forecast costs less where many are
+computed at once."""
 SHORT_SHIFT: Final = 0.5
 """A shorter shift does not update the consumption factors. [h]"""
 _UNKNOWN_END: Final = np.array((np.nan, np.nan, np.nan, np.nan), END_OF_SHIFT)[()]
