@@ -240,6 +240,16 @@ RIDE_COLUMNS: Final = (
     Column("quality_soc_jump", "1", "samples with a change of the charge that the car cannot have caused", "cleaning"),
     Column("quality_soc_frozen", "1", "samples with an unchanged charge while V·I drew several quanta", "cleaning"),
     Column("quality_power_frozen", "1", "samples with an unchanged current while the speed varied", "cleaning"),
+    Column("quality_stamp_shared", "1", "samples placed by counter and order, as several share a stamp", "cleaning"),
+    Column("quality_pause", "1", "samples after a pause over which the counter continued", "cleaning"),
+    Column("quality_speed_contradicted", "1", "samples with a speed that odometer and fixes contradict", "cleaning"),
+    Column("quality_speed_spike", "1", "samples with a speed that leaps and returns at once", "cleaning"),
+    Column("quality_speed_noisy", "1", "samples with an average of a noisy speed", "cleaning"),
+    Column("quality_position_drift", "1", "samples with a fix that wanders while the car stands", "cleaning"),
+    Column("quality_slope_rejected", "1", "samples with an elevation steeper than any road", "cleaning"),
+    Column("quality_charging_inferred", "1", "samples of charging that the car does not report", "cleaning"),
+    Column("quality_current_inverted", "1", "samples with a current of the wrong sign", "cleaning"),
+    Column("quality_soc_stale", "1", "samples with a change of the charge from before a pause", "cleaning"),
 )
 """Columns of the ride table, in their order; `EFFECT_COLUMN` stands for one column per summed effect."""
 

@@ -47,6 +47,26 @@ class Quality(IntFlag):
     """The state of charge has not changed although voltage and current drew several quanta."""
     POWER_FROZEN = 1 << 19
     """The current has not changed although the speed did, or is zero although the car drives. Not metered."""
+    STAMP_SHARED = 1 << 20
+    """The stamp is that of several samples, or coarser than the period; the sample was placed by counter and order."""
+    PAUSE = 1 << 21
+    """The counter continues over a pause that the stamp shows; nothing contradicts the stamp, so the pause counts."""
+    SPEED_CONTRADICTED = 1 << 22
+    """The speed contradicts odometer and fixes, stuck or in another unit; the distance is theirs."""
+    SPEED_SPIKE = 1 << 23
+    """The speed leaps for one sample and returns, as no car can; it was taken as missing."""
+    SPEED_NOISY = 1 << 24
+    """The speed of this car is noisy, so that a moving average was applied."""
+    POSITION_DRIFT = 1 << 25
+    """The fix wanders although the car stands, by its odometer, its speed or the noise of its fixes."""
+    SLOPE_REJECTED = 1 << 26
+    """The elevation changes more steeply than any road; the elevation was interpolated."""
+    CHARGING_INFERRED = 1 << 27
+    """The battery takes power at standstill: the car charges, although it does not say so."""
+    CURRENT_INVERTED = 1 << 28
+    """The current of this car has the wrong sign, by its state of charge or by its accelerations. Not metered."""
+    SOC_STALE = 1 << 29
+    """The first change of the charge after a pause is larger than the car can have used since: it is from before."""
 
 
 CAUSES: Final = tuple(flag.name.lower() for flag in Quality if flag.name)
