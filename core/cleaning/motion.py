@@ -62,6 +62,7 @@ FIELDS: Final = (
     "has_speed",  # 1 once the car has sent a speed
     "has_fix",  # 1 once the car has sent a fix
     "standing",  # 1 while the car stands
+    "cruise",  # mean speed of the last minute of driving [m/s]
 )
 
 SPEED_REJECTED: Final = int(Quality.SPEED_REJECTED)
@@ -106,6 +107,8 @@ MOVING: Final = 1.5
 """Speed above which the car moves. [m/s]"""
 LONGEST_BRIDGE: Final = 86_400.0
 """Longest time for which an odometer bridges a hole. A faulty clock would otherwise allow any distance. [s]"""
+CRUISE_TIME: Final = 60.0
+"""Time over which the speed before a tunnel is averaged. [s]"""
 BRIDGING: Final = 20 * KMH
 """Least speed that is assumed for a bridged distance. [m/s]"""
 
@@ -255,6 +258,19 @@ def update_smooth_speed(state: Any, speed: float, dt: float, restart: bool, sett
 
 
 @njit(cache=False)
+def find_bridge_speed(state: Any, row: Any, age: float, settings: Any) -> float:
+    """Return the speed at which a bridged distance was driven, in a time of `age`. [m/s]
+
+    Some loggers lose the time of a tunnel. A distance that no car drives in its time was driven at the mean speed of
+    the last minute.
+    """
+    speed = row.distance / age
+    if speed > settings.speed_limit:
+        speed = max(state.cruise, row.speed)
+    return float(min(settings.speed_limit, max(BRIDGING, speed)))
+
+
+@njit(cache=False)
 def find_hole(state: Any, settings: Any) -> float:
     """Return the longest step that is not a hole in the speed; a logger without a period is silent at one speed. [s]"""
     return HOLE * settings.period if state.has_period == 1.0 else 1.5 * state.period
@@ -344,12 +360,14 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     row.travel = dt
     if shortfall > 0.0 and (state.has_speed == 1.0 or gap or owed > 0.0 or shortfall > settings.speed_limit * dt):
         row.quality += 0 if gap and dt <= 1.5 * state.period else BRIDGED  # the step of a slow logger is no bridge
-        row.speed = min(settings.speed_limit, max(BRIDGING, row.speed, row.distance / max(age, settings.period)))
+        row.speed = find_bridge_speed(state, row, max(age, settings.period), settings)
         row.travel = row.distance / row.speed
     elif isnan(speed):
         row.travel = row.distance / row.speed if row.speed > 0.0 else 0.0
     elif derived > 0.0 and state.has_speed == 0.0:
         row.travel = age if age <= hole else min(age, row.distance / row.speed)
+    if known and row.speed > MOVING:
+        state.cruise += (row.speed - state.cruise) * min(1.0, dt / CRUISE_TIME)
     run = row.speed * row.travel
     rise = 0.5 * (state.smooth * state.smooth - before * before)
     row.acceleration = rise / run if run > 0.0 else 0.0

@@ -47,7 +47,9 @@ AMOUNTS: Final = (
     "speed_rejected",  # time for which the speed was rejected [s]
     "speed_missing",  # time for which the speed was missing, of a car that sends it [s]
     "bridged",  # distance of steps whose distance was bridged [m]
-    "soc_faults",  # samples at which the state of charge is frozen or jumps
+    "bridge_time",  # time for which bridged distances were driven beyond their steps [s]
+    "mistimed",  # time by which steps turned out to be wrong later in the ride [s]
+    "soc_faults",  # samples at which the state of charge is frozen, stale or jumps
 )
 """What is summed of every ride and window, followed by the effects' energies [J] and the speed histogram [m]."""
 
