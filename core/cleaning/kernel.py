@@ -30,6 +30,8 @@ from core.cleaning import (
     repetition,
     segmentation,
     shared_stamps,
+    speed_witness,
+    sphere,
 )
 from core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
 from core.cleaning.fleet_clock import FLEET_CLOCK, RIDE_END, new_fleet_clock
@@ -50,7 +52,7 @@ _UNKNOWN_AT_FIRST: Final = {
         ("heading", "heading_latitude", "heading_longitude", "odometer", "speed", "acceleration", "ring"), nan
     ),
     **dict.fromkeys(("elevation", "level", "offset_variance", *meters.UNKNOWN_AT_FIRST), nan),
-    **dict.fromkeys(("battery_temperature", "occupants"), nan),
+    **dict.fromkeys(("battery_temperature", "occupants", *speed_witness.UNKNOWN_AT_FIRST), nan),
 }
 
 
@@ -58,7 +60,8 @@ def _dtype() -> np.dtype[np.void]:
     """Return the layout of a lane's state: one stretch of memory, so that a sample touches few cache lines."""
     parts = (
         *(*clock.FIELDS, *motion.FIELDS, *elevation.FIELDS, *segmentation.FIELDS),
-        *(*fleet_clock.FIELDS, *meters.FIELDS, *power_sign.FIELDS, *repetition.FIELDS, *_OWN_FIELDS),
+        *(*fleet_clock.FIELDS, *meters.FIELDS, *power_sign.FIELDS, *repetition.FIELDS),
+        *(*speed_witness.FIELDS, *_OWN_FIELDS),
     )
     return np.dtype([(part, "f8") if isinstance(part, str) else (part[0], "f8", (part[1],)) for part in parts])
 
@@ -128,6 +131,12 @@ class Clean(NamedTuple):
         Where a ride begins or ends: time before the row that no sample covers. [s]
     mistimed : (n,) float64
         Time by which earlier steps turn out to be wrong with this row. [s]
+    unseen : (n,) float64
+        Time for which a bridged distance was driven beyond the time that passed. [s]
+    disputed : (n,) float64
+        Distance that was counted, and that fixes or odometer dispute with this row. [m]
+    path, path_run : (n,) float64
+        Where a section between two fixes ends: distance of the fixes, and distance counted between them. [m]
     stop, stopped : (n,) float64
         1 where a stop begins; 1 while the car stands.
     soc, soc_step, odometer, battery_temperature, occupants : (n,) float64
@@ -171,6 +180,10 @@ class Clean(NamedTuple):
     since_charge: Floats
     lost: Floats
     mistimed: Floats
+    unseen: Floats
+    disputed: Floats
+    path: Floats
+    path_run: Floats
     stop: Floats
     stopped: Floats
     soc: Floats
@@ -468,7 +481,7 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     begins = segmentation.update_ride(state, row.raw_ride, dt, state.standing == 0.0, charging, settings)
     if begins:  # the step ended before the ride and is not part of it
         row.dt = row.travel = row.distance = row.climb = row.energy = row.energy_variance = row.metered = row.stop = 0.0
-        row.acceleration_spread = row.mistimed = 0.0
+        row.acceleration_spread = row.mistimed = row.unseen = row.disputed = row.path = row.path_run = 0.0
         row.quality = float(int(row.quality) & ~NOT_OF_RIDE)
         meters.begin_stillness(state, 0.0)
         if state.soc_age > STALE:
@@ -500,5 +513,5 @@ def begins_stop(state: Any) -> bool:
 watch_sources(
     clean_rows,
     *(batch, clock, columns, elevation, fleet_clock, meters, motion, power_sign, quality, repetition, segmentation),
-    shared_stamps,
+    *(shared_stamps, speed_witness, sphere),
 )

@@ -18,14 +18,16 @@ acceleration accounts for the kinetic energy of the smoothed speed: over a ride,
 its ends. On an ordinary row it equals the change of the smoothed speed over the step.
 """
 
-from math import atan2, cos, isnan, nan, pi, sqrt
+from math import atan2, cos, isnan, nan
 from typing import Any, Final
 
 from numba import njit
 
 from core.cleaning.elevation import combine_elevation, update_climb
 from core.cleaning.quality import Quality
-from core.columns import EARTH_RADIUS, KMH
+from core.cleaning.speed_witness import weigh_speed
+from core.cleaning.sphere import compute_chord, wrap_angle
+from core.columns import KMH
 
 RING: Final = 8
 """Longest moving average of the speed. [samples]"""
@@ -111,21 +113,6 @@ CRUISE_TIME: Final = 60.0
 """Time over which the speed before a tunnel is averaged. [s]"""
 BRIDGING: Final = 20 * KMH
 """Least speed that is assumed for a bridged distance. [m/s]"""
-
-
-@njit(cache=False)
-def wrap_angle(angle: float) -> float:
-    """Return a difference of two angles wrapped to -π to π. [rad]"""
-    return angle - 2.0 * pi if angle > pi else angle + 2.0 * pi if angle < -pi else angle
-
-
-@njit(cache=False)
-def compute_chord(latitude: float, longitude: float, other_latitude: float, other_longitude: float) -> float:
-    """Return the distance of two fixes on a sphere; valid for some kilometres. [m]"""
-    north = other_latitude - latitude
-    east = wrap_angle(other_longitude - longitude)
-    east *= cos(0.5 * (latitude + other_latitude))
-    return EARTH_RADIUS * sqrt(north * north + east * east)
 
 
 @njit(cache=False)
@@ -315,7 +302,7 @@ def join_last_step(state: Any, row: Any, run: float, rise: float, known: bool) -
 @njit(cache=False)
 def accept_speed(state: Any, row: Any, settings: Any) -> float:
     """Return the reported speed, NaN where it is rejected or missing. [m/s]"""
-    reported = row.raw_speed
+    reported = row.raw_speed * (state.speed_scale if state.speed_scale > 0.0 else 1.0)
     if reported > settings.speed_limit:
         row.quality += SPEED_REJECTED
         return nan
@@ -329,16 +316,17 @@ def accept_speed(state: Any, row: Any, settings: Any) -> float:
 @njit(cache=False)
 def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Advance the motion of the car by a sample; fill in the columns of motion and the climb."""
-    speed = accept_speed(state, row, settings)
+    hole = find_hole(state, settings)
+    gap = dt > hole
+    unseen_since = state.missed_time + dt
+    speed, missed, row.disputed = weigh_speed(state, row, accept_speed(state, row, settings), dt, gap, settings)
     state.fix_age += dt
     state.odometer_age += dt
     age = max(state.fix_age, dt)
     fixed = not (isnan(row.raw_latitude) or isnan(state.latitude))
-    hole = find_hole(state, settings)
-    gap = dt > hole
     distance = integrate_speed(state, speed, dt, fixed, fixed or not isnan(state.odometer), gap, settings.period)
     shortfall, derived = evaluate_fix(state, row, dt, settings)
-    if isnan(row.raw_speed) and derived <= settings.speed_limit:
+    if isnan(speed) and derived <= settings.speed_limit:
         speed = derived
         state.rough = ROUGH_WINDOW
     state.odometer_distance += shortfall
@@ -349,6 +337,9 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
         state.fix_distance += owed
         shortfall += owed
         age = since if isnan(state.latitude) else max(age, since)
+    if missed > 0.0:
+        shortfall += missed
+        age = max(age, unseen_since)
     row.turn_rate = 0.0 if isnan(state.latitude) else update_heading(state, state.latitude, state.longitude, dt)
     before = state.smooth
     if not isnan(speed):
@@ -362,6 +353,7 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
         row.quality += 0 if gap and dt <= 1.5 * state.period else BRIDGED  # the step of a slow logger is no bridge
         row.speed = find_bridge_speed(state, row, max(age, settings.period), settings)
         row.travel = row.distance / row.speed
+        row.unseen = max(0.0, row.travel - max(age, dt))
     elif isnan(speed):
         row.travel = row.distance / row.speed if row.speed > 0.0 else 0.0
     elif derived > 0.0 and state.has_speed == 0.0:
@@ -372,6 +364,7 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     rise = 0.5 * (state.smooth * state.smooth - before * before)
     row.acceleration = rise / run if run > 0.0 else 0.0
     join_last_step(state, row, run, rise, known)
+    state.section_distance += row.distance
     change = row.acceleration - state.acceleration
     row.acceleration_spread = SPREAD_PER_CHANGE * abs(change) if known and not isnan(change) else 0.0
     state.acceleration = row.acceleration if known else nan

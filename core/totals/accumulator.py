@@ -47,7 +47,10 @@ AMOUNTS: Final = (
     "speed_rejected",  # time for which the speed was rejected [s]
     "speed_missing",  # time for which the speed was missing, of a car that sends it [s]
     "bridged",  # distance of steps whose distance was bridged [m]
-    "bridge_time",  # time for which bridged distances were driven beyond their steps [s]
+    "unseen",  # time for which bridged distances were driven beyond the time that passed [s]
+    "disputed",  # distance that was counted, and that fixes or odometer dispute [m]
+    "path",  # distance between fixes that end sections [m]
+    "path_run",  # distance that was counted in these sections [m]
     "mistimed",  # time by which steps turned out to be wrong later in the ride [s]
     "soc_faults",  # samples at which the state of charge is frozen, stale or jumps
 )

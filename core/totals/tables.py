@@ -18,6 +18,7 @@ from core.cleaning.quality import CAUSES
 from core.columns import JOULES_PER_KWH, KMH, SECONDS_PER_DAY, SPEED_BINS, WINDOW_COLUMNS, ZERO_CELSIUS
 from core.totals.accumulator import AMOUNTS, Totals
 from core.totals.context import RunContext
+from core.totals.distance_witnesses import find_contradicted_distance
 from core.totals.measured_energy import (
     SOURCES,
     MeasuredEnergy,
@@ -118,8 +119,9 @@ def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
     for why, applies in (  # later reasons overwrite earlier ones
         ("cut_by_gap", find_lost_time(totals) > CUT * duration),
         *list_energy_faults(totals, cars),
+        ("speed_contradicted", find_contradicted_distance(totals)),
         ("charged", totals.at_last("since_charge") < 0.999 * duration - 1.0),
-        ("bridge_unmeasured", totals.amount("bridge_time") > MOST_UNMEASURED * duration),
+        ("bridge_unmeasured", totals.amount("unseen") > MOST_UNMEASURED * duration),
         ("clock_unsettled", totals.amount("mistimed") > MOST_MISTIMED * duration),
         ("too_little_distance", totals.amount("distance") < settings.least_distance),
         ("distance_bridged", _share(totals, "bridged", "distance") > MOST_BRIDGED),
