@@ -143,6 +143,8 @@ class Clean(NamedTuple):
         As last reported. [1], [1], [m], [K], [1]
     ambient, hvac, current : (n,) float64
         As reported with the sample, NaN where not. [K], [W], [A]
+    speed_scale : (n,) float64
+        Factor by which the reported speed was multiplied, 0 for a factor of 1. [1]
     code : (n,) float64
         Code of the ride's name, see `core.wire.rides.RideNames`.
     """
@@ -194,6 +196,7 @@ class Clean(NamedTuple):
     occupants: Floats
     hvac: Floats
     current: Floats
+    speed_scale: Floats
     code: Floats
 
 
@@ -460,6 +463,7 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
     row.soc_step, row.odometer, row.stopped = state.soc_step, state.odometer, state.standing
     row.battery_temperature, row.occupants, row.code = state.battery_temperature, state.occupants, state.code
     row.ambient, row.hvac, row.current, row.power = row.raw_ambient, row.raw_hvac, row.raw_current, state.power
+    row.speed_scale = state.speed_scale
     return dt
 
 

@@ -71,6 +71,7 @@ EDGES: Final = (
     "power",  # by voltage times current, at the sample [W]
     "code",
     "lost",
+    "speed_scale",  # factor by which the reported speed was multiplied; 0 for 1
     "kind",
 )
 """What is kept of the first and of the last sample of every ride and window; `kind` is the kind of car."""

@@ -11,6 +11,7 @@ from core.pipeline import Pipeline
 from core.settings import BOUNDS_OF_LIMITS, Limits
 from core.totals.context import RunContext
 from core.totals.display_record import DISPLAY_YIELD
+from core.totals.logger_faults import LoggerFaults
 from core.totals.run_counters import RunCounters
 from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
 from tools.cluster.cleaning import count_columns, read_totals
@@ -33,7 +34,7 @@ def make_context(job: Job) -> tuple[RunContext, int]:
     return pipeline.context, pipeline.accumulator.width
 
 
-def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], Counter[str]]:
+def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], Counter[str], LoggerFaults]:
     """Write a file of a table.
 
     Parameters
@@ -47,7 +48,7 @@ def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], C
     -------
     rows : int
     unfit, unpredicted : Counter of str
-        Rides by why they are unfit for training, and by why they are not predicted; empty for windows.
+        Rides by why they are unfit for training, and by why they are not predicted, and the faults of loggers; empty for windows.
     """
     context, width = make_context(job)
     columns = count_columns(width)
@@ -74,7 +75,7 @@ def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], C
     else:
         table = tabulate_windows(totals, context)
     _write(table, out)
-    return len(table), counters.unfit, counters.unpredicted
+    return len(table), counters.unfit, counters.unpredicted, counters.faults
 
 
 def _write(table: pd.DataFrame, out: Path) -> None:
