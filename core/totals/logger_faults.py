@@ -1,7 +1,7 @@
 """What the logger of a car sends wrong throughout: which car, and in how many of its rides.
 
-A quality bit tells of a sample, and a reason why one ride is unfit. A fault of a logger lasts until somebody mends it, so
-it is counted by car, from the totals of its rides, and told in one line.
+A quality bit tells of a sample, and a reason why one ride is unfit. A fault of a logger lasts until somebody mends it,
+so it is counted by car, from the totals of its rides, and told in one line.
 """
 
 from collections import Counter
@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Ints
+from core.batch import Floats
 from core.cleaning.quality import CAUSES
 from core.totals.accumulator import Totals
 
@@ -31,11 +31,12 @@ MOST_NAMED: Final = 8
 _SENTENCES: Final = {
     CURRENT_INVERTED: "the current has the wrong sign, by accelerations or by the state of charge: positive must mean "
     "discharging; these rides are unfit",
-    CLOCK_ROLLOVER: "the clock is before 2010; if dates are 1024 weeks (19.6 years) early, the week of its GPS receiver "
-    "has rolled over: add 619,315,200 s",
+    CLOCK_ROLLOVER: "the clock is before 2010; if it is 1024 weeks (19.6 years) early, the week of its GPS receiver has "
+    "rolled over: add 619,315,200 s",
     STAMPS_SHARED: "samples share stamps (floored, or sent in bursts); they were placed by counter and order: send the "
     "time of each sample",
-    SPEED_UNIT: "the speed is in another unit: odometer and fixes show {factor} times as much; it was multiplied by that",
+    SPEED_UNIT: "the speed is in another unit: odometer and fixes show {factor} times as much; it was multiplied by "
+    "that",
 }
 
 
@@ -57,15 +58,14 @@ def count_faults(rides: Totals, lane_names: list[str]) -> LoggerFaults:
     scale = np.where(rides.at_last("speed_scale") > 0.0, rides.at_last("speed_scale"), 1.0)
     for factor in np.unique(scale[scale != 1.0]).tolist():
         found[f"{SPEED_UNIT}{factor:.4g}"] = scale == factor
-    lanes: Ints = rides.lane
     return {
-        name: Counter(lane_names[lane] for lane in lanes[where].tolist())
+        name: Counter(lane_names[lane] for lane in rides.lane[where].tolist())
         for name, where in found.items()
         if where.any()
     }
 
 
-def _count_bits(rides: Totals, cause: str) -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
+def _count_bits(rides: Totals, cause: str) -> Floats:
     """Return the number of samples of each ride with a quality bit."""
     return rides.quality[:, CAUSES.index(cause)]
 
