@@ -1,90 +1,112 @@
-"""`python -m tools.bench.league`: measure how the cleaning deals with the faults of loggers, and write the table."""
+"""`python -m tools.bench.league`: measure what the cleaning makes of faulty loggers, whose truth is known."""
 
 import argparse
-from collections import Counter, defaultdict
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
+from tools.bench.hidden.page import replace_section
 from tools.bench.league.faults import FAULTS
-from tools.bench.league.fleet import CONTROL, DRIVES, FLEET, make_entry, run_fleet, run_league
-from tools.bench.league.laws import Verdict
+from tools.bench.league.fleet import CONTROL, DRIVES, choose_faults, judge_stream, list_fleets, make_entry, run_fleet
+from tools.bench.league.laws import WORDS, WRONG, Verdict
+from tools.bench.league.replay import find_difference
+from tools.bench.league.report import (
+    SECTION,
+    Line,
+    compare,
+    list_alone,
+    list_pairs,
+    make_section,
+    name_drive,
+    show_reasons,
+    show_shares,
+    summarise,
+)
+from tools.terminal.rich_table import Column, make_table
+
+REPLAYED = 12
+"""Number of cars whose stream is cut at random."""
+PAIRS = 20
+"""Number of pairs that are shown."""
 
 
-def main() -> None:
-    """Run the league and print its tables."""
-    parser = argparse.ArgumentParser(prog="python -m tools.bench.league", description=__doc__)
-    parser.add_argument("--drives", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--faults", default="")
-    parser.add_argument("--drive", type=int)
-    parser.add_argument("--pairs", type=int, default=15)
-    parser.add_argument("--examples", type=int, default=2)
-    given = parser.parse_args()
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the league, print its tables, and write what is asked for; return 1 if a drive is fit and wrong."""
+    given = _parse(arguments)
     names = [each for each in given.faults.split(",") if each]
+    if unknown := sorted(set(names) - {CONTROL, *FAULTS}):
+        print(f"--faults {unknown[0]}: no such fault; give some of {', '.join([CONTROL, *FAULTS])}", file=sys.stderr)
+        return 2
     if given.drive is not None:
-        show_drive(given.seed, given.drive, names)
-        return
-    verdicts = list[Verdict]()
+        show_drive(given.seed, given.drive, given.drives, names)
+        return 0
+    verdicts, console = list[Verdict](), Console(stderr=given.json)
     with Progress(console=Console(stderr=True), transient=True) as progress:
-        total = -(-given.drives // DRIVES // FLEET) + 1
-        for part in progress.track(run_league(given.seed, given.drives, names), total=total, description="driving"):
-            verdicts += part
-    show(verdicts, given.pairs, given.examples)
+        for cars in progress.track(list_fleets(given.drives), description="driving"):
+            verdicts += run_fleet(given.seed, cars, names)
+    cars = range(min(REPLAYED, -(-given.drives // DRIVES)))
+    differs = find_difference(given.seed, cars, names)
+    if given.json:
+        print(json.dumps({"seed": given.seed, "differs": differs, "drives": [asdict(each) for each in verdicts]}))
+    else:
+        _show(console, verdicts, given.examples)
+        print(f"cut at random, {len(cars) * DRIVES} drives give {'other ' + differs if differs else 'the same bytes'}")
+    if given.write:
+        replayed = 0 if differs else len(cars) * DRIVES
+        section = make_section(verdicts, given.seed, replayed, PAIRS)
+        page = given.write.read_text(encoding="utf-8") if given.write.exists() else ""
+        given.write.write_text(replace_section(page, section, SECTION), encoding="utf-8")
+    return int(bool(differs) or any(each.word == WRONG for each in verdicts))
 
 
-def show(verdicts: list[Verdict], pairs: int, examples: int) -> None:
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench.league", description=__doc__)
+    parser.add_argument("--drives", type=int, default=10_000, help="number of drives")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the drives and their faults")
+    parser.add_argument("--faults", default="", metavar="NAMES", help="faults to choose from, with commas between them")
+    parser.add_argument("--drive", type=int, help="show this drive only, with what was found and its truth")
+    parser.add_argument("--examples", type=int, default=0, help="number of wrong drives to show of each fault")
+    parser.add_argument("--json", action="store_true", help="print every drive as JSON")
+    parser.add_argument("--write", type=Path, metavar="FILE", help="write the section of this page")
+    return parser.parse_args(arguments)
+
+
+def _show(console: Console, verdicts: Sequence[Verdict], examples: int) -> None:
     """Print the tables."""
-    groups = defaultdict[tuple[str, ...], list[Verdict]](list)
-    for each in verdicts:
-        groups[each.faults].append(each)
-    alone = [(CONTROL,) if not key else key for key in groups if len(key) < 2]
-    print(f"{'fault':28} drives  right  rep.  unfit  odd  WRONG")
-    for name in [CONTROL, *FAULTS]:
-        if (name,) in alone:
-            _line(name, groups[(name,) if name != CONTROL else ()], examples)
-    worst = sorted((key for key in groups if len(key) > 1), key=lambda k: -sum(v.word == "wrong" for v in groups[k]))
-    for key in worst[:pairs]:
-        _line(" + ".join(key), groups[key], 0)
-    _line("all pairs", [v for k in groups if len(k) > 1 for v in groups[k]], 0)
-    _line("all", verdicts, 0)
+    lines = [*list_alone(verdicts), *list_pairs(verdicts, PAIRS), summarise("all", "", verdicts)]
+    columns = [Column("faults"), Column("drives", number=True), *(Column(word, number=True) for word in WORDS)]
+    table = make_table([*columns, Column("reasons")], "What became of the drives [%]")
+    for line in lines:
+        table.add_row(line.name, str(line.drives), *show_shares(line), show_reasons(line).replace("*", ""))
+    console.print(table)
+    for line in lines[:-1]:
+        _show_examples(line, examples)
 
 
-def _line(name: str, of: list[Verdict], examples: int) -> None:
-    words = Counter(each.word for each in of)
-    why = Counter(f"{e.word} {e.why}" for e in of if e.why).most_common(5)
-    print(
-        f"{name:28} {len(of):6} {words['right']:6} {words['repaired']:5} {words['unfit']:6} {words['odd']:4}"
-        f" {words['wrong']:6}   " + ", ".join(f"{w}: {n}" for w, n in why)
-    )
-    for each in [e for e in of if e.word == "wrong"][:examples]:
-        print(f"      --drive {each.car * DRIVES + each.drive}: {_compare(each)}")
+def _show_examples(line: Line, examples: int) -> None:
+    """Print some wrong drives of a line."""
+    for each in line.wrong[:examples]:
+        print(f"{line.name}: --drive {name_drive(each)}: {each.why}: {compare(each)}")
 
 
-def _compare(of: Verdict) -> str:
-    parts = [
-        f"{name.partition('_')[0]} {of.found.get(name, float('nan')):.3f} of {low:.3f}..{high:.3f}"
-        for name, (low, high) in of.truth.items()
-    ]
-    return (
-        ", ".join(parts)
-        + f" {of.found.get('rides')} rides {of.found.get('source')} sd {of.found.get('energy_sd_kwh', 0):.3f} {of.found.get('bits')} {of.found.get('unfit')}"
-    )
-
-
-def show_drive(seed: int, drive: int, names: list[str]) -> None:
-    """Print what became of one drive."""
+def show_drive(seed: int, drive: int, drives: int, names: Sequence[str]) -> None:
+    """Print what became of one drive, in the stream of its fleet and in that of its car alone."""
     number = drive // DRIVES
-    entry = make_entry(seed, number, names)
+    entry = make_entry(seed, number, choose_faults(seed, number, names))
     car = entry.log.car
-    print(
-        f"{car.name}: faults {[f.name for f in entry.faults]}, period {car.period}, announces {car.announces}, counts {car.counts}, names {car.names}, sends {sorted(car.sends)}, quantum {car.quantum}, stays {car.track.stays}"
-    )
-    first = number // FLEET * FLEET
-    for each in run_fleet(seed, range(first, max(number + 1, first + 1)), names):
-        if each.car == number:
-            print(each.drive, each.word, each.why, _compare(each))
+    print(f"{car.name}: {' and '.join(each.name for each in entry.faults) or 'no fault'}; {car.describe()}")
+    fleet = next(cars for cars in list_fleets(max(drives, drive + 1)) if number in cars)
+    for where, verdicts in (("alone", judge_stream([entry])), ("in its fleet", run_fleet(seed, fleet, names))):
+        for each in verdicts:
+            if name_drive(each) == drive:
+                print(f"{where}: {each.word} {each.why}\n  {compare(each)}")
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -95,7 +95,7 @@ class Track:
 
     def at(self, name: str, time: Floats | float) -> Floats:
         """Return a column at some times, interpolated."""
-        return np.interp(time, self.time, getattr(self, name))
+        return np.asarray(np.interp(time, self.time, getattr(self, name)))
 
 
 def make_speeds(rng: np.random.Generator, minutes: float) -> tuple[Floats, Floats]:
@@ -139,7 +139,7 @@ def _cruise(rng: np.random.Generator, top: float, duration: float) -> Floats:
         rng.uniform(0.0, 0.04) * np.sin(2.0 * np.pi * (share * duration / rng.uniform(12.0, 60.0) + rng.random()))
         for _ in range(3)
     )
-    return top * (1.0 + waves * np.minimum(1.0, 8.0 * np.minimum(share, 1.0 - share)))
+    return np.asarray(top * (1.0 + waves * np.minimum(1.0, 8.0 * np.minimum(share, 1.0 - share))))
 
 
 class Drive(NamedTuple):
@@ -184,7 +184,7 @@ def _find_power(rng: np.random.Generator, kind: Kind, speed: Floats, slope: Floa
     regained = np.maximum(-35e3, np.where(speed > 2.0, 0.75 * wheels, 0.0))
     drive = np.where(wheels > 0.0, wheels / 0.87, regained)
     heating = rng.uniform(200.0, 2500.0) * (1.0 + 0.2 * np.sin(np.arange(len(speed)) * STEP / rng.uniform(30.0, 90.0)))
-    return drive + heating
+    return np.asarray(drive + heating)
 
 
 def make_track(rng: np.random.Generator, drives: int, start: float, stays: tuple[str, ...] = ()) -> Track:

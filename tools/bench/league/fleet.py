@@ -10,8 +10,9 @@ import pandas as pd
 from core.models import EXTENDED_PHYSICAL
 from core.pipeline import Pipeline
 from core.wire.messages import Message
-from tools.bench.league.faults import FAULTS, Fault, settle
-from tools.bench.league.laws import Truth, Verdict, find_truth, judge
+from tools.bench.league.fault import CLOCK, Fault, are_compatible, settle
+from tools.bench.league.faults import FAULTS
+from tools.bench.league.laws import WRONG, Truth, Verdict, find_starts, find_truths, judge
 from tools.bench.league.loggers import Log, make_car, sample, write_messages
 
 DRIVES: Final = 3
@@ -22,19 +23,22 @@ CONTROL: Final = "none"
 """Name of what has no fault."""
 BLOCK: Final = 20_000
 """Number of messages that are given at once."""
+BESIDE: Final = "beside others: "
+"""Begins the reason of a drive that is wrong in the stream of the fleet, and not in that of its car alone."""
 
 
 class Entry(NamedTuple):
-    """Hold a car with its faults, its samples and its truth."""
+    """Hold a car with its faults, its samples, its truths, and the true and stamped beginnings of its drives."""
 
     number: int
     faults: list[Fault]
     log: Log
-    truths: list[dict[str, Truth]]
+    truths: list[Truth]
+    starts: list[tuple[float, float]]
 
 
 def choose_faults(seed: int, number: int, names: Sequence[str] = ()) -> list[Fault]:
-    """Return the faults of a car: every other car has one or none, the others have two.
+    """Return the faults of a car: cars of even numbers have one or none, the others have two.
 
     Parameters
     ----------
@@ -46,54 +50,51 @@ def choose_faults(seed: int, number: int, names: Sequence[str] = ()) -> list[Fau
         Faults to choose from; all of them without any. `none` stands for no fault.
     """
     chosen = list(names) or [CONTROL, *FAULTS]
-    pairs = [pair for pair in combinations([each for each in chosen if each != CONTROL], 2) if _are_compatible(*pair)]
+    faults = [FAULTS[each] for each in chosen if each != CONTROL]
+    pairs = [pair for pair in combinations(faults, 2) if are_compatible(*pair)]
     if number % 2 == 0 or not pairs:
         alone = chosen[(number // 2 if pairs else number) % len(chosen)]
         return [] if alone == CONTROL else [FAULTS[alone]]
-    place = np.random.default_rng([seed, 1]).permutation(len(pairs))[(number // 2) % len(pairs)]
-    return [FAULTS[each] for each in pairs[place]]
+    order = np.random.default_rng([seed, 1]).permutation(len(pairs))
+    return list(pairs[order[(number // 2) % len(pairs)]])
 
 
-def _are_compatible(one: str, other: str) -> bool:
-    """Return whether two faults can act together: of the same value, or where both take the last witness, they cannot."""
-    spoils = {*FAULTS[one].spoils} & {*FAULTS[other].spoils}
-    stays = FAULTS[one].stays, FAULTS[other].stays
-    takes = {*FAULTS[one].spoils} | {*FAULTS[other].spoils}
-    blind = {"speed", "odometer", "position"} <= takes
-    return not spoils and not blind and (not all(stays) or stays[0] == stays[1])
-
-
-def make_entry(seed: int, number: int, names: Sequence[str] = ()) -> Entry:
+def make_entry(seed: int, number: int, faults: Sequence[Fault]) -> Entry:
     """Return a car of the league. It depends on nothing but the arguments.
 
     Parameters
     ----------
     seed, number : int
         Seed of the league, and number of the car.
-    names : sequence of str
-        See `choose_faults`.
+    faults : sequence of Fault
+        Its faults.
     """
     rng = np.random.default_rng([seed, 0, number])
-    faults = choose_faults(seed, number, names)
     stays = next((each.stays for each in faults if each.stays), ())
     car = make_car(rng, number, DRIVES, stays)
     settle(car, faults, rng)
-    log, truths = sample(rng, car), None
-    for stage in range(4):
-        if stage == 2:
-            truths = find_truth(log)
+    log = sample(rng, car)
+    _apply(log, faults, rng, range(CLOCK))
+    truths = find_truths(log, faults)
+    _apply(log, faults, rng, [CLOCK])
+    starts = find_starts(log)
+    _apply(log, faults, rng, [CLOCK + 1])
+    return Entry(number, list(faults), log, truths, starts)
+
+
+def _apply(log: Log, faults: Sequence[Fault], rng: np.random.Generator, stages: Sequence[int]) -> None:
+    """Let faults act, stage after stage."""
+    for stage in stages:
         for each in faults:
             if each.stage == stage:
                 each.apply(log, rng)
-    return Entry(number, faults, log, truths or [])
 
 
 def write_stream(entries: Sequence[Entry]) -> list[Message]:
     """Return the messages of cars in the order of their receipt."""
-    written = [write_messages(entry.log) for entry in entries]
-    when = np.concatenate([times for times, _ in written])
-    messages = [each for _, part in written for each in part]
-    return [messages[i] for i in np.argsort(when, kind="stable").tolist()]
+    messages = [each for entry in entries for each in write_messages(entry.log)]
+    order = np.argsort(np.array([each.receipt_ns for each in messages]), kind="stable")
+    return [messages[i] for i in order.tolist()]
 
 
 def tabulate(messages: Sequence[Message]) -> pd.DataFrame:
@@ -105,20 +106,40 @@ def tabulate(messages: Sequence[Message]) -> pd.DataFrame:
     return pipeline.take_rides()
 
 
-def run_fleet(seed: int, cars: Sequence[int], names: Sequence[str] = ()) -> list[Verdict]:
+def judge_stream(entries: Sequence[Entry]) -> list[Verdict]:
     """Return what became of each drive of some cars, which are cleaned in one stream."""
-    entries = [make_entry(seed, number, names) for number in cars]
-    of_car = dict(tuple(tabulate(write_stream(entries)).groupby("vehicle_id")))
+    rides = tabulate(write_stream(entries))
     return [
         verdict
-        for entry in entries
-        if entry.log.car.name in of_car
-        for verdict in judge(entry.number, entry.log, entry.truths, entry.faults, of_car[entry.log.car.name])
+        for number, faults, log, truths, starts in entries
+        for verdict in judge(number, log, truths, starts, faults, rides[rides["vehicle_id"] == log.car.name])
     ]
+
+
+def run_fleet(seed: int, cars: Sequence[int], names: Sequence[str] = ()) -> list[Verdict]:
+    """Return what became of each drive of a fleet, and mark those that are right in the stream of their car alone."""
+    entries = [make_entry(seed, number, choose_faults(seed, number, names)) for number in cars]
+    verdicts = judge_stream(entries)
+    wrong = {each.car for each in verdicts if each.word == WRONG}
+    alone = {
+        (each.car, each.drive): each.word
+        for entry in entries
+        if entry.number in wrong
+        for each in judge_stream([entry])
+    }
+    for each in verdicts:
+        if each.word == WRONG and alone[each.car, each.drive] != WRONG:
+            each.why = BESIDE + each.why
+    return verdicts
+
+
+def list_fleets(drives: int) -> list[range]:
+    """Return the numbers of the cars of each fleet."""
+    cars = -(-drives // DRIVES)
+    return [range(first, min(first + FLEET, cars)) for first in range(0, cars, FLEET)]
 
 
 def run_league(seed: int, drives: int, names: Sequence[str] = ()) -> Iterator[list[Verdict]]:
     """Yield what became of the drives of each fleet."""
-    cars = -(-drives // DRIVES)
-    for first in range(0, cars, FLEET):
-        yield run_fleet(seed, range(first, min(first + FLEET, cars)), names)
+    for cars in list_fleets(drives):
+        yield run_fleet(seed, cars, names)

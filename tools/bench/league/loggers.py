@@ -63,6 +63,13 @@ class Car:
     odometer_step: float = 0.1
     on_change: bool = False
 
+    def describe(self) -> str:
+        """Say what the logger sends."""
+        period = "on change" if self.on_change else f"every {self.period:g} s"
+        flags = (("announced", self.announces), ("counter", self.counts), ("ride names", self.names))
+        parts = [period, *(name if flag else f"no {name}" for name, flag in flags), " ".join(sorted(self.sends))]
+        return ", ".join([*parts, f"SOC in steps of {self.quantum:g} %", f"stays {' '.join(self.track.stays)}"])
+
 
 @dataclass
 class Log:
@@ -203,29 +210,23 @@ def _find_named(track: Track, true: Floats, rng: np.random.Generator) -> Ints:
     return named
 
 
-def write_messages(log: Log) -> tuple[Floats, list[Message]]:
-    """Return the times of receipt [s] and the messages of a car, its vehicle message first."""
+def write_messages(log: Log) -> list[Message]:
+    """Return the messages of a car, its vehicle message first."""
     car, name = log.car, log.car.name
     parts = [(field, form) for field, form in FIELDS if not np.isnan(log.columns[field]).all()]
     begin = f'{{"vehicle_id":"{name}",' + ",".join(f'"{field}":{form}' for field, form in parts)
     values = [_name_flags(log.columns[f]) if f == "charging" else log.columns[f].tolist() for f, _ in parts]
-    texts = [begin % row for row in zip(*values, strict=True)]
-    text = "\n".join(texts).replace("nan", "null").split("\n")
+    text = "\n".join([begin % row for row in zip(*values, strict=True)]).replace("nan", "null")
     ends = {-1: "}"} | {number: f',"ride_id":"{name}.{number}"}}' for number in range(len(car.track.drives))}
     key, receipt_ns = f"fleet/{name}/telemetry", (log.receipt * 1e9).astype(np.int64).tolist()
     messages = [
         Message(key, (each + ends[ride]).encode(), when)
-        for each, ride, when in zip(text, log.ride.tolist(), receipt_ns, strict=True)
+        for each, ride, when in zip(text.split("\n"), log.ride.tolist(), receipt_ns, strict=True)
     ]
-    first = log.receipt[0] - 1.0
-    period = ""
-    if car.on_change and car.announces:
-        period = ',"period_s":0'
-    elif car.announces:
-        period = f',"period_s":{car.period:g}'
-    vehicle = f'{{"vehicle_id":"{name}","time_s":{first:.3f},"model":"{car.track.kind.name}"{period}}}'
-    told = Message(f"fleet/{name}/vehicle", vehicle.encode(), int(first * 1e9))
-    return np.concatenate([[first], log.receipt]), [told, *messages]
+    first = min(receipt_ns) - 1_000_000_000
+    period = f',"period_s":{0.0 if car.on_change else car.period:g}' if car.announces else ""
+    vehicle = f'{{"vehicle_id":"{name}","time_s":{first * 1e-9:.3f},"model":"{car.track.kind.name}"{period}}}'
+    return [Message(f"fleet/{name}/vehicle", vehicle.encode(), first), *messages]
 
 
 def _name_flags(values: Floats) -> list[str]:
