@@ -31,8 +31,8 @@ MOST_NAMED: Final = 8
 _SENTENCES: Final = {
     CURRENT_INVERTED: "the current has the wrong sign, by accelerations or by the state of charge: positive must mean "
     "discharging; these rides are unfit",
-    CLOCK_ROLLOVER: "the clock is before 2010; if it is 1024 weeks (19.6 years) early, the week of its GPS receiver has "
-    "rolled over: add 619,315,200 s",
+    CLOCK_ROLLOVER: "the clock is before 2010; if it is 1024 weeks (19.6 years) early, the week of its GPS receiver "
+    "has rolled over: add 619,315,200 s",
     STAMPS_SHARED: "samples share stamps (floored, or sent in bursts); they were placed by counter and order: send the "
     "time of each sample",
     SPEED_UNIT: "the speed is in another unit: odometer and fixes show {factor} times as much; it was multiplied by "
