@@ -43,6 +43,7 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
         "prefix": str,
         "model": str,
         "models": dict,
+        "inverted": list,
         "nominal_voltage_v": (int, float),
     },
     "time": {
@@ -123,7 +124,7 @@ class TimeSource(NamedTuple):
 
 
 class VehicleSource(NamedTuple):
-    """Describe which car a row belongs to, and its model."""
+    """Describe which car a row belongs to, its model, and the cars whose current and power have the opposite sign."""
 
     column: str | None
     name: str | None
@@ -131,6 +132,7 @@ class VehicleSource(NamedTuple):
     model: str | None
     models: Mapping[str, str]
     nominal_voltage: float
+    inverted: frozenset[str] = frozenset()
 
 
 class RideSource(NamedTuple):
@@ -393,6 +395,7 @@ class _MapReader:
             table.get("model"),
             models,
             float(table.get("nominal_voltage_v", NOMINAL_VOLTAGE)),
+            frozenset(map(str, table.get("inverted", ()))),
         )
 
     def read_ride(self) -> RideSource:

@@ -10,7 +10,7 @@ from core.errors import ImportFileError
 from core.vehicles import load_catalogue
 from stream.mcap_writer import MOST_CHANNELS, McapSink
 from stream.recording_metadata import make_metadata
-from tools.importers.table.agreement import AgreementSums
+from tools.importers.table.agreement_sums import AgreementSums
 from tools.importers.table.clock_checks import list_checks, refuse_overlap
 from tools.importers.table.column_map import ColumnMap
 from tools.importers.table.import_summary import ImportSummary, describe_missing

@@ -69,6 +69,8 @@ class GuessedMap(NamedTuple):
         How rows that carry only part of the fields become samples.
     preset : Preset, optional
         The export that the tables are.
+    inverted : tuple of str
+        Cars whose current and power have the opposite sign.
     """
 
     time: GuessedTime
@@ -80,6 +82,7 @@ class GuessedMap(NamedTuple):
     left_out: Sequence[tuple[str, str]]
     rows: GuessedRows | None
     preset: Preset | None
+    inverted: tuple[str, ...] = ()
 
 
 def guess_map(
@@ -126,12 +129,14 @@ def guess_map(
             f"{tables[0].path}: no column looks like speed, charge or power; it has {listed}; write a map by hand, "
             "with the columns in [fields]"
         )
-    rows, sampling = _read_rows(sources, sources.time, blocks)
+    rows, sampling, vehicles = _read_rows(sources, sources.time, blocks)
     known = {each.field: KnownUnit(each.unit, each.sign, each.reason) for each in sources.fields}
     units = guess_values(rows, known)
     fields = [
-        GuessedField(each.field, each.column, each.signal, *units[each.field], each.true) for each in sources.fields
+        GuessedField(each.field, each.column, each.signal, *units[each.field][:3], each.true)
+        for each in sources.fields
     ]
+    inverted = sorted({vehicles[place] for each in units.values() for place in each.other})
     is_per_file = sources.vehicle is None and len(tables) > 1 and sources.ride is not None
     return GuessedMap(
         sources.time,
@@ -143,6 +148,7 @@ def guess_map(
         sources.left_out,
         sampling,
         preset,
+        tuple(inverted),
     )
 
 
@@ -156,8 +162,8 @@ def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles) -> Bl
     return blocks
 
 
-def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.ndarray, GuessedRows | None]:
-    """Return the rows as samples in the order of time, and how rows become samples."""
+def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.ndarray, GuessedRows | None, list[str]]:
+    """Return the rows as samples in the order of time, how rows become samples, and the names of the cars."""
     car = VehicleSource(sources.vehicle, None, "", None, {}, NOMINAL_VOLTAGE)
     provisional = ColumnMap(
         Path("guess"),
@@ -184,7 +190,7 @@ def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.
     if sampling is not None:
         parts = list(sample_rows([rows], Sampling(sampling.period, find_holds(sampling.hold))))
         rows = np.concatenate(parts)
-    return rows, sampling
+    return rows, sampling, reader.vehicles
 
 
 def _to_time_source(time: GuessedTime) -> TimeSource:

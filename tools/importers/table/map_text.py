@@ -130,6 +130,9 @@ def _write_vehicle(guessed: GuessedMap, table: TableFile) -> list[str]:
         source = "from_file_name = true"
     else:
         source = f"name = {_quote(table.stem)}"
+    if guessed.inverted:
+        names = ", ".join(map(_quote, guessed.inverted))
+        source += f"\ninverted = [{names}]   # cars whose current and power have the opposite sign"
     return ["[vehicle]", source, '# model = "nissan-leaf-2013"   # key of the vehicle catalogue', ""]
 
 

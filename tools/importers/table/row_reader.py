@@ -19,6 +19,7 @@ from tools.importers.table.row_times import TimeReader
 from tools.importers.table.skipped_files import SkippedFiles
 from tools.importers.table.table_file import WRONG_WIDTH, Block, TableFile
 from tools.importers.table.time_overlaps import TimeSpans
+from tools.importers.table.units import POWER
 
 Bools = NDArray[np.bool_]
 
@@ -122,7 +123,16 @@ class RowReader:
             rows[name] = self._read_field(table, block, name, source, count)
             has_value |= np.isfinite(rows[name])
         self._drop(keep, ~has_value, NO_VALUE)
+        self._invert(rows)
         return rows[keep]
+
+    def _invert(self, rows: np.ndarray) -> None:
+        """Turn the sign of current and power of the cars that the map names."""
+        places = [place for place, name in enumerate(self.vehicles) if name in self.map.vehicle.inverted]
+        if places:
+            turned = np.isin(rows["vehicle"], places)
+            for name in {"battery_current_a", POWER} & set(rows.dtype.names or ()):
+                rows[name][turned] *= -1.0
 
     def _drop(self, keep: Bools, wrong: Bools, cause: str) -> None:
         """Mark rows as unreadable, each under its first cause."""
