@@ -56,6 +56,7 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
         "origin_from_file_name": str,
     },
     "ride": {"column": str, "from_file_name": bool, "gap_s": (int, float)},
+    "parked": {"column": str, "values": list},
     "rows": {"period_s": (int, float), "hold_s": (int, float)},
     "long": {"name": str, "value": str},
     "fields": {},
@@ -143,6 +144,16 @@ class RideSource(NamedTuple):
     gap: float | None = None
 
 
+class ParkedSource(NamedTuple):
+    """Describe in which rows a car is parked, so that an unknown speed is 0: words of a column, in small letters.
+
+    An empty word stands for an empty cell.
+    """
+
+    column: str
+    words: frozenset[str]
+
+
 class FieldSource(NamedTuple):
     """Describe where a field comes from: a column, or a signal of the long form, and its conversion."""
 
@@ -169,6 +180,8 @@ class ColumnMap(NamedTuple):
         By the names of `FIELD_UNITS`.
     sampling : Sampling, optional
         How rows that carry only part of the fields become samples; None sends each row as it is.
+    parked : ParkedSource, optional
+        Rows in which the car is parked.
     """
 
     path: Path
@@ -179,6 +192,7 @@ class ColumnMap(NamedTuple):
     long: tuple[str, str] | None
     fields: Mapping[str, FieldSource]
     sampling: Sampling | None = None
+    parked: ParkedSource | None = None
 
     def list_required_columns(self) -> list[str]:
         """Return the columns that every file must have."""
@@ -187,6 +201,7 @@ class ColumnMap(NamedTuple):
     def list_columns(self) -> list[str]:
         """Return all columns that are read, each once."""
         names = self.list_required_columns() + [each.column for each in self.fields.values() if each.column is not None]
+        names += [self.parked.column] if self.parked else []
         return list(dict.fromkeys([*names, *(self.long or ())]))
 
 
@@ -268,6 +283,7 @@ class _MapReader:
             long,
             fields,
             self.read_rows(),
+            self.read_parked(),
         )
 
     def refuse(self, keys: tuple[str, ...], words: str) -> ImportFileError:
@@ -408,6 +424,13 @@ class _MapReader:
         if gap is not None and not 1 <= gap <= 86400:
             raise self.refuse(("ride", "gap_s"), f"gap_s is {gap:g}, must be from 1 to 86400 s")
         return RideSource(table.get("column"), table.get("from_file_name", False), gap)
+
+    def read_parked(self) -> ParkedSource | None:
+        """Return in which rows the car is parked."""
+        if "parked" not in self.tables:
+            return None
+        words = frozenset(str(word).strip().lower() for word in self.need("parked", "values"))
+        return ParkedSource(self.need("parked", "column"), words)
 
     def read_rows(self) -> Sampling | None:
         """Return how rows become samples, None where each row is one as it is."""

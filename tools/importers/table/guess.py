@@ -15,6 +15,7 @@ from tools.importers.table.column_map import (
     TIME_UNITS,
     ColumnMap,
     FileFormat,
+    ParkedSource,
     RideSource,
     TimeSource,
     VehicleSource,
@@ -34,8 +35,6 @@ MOST_FILES: Final = 8
 """Files from whose first blocks a map is guessed."""
 APART: Final = 30 * 86400.0
 """Time between the starts of files with clocks that start at 0, for the guess. [s]"""
-GAP: Final = 600.0
-"""Gap between rides, as of the cleaning. [s]"""
 
 
 class GuessedField(NamedTuple):
@@ -71,6 +70,8 @@ class GuessedMap(NamedTuple):
         The export that the tables are.
     inverted : tuple of str
         Cars whose current and power have the opposite sign.
+    parked : (str, tuple of str), optional
+        Column and words of rows in which the car is parked.
     """
 
     time: GuessedTime
@@ -83,6 +84,7 @@ class GuessedMap(NamedTuple):
     rows: GuessedRows | None
     preset: Preset | None
     inverted: tuple[str, ...] = ()
+    parked: tuple[str, tuple[str, ...]] | None = None
 
 
 def guess_map(
@@ -149,6 +151,7 @@ def guess_map(
         sampling,
         preset,
         tuple(inverted),
+        sources.parked,
     )
 
 
@@ -173,6 +176,9 @@ def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.
         RideSource(),
         sources.long,
         {each.field: each.to_field_source() for each in sources.fields},
+        parked=ParkedSource(sources.parked[0], frozenset(word.lower() for word in sources.parked[1]))
+        if sources.parked
+        else None,
     )
     reader = RowReader(provisional)
     needed = set(provisional.list_required_columns())

@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tools.importers.table.column_map import GUESSED_ORIGIN
-from tools.importers.table.guess import GAP, GuessedField, GuessedMap
+from tools.importers.table.guess import GuessedField, GuessedMap
 from tools.importers.table.table_file import TableFile
 from tools.importers.table.units import FIELD_UNITS, POWER
 from tools.terminal.rich_table import Column, make_table
@@ -15,6 +15,8 @@ from tools.terminal.rich_table import Column, make_table
 MOST_LEFT_OUT: Final = 40
 """Columns that are not read and are listed in a map."""
 
+RIDES: Final = "stops, charging and gaps end rides"
+"""How rides are found where no column names them."""
 MOST_NAMED: Final = 8
 """Columns that are not read and are named on the terminal."""
 
@@ -33,6 +35,9 @@ def write_map_text(guessed: GuessedMap, table: TableFile) -> str:
     lines += _write_file(table, guessed) + _write_vehicle(guessed, table) + _write_time(guessed) + _write_ride(guessed)
     if guessed.long:
         lines += ["[long]", f"name = {_quote(guessed.long[0])}", f"value = {_quote(guessed.long[1])}", ""]
+    if guessed.parked:
+        words = ", ".join(map(_quote, guessed.parked[1]))
+        lines += ["[parked]", f"column = {_quote(guessed.parked[0])}", f"values = [{words}]   # no speed: it is 0", ""]
     if guessed.rows:
         lines += [
             f"[rows]   # {guessed.rows.reason}",
@@ -54,9 +59,12 @@ def make_guess_table(guessed: GuessedMap) -> Table:
     time = guessed.time
     _add(table, "time", " + ".join(time.columns), time.unit or time.form or "", time.reason + _describe_zone(guessed))
     _add(table, "vehicle", guessed.vehicle or "", "", "by its name" if guessed.vehicle else _describe_vehicle(guessed))
-    _add(table, "ride", guessed.ride or "", "", "by its name" if guessed.ride else f"gaps of {GAP:g} s")
+    _add(table, "ride", guessed.ride or "", "", "by its name" if guessed.ride else RIDES)
     if guessed.rows:
         _add(table, "rows", "", f"every {guessed.rows.period:g} s", guessed.rows.reason)
+    if guessed.parked:
+        words = ", ".join(word or "empty" for word in guessed.parked[1])
+        _add(table, "parked", guessed.parked[0], words, "no speed is sent then: it is 0")
     for each in guessed.fields:
         unit = f"{each.unit or ''}{', sign inverted' if each.sign < 0 else ''}"
         _add(table, each.field, each.column or each.signal or "", unit, "; ".join(each.reasons))
@@ -159,8 +167,7 @@ def _write_time(guessed: GuessedMap) -> list[str]:
 
 def _write_ride(guessed: GuessedMap) -> list[str]:
     """Return the table of the rides."""
-    source = f"column = {_quote(guessed.ride)}" if guessed.ride else f"gap_s = {GAP:g}"
-    return ["[ride]", source, ""]
+    return ["[ride]", f"column = {_quote(guessed.ride)}", ""] if guessed.ride else []
 
 
 def _write_field(each: GuessedField) -> str:

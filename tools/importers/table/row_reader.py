@@ -124,6 +124,7 @@ class RowReader:
             has_value |= np.isfinite(rows[name])
         self._drop(keep, ~has_value, NO_VALUE)
         self._invert(rows)
+        self._stop_parked(block, rows)
         return rows[keep]
 
     def _invert(self, rows: np.ndarray) -> None:
@@ -133,6 +134,17 @@ class RowReader:
             turned = np.isin(rows["vehicle"], places)
             for name in {"battery_current_a", POWER} & set(rows.dtype.names or ()):
                 rows[name][turned] *= -1.0
+
+    def _stop_parked(self, block: Block, rows: np.ndarray) -> None:
+        """Set an unknown speed to 0 in rows in which the car is parked."""
+        source = self.map.parked
+        if source is None or source.column not in block or "speed_kmh" not in (rows.dtype.names or ()):
+            return
+        coded = pc.dictionary_encode(pc.cast(block[source.column], pa.string()))
+        words = [str(word).strip().lower() in source.words for word in coded.dictionary.to_pylist()]
+        parked = np.array([*words, "" in source.words])
+        places = pc.fill_null(coded.indices, len(words)).to_numpy(zero_copy_only=False)
+        rows["speed_kmh"][parked[places] & np.isnan(rows["speed_kmh"])] = 0.0
 
     def _drop(self, keep: Bools, wrong: Bools, cause: str) -> None:
         """Mark rows as unreadable, each under its first cause."""
