@@ -28,6 +28,7 @@ from tools.importers.table.presets import Preset, find_preset
 from tools.importers.table.row_messages import join_signals
 from tools.importers.table.row_reader import RowReader
 from tools.importers.table.sampling import Sampling, find_holds, sample_rows
+from tools.importers.table.shared_stamps import spread_rows
 from tools.importers.table.skipped_files import SkippedFiles
 from tools.importers.table.table_file import TableFile
 
@@ -191,7 +192,10 @@ def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.
         raise ImportFileError(
             f"{table.path}: none of its first {reader.rows:,} rows can be read ({found}); write a map by hand"
         )
-    rows = join_signals(rows[np.lexsort((rows["vehicle"], rows["time"]))])
+    for part in parts:
+        reader.stamps.add(part)
+    rows = rows[np.lexsort((rows["vehicle"], rows["time"]))]
+    rows = join_signals(np.concatenate(list(spread_rows([rows], reader.stamps.find_rules(), {}, {}))))
     sampling = guess_rows(rows)
     if sampling is not None:
         parts = list(sample_rows([rows], Sampling(sampling.period, find_holds(sampling.hold))))

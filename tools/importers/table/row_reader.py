@@ -16,6 +16,7 @@ from core.wire.messages import LONGEST_TEXT, join_chunks
 from tools.importers.table.cells import suggest_decimal, to_bools, to_numbers
 from tools.importers.table.column_map import ColumnMap, FieldSource
 from tools.importers.table.row_times import TimeReader
+from tools.importers.table.shared_stamps import StampStatistics
 from tools.importers.table.skipped_files import SkippedFiles
 from tools.importers.table.table_file import WRONG_WIDTH, Block, TableFile
 from tools.importers.table.time_overlaps import TimeSpans
@@ -64,6 +65,8 @@ class RowReader:
         Cells that hold no number where one belongs, by column and first such text; their rows are kept.
     spans : TimeSpans
         Times that each file covers.
+    stamps : StampStatistics
+        How many rows share a stamp.
     """
 
     def __init__(self, columns: ColumnMap, skipped: SkippedFiles | None = None) -> None:
@@ -77,7 +80,7 @@ class RowReader:
         self.dtype = np.dtype(
             [("time", "f8"), ("vehicle", "i4"), ("ride", "i4"), *((name, "f8") for name in columns.fields)]
         )
-        self.spans = TimeSpans()
+        self.spans, self.stamps = TimeSpans(), StampStatistics()
         self._places: dict[str, dict[str, int]] = {"vehicle": {}, "ride": {}}
         self._times = TimeReader(columns.time)
 
@@ -89,6 +92,7 @@ class RowReader:
                 for block in table.iterate_blocks(self.map.list_columns(), self.causes):
                     rows = self.convert(table, block)
                     self.spans.add(str(table.path), rows)
+                    self.stamps.add(rows)
                     yield rows
             if table.path in self.skipped.rows:
                 self.skipped.rows[table.path] = self.rows - before
