@@ -183,7 +183,7 @@ def _name_cars(reader: RowReader, places: Sequence[int]) -> str:
 def _sample(blocks: Iterator[np.ndarray], columns: ColumnMap) -> Iterator[np.ndarray]:
     """Yield sorted rows as they are sent."""
     if columns.long or columns.sampling:
-        blocks = map(join_signals, blocks)
+        blocks = (join_signals(rows, columns.long is not None) for rows in blocks)
     return blocks if columns.sampling is None else sample_rows(blocks, columns.sampling)
 
 

@@ -13,6 +13,7 @@ from core.wire.messages import Message, Ride, Telemetry, Vehicle, encode
 from tools.importers.drive import DECIMALS, make_message
 from tools.importers.table.column_map import ColumnMap
 from tools.importers.table.row_reader import RowReader
+from tools.importers.table.shared_stamps import number_in_stamp
 from tools.importers.table.units import POWER
 
 DECIMALS_OF_TABLES: Final = {**DECIMALS, "odometer_km": 4}
@@ -167,17 +168,25 @@ def introduce_vehicle(vehicle: str, time_s: float, model: str, period_s: float |
     return make_message(f"fleet/{vehicle}/vehicle", Vehicle(vehicle, time_s, model, period_s=period_s, **figures))
 
 
-def join_signals(rows: np.ndarray) -> np.ndarray:
+def join_signals(rows: np.ndarray, is_long: bool = True) -> np.ndarray:
     """Return rows of which those of one car and one time are joined into one.
 
     Parameters
     ----------
     rows : structured array
-        Rows in the order of time and vehicle. Of several values of a field, the largest remains.
+        Rows in the order of time and vehicle.
+    is_long : bool
+        Whether each row holds one signal. Of several values of a field, the largest then remains. Rows of any other
+        table are joined only where they hold different fields, as two values of a field are two measurements.
     """
     if len(rows) < 2:
         return rows
     new = np.append(True, (np.diff(rows["time"]) > 0) | (np.diff(rows["vehicle"]) != 0))
+    if not is_long and not new.all():
+        places = number_in_stamp(rows, np.flatnonzero(new))
+        order = np.lexsort((places, rows["vehicle"], rows["time"]))
+        rows, places = rows[order], places[order]
+        new |= np.append(True, np.diff(places) != 0)
     starts = np.flatnonzero(new)
     joined = rows[starts].copy()
     for name in rows.dtype.names or ():
