@@ -19,6 +19,7 @@ from tools.importers.table.sampling import (
     LONGEST_HOLD,
     LONGEST_PERIOD,
     SHORTEST_PERIOD,
+    STAND,
     Sampling,
     find_holds,
 )
@@ -57,7 +58,7 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
     },
     "ride": {"column": str, "from_file_name": bool, "gap_s": (int, float)},
     "parked": {"column": str, "values": list},
-    "rows": {"period_s": (int, float), "hold_s": (int, float)},
+    "rows": {"period_s": (int, float), "hold_s": (int, float), "on_change": bool, "silence_s": (int, float)},
     "long": {"name": str, "value": str},
     "fields": {},
 }
@@ -448,8 +449,10 @@ class _MapReader:
         }
         if not table and not own:
             return None
-        usual = self.read_hold(table["hold_s"], ("rows", "hold_s")) if "hold_s" in table else HOLD
-        return Sampling(period, find_holds(usual) | own)
+        usual = STAND if table.get("on_change") else HOLD
+        usual = self.read_hold(table["hold_s"], ("rows", "hold_s")) if "hold_s" in table else usual
+        silence = self.read_hold(table.get("silence_s", HOLD), ("rows", "silence_s"))
+        return Sampling(period, find_holds(usual) | own, silence if table.get("on_change") else None)
 
     def read_hold(self, hold: float, where: tuple[str, ...]) -> float:
         """Return the age up to which a value stays known. [s]"""

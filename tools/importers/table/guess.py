@@ -132,7 +132,8 @@ def guess_map(
             f"{tables[0].path}: no column looks like speed, charge or power; it has {listed}; write a map by hand, "
             "with the columns in [fields]"
         )
-    rows, sampling, vehicles = _read_rows(sources, sources.time, blocks)
+    on_change = preset is not None and preset.on_change
+    rows, sampling, vehicles = _read_rows(sources, sources.time, blocks, on_change)
     known = {each.field: KnownUnit(each.unit, each.sign, each.reason) for each in sources.fields}
     units = guess_values(rows, known)
     fields = [
@@ -166,7 +167,9 @@ def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles) -> Bl
     return blocks
 
 
-def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.ndarray, GuessedRows | None, list[str]]:
+def _read_rows(
+    sources: Sources, time: GuessedTime, blocks: Blocks, on_change: bool
+) -> tuple[np.ndarray, GuessedRows | None, list[str]]:
     """Return the rows as samples in the order of time, how rows become samples, and the names of the cars."""
     car = VehicleSource(sources.vehicle, None, "", None, {}, NOMINAL_VOLTAGE)
     provisional = ColumnMap(
@@ -196,9 +199,10 @@ def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.
         reader.stamps.add(part)
     rows = rows[np.lexsort((rows["vehicle"], rows["time"]))]
     rows = join_signals(np.concatenate(list(spread_rows([rows], reader.stamps.find_rules(), {}, {}))))
-    sampling = guess_rows(rows)
+    sampling = guess_rows(rows, on_change)
     if sampling is not None:
-        parts = list(sample_rows([rows], Sampling(sampling.period, find_holds(sampling.hold))))
+        holds = find_holds(sampling.hold) | dict(sampling.holds)
+        parts = list(sample_rows([rows], Sampling(sampling.period, holds, sampling.silence)))
         rows = np.concatenate(parts)
     return rows, sampling, reader.vehicles
 

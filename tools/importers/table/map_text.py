@@ -43,10 +43,16 @@ def write_map_text(guessed: GuessedMap, table: TableFile) -> str:
             f"[rows]   # {guessed.rows.reason}",
             f"period_s = {guessed.rows.period:g}   # time between samples",
             f"hold_s = {guessed.rows.hold:g}   # age up to which a value stays known",
-            "",
         ]
+        if guessed.rows.silence is not None:
+            lines += [
+                "on_change = true   # values are known as long as the car stands, or other values of it arrive",
+                f"silence_s = {guessed.rows.silence:.3g}   # a driving car that sends nothing for longer is not known",
+            ]
+        lines.append("")
     lines.append("[fields]")
-    lines += [_write_field(each) for each in guessed.fields]
+    holds = guessed.rows.holds if guessed.rows else {}
+    lines += [_write_field(each, holds.get(each.field)) for each in guessed.fields]
     if guessed.left_out:
         lines += ["", "# Not read:"]
         lines += [f"#   {_quote(name)}: {why}" for name, why in guessed.left_out[:MOST_LEFT_OUT]]
@@ -170,7 +176,7 @@ def _write_ride(guessed: GuessedMap) -> list[str]:
     return ["[ride]", f"column = {_quote(guessed.ride)}", ""] if guessed.ride else []
 
 
-def _write_field(each: GuessedField) -> str:
+def _write_field(each: GuessedField, hold: float | None) -> str:
     """Return the line of a field."""
     where = f"column = {_quote(each.column)}" if each.column is not None else f"signal = {_quote(each.signal or '')}"
     parts = [where]
@@ -180,6 +186,8 @@ def _write_field(each: GuessedField) -> str:
         parts.append(f"true = [{', '.join(map(_quote, each.true))}]")
     if each.sign < 0 or each.field in {"battery_current_a", POWER}:
         parts.append(f"sign = {each.sign}")
+    if hold is not None:
+        parts.append(f"hold_s = {hold:.4g}")
     comment = f"   # {'; '.join(each.reasons)}" if each.reasons else ""
     return f"{each.field} = {{ {', '.join(parts)} }}{comment}"
 

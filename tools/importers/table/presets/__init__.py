@@ -73,6 +73,8 @@ class Preset(NamedTuple):
         Places of each field, the best one first.
     parked : (str, tuple of str), optional
         Column and words of rows in which the car is parked.
+    on_change : bool
+        Whether values are sent on change.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Preset(NamedTuple):
     long: Sequence[tuple[str, str]]
     fields: Mapping[str, Sequence[PresetField]]
     parked: tuple[str, tuple[str, ...]] | None = None
+    on_change: bool = False
 
     def fits(self, names: Sequence[str]) -> bool:
         """Return whether a table with these columns is such an export."""
@@ -174,6 +177,7 @@ def _read(name: str, tables: Mapping[str, Any]) -> Preset:
         [(first, second) for first in _to_list(long.get("name", [])) for second in _to_list(long["value"])],
         {field: _read_places(places) for field, places in tables["fields"].items()},
         (tables["parked"]["column"], tuple(tables["parked"]["values"])) if "parked" in tables else None,
+        about.get("on_change", False),
     )
 
 
