@@ -136,10 +136,14 @@ def guess_map(
     rows, sampling, vehicles = _read_rows(sources, sources.time, blocks, on_change)
     known = {each.field: KnownUnit(each.unit, each.sign, each.reason) for each in sources.fields}
     units = guess_values(rows, known)
+    unresolved = sampling.unresolved if sampling else {}
     fields = [
         GuessedField(each.field, each.column, each.signal, *units[each.field][:3], each.true)
         for each in sources.fields
+        if each.field not in unresolved
     ]
+    left_out = [*sources.left_out]
+    left_out += [(each.column or each.signal or "", unresolved[each.field]) for each in sources.fields if each.field in unresolved]
     inverted = sorted({vehicles[place] for each in units.values() for place in each.other})
     is_per_file = sources.vehicle is None and len(tables) > 1 and sources.ride is not None
     return GuessedMap(
@@ -149,7 +153,7 @@ def guess_map(
         is_per_file,
         sources.long,
         fields,
-        sources.left_out,
+        left_out,
         sampling,
         preset,
         tuple(inverted),

@@ -39,6 +39,16 @@ MOST_MOVED: Final = 0.2
 """Share of silences over which the car moved, of a sender on change. [1]"""
 
 
+THROTTLE: Final = 1.8
+"""Shortest time between two values of a power from which they may be too few for its energy. [s]"""
+WHOLE: Final = 0.12
+"""Deviation of a time from whole shortest times up to which it is one. [1]"""
+MOST_WHOLE: Final = 0.75
+"""Share of such times of a sender that looks in periods. [1]"""
+FEWEST_LONGER: Final = 10
+"""Times longer than the shortest one from which this is judged."""
+
+
 class GuessedRows(NamedTuple):
     """Hold how rows become samples.
 
@@ -52,6 +62,8 @@ class GuessedRows(NamedTuple):
         Time without any row after which the values of a driving car are unknown, where values are sent on change. [s]
     holds : mapping of str to float
         Ages of single fields. [s]
+    unresolved : mapping of str to str
+        Fields that are sent too seldom to show what happened between two values, with the reason.
     """
 
     period: float
@@ -59,6 +71,7 @@ class GuessedRows(NamedTuple):
     reason: str
     silence: float | None = None
     holds: Mapping[str, float] = MappingProxyType({})
+    unresolved: Mapping[str, str] = MappingProxyType({})
 
 
 class _Sending(NamedTuple):
@@ -102,7 +115,8 @@ def guess_rows(rows: np.ndarray, on_change: bool = False) -> GuessedRows | None:
     found = "unchanged values are " + (
         f"repeated after {way.heartbeat:.3g} s" if way and way.heartbeat else "not repeated"
     )
-    return GuessedRows(period, STAND, f"{reason}; {found}", silence, holds)
+    unresolved = {name: words for name in energy if (words := _find_throttle(rows, name))}
+    return GuessedRows(period, STAND, f"{reason}; {found}", silence, holds, unresolved)
 
 
 def _take_series(rows: np.ndarray, known: Bools) -> tuple[np.ndarray, Floats, Bools]:
@@ -139,6 +153,25 @@ def _learn_sending(rows: np.ndarray, name: str) -> _Sending | None:
     return _Sending(False, None)
 
 
+def _find_throttle(rows: np.ndarray, name: str) -> str:
+    """Return why values of a power do not show its energy, empty where they do.
+
+    A sender that sends each first change, and then nothing for some seconds, sees the beginnings of braking and
+    accelerating more often than their ends: the energy would be wrong by some 10 %. A sender that looks in periods sees
+    all of it alike; its times are whole periods apart.
+    """
+    _, step, same = _take_series(rows, np.isfinite(rows[name]))
+    step = step[same & (step > 0) & (step <= LONGEST_STEP)]
+    if len(step) < LEAST_VALUES:
+        return ""
+    shortest = float(np.percentile(step, 10))
+    longer = step[step > 1.3 * shortest] / shortest
+    is_whole = np.abs(longer - np.round(longer)) <= WHOLE
+    if shortest < THROTTLE or len(longer) < FEWEST_LONGER or np.mean(is_whole) > MOST_WHOLE:
+        return ""
+    return f"it is sent when it changes, at most every {shortest:.3g} s: too seldom for the energy"
+
+
 def _hold_last(values: Floats, same: Bools) -> Floats:
     """Return values with the last known one of the same car in place of unknown ones."""
     places = np.where(np.isfinite(values), np.arange(len(values)), -1)
@@ -159,15 +192,23 @@ def _measure_silence(rows: np.ndarray) -> float:
 
 
 def _moves_in_silence(rows: np.ndarray) -> bool:
-    """Return whether the odometer advances in silences in which the car stands by its last speed: rows are lost."""
+    """Return whether the odometer advances in silences in which the car stands by its last speed: rows are lost.
+
+    The distance between two readings of the odometer is compared with that of the speed, held until its next value.
+    """
     if "odometer_km" not in (rows.dtype.names or ()):
         return False
     by_car, step, same = _take_series(rows, np.ones(len(rows), bool))
-    stands = _hold_last(by_car["speed_kmh"], same) == 0.0
-    before = _hold_last(by_car["odometer_km"], same)
-    # the first reading after a silence comes in one of the rows after it
-    after = _hold_last(by_car["odometer_km"][::-1], same[::-1])[::-1]
-    silent = same & stands[:-1] & (step > PAUSE) & (step <= LONGEST_STEP)
-    moved = (after[1:] - before[:-1])[silent]
-    moved = moved[np.isfinite(moved)]
-    return len(moved) > 0 and float(np.mean(moved > MOVED)) > MOST_MOVED
+    speed = np.nan_to_num(_hold_last(by_car["speed_kmh"], same))
+    held = np.append(0.0, np.cumsum(np.where(same, speed[:-1] * step / 3600.0, 0.0)))
+    silent = same & (speed[:-1] == 0.0) & (step > PAUSE) & (step <= LONGEST_STEP)
+    silences = np.append(0, np.cumsum(silent))
+    read = np.flatnonzero(np.isfinite(by_car["odometer_km"]))
+    if len(read) < 2:
+        return False
+    driven, by_speed = np.diff(by_car["odometer_km"][read]), np.diff(held[read])
+    asked = (np.diff(by_car["vehicle"][read]) == 0) & (np.diff(silences[read]) > 0) & (driven >= 0.0)
+    if not asked.any():
+        return False
+    resolution = float(np.min(driven[driven > 0.0], initial=1.0))
+    return float(np.mean((driven - by_speed)[asked] > MOVED + resolution)) > MOST_MOVED

@@ -68,6 +68,8 @@ def make_guess_table(guessed: GuessedMap) -> Table:
     _add(table, "ride", guessed.ride or "", "", "by its name" if guessed.ride else RIDES)
     if guessed.rows:
         _add(table, "rows", "", f"every {guessed.rows.period:g} s", guessed.rows.reason)
+        for field, why in guessed.rows.unresolved.items():
+            _add(table, field, "", "not read", why)
     if guessed.parked:
         words = ", ".join(word or "empty" for word in guessed.parked[1])
         _add(table, "parked", guessed.parked[0], words, "no speed is sent then: it is 0")

@@ -228,7 +228,9 @@ class _Sampler:
         latest = find_latest(times, values, ends, longest, "left")
         if name not in AVERAGED:
             return latest
-        return compute_held_means(times, values, starts, ends, longest, latest)
+        # a sender on change sends at most once a period: what changed since the last value did so within one
+        ramp = 0.0 if self.silence is None else self.period
+        return compute_held_means(times, values, starts, ends, longest, latest, ramp)
 
 
 def _find_until(at: Floats, times: Floats, ends: Floats) -> Floats:
@@ -289,7 +291,13 @@ def find_latest(
 
 
 def compute_held_means(
-    times: Floats, values: Floats, starts: Floats, ends: Floats, hold: float | Floats, otherwise: Floats
+    times: Floats,
+    values: Floats,
+    starts: Floats,
+    ends: Floats,
+    hold: float | Floats,
+    otherwise: Floats,
+    ramp: float = 0.0,
 ) -> Floats:
     """Return the means of a quantity over periods; each value counts until the next one, at most for a time.
 
@@ -305,6 +313,8 @@ def compute_held_means(
         Longest time for which a value counts, of all values or of each. [s]
     otherwise : (m,) float64
         Returned for periods in which no value counts.
+    ramp : float
+        Time before the next value within which the quantity changes to it, along a line. [s]
 
     Returns
     -------
@@ -315,15 +325,29 @@ def compute_held_means(
     >>> times, values = np.array([0.0, 3.0]), np.array([10.0, 20.0])
     >>> compute_held_means(times, values, np.array([2.0, 4.0]), np.array([4.0, 6.0]), 2.0, np.full(2, np.nan)).tolist()
     [20.0, 20.0]
+    >>> compute_held_means(times, values, np.array([0.0]), np.array([3.0]), 5.0, np.full(1, np.nan), 1.0).tolist()
+    [11.666666666666666]
     """
     if not len(times):
         return otherwise
-    until = np.minimum(np.append(times[1:], np.inf), times + hold)
-    length = until - times
-    breaks = np.column_stack((times, until)).ravel()
-    known = np.concatenate(([0.0], np.cumsum(np.column_stack((length, np.zeros(len(times)))).ravel())))[:-1]
-    amount = np.column_stack((values * length, np.zeros(len(times)))).ravel()
-    integral = np.concatenate(([0.0], np.cumsum(amount)))[:-1]
-    span = np.interp(ends, breaks, known) - np.interp(starts, breaks, known)
-    total = np.interp(ends, breaks, integral) - np.interp(starts, breaks, integral)
-    return np.divide(total, span, out=otherwise.copy(), where=span > 1e-6)
+    following = np.append(times[1:], np.inf)
+    until = np.minimum(following, times + hold)
+    goes_on = until >= following  # the value is known up to the next one
+    line = np.where(goes_on & (ramp > 0.0), np.where(following - times <= 1.5 * ramp, until - times, ramp), 0.0)
+    knots = np.column_stack((times, until - line, until)).ravel()
+    known = np.column_stack((until - line - times, line, np.zeros(len(times)))).ravel()
+    slope = np.divide(np.append(np.diff(values), 0.0), line, out=np.zeros(len(times)), where=line > 0.0)
+    level = np.column_stack((values, values, np.zeros(len(times)))).ravel()
+    rise = np.column_stack((np.zeros(len(times)), slope, np.zeros(len(times)))).ravel()
+
+    def integrate(at: Floats) -> tuple[Floats, Floats]:
+        place = np.maximum(np.searchsorted(knots, at, "right") - 1, 0)
+        inside = np.clip(at - knots[place], 0.0, known[place])
+        total = amount[place] + inside * (level[place] + 0.5 * rise[place] * inside)
+        return total, time[place] + inside
+
+    time = np.append(0.0, np.cumsum(known))[:-1]
+    amount = np.append(0.0, np.cumsum(known * (level + 0.5 * rise * known)))[:-1]
+    (first, since), (last, to) = integrate(starts), integrate(ends)
+    span = to - since
+    return np.divide(last - first, span, out=otherwise.copy(), where=span > 1e-6)
