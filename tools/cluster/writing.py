@@ -5,7 +5,6 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-import pandas as pd
 
 from core.pipeline import Pipeline
 from core.settings import BOUNDS_OF_LIMITS, Limits
@@ -18,7 +17,6 @@ from tools.cluster.cleaning import count_columns, read_totals
 from tools.cluster.displays import Slice
 from tools.cluster.job import Job, load_surroundings, read_rows, read_text
 from tools.cluster.ordering import Shared
-from tools.cluster.task_files import replacing
 from tools.terminal.parquet_table import ParquetTable
 
 _MOST = Limits(vehicles=BOUNDS_OF_LIMITS["vehicles"][1], vehicle_models=BOUNDS_OF_LIMITS["vehicle_models"][1])
@@ -76,13 +74,6 @@ def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], C
         table = tabulate_rides(totals, names, drivers, context)
     else:
         table = tabulate_windows(totals, context)
-    _write(table, out)
-    return len(table), counters.unfit, counters.unpredicted, counters.faults
-
-
-def _write(table: pd.DataFrame, out: Path) -> None:
-    """Write a table to a Parquet file."""
-    with replacing(out) as own:
-        file = ParquetTable(own)
+    with ParquetTable(out) as file:
         file.append(table)
-        file.close()
+    return len(table), counters.unfit, counters.unpredicted, counters.faults

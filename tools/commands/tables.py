@@ -109,9 +109,8 @@ def tables(
         if json_file:
             kept.append(ended)
 
-    tabulate(sources, pipeline, write)
-    rides.close()
-    windows.close()
+    with rides, windows:
+        tabulate(sources, pipeline, write)
     ended = pd.concat(kept) if json_file else pd.DataFrame()
     _finish(sources, pipeline.quality(), rides.rows, windows.rows, folder, json_file, ended)
 
