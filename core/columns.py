@@ -250,6 +250,7 @@ RIDE_COLUMNS: Final = (
     Column("quality_charging_inferred", "1", "samples of charging that the car does not report", "cleaning"),
     Column("quality_current_inverted", "1", "samples with a current of the wrong sign", "cleaning"),
     Column("quality_soc_stale", "1", "samples with a change of the charge from before a pause", "cleaning"),
+    Column("quality_clock_rollover", "1", "samples whose stamp was 1024 weeks early", "cleaning"),
 )
 """Columns of the ride table, in their order; `EFFECT_COLUMN` stands for one column per summed effect."""
 

@@ -129,6 +129,10 @@ LONGEST_CLOCK_STEP: Final = 600.0
 
 A clock that is set by more has been wrong by more. A logger that slept is more frequent, and a pause only ends a ride,
 while a pause that is taken for a clock that was set joins two rides and dates the second one wrongly."""
+ROLLOVER: Final = 1024.0 * 7.0 * SECONDS_PER_DAY
+"""Time after which the week number of GPS begins anew: 1024 weeks. [s] (IS-GPS-200, section 20.3.3.3.1.1)"""
+FIRST_LOGGER: Final = 1_262_304_000.0
+"""Unix time of 2010-01-01: a logger of an electric car with an earlier clock has a wrong clock. [s]"""
 UNUSED: Final = -1.0
 """The `dt` of a rejected sample."""
 
@@ -154,6 +158,12 @@ def set_period(state: Any, nominal: float) -> None:
     state.intervals = state.latest = state.misfits = state.irregular = 0.0
     state.spread = 3.0 * LEAST_SPREAD * state.period
     state.memory = FIRST_MEMORY
+
+
+@njit(cache=False)
+def has_rolled_over(stamp: float) -> bool:
+    """Return whether a stamp is too early for a logger, and 1024 weeks later it is not."""
+    return FIRST_LOGGER - ROLLOVER <= stamp < FIRST_LOGGER
 
 
 @njit(cache=False)

@@ -217,6 +217,7 @@ _HIGH: Final = np.array([column.high for column in TELEMETRY])
 """Valid range of each of these inputs."""
 
 OUT_OF_RANGE: Final = int(Quality.OUT_OF_RANGE)
+CLOCK_ROLLOVER: Final = int(Quality.CLOCK_ROLLOVER)
 NOT_OF_RIDE: Final = motion.BRIDGED | meters.SOC_JUMP | meters.SOC_FROZEN
 """Bits that a step before a ride does not pass on to it."""
 STALE: Final = 60.0
@@ -435,6 +436,9 @@ def take_ride_events(states: Any, ride_events: Any, event: int, row: int, ends: 
 def clean_row(state: Any, row: Any, settings: Any) -> float:
     """Clean one row; return the time since the sample before it, `clock.UNUSED` for a rejected one. [s]"""
     repeated = repetition.repeats_fix(state, row)
+    if clock.has_rolled_over(row.raw_stamp):
+        row.raw_stamp += clock.ROLLOVER
+        row.quality += CLOCK_ROLLOVER
     period = settings.period if isnan(row.raw_period) else row.raw_period
     drove = repetition.drove_on(state, row, state.period)
     same = repetition.repeats_content(state, row)
@@ -490,6 +494,8 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
         meters.begin_stillness(state, 0.0)
         if state.soc_age > STALE:
             state.soc = nan
+    elif int(row.quality) & clock.PAUSED:  # nothing tells whether the clock was set
+        row.mistimed += dt
     if begins or (rode and state.riding == 0.0):
         row.lost = find_uncovered_time(state, int(row.quality), dt, settings)
     segmentation.update_window(state, dt, begins, state.has_power == 1.0 or changed, settings)

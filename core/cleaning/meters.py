@@ -9,7 +9,7 @@ exactly zero while the car drives. The state of charge is frozen where it stays 
 quanta by V·I. It jumps where it changes by more than the car can have used, or by much more than V·I measured.
 """
 
-from math import exp, isnan, nan, tanh
+from math import exp, isnan, log, nan, tanh
 from typing import Any, Final
 
 from numba import njit
@@ -23,6 +23,8 @@ FIELDS: Final = (
     "has_power",
     "current",  # last reported [A]
     "current_age",  # time since it last changed [s]
+    "current_runs",  # number of samples with this value while the car drove
+    "current_repeats",  # running share of samples that repeat the current while the car drives [1]
     "speed_varied",  # sum of the changes of speed since then [m/s]
     "zero_distance",  # distance since then, of a current of zero [m]
     "soc",  # last reported [1]
@@ -61,6 +63,12 @@ Chosen so that the errors of simulated rides are within their standard uncertain
 
 FROZEN_TIME: Final = 30.0
 """Time for which an unchanged current is normal: loggers refresh it every second to every few seconds. [s]"""
+REPEAT_MEMORY: Final = 100.0
+"""Number of samples in the running share of those that repeat the current."""
+LEAST_REPEATS: Final = 0.3
+"""Share of repetitions of a current that is assumed of any car: a coarse meter at a steady speed. [1]"""
+LEAST_CHANCE: Final = -16.0
+"""Logarithm of the chance of a run of repetitions below which the current is frozen: one in ten million."""
 FROZEN_SPEED_CHANGE: Final = 108.0 * KMH
 """Sum of changes of speed during which the current of a car cannot stay the same to the last digit. [m/s]
 
@@ -158,10 +166,17 @@ def find_variance_factor(dt: float) -> float:
 @njit(cache=False)
 def is_power_frozen(state: Any, row: Any, dt: float) -> bool:
     """Return whether the current has stayed the same although the speed varied, or zero although the car drove."""
+    drives = row.distance > 0.0
     if row.raw_current != state.current:
         state.current = row.raw_current
-        state.current_age = state.speed_varied = state.zero_distance = 0.0
+        state.current_age = state.speed_varied = state.zero_distance = state.current_runs = 0.0
+        state.current_repeats -= state.current_repeats / REPEAT_MEMORY if drives else 0.0
         return False
+    state.current_runs += 1.0 if drives else 0.0
+    usual = LEAST_REPEATS + (1.0 - LEAST_REPEATS) * state.current_repeats
+    if state.current_runs * log(usual) < LEAST_CHANCE:
+        return True
+    state.current_repeats += (1.0 - state.current_repeats) / REPEAT_MEMORY if drives else 0.0
     state.current_age += dt
     state.speed_varied += abs(row.acceleration) * dt
     state.zero_distance += row.distance if row.raw_current == 0.0 else 0.0

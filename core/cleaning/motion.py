@@ -109,6 +109,8 @@ MOVING: Final = 1.5
 """Speed above which the car moves. [m/s]"""
 LONGEST_BRIDGE: Final = 86_400.0
 """Longest time for which an odometer bridges a hole. A faulty clock would otherwise allow any distance. [s]"""
+COMPRESSED: Final = 1.5
+"""Ratio of the speed of a bridge to the limit from which its logger lost time; less is noise of fixes. [1]"""
 CRUISE_TIME: Final = 60.0
 """Time over which the speed before a tunnel is averaged. [s]"""
 BRIDGING: Final = 20 * KMH
@@ -249,11 +251,12 @@ def find_bridge_speed(state: Any, row: Any, age: float, settings: Any) -> float:
     """Return the speed at which a bridged distance was driven, in a time of `age`. [m/s]
 
     Some loggers lose the time of a tunnel. A distance that no car drives in its time was driven at the mean speed of
-    the last minute.
+    the last minute; the time that the logger did not see is kept.
     """
     speed = row.distance / age
-    if speed > settings.speed_limit:
+    if speed > COMPRESSED * settings.speed_limit:
         speed = max(state.cruise, row.speed)
+        row.unseen = row.distance / min(settings.speed_limit, max(BRIDGING, speed)) - age
     return float(min(settings.speed_limit, max(BRIDGING, speed)))
 
 
@@ -353,7 +356,6 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
         row.quality += 0 if gap and dt <= 1.5 * state.period else BRIDGED  # the step of a slow logger is no bridge
         row.speed = find_bridge_speed(state, row, max(age, settings.period), settings)
         row.travel = row.distance / row.speed
-        row.unseen = max(0.0, row.travel - max(age, dt))
     elif isnan(speed):
         row.travel = row.distance / row.speed if row.speed > 0.0 else 0.0
     elif derived > 0.0 and state.has_speed == 0.0:

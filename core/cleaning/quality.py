@@ -67,6 +67,8 @@ class Quality(IntFlag):
     """The current of this car has the wrong sign, by its state of charge or by its accelerations. Not metered."""
     SOC_STALE = 1 << 29
     """The first change of the charge after a pause is larger than the car can have used since: it is from before."""
+    CLOCK_ROLLOVER = 1 << 30
+    """The stamp is 1024 weeks early, as a receiver reports whose GPS week has rolled over; they were added."""
 
 
 CAUSES: Final = tuple(flag.name.lower() for flag in Quality if flag.name)

@@ -105,6 +105,9 @@ def end_group(state: Any, stamp: float, count: float, has_counter: bool) -> tupl
     if state.shared_count == 0.0 or state.mistimed > FOLLOWED * state.period:
         state.time = stamp
         return step, STAMP_SHARED | (CLOCK_STEP if abs(error) > state.period else 0)
+    if has_counter and abs(error) > stamp - state.stamp + state.period:
+        state.time, state.mistimed = stamp, abs(error)
+        return step, STAMP_SHARED | CLOCK_STEP
     is_small = has_counter or abs(error) <= ALIKE * state.period
     step = max(0.0, step + (FOLLOWED if is_small else 1.0) * error)
     state.time += step

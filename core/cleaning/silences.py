@@ -142,6 +142,8 @@ def find_silences(
             value = samples[j, i]
             cells[j] = np.nan if value < ranges[j, 0] or value > ranges[j, 1] else value
         car = cars[lane[i]]
+        if clock.has_rolled_over(row.raw_stamp):
+            row.raw_stamp += clock.ROLLOVER
         drove = repetition.drove_on(car, row, car.period)
         same = repetition.repeats_content(car, row)
         period = settings.period if np.isnan(periods[i]) else periods[i]

@@ -42,10 +42,13 @@ FIELDS: Final = (
     "tick_run",  # distance by the speed since it last changed [m]
     "tick_chord",  # distance by fixes since then [m]
     "tick_hole",  # 1 if the speed was unknown since then
+    "ticks",  # number of changes of the odometer so far
     "tick_missed",  # distance by the odometer beyond that of the speed, since both last agreed [m]
     "reported",  # last speed, as reported times `speed_scale` [m/s], NaN where unknown
     "missed",  # distance by fixes beyond that of the speed, since both last agreed [m]
     "missed_time",  # time since both last agreed [s]
+    "agreed_latitude",  # fix up to which both last agreed [rad], NaN without one
+    "agreed_longitude",
     "speed_stuck",  # 1 while the speed counts as missing because witnesses outvote it
     "speed_scale",  # factor by which the reported speed is multiplied, 0 for a factor of 1
 )
@@ -56,10 +59,10 @@ SECTION: Final = 100.0
 """Distance of the fixes at the ends of a section. [m] Noise of 8 m adds less than 1 % to it."""
 NEAR_MEMORY: Final = 300.0
 """Distance after which the weight of a section has decreased to 1/e, to recognise a stuck speed. [m]"""
-FAR_MEMORY: Final = 3000.0
+FAR_MEMORY: Final = 10_000.0
 """The same to recognise a unit. [m]"""
-LEAST_NEAR: Final = 200.0
-"""Sum of such distances from which a speed may count as stuck. [m]"""
+LEAST_NEAR: Final = 250.0
+"""Sum of such distances, and distance from where both last agreed, from which a speed may count as stuck. [m]"""
 LEAST_FAR: Final = 1000.0
 """Sum of such distances from which a speed may be in another unit. [m]"""
 STUCK: Final = 0.5
@@ -70,6 +73,18 @@ SAME: Final = 0.04
 """Largest deviation of the logarithm of a ratio from that of two units."""
 FACTORS: Final = (1.609344, 1 / 1.609344, 3.6, 1 / 3.6, 1.852, 1 / 1.852, 3.6 / 1.609344, 1.609344 / 3.6)
 """Ratios of the units of speed: km/h, mph, m/s and knots."""
+LEAST_RUN: Final = 0.2
+"""Least ratio of the distance by the speed to that of a witness that may be one of units. [1]"""
+STEADY: Final = 0.12
+"""Largest logarithm of the ratio of the last sections to that of all, of a speed in one unit."""
+CALIBRATED: Final = 5000.0
+"""Distance by the odometer from which it calibrates the speed. [m]"""
+LEAST_TICKS: Final = 40.0
+"""The same in its smallest changes."""
+LEAST_OFF: Final = 0.025
+"""Smallest logarithm of a ratio that is calibrated; tyres and their wear explain as much."""
+MOST_OFF: Final = 0.15
+"""Largest one: a larger one is no matter of calibration."""
 CIRCLING: Final = 600.0
 """Distance by the speed within `SCATTER` of one place after which the speed is too high, or stuck while driving. [m]"""
 SCATTER: Final = 50.0
@@ -143,12 +158,11 @@ def take_fix(state: Any, row: Any, settings: Any) -> tuple[float, float]:
     """Close a section at a fix that is far enough; return the distance that the speed missed or showed too much."""
     if isnan(row.raw_latitude) or isnan(row.raw_longitude):
         return 0.0, 0.0
-    if isnan(state.section_latitude):
-        open_section(state, row)
-        return 0.0, 0.0
     chord = compute_chord(state.section_latitude, state.section_longitude, row.raw_latitude, row.raw_longitude)
-    if chord > settings.speed_limit * state.section_age + SLACK:
+    if not chord <= settings.speed_limit * state.section_age + SLACK:  # a leap, or no section is open
         open_section(state, row)
+        if isnan(state.agreed_latitude):
+            agree(state, row)
         return 0.0, 0.0
     circles = chord < SCATTER and state.section_run > CIRCLING and not is_at(state, row)
     if chord < SECTION and not circles:
@@ -157,25 +171,30 @@ def take_fix(state: Any, row: Any, settings: Any) -> tuple[float, float]:
     run, known = state.section_run, state.section_hole == 0.0
     row.path, row.path_run = chord, state.section_distance
     open_section(state, row)
-    if not known:
-        return 0.0, 0.0
+    if circles and known:
+        state.missed, state.speed_stuck = 0.0, 1.0
+        return 0.0, run - chord
+    return (compare_section(state, row, chord, run) if known else 0.0), 0.0
+
+
+@njit(cache=False)
+def compare_section(state: Any, row: Any, chord: float, run: float) -> float:
+    """Compare the distances of a section; return what the speed has missed if it turns out to be stuck. [m]"""
     near, far = max(0.0, 1.0 - max(chord, run) / NEAR_MEMORY), max(0.0, 1.0 - max(chord, run) / FAR_MEMORY)
     state.fix_near, state.run_near = near * state.fix_near + chord, near * state.run_near + run
     state.fix_far, state.run_far = far * state.fix_far + chord, far * state.run_far + run
-    agrees = run > 0.0 and abs(log(chord / run)) < AGREES
-    if agrees:
-        state.missed = state.missed_time = state.speed_stuck = 0.0
-        return 0.0, 0.0
-    if circles:
-        state.missed, state.speed_stuck = 0.0, 1.0
-        return 0.0, run - chord
+    if run > 0.0 and abs(log(chord / run)) < AGREES:
+        agree(state, row)
+        return 0.0
     state.missed += 0.0 if state.speed_stuck == 1.0 else chord - run
+    away = compute_chord(state.agreed_latitude, state.agreed_longitude, row.raw_latitude, row.raw_longitude)
     supported = state.tick > 0.0 and state.tick_chord > TICKS * state.tick + LEAST_NEAR
-    if state.speed_stuck == 1.0 or supported or state.fix_near < LEAST_NEAR or state.run_near > STUCK * state.fix_near:
-        return 0.0, 0.0
+    is_clear = away > LEAST_NEAR and state.fix_near > LEAST_NEAR and state.run_near < STUCK * state.fix_near
+    if state.speed_stuck == 1.0 or supported or not is_clear:
+        return 0.0
     state.speed_stuck = 1.0
     missed, state.missed = max(0.0, state.missed), 0.0
-    return missed, 0.0
+    return float(missed)
 
 
 @njit(cache=False)
@@ -183,6 +202,16 @@ def open_section(state: Any, row: Any) -> None:
     """Begin a section at a fix."""
     state.section_latitude, state.section_longitude = row.raw_latitude, row.raw_longitude
     state.section_age = state.section_run = state.section_hole = state.section_distance = 0.0
+
+
+@njit(cache=False)
+def agree(state: Any, row: Any) -> None:
+    """Note that fixes and speed agree up to a fix."""
+    state.missed = state.missed_time = 0.0
+    state.agreed_latitude, state.agreed_longitude = row.raw_latitude, row.raw_longitude
+    if state.speed_stuck == 1.0:
+        state.speed_stuck = 0.0
+        state.fix_far = state.run_far = state.odometer_far = state.odometer_run_far = 0.0
 
 
 @njit(cache=False)
@@ -201,26 +230,31 @@ def take_odometer(state: Any, odometer: float) -> tuple[float, float]:
     driven, run, known = odometer - state.tick_reading, state.tick_run, state.tick_hole == 0.0
     state.tick_reading = odometer
     state.tick_run = state.tick_chord = state.tick_hole = 0.0
-    if isnan(driven) or driven <= 0.0:
+    if not driven > 0.0:
         return 0.0, 0.0
+    state.ticks += 1.0
     state.tick = driven if state.tick == 0.0 else min(state.tick, driven)
-    if not known:
-        return 0.0, 0.0
+    return (compare_tick(state, driven, run) if known and state.ticks > 1.0 else 0.0), 0.0
+
+
+@njit(cache=False)
+def compare_tick(state: Any, driven: float, run: float) -> float:
+    """Compare the distances between two changes of the odometer; return what a stuck speed has missed. [m]"""
     kept = max(0.0, 1.0 - driven / FAR_MEMORY)
     state.odometer_far = kept * state.odometer_far + driven
     state.odometer_run_far = kept * state.odometer_run_far + run
     if not isnan(state.section_latitude):  # the fixes decide
-        return 0.0, 0.0
+        return 0.0
     if run >= STUCK * driven:
         state.tick_missed = 0.0
         state.speed_stuck = state.speed_stuck if run > 2.0 * driven else 0.0
-        return 0.0, 0.0
+        return 0.0
     state.tick_missed += 0.0 if state.speed_stuck == 1.0 else driven - run
     if state.tick_missed < LEAST_NEAR:
-        return 0.0, 0.0
+        return 0.0
     missed, state.tick_missed = state.tick_missed, 0.0
     state.speed_stuck = 1.0
-    return missed, 0.0
+    return float(missed)
 
 
 @njit(cache=False)
@@ -237,12 +271,39 @@ def find_excess(state: Any) -> float:
 @njit(cache=False)
 def find_unit(state: Any) -> float:
     """Return the ratio of two units of speed that the witnesses show, 1 where they show none."""
+    if state.speed_stuck == 1.0 and state.run_near < LEAST_RUN * state.fix_near:
+        return 1.0
     by_fixes = find_factor(state.fix_far, state.run_far)
+    if state.fix_far > 0.0 and not is_steady(state):
+        return 1.0
     by_odometer = find_factor(state.odometer_far, state.odometer_run_far)
-    if by_fixes == by_odometer:
+    if by_fixes == by_odometer and by_fixes != 1.0:
         return by_fixes
-    lacks_odometer = state.odometer_far < LEAST_FAR
-    return by_fixes if lacks_odometer and state.fix_far > 2.0 * LEAST_FAR and isnan(state.tick_reading) else 1.0
+    if isnan(state.tick_reading):
+        return by_fixes if state.fix_far > 2.0 * LEAST_FAR else 1.0
+    return calibrate(state)
+
+
+@njit(cache=False)
+def is_steady(state: Any) -> bool:
+    """Return whether the last sections show the same ratio as all."""
+    if state.run_near <= 0.0 or state.run_far <= 0.0:
+        return False
+    return bool(abs(log(state.fix_near / state.run_near * state.run_far / state.fix_far)) < STEADY)
+
+
+@njit(cache=False)
+def calibrate(state: Any) -> float:
+    """Return the ratio that an odometer shows of a speed that is off by some percent, 1 where it agrees."""
+    enough = state.odometer_far > max(CALIBRATED, LEAST_TICKS * state.tick) and state.odometer_run_far > 0.0
+    if not enough:
+        return 1.0
+    ratio = state.odometer_far / state.odometer_run_far
+    if not LEAST_OFF < abs(log(ratio)) < MOST_OFF:
+        return 1.0
+    has_fixes = state.fix_far > CALIBRATED and state.run_far > 0.0
+    agrees = not has_fixes or abs(log(state.fix_far / state.run_far / ratio)) < LEAST_OFF
+    return float(ratio) if agrees else 1.0
 
 
 @njit(cache=False)
@@ -266,5 +327,8 @@ def forget_sections(state: Any) -> None:
     state.tick_hole = 1.0
 
 
-UNKNOWN_AT_FIRST: Final = ("section_latitude", "section_longitude", "tick_reading", "reported")
+UNKNOWN_AT_FIRST: Final = (
+    *("section_latitude", "section_longitude", "agreed_latitude", "agreed_longitude"),
+    *("tick_reading", "reported"),
+)
 """Fields of a new lane that are NaN."""

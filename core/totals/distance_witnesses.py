@@ -10,7 +10,9 @@ from core.totals.accumulator import Totals
 
 MOST_DISPUTED: Final = 0.03
 """Largest share of its distance that witnesses may dispute in a ride fit for training. [1]"""
-OFF: Final = 0.05
+HINT: Final = 0.02
+"""Logarithm of a ratio from which a witness supports another one. [1]"""
+OFF: Final = 0.03
 """Largest deviation of the odometer, beyond its resolution: tyres and calibration take some percent. [1]"""
 STALE: Final = 300.0
 """Distance that a car drives between two reports of its odometer. [m]"""
@@ -40,25 +42,26 @@ def find_contradicted_distance(totals: Totals) -> NDArray[np.bool_]:
 
     Notes
     -----
-    Of two witnesses, both must contradict. Distance that was disputed during the ride contradicts by itself.
+    Where there are two witnesses, one must contradict clearly, and the other must be off in the same direction.
+    Distance that was disputed during the ride contradicts by itself.
     """
     distance = totals.amount("distance")
-    by_odometer, has_odometer = _contradict_by_odometer(totals)
-    by_fixes, has_fixes = _contradict_by_fixes(totals)
-    both = has_odometer & has_fixes
+    of_odometer, clear_odometer = _compare_odometer(totals)
+    of_fixes, clear_fixes = _compare_fixes(totals)
+    same_side = (of_odometer * of_fixes > 0.0) & (np.minimum(abs(of_odometer), abs(of_fixes)) > HINT)
+    alone = np.isnan(of_odometer) | np.isnan(of_fixes)
     return np.asarray(
-        (totals.amount("disputed") > MOST_DISPUTED * distance)
-        | np.where(both, by_odometer & by_fixes, (has_odometer & by_odometer) | (has_fixes & by_fixes))
+        (totals.amount("disputed") > MOST_DISPUTED * distance) | ((clear_odometer | clear_fixes) & (alone | same_side))
     )
 
 
-def _contradict_by_odometer(totals: Totals) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return where the odometer shows another distance, and where it can tell."""
+def _compare_odometer(totals: Totals) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the logarithm of distance over that of the odometer, NaN where it cannot tell, and where it is clear."""
     first, last = totals.at_first("odometer"), totals.at_last("odometer")
-    driven = last - first
-    step = _find_resolution(first, last)
-    known = np.nan_to_num(driven) > 2.0 * step
-    return np.abs(totals.amount("distance") - driven) > OFF * driven + step + STALE, known
+    driven, step, distance = last - first, _find_resolution(first, last), totals.amount("distance")
+    known = (np.nan_to_num(driven) > 2.0 * step) & (distance > 0.0)
+    ratio = np.log(np.divide(distance, driven, out=np.full(len(driven), np.nan), where=known))
+    return ratio, known & (np.abs(distance - np.nan_to_num(driven)) > OFF * np.nan_to_num(driven) + step + STALE)
 
 
 def _find_resolution(first: Floats, last: Floats) -> Floats:
@@ -70,8 +73,9 @@ def _find_resolution(first: Floats, last: Floats) -> Floats:
     return step
 
 
-def _contradict_by_fixes(totals: Totals) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return where the fixes show another distance, and where they can tell."""
+def _compare_fixes(totals: Totals) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the logarithm of distance over that of the fixes, NaN where they cannot tell, and where it is clear."""
     path, run = totals.amount("path"), totals.amount("path_run")
     known = (path > LEAST_PATH) & (run > LEAST_PART * totals.amount("distance"))
-    return (run < (1.0 - SHORTER) * path) | (run > (1.0 + LONGER) * path), known
+    ratio = np.log(np.divide(run, path, out=np.full(len(path), np.nan), where=known))
+    return ratio, known & ((run < (1.0 - SHORTER) * path) | (run > (1.0 + LONGER) * path))

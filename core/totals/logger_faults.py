@@ -18,11 +18,9 @@ LoggerFaults = dict[str, Counter[str]]
 """Name of a fault -> name of a car -> number of its rides."""
 
 CURRENT_INVERTED: Final = "current_inverted"
-CLOCK_ROLLOVER: Final = "clock_before_2010"
+CLOCK_ROLLOVER: Final = "clock_rollover"
 SPEED_UNIT: Final = "speed_times_"
 STAMPS_SHARED: Final = "stamps_shared"
-FIRST_LOGGER: Final = 1_262_304_000.0
-"""Unix time of 2010-01-01: no electric car of a fleet had a logger before it. [s]"""
 MOST_SHARED: Final = 0.2
 """Share of the samples of a ride with a shared stamp that is no accident. [1]"""
 MOST_NAMED: Final = 8
@@ -31,8 +29,8 @@ MOST_NAMED: Final = 8
 _SENTENCES: Final = {
     CURRENT_INVERTED: "the current has the wrong sign, by accelerations or by the state of charge: positive must mean "
     "discharging; these rides are unfit",
-    CLOCK_ROLLOVER: "the clock is before 2010; if it is 1024 weeks (19.6 years) early, the week of its GPS receiver "
-    "has rolled over: add 619,315,200 s",
+    CLOCK_ROLLOVER: "the clock was 1024 weeks (19.6 years) early, because the week number of its GPS receiver has "
+    "rolled over; they were added: update the receiver",
     STAMPS_SHARED: "samples share stamps (floored, or sent in bursts); they were placed by counter and order: send the "
     "time of each sample",
     SPEED_UNIT: "the speed is in another unit: odometer and fixes show {factor} times as much; it was multiplied by "
@@ -52,7 +50,7 @@ def count_faults(rides: Totals, lane_names: list[str]) -> LoggerFaults:
     """
     found = {
         CURRENT_INVERTED: _count_bits(rides, CURRENT_INVERTED) > 0,
-        CLOCK_ROLLOVER: rides.at_first("time") < FIRST_LOGGER,
+        CLOCK_ROLLOVER: _count_bits(rides, CLOCK_ROLLOVER) > 0,
         STAMPS_SHARED: _count_bits(rides, "stamp_shared") > MOST_SHARED * rides.amount("samples"),
     }
     scale = np.where(rides.at_last("speed_scale") > 0.0, rides.at_last("speed_scale"), 1.0)
