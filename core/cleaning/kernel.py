@@ -1,10 +1,10 @@
 """The one sequential kernel: everything that depends on an earlier row of the same lane.
 
 The kernel is causal: the output of a row depends on that row and on the state of its lane. Any chunking of the input
-therefore gives bitwise the same output. Its parts are the files `clock.py`, `motion.py`, `elevation.py`, `meters.py`,
-`repetition.py`, `segmentation.py` and `fleet_clock.py`, each with the fields of the state that it keeps. This file
-composes them. Between two rows, a ride may end by a message of dispatch, or because the other cars show that its car
-is silent.
+therefore gives bitwise the same output. Its parts are the files `clock.py`, `motion.py`, `speed_noise.py`,
+`elevation.py`, `meters.py`, `repetition.py`, `segmentation.py` and `fleet_clock.py`, each with the fields of the state
+that it keeps. This file composes them. Between two rows, a ride may end by a message of dispatch, or because the other
+cars show that its car is silent.
 
 In all of them `state` is the record of the lane (`STATE`), `row` the record of the sample, whose raw values are named
 `raw_*`, and `settings` the record of the operator's settings.
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from core import batch, columns
 from core.batch import Batch, Floats, Ints, grown, take_lanes
-from core.cleaning import clock, elevation, fleet_clock, meters, motion, quality, repetition, segmentation
+from core.cleaning import clock, elevation, fleet_clock, meters, motion, quality, repetition, segmentation, speed_noise
 from core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
 from core.cleaning.fleet_clock import FLEET_CLOCK, RIDE_END, new_fleet_clock
 from core.cleaning.quality import Quality
@@ -39,7 +39,7 @@ _UNKNOWN_AT_FIRST: Final = {
         ("heading", "heading_latitude", "heading_longitude", "odometer", "speed", "acceleration", "ring"), nan
     ),
     **dict.fromkeys(("elevation", "level", "offset_variance", *meters.UNKNOWN_AT_FIRST), nan),
-    **dict.fromkeys(("battery_temperature", "occupants"), nan),
+    **dict.fromkeys((*speed_noise.UNKNOWN_AT_FIRST, "battery_temperature", "occupants"), nan),
 }
 
 
@@ -47,7 +47,7 @@ def _dtype() -> np.dtype[np.void]:
     """Return the layout of a lane's state: one stretch of memory, so that a sample touches few cache lines."""
     parts = (
         *(*clock.FIELDS, *motion.FIELDS, *elevation.FIELDS, *segmentation.FIELDS),
-        *(*fleet_clock.FIELDS, *meters.FIELDS, *repetition.FIELDS, *_OWN_FIELDS),
+        *(*fleet_clock.FIELDS, *meters.FIELDS, *repetition.FIELDS, *speed_noise.FIELDS, *_OWN_FIELDS),
     )
     return np.dtype([(part, "f8") if isinstance(part, str) else (part[0], "f8", (part[1],)) for part in parts])
 
@@ -471,7 +471,7 @@ def find_uncovered_time(state: Any, bits: int, dt: float, settings: Any) -> floa
 @njit(cache=False)
 def begins_stop(state: Any) -> bool:
     """Return whether a stop begins with this sample, with hysteresis between two speeds."""
-    if state.smooth > motion.MOVING:
+    if state.smooth > motion.MOVING or state.leap > motion.MOVING:  # a start that is held back has begun
         state.standing = 0.0
     elif state.smooth < motion.CRAWL and state.standing == 0.0:
         state.standing = 1.0
@@ -480,5 +480,6 @@ def begins_stop(state: Any) -> bool:
 
 
 watch_sources(
-    clean_rows, batch, clock, columns, elevation, fleet_clock, meters, motion, quality, repetition, segmentation
+    *(clean_rows, batch, clock, columns, elevation, fleet_clock, meters, motion, quality, repetition, segmentation),
+    speed_noise,
 )
