@@ -224,7 +224,7 @@ SCHEMAS: Final[dict[str, Schema]] = {
         Many(_TEXT, unique=True),
         *(Many(Row(REAL, REAL), count=count) for count in (None, "pooled", "pooled")),
     ),
-    "counters": Row(Many(COUNT, count=len(CAUSES)), COUNT, _COUNTS, _COUNTS),
+    "counters": Row(Many(COUNT, count=len(CAUSES)), COUNT, _COUNTS, _COUNTS, ByName(_COUNTS)),
     "engine": Row(
         _STATISTICS,
         _PLANS,

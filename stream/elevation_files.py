@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 
 from core.cleaning.elevation_map import ElevationLayer, ElevationMap, ElevationPlaces
 from core.errors import SettingsError
+from core.files import replacing
 from stream.elevation_tiles import read_tile
 
 SUFFIX: Final = ".parquet"
@@ -101,7 +102,8 @@ def write_places(places: ElevationPlaces, path: Path) -> None:
     schema = pa.schema(list(COLUMNS.items()), metadata={name: str(value) for name, value in about.items()})
     arrays = [pa.array(columns[name]).cast(kind) for name, kind in COLUMNS.items()]
     try:
-        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path, compression="zstd")
+        with replacing(path) as fresh:
+            pq.write_table(pa.Table.from_arrays(arrays, schema=schema), fresh, compression="zstd")
     except OSError as error:
         raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in an existing folder") from error
 

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from core.errors import SettingsError
@@ -38,31 +39,12 @@ class FileLock(Closeable):
             os.close(self._file)
             who = f"process {owner}" if owner else "another process"
             raise SettingsError(f"{what} is in use by {who}; stop that process, or choose another place") from error
-        os.ftruncate(self._file, 0)
-        os.pwrite(self._file, f"{os.getpid()}\n".encode(), 0)
+        with suppress(OSError):  # the name is for the message of others; a full disk may refuse it
+            os.ftruncate(self._file, 0)
+            os.pwrite(self._file, f"{os.getpid()}\n".encode(), 0)
 
     def close(self) -> None:
         """Free the lock; a second call has no effect."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
-
-
-def sync_folder(folder: Path) -> None:
-    """Wait until the names of new and renamed files in a folder are on disk.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the files.
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be opened.
-    """
-    number = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(number)
-    finally:
-        os.close(number)

@@ -4,7 +4,7 @@ import gc
 import logging
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from math import inf
@@ -12,6 +12,7 @@ from threading import Event
 from types import FrameType
 from typing import Any, Final, Protocol, TypeAlias
 
+from core.totals.logger_faults import explain_fault
 from core.wire.messages import Message
 from stream.recorder import Recorder
 from stream.source import RecoveredMessage, Sink, Source
@@ -268,6 +269,7 @@ class _CounterLog:
     def __init__(self, tally: Tally, source: Source, pipeline: Forecaster, recorder: Recorder | None) -> None:
         self._tally, self._source, self._pipeline, self._recorder = tally, source, pipeline, recorder
         self._received, self._seconds = tally.received, tally.seconds
+        self._told = {(name, car) for name, cars in self._get_faults(pipeline.quality()) for car in cars}
 
     def write(self, event: str) -> None:
         """Log the counters under the name of an event."""
@@ -284,7 +286,19 @@ class _CounterLog:
             counts |= {"recorded": recorder.recorded, "unrecorded": recorder.unrecorded}
         counts |= flatten_counts({"dropped": getattr(self._source, "dropped", {})})
         counts["per_second"] = self._measure_rate()
-        _log.info(event, extra=event_fields(**counts, **flatten_counts(self._pipeline.quality())))
+        quality = self._pipeline.quality()
+        faults = self._get_faults(quality)
+        numbers = {"logger_faults": {name: len(cars) for name, cars in faults}}
+        _log.info(event, extra=event_fields(**counts, **flatten_counts(quality | numbers)))
+        for name, cars in faults:
+            for car in sorted(car for car in cars if (name, car) not in self._told):
+                self._told.add((name, car))
+                _log.warning("logger_fault", extra=event_fields(vehicle=car, fault=name, meaning=explain_fault(name)))
+
+    @staticmethod
+    def _get_faults(quality: Mapping[str, Any]) -> list[tuple[str, Mapping[str, int]]]:
+        """Return the faults of loggers with their cars."""
+        return list(quality.get("logger_faults", {}).items())
 
     def _measure_rate(self) -> float:
         """Return the messages received per second since the last call. [Hz]"""

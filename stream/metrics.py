@@ -132,6 +132,13 @@ METRICS: Final = (
         ("reason",),
     ),
     MetricRow(
+        "socast_faulty_loggers",
+        "gauge",
+        "Vehicles of whose logger a ride has shown a fault, by fault.",
+        lambda s, _: _by(s.faulty_loggers),
+        ("fault",),
+    ),
+    MetricRow(
         "socast_rides_unpredicted",
         "counter",
         "Ended rides whose energy cannot be predicted, by reason.",

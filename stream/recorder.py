@@ -15,9 +15,10 @@ from typing import Annotated, Final
 import msgspec
 
 from core.errors import RecordingError, SettingsError
+from core.files import sync
 from core.wire.messages import Message
 from stream.closeable import Closeable
-from stream.file_lock import FileLock, sync_folder
+from stream.file_lock import FileLock
 from stream.mcap_reader import McapSource
 from stream.mcap_writer import McapSink
 from stream.structured_log import event_fields
@@ -250,7 +251,7 @@ class Recorder(Closeable):
     def _sync_folder(self) -> None:
         """Wait until the name of a new file is on disk; raise `RecordingError` if the disk refuses it."""
         try:
-            sync_folder(self._folder)
+            sync(self._folder)
         except OSError as error:
             raise RecordingError(f"{self._folder} cannot be written: {error.strerror}; make room") from error
 

@@ -98,6 +98,8 @@ class ServiceSnapshot:
         Rides that have ended.
     unfit_rides, unpredicted_rides : mapping of str to int
         Rides that are unfit for training, and rides without a prediction, by reason.
+    faulty_loggers : mapping of str to int
+        Vehicles of whose logger a ride has shown a fault, by its name.
     refused_forecasts : mapping of str to int, optional
         Forecasts that were not published, by cause.
     answered : int
@@ -154,6 +156,7 @@ class ServiceSnapshot:
     active_vehicles: int = 0
     rides: int = 0
     unfit_rides: Mapping[str, int] = field(default_factory=dict)
+    faulty_loggers: Mapping[str, int] = field(default_factory=dict)
     unpredicted_rides: Mapping[str, int] = field(default_factory=dict)
     refused_forecasts: Mapping[str, int] | None = None
     answered: int = 0
@@ -372,6 +375,7 @@ def _read_quality(quality: dict[str, Any]) -> dict[str, Any]:
         "vehicles": quality["vehicles"],
         "rides": quality["rides"],
         "unfit_rides": quality["unfit"],
+        "faulty_loggers": {name: len(cars) for name, cars in quality["logger_faults"].items()},
         "unpredicted_rides": quality["unpredicted"],
         "refused_forecasts": quality["implausible_forecasts"],
     }

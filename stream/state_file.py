@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from core.errors import SettingsError, SocastError, read_input
+from core.files import replacing, sync
 from stream.closeable import Closeable
-from stream.file_lock import FileLock, sync_folder
+from stream.file_lock import FileLock
 from stream.structured_log import event_fields
 
 PREVIOUS: Final = ".previous"
@@ -105,15 +106,11 @@ class StateFile(Closeable):
         SettingsError
             If the file cannot be written; the last state remains.
         """
-        fresh = self.path.with_name(f".{self.path.name}.new")
         try:
-            with fresh.open("wb") as file:
-                file.write(snapshot)
-                file.flush()
-                os.fsync(file.fileno())
-            kept = self._keep_last()
-            fresh.replace(self.path)
-            sync_folder(self.path.parent)
+            with replacing(self.path) as fresh:
+                fresh.write_bytes(snapshot)
+                sync(fresh)  # before the last state takes another name
+                kept = self._keep_last()
         except OSError as error:
             raise SettingsError(
                 f"--state {self.path} cannot be written: {error.strerror}; choose another file"

@@ -51,6 +51,7 @@ from typing import Any, Final
 
 from numba import njit
 
+from core.cleaning import shared_stamps
 from core.cleaning.quality import Quality
 from core.columns import SECONDS_PER_DAY
 
@@ -76,6 +77,7 @@ FIELDS: Final = (
     "leap_stamp",  # stamp of the last sample that leapt far ahead [s]
     "hole_start",  # counter of the last sample before the newest long hole in the counter
     "hole_end",  # counter of the first sample after it
+    *shared_stamps.FIELDS,
 )
 
 DUPLICATE: Final = int(Quality.DUPLICATE)
@@ -84,6 +86,7 @@ REPAIRED_TIME: Final = int(Quality.REPAIRED_TIME)
 CLOCK_STEP: Final = int(Quality.CLOCK_STEP)
 GAP: Final = int(Quality.GAP)
 SEQUENCE: Final = int(Quality.SEQUENCE)
+PAUSED: Final = int(Quality.PAUSE)
 
 AGREE: Final = 3
 """Number of agreeing stamps after which a clock whose counter continues counts as set."""
@@ -119,6 +122,13 @@ MOST_IRREGULAR: Final = 0.15
 """Largest such share of a logger with a period. [1]"""
 LONGEST_SILENCE: Final = 60.0
 """Time for which a logger without a period may send nothing because nothing has changed. [s]"""
+SHORTEST_PAUSE: Final = 60.0
+"""Time that a stamp leaps ahead of the counter from which a car that stands counts as having paused. [s]"""
+LONGEST_CLOCK_STEP: Final = 600.0
+"""Leap of a stamp ahead of the counter from which it is a pause, unless the car demonstrably drove on. [s]
+
+A clock that is set by more has been wrong by more. A logger that slept is more frequent, and a pause only ends a ride,
+while a pause that is taken for a clock that was set joins two rides and dates the second one wrongly."""
 UNUSED: Final = -1.0
 """The `dt` of a rejected sample."""
 
@@ -150,6 +160,8 @@ def set_period(state: Any, nominal: float) -> None:
 def is_repeat(state: Any, stamp: float, seq: float, elapsed: float, same: bool) -> bool:
     """Return whether a sample is the one before it, sent again."""
     if not same or (not isnan(seq) and not isnan(state.seq) and seq != state.seq):
+        return False
+    if isnan(seq) and stamp == state.stamp and shared_stamps.is_shared(state):
         return False
     return stamp == state.stamp or (seq == state.seq and not elapsed > 0.5)
 
@@ -325,12 +337,26 @@ def remember_hole(state: Any, seq: float, counted: float) -> None:
 
 
 @njit(cache=False)
-def count_periods_by_seq(state: Any, elapsed: float, counted: float) -> tuple[float, int]:
+def is_pause(state: Any, elapsed: float, counted: float, drove: float) -> bool:
+    """Return whether a logger whose counter continues has paused, and its clock was not set.
+
+    `drove` is what speed and fixes say, see `core.cleaning.repetition.drove_on`.
+    """
+    leap = (elapsed - counted) * state.period
+    if drove > 0.0 or counted > AGREE_BACK or leap < max(SHORTEST_PAUSE, AGREE_LATE * state.period):
+        return False
+    return drove < 0.0 or leap > LONGEST_CLOCK_STEP
+
+
+@njit(cache=False)
+def count_periods_by_seq(state: Any, elapsed: float, counted: float, drove: float) -> tuple[float, int]:
     """Return the number of whole periods since the last sample by the counter, -1 for a sample from the past.
 
     A counter that contradicts the stamp has leapt or restarted; the stamp then decides.
     """
     if counted > 0.0:
+        if is_pause(state, elapsed, counted, drove):
+            return float(round(elapsed)), PAUSED
         set_back = elapsed < -1.0 and counted <= AGREE_BACK
         if counted == 1.0 or set_back or counted - elapsed <= 0.5 * counted + 1.0:
             return counted, 0
@@ -357,7 +383,7 @@ def take_stamp(state: Any, stamp: float, seq: float, counted: float) -> tuple[fl
 
 
 @njit(cache=False)
-def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: float) -> tuple[float, int]:
+def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: float, drove: float) -> tuple[float, int]:
     """Advance the clock of a lane by a sample.
 
     Parameters
@@ -370,6 +396,8 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
         Whether the content of the sample equals that of the one before it.
     period : float
         Nominal period; 0 for a logger without one. [s]
+    drove : float
+        What speed and fixes say of a leap, see `core.cleaning.repetition.drove_on`.
 
     Returns
     -------
@@ -378,6 +406,7 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
     bits : int
         Quality bits.
     """
+    state.mistimed = 0.0
     if state.samples == 0.0:
         return start_clock(state, stamp, seq, period)
     if state.nominal != period:
@@ -390,28 +419,59 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
     if state.has_period == 0.0:
         return take_stamp(state, stamp, seq, counted)
     bits = SEQUENCE if counter and counted == 0.0 else 0
-    anew = False
-    if isnan(stamp) or stamp == state.stamp:  # an unchanged stamp carries no information
-        stamp = nan
-        count = counted if 1.0 <= counted <= BELIEVED else 1.0
+    if isnan(stamp) or stamp == state.stamp:
+        bits |= shared_stamps.note_shared(state) if stamp == state.stamp else 0
+        return advance_without_stamp(state, seq, counted if 1.0 <= counted <= BELIEVED else 1.0, bits)
+    if shared_stamps.ends_group(state, stamp - state.stamp, counted):
+        return end_group(state, stamp, seq, counted)
+    shared_stamps.note_new_stamp(state)
+    return advance_by_stamp(state, stamp, seq, elapsed, counted, bits, drove)
+
+
+@njit(cache=False)
+def advance_without_stamp(state: Any, seq: float, count: float, bits: int) -> tuple[float, int]:
+    """Advance the clock by a sample whose stamp carries no information: it is missing, or that of the sample before."""
+    state.late_run = 0.0
+    remember_hole(state, seq, count if bits == 0 else 0.0)
+    dt, more = follow_stamp(state, nan, count)
+    state.samples += 1.0
+    state.shared += count
+    state.seq = seq
+    return dt, bits | more
+
+
+@njit(cache=False)
+def end_group(state: Any, stamp: float, seq: float, counted: float) -> tuple[float, int]:
+    """Advance the clock to the first sample with a new stamp, of a logger whose samples share stamps."""
+    has_counter = 1.0 <= counted <= BELIEVED
+    dt, bits = shared_stamps.end_group(state, stamp, counted if has_counter else 1.0, has_counter)
+    state.memory, state.misfits, state.late_run = SETTLED_MEMORY, 0.0, 0.0
+    state.samples += 1.0
+    state.stamp, state.seq = stamp, seq
+    return dt, bits
+
+
+@njit(cache=False)
+def advance_by_stamp(
+    state: Any, stamp: float, seq: float, elapsed: float, counted: float, bits: int, drove: float
+) -> tuple[float, int]:
+    """Advance the clock by a sample with a stamp of its own, or reject it."""
+    if counted != 0.0:
+        count, bits = count_periods_by_seq(state, elapsed, counted, drove)
     else:
-        if counted != 0.0:
-            count, bits = count_periods_by_seq(state, elapsed, counted)
-        else:
-            count = count_periods_by_stamp(state, elapsed)
-        if is_stray(state, stamp, count, PAUSE / state.period if counted < 0.0 and seq <= BELIEVED else LEAP):
-            return reject_or_reset(state, stamp, seq, count, counted)
-        anew = elapsed > 0.0 if counted < 0.0 else counted == 0.0 and count > LEAP
+        count = count_periods_by_stamp(state, elapsed)
+    limit = 0.0 if bits == PAUSED else LEAP
+    if is_stray(state, stamp, count, PAUSE / state.period if counted < 0.0 and seq <= BELIEVED else limit):
+        return reject_or_reset(state, stamp, seq, count, counted)
+    anew = elapsed > 0.0 if counted < 0.0 else bits == PAUSED or (counted == 0.0 and count > LEAP)
     state.late_run = 0.0
     remember_hole(state, seq, counted if bits == 0 or counted < 0.0 else 0.0)
-    if not (anew or isnan(stamp)):
+    if not anew:
         counts = counted > 0.0 and bits == 0
         slipped = abs(count - 1.0) == 1.0 and not counts
-        observe_interval(state, stamp, count if counts else 1.0, slipped)
+        observe_interval(state, stamp, state.shared + (count if counts else 1.0), slipped)
         find_irregular(state, stamp, count if counts else nan)
     dt, more = restart_clock(state, stamp) if anew else follow_stamp(state, stamp, count)
     state.samples += 1.0
-    if not isnan(stamp):
-        state.stamp = stamp
-    state.seq = seq
+    state.stamp, state.seq, state.shared = stamp, seq, 0.0
     return dt, bits | more

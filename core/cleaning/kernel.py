@@ -19,7 +19,21 @@ from numpy.typing import NDArray
 
 from core import batch, columns
 from core.batch import Batch, Floats, Ints, grown, take_lanes
-from core.cleaning import clock, elevation, fleet_clock, meters, motion, quality, repetition, segmentation, speed_noise
+from core.cleaning import (
+    clock,
+    elevation,
+    fleet_clock,
+    meters,
+    motion,
+    power_sign,
+    quality,
+    repetition,
+    segmentation,
+    shared_stamps,
+    speed_noise,
+    speed_witness,
+    sphere,
+)
 from core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
 from core.cleaning.fleet_clock import FLEET_CLOCK, RIDE_END, new_fleet_clock
 from core.cleaning.quality import Quality
@@ -39,7 +53,8 @@ _UNKNOWN_AT_FIRST: Final = {
         ("heading", "heading_latitude", "heading_longitude", "odometer", "speed", "acceleration", "ring"), nan
     ),
     **dict.fromkeys(("elevation", "level", "offset_variance", *meters.UNKNOWN_AT_FIRST), nan),
-    **dict.fromkeys((*speed_noise.UNKNOWN_AT_FIRST, "battery_temperature", "occupants"), nan),
+    **dict.fromkeys((*speed_noise.UNKNOWN_AT_FIRST, *speed_witness.UNKNOWN_AT_FIRST), nan),
+    **dict.fromkeys(("battery_temperature", "occupants"), nan),
 }
 
 
@@ -47,7 +62,8 @@ def _dtype() -> np.dtype[np.void]:
     """Return the layout of a lane's state: one stretch of memory, so that a sample touches few cache lines."""
     parts = (
         *(*clock.FIELDS, *motion.FIELDS, *elevation.FIELDS, *segmentation.FIELDS),
-        *(*fleet_clock.FIELDS, *meters.FIELDS, *repetition.FIELDS, *speed_noise.FIELDS, *_OWN_FIELDS),
+        *(*fleet_clock.FIELDS, *meters.FIELDS, *power_sign.FIELDS, *repetition.FIELDS),
+        *(*speed_noise.FIELDS, *speed_witness.FIELDS, *_OWN_FIELDS),
     )
     return np.dtype([(part, "f8") if isinstance(part, str) else (part[0], "f8", (part[1],)) for part in parts])
 
@@ -115,12 +131,22 @@ class Clean(NamedTuple):
         Time since the ride began, time parked before the ride, time since the car last charged. [s]
     lost : (n,) float64
         Where a ride begins or ends: time before the row that no sample covers. [s]
+    mistimed : (n,) float64
+        Time by which earlier steps turn out to be wrong with this row. [s]
+    unseen : (n,) float64
+        Time for which a bridged distance was driven beyond the time that passed. [s]
+    disputed : (n,) float64
+        Distance that was counted, and that fixes or odometer dispute with this row. [m]
+    path, path_run : (n,) float64
+        Where a section between two fixes ends: distance of the fixes, and distance counted between them. [m]
     stop, stopped : (n,) float64
         1 where a stop begins; 1 while the car stands.
     soc, soc_step, odometer, battery_temperature, occupants : (n,) float64
         As last reported. [1], [1], [m], [K], [1]
     ambient, hvac, current : (n,) float64
         As reported with the sample, NaN where not. [K], [W], [A]
+    speed_scale : (n,) float64
+        Factor by which the reported speed was multiplied, 0 for a factor of 1. [1]
     code : (n,) float64
         Code of the ride's name, see `core.wire.rides.RideNames`.
     """
@@ -157,6 +183,11 @@ class Clean(NamedTuple):
     parked: Floats
     since_charge: Floats
     lost: Floats
+    mistimed: Floats
+    unseen: Floats
+    disputed: Floats
+    path: Floats
+    path_run: Floats
     stop: Floats
     stopped: Floats
     soc: Floats
@@ -167,6 +198,7 @@ class Clean(NamedTuple):
     occupants: Floats
     hvac: Floats
     current: Floats
+    speed_scale: Floats
     code: Floats
 
 
@@ -406,14 +438,16 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
     """Clean one row; return the time since the sample before it, `clock.UNUSED` for a rejected one. [s]"""
     repeated = repetition.repeats_fix(state, row)
     period = settings.period if isnan(row.raw_period) else row.raw_period
-    dt, bits = clock.advance_clock(state, row.raw_stamp, row.raw_seq, repetition.repeats_content(state, row), period)
+    drove = repetition.drove_on(state, row, state.period)
+    same = repetition.repeats_content(state, row)
+    dt, bits = clock.advance_clock(state, row.raw_stamp, row.raw_seq, same, period, drove)
     row.quality += bits
     row.lane = row.raw_lane
     if dt == clock.UNUSED:
         row.speed = state.smooth
     else:
         use_row(state, row, dt, settings)
-        state.fix_latitude, state.fix_longitude = row.raw_latitude, row.raw_longitude
+        repetition.keep_accepted(state, row)
         state.fix_elevation = row.raw_elevation
     row.causal_climb = row.climb
     if repeated or dt == clock.UNUSED:
@@ -431,6 +465,7 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
     row.soc_step, row.odometer, row.stopped = state.soc_step, state.odometer, state.standing
     row.battery_temperature, row.occupants, row.code = state.battery_temperature, state.occupants, state.code
     row.ambient, row.hvac, row.current, row.power = row.raw_ambient, row.raw_hvac, row.raw_current, state.power
+    row.speed_scale = state.speed_scale
     return dt
 
 
@@ -439,18 +474,20 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Update the lane by a row that stands for `dt` seconds, and fill in the row."""
     motion.move_car(state, row, dt, settings)
     meters.integrate_power(state, row, dt, settings)
+    power_sign.observe_acceleration(state, row, dt)
     changed = meters.update_soc(state, row, dt)
     if not isnan(row.raw_battery_temperature):
         state.battery_temperature = row.raw_battery_temperature
     if not isnan(row.raw_occupants):
         state.occupants = row.raw_occupants
     row.stop = 1.0 if begins_stop(state) else 0.0
-    row.dt = dt
+    row.dt, row.mistimed = dt, state.mistimed
     rode = state.riding == 1.0
-    begins = segmentation.update_ride(state, row.raw_ride, dt, state.standing == 0.0, row.raw_charging == 1.0, settings)
+    charging = row.raw_charging == 1.0 or bool(int(row.quality) & meters.CHARGING_INFERRED)
+    begins = segmentation.update_ride(state, row.raw_ride, dt, state.standing == 0.0, charging, settings)
     if begins:  # the step ended before the ride and is not part of it
         row.dt = row.travel = row.distance = row.climb = row.energy = row.energy_variance = row.metered = row.stop = 0.0
-        row.acceleration_spread = 0.0
+        row.acceleration_spread = row.mistimed = row.unseen = row.disputed = row.path = row.path_run = 0.0
         row.quality = float(int(row.quality) & ~NOT_OF_RIDE)
         meters.begin_stillness(state, 0.0)
         if state.soc_age > STALE:
@@ -464,7 +501,7 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
 @njit(cache=False)
 def find_uncovered_time(state: Any, bits: int, dt: float, settings: Any) -> float:
     """Return how much of a step lacks samples although the logger was switched on. [s]"""
-    missing = bits & clock.GAP and not bits & clock.SEQUENCE and dt <= settings.gap_time
+    missing = bits & clock.GAP and not bits & (clock.SEQUENCE | clock.PAUSED) and dt <= settings.gap_time
     return dt - state.period if missing else 0.0
 
 
@@ -480,6 +517,7 @@ def begins_stop(state: Any) -> bool:
 
 
 watch_sources(
-    *(clean_rows, batch, clock, columns, elevation, fleet_clock, meters, motion, quality, repetition, segmentation),
-    speed_noise,
+    clean_rows,
+    *(batch, clock, columns, elevation, fleet_clock, meters, motion, power_sign, quality, repetition, segmentation),
+    *(shared_stamps, speed_noise, speed_witness, sphere),
 )

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from numba import njit
 
+from core.cleaning.power_sign import observe_charge
 from core.cleaning.quality import Quality
 from core.columns import KMH
 
@@ -33,15 +34,19 @@ FIELDS: Final = (
     "still_energy",  # energy by voltage times current since then [J]
     "still_unmetered",  # time since then for which that energy is unknown [s]
     "still_known",  # 1 if these four count from a change, 0 if from the beginning of the ride or of charging
+    "slept",  # 1 from a pause until the state of charge changes
 )
-UNKNOWN_AT_FIRST: Final = ("power", "current", "soc", "soc_step")
+UNKNOWN_AT_FIRST: Final = ("power", "current", "soc", "soc_step", "raw_power")
 """Fields of a new lane that are NaN."""
 
 SOC_MISSING: Final = int(Quality.SOC_MISSING)
 SOC_JUMP: Final = int(Quality.SOC_JUMP)
 SOC_FROZEN: Final = int(Quality.SOC_FROZEN)
+SOC_STALE: Final = int(Quality.SOC_STALE)
+CHARGING_INFERRED: Final = int(Quality.CHARGING_INFERRED)
 POWER_MISSING: Final = int(Quality.POWER_MISSING)
 POWER_FROZEN: Final = int(Quality.POWER_FROZEN)
+CURRENT_INVERTED: Final = int(Quality.CURRENT_INVERTED)
 LONGEST_TRAPEZOID: Final = 10.5
 """Longest step over which power is interpolated, unless that of a slow logger is longer. [periods]"""
 CORRELATION_TIME: Final = 3.3118
@@ -82,6 +87,20 @@ DRIVING_RATE: Final = 0.1 / 1000.0
 """Highest rate at which a driving car uses its battery: 2.4 kWh/km of 24 kWh, twice that of full acceleration. [1/m]"""
 LONGEST_STILLNESS: Final = 600.0
 """After a longer step nothing is known about the energy between two reports. [s]"""
+USUAL_RATE: Final = 0.025 / 1000.0
+"""Rate at which a driving car uses its battery at most, on average over some minutes. [1/m]
+
+Estimated: 0.6 kWh/km of 24 kWh, four times the consumption of a Leaf, or twice that of a Twizy with 6 kWh in winter."""
+STALE_QUANTA: Final = 1.5
+"""Number of quanta by which the first change after a pause may exceed what the car has used since. [1]"""
+CHARGING_POWER: Final = 500.0
+"""Least power into the battery of a standing car by which it charges. [W]
+
+Estimated: the weakest chargers deliver 1.2 kW, and a current meter with an offset of 1 A at 400 V shows 0.4 kW."""
+UNPROVEN: Final = 60.0
+"""The same time for a car whose current may have the wrong sign, so that its stops are not taken for charging. [s]"""
+METER_LAG: Final = 4.0
+"""Time after which a stopped car recovers no more braking energy, with the lag of its meter. [s]"""
 
 
 @njit(cache=False)
@@ -96,8 +115,12 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
     power = row.raw_voltage * row.raw_current
     if isnan(power):
         row.quality += POWER_MISSING if state.has_power == 1.0 else 0
+    elif state.sign < 0.0:
+        row.quality += CURRENT_INVERTED
+        power = nan
     else:
         state.has_power = 1.0
+        row.quality += CHARGING_INFERRED if charges_unsaid(state, row, power) else 0
         if is_power_frozen(state, row, dt):
             row.quality += POWER_FROZEN
             power = nan
@@ -108,6 +131,14 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
             row.energy_variance = find_variance_factor(unknown) * ((power - before) * unknown) ** 2
             row.metered = dt
     state.power = power
+
+
+@njit(cache=False)
+def charges_unsaid(state: Any, row: Any, power: float) -> bool:
+    """Return whether a standing car takes power without saying that it charges."""
+    least = METER_LAG if state.sign > 0.0 else UNPROVEN
+    stands = state.standing == 1.0 and state.stand >= least
+    return bool(stands and power < -CHARGING_POWER and row.raw_charging != 1.0)
 
 
 @njit(cache=False)
@@ -149,6 +180,8 @@ def update_soc(state: Any, row: Any, dt: float) -> bool:
     state.still_distance += row.distance
     state.still_energy += row.energy
     state.still_unmetered += dt - row.metered
+    if dt > LONGEST_STILLNESS:
+        state.slept = 1.0
     if row.raw_charging == 1.0 or dt > LONGEST_STILLNESS:
         begin_stillness(state, 0.0)
     if isnan(row.raw_soc):
@@ -162,7 +195,11 @@ def update_soc(state: Any, row: Any, dt: float) -> bool:
     if abs(state.still_energy) > FROZEN_SOC * row.raw_capacity:
         row.quality += SOC_FROZEN
     if changed:
-        row.quality += SOC_JUMP if is_soc_jump(state, change, row.raw_capacity) else 0
+        stale = is_soc_stale(state, change)
+        jumped = not stale and is_soc_jump(state, change, row.raw_capacity)
+        row.quality += SOC_STALE if stale else SOC_JUMP if jumped else 0
+        observe_charge(state, -change, row.raw_capacity, state.slept == 0.0)
+        state.slept = 0.0
         if not abs(change) >= state.soc_step:
             state.soc_step = abs(change)
     if changed or isnan(before):
@@ -175,6 +212,16 @@ def begin_stillness(state: Any, known: float) -> None:
     """Count time, distance and energy anew, from a change of the state of charge or, if not `known`, from elsewhere."""
     state.still_known = known
     state.still_time = state.still_distance = state.still_energy = state.still_unmetered = 0.0
+
+
+@njit(cache=False)
+def is_soc_stale(state: Any, change: float) -> bool:
+    """Return whether the first change after a pause is larger than what the car has used since it drives."""
+    if state.slept == 0.0 or isnan(change):
+        return False
+    quantum = COARSEST_SOC if isnan(state.soc_step) else min(state.soc_step, COARSEST_SOC)
+    used = STANDING_RATE * min(state.still_time, LONGEST_STILLNESS) + USUAL_RATE * state.still_distance
+    return bool(abs(change) > STALE_QUANTA * quantum + used)
 
 
 @njit(cache=False)

@@ -19,7 +19,7 @@ acceleration accounts for the kinetic energy of the smoothed speed: over a ride,
 its ends. On an ordinary row it equals the change of the smoothed speed over the step.
 """
 
-from math import atan2, cos, isnan, nan, pi, sqrt
+from math import atan2, cos, isnan, nan
 from typing import Any, Final
 
 from numba import njit
@@ -34,7 +34,9 @@ from core.cleaning.speed_noise import (
     is_still,
     observe_noise,
 )
-from core.columns import EARTH_RADIUS, KMH
+from core.cleaning.speed_witness import weigh_speed
+from core.cleaning.sphere import compute_chord, wrap_angle
+from core.columns import KMH
 
 RING: Final = 8
 """Longest moving average of the speed. [samples]"""
@@ -71,6 +73,7 @@ FIELDS: Final = (
     "has_speed",  # 1 once the car has sent a speed
     "has_fix",  # 1 once the car has sent a fix
     "standing",  # 1 while the car stands
+    "cruise",  # mean speed of the last minute of driving [m/s]
 )
 
 SPEED_REJECTED: Final = int(Quality.SPEED_REJECTED)
@@ -117,23 +120,10 @@ MOVING: Final = 1.5
 """Speed above which the car moves. [m/s]"""
 LONGEST_BRIDGE: Final = 86_400.0
 """Longest time for which an odometer bridges a hole. A faulty clock would otherwise allow any distance. [s]"""
+CRUISE_TIME: Final = 60.0
+"""Time over which the speed before a tunnel is averaged. [s]"""
 BRIDGING: Final = 20 * KMH
 """Least speed that is assumed for a bridged distance. [m/s]"""
-
-
-@njit(cache=False)
-def wrap_angle(angle: float) -> float:
-    """Return a difference of two angles wrapped to -π to π. [rad]"""
-    return angle - 2.0 * pi if angle > pi else angle + 2.0 * pi if angle < -pi else angle
-
-
-@njit(cache=False)
-def compute_chord(latitude: float, longitude: float, other_latitude: float, other_longitude: float) -> float:
-    """Return the distance of two fixes on a sphere; valid for some kilometres. [m]"""
-    north = other_latitude - latitude
-    east = wrap_angle(other_longitude - longitude)
-    east *= cos(0.5 * (latitude + other_latitude))
-    return EARTH_RADIUS * sqrt(north * north + east * east)
 
 
 @njit(cache=False)
@@ -263,12 +253,25 @@ def update_smooth_speed(state: Any, row: Any, speed: float, dt: float, restart: 
         state.rough -= 1.0
     state.smooth = smooth_speed(state, speed, int(window), restart)
     state.speed_age = 0.0
-    if settings.window != AUTOMATIC or isnan(row.raw_speed):
+    if settings.window != AUTOMATIC or isnan(row.raw_speed) or state.speed_stuck == 1.0:  # between fixes
         return
     observe_noise(state, speed, dt, restart)
     if state.noise > 0.0 and window == 1:
         state.smooth, count = average_adaptively(state.ring, int(state.place) - 1, RING, state.noise)
         row.quality += SPEED_NOISY if count > 1 else 0
+
+
+@njit(cache=False)
+def find_bridge_speed(state: Any, row: Any, age: float, settings: Any) -> float:
+    """Return the speed at which a bridged distance was driven, in a time of `age`. [m/s]
+
+    Some loggers lose the time of a tunnel. A distance that no car drives in its time was driven at the mean speed of
+    the last minute.
+    """
+    speed = row.distance / age
+    if speed > settings.speed_limit:
+        speed = max(state.cruise, row.speed)
+    return float(min(settings.speed_limit, max(BRIDGING, speed)))
 
 
 @njit(cache=False)
@@ -316,7 +319,7 @@ def join_last_step(state: Any, row: Any, run: float, rise: float, known: bool) -
 @njit(cache=False)
 def accept_speed(state: Any, row: Any, settings: Any) -> float:
     """Return the reported speed, NaN where it is rejected or missing. [m/s]"""
-    reported = row.raw_speed
+    reported = row.raw_speed * (state.speed_scale if state.speed_scale > 0.0 else 1.0)
     if reported > settings.speed_limit:
         row.quality += SPEED_REJECTED
         return nan
@@ -353,27 +356,29 @@ def repair_speed(state: Any, row: Any, speed: float, dt: float, longest: float) 
 
 
 @njit(cache=False)
-def add_missed_distance(state: Any, missed: float) -> float:
-    """Count a distance that held speeds missed, negative where they had too much; return it. [m]"""
-    state.fix_distance += missed
-    state.odometer_distance += missed
-    return missed
+def add_held_distance(state: Any, held: float) -> float:
+    """Count the distance of speeds that were held back, negative where they had too much; return it. [m]"""
+    state.fix_distance += held
+    state.odometer_distance += held
+    return held
 
 
 @njit(cache=False)
 def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Advance the motion of the car by a sample; fill in the columns of motion and the climb."""
     hole = find_hole(state, settings)
-    speed, missed = repair_speed(state, row, accept_speed(state, row, settings), dt, hole)
+    gap = dt > hole
+    unseen_since = state.missed_time + dt
+    speed, missed, row.disputed = weigh_speed(state, row, accept_speed(state, row, settings), dt, gap, settings)
+    speed, held = repair_speed(state, row, speed, dt, hole)
     state.fix_age += dt
     state.odometer_age += dt
     age = max(state.fix_age, dt)
     fixed = not (isnan(row.raw_latitude) or isnan(state.latitude))
-    gap = dt > hole
     distance = integrate_speed(state, speed, dt, fixed, fixed or not isnan(state.odometer), gap, settings.period)
-    distance += add_missed_distance(state, max(-distance, missed))
+    distance += add_held_distance(state, max(-distance, held))
     shortfall, derived = evaluate_fix(state, row, dt, settings)
-    if isnan(row.raw_speed) and derived <= settings.speed_limit:
+    if isnan(speed) and derived <= settings.speed_limit:
         speed = derived
         state.rough = ROUGH_WINDOW
     state.odometer_distance += shortfall
@@ -384,6 +389,9 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
         state.fix_distance += owed
         shortfall += owed
         age = since if isnan(state.latitude) else max(age, since)
+    if missed > 0.0:
+        shortfall += missed
+        age = max(age, unseen_since)
     row.turn_rate = 0.0 if isnan(state.latitude) else update_heading(state, state.latitude, state.longitude, dt)
     before = state.smooth
     if not isnan(speed):
@@ -395,16 +403,20 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     row.travel = dt
     if shortfall > 0.0 and (state.has_speed == 1.0 or gap or owed > 0.0 or shortfall > settings.speed_limit * dt):
         row.quality += 0 if gap and dt <= 1.5 * state.period else BRIDGED  # the step of a slow logger is no bridge
-        row.speed = min(settings.speed_limit, max(BRIDGING, row.speed, row.distance / max(age, settings.period)))
+        row.speed = find_bridge_speed(state, row, max(age, settings.period), settings)
         row.travel = row.distance / row.speed
+        row.unseen = max(0.0, row.travel - max(age, dt))
     elif isnan(speed):
         row.travel = row.distance / row.speed if row.speed > 0.0 else 0.0
     elif derived > 0.0 and state.has_speed == 0.0:
         row.travel = age if age <= hole else min(age, row.distance / row.speed)
+    if known and row.speed > MOVING:
+        state.cruise += (row.speed - state.cruise) * min(1.0, dt / CRUISE_TIME)
     run = row.speed * row.travel
     rise = 0.5 * (state.smooth * state.smooth - before * before)
     row.acceleration = rise / run if run > 0.0 else 0.0
     join_last_step(state, row, run, rise, known)
+    state.section_distance += row.distance
     change = row.acceleration - state.acceleration
     row.acceleration_spread = SPREAD_PER_CHANGE * abs(change) if known and not isnan(change) else 0.0
     state.acceleration = row.acceleration if known else nan

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from core import columns
 from core.batch import Batch, Floats, Ints, grown
-from core.cleaning import clock, fleet_clock, kernel, quality, repetition, segmentation
+from core.cleaning import clock, fleet_clock, kernel, quality, repetition, segmentation, shared_stamps
 from core.cleaning.fleet_clock import RIDE_END, new_fleet_clock
 from core.columns import TELEMETRY
 from core.compiled_cache import watch_sources
@@ -142,11 +142,13 @@ def find_silences(
             value = samples[j, i]
             cells[j] = np.nan if value < ranges[j, 0] or value > ranges[j, 1] else value
         car = cars[lane[i]]
+        drove = repetition.drove_on(car, row, car.period)
         same = repetition.repeats_content(car, row)
         period = settings.period if np.isnan(periods[i]) else periods[i]
-        dt, _ = clock.advance_clock(car, row.raw_stamp, row.raw_seq, same, period)
+        dt, _ = clock.advance_clock(car, row.raw_stamp, row.raw_seq, same, period, drove)
         if dt == clock.UNUSED:
             continue
+        repetition.keep_accepted(car, row)
         fleet.cars += 1.0 if car.samples == 1.0 else 0.0
         may_be_silent = fleet_clock.advance_fleet_clock(fleet, car.time, dt, settings.gap_time)
         car.heard, car.riding = fleet.progress, 1.0
@@ -155,4 +157,4 @@ def find_silences(
     return count
 
 
-watch_sources(find_silences, clock, columns, fleet_clock, quality, repetition, segmentation)
+watch_sources(find_silences, clock, columns, fleet_clock, quality, repetition, segmentation, shared_stamps)

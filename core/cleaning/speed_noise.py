@@ -76,7 +76,7 @@ LONGEST_STEP: Final = 7.5
 MOST_REPEATS: Final = 0.4
 """Share of steps without a change from which a speed is refreshed too seldom to show its noise. [1]"""
 LEAST_NOISE: Final = 0.2 * KMH
-"""Noise below which no average is applied: that of whole km/h has a share of 0.3 at most, and changes no energy. [m/s]"""
+"""Noise below which no average is applied. [m/s] That of a speed in whole km/h changes no energy."""
 WIDTH: Final = 1.4
 """Half width of the interval of a mean. [standard deviations]
 
@@ -106,7 +106,7 @@ LONG_FALL: Final = 2.0
 @njit(cache=False)
 def observe_noise(state: Any, speed: float, dt: float, restart: bool) -> None:
     """Update the noise of a car by an accepted speed; `state.speed` is the one before it."""
-    steady = not restart and 0.0 < dt and abs(dt - state.noise_dt) <= 0.25 * dt
+    steady = not restart and dt > 0.0 and abs(dt - state.noise_dt) <= 0.25 * dt
     steady = steady and speed > DRIVING and state.speed > DRIVING
     state.noise_dt = dt
     change = speed - state.speed if steady else nan

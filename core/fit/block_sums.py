@@ -25,6 +25,7 @@ from core.fit.regression import Influence, Moments, Scores, assign_groups, sum_s
 from core.fit.ride_blocks import ENERGY, NAMES, RideSource, ThinnedRides, convert_to_arrays, select_trainable
 from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Term
 from core.models.features import ACCESSORIES_COLUMN, Columns, list_raw_columns
+from core.models.limit import LIMIT_NEEDS, sum_training
 from core.vehicles import AccessoryCurve
 
 BLOCKS_OF_TASK: Final = 8
@@ -87,11 +88,26 @@ class FitContext:
 
 
 class GroupSurvey(NamedTuple):
-    """Hold what a block tells of a group: rides, known values and sums by column, and the bins of the curve."""
+    """Hold what a block tells of a group.
+
+    Parameters
+    ----------
+    rides : int
+    known : dict of str to int
+        Number of known values by column.
+    sums, squares : dict of str to float
+        Their sums, and the sums of their squares.
+    taken : (3,) float
+        Sums for the limit of predictions, see `core.models.limit.sum_training`.
+    temperatures : TemperatureBins, optional
+        Bins of the accessory curve.
+    """
 
     rides: int
     known: dict[str, int]
     sums: dict[str, float]
+    squares: dict[str, float]
+    taken: Floats
     temperatures: TemperatureBins | None
 
 
@@ -259,20 +275,21 @@ def _split_rows(block: Block) -> Iterator[tuple[str, Any]]:
 
 def _survey_group(context: FitContext, columns: Columns) -> GroupSurvey:
     """Return the counts and sums of the rides of a group."""
-    known, sums = {}, {}
+    known, sums, squares = {}, {}, {}
     for name in context.filled:
         values = columns[name]
         there = np.isfinite(values)
         values = values if there.all() else values[there]
-        known[name], sums[name] = len(values), float(values.sum())
+        known[name], sums[name], squares[name] = len(values), float(values.sum()), float(values @ values)
     energy, temperatures = columns[ENERGY], None
+    taken = sum_training(energy, *(columns[name] for name in LIMIT_NEEDS))
     if context.curved:
         time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
         left = energy if context.road else energy - BASIC_PHYSICAL.predict(columns)
         road = build_design(context.road, columns, len(energy)).T
         temperatures = TemperatureBins(len(context.road))
         temperatures.add(columns["ambient_c"], time, left, list(road))
-    return GroupSurvey(len(energy), known, sums, temperatures)
+    return GroupSurvey(len(energy), known, sums, squares, taken, temperatures)
 
 
 def _encode_content(context: FitContext, table: Block) -> dict[str, bytes]:

@@ -12,8 +12,11 @@ one block, so memory does not grow with the number of rides.
 Rides do not determine some physical terms. An example is the kinetic energy of a ride that begins and ends at rest: it
 is zero except for gaps, but it differs from zero in the middle of a ride. Such a term is one whose standard deviation
 is below `_RESOLUTION` of that of the energy. One additional observation with the standard uncertainty `_PRIOR_SD` holds
-its coefficient near the physical value 1, and the coefficients of its interactions near 0. All other coefficients are
-ordinary least squares.
+its coefficient near the physical value 1. The coefficient of an interaction is held near 0, and the uncertainty is then
+`_PRIOR_SD` over the size of the other columns of the product. All other coefficients are ordinary least squares.
+
+A column that does not vary has no coefficient, and neither has an interaction whose column is nothing but the rounding
+of the energies that it sums. Such terms are dropped, and the fit names them.
 
 The covariance admits that the errors of rides of one vehicle on one day depend on each other. It treats the accessory
 curve as fitted together with the coefficients. The variance of the accessories' own coefficient holds for the given
@@ -25,9 +28,11 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from hashlib import sha256
+from math import prod, sqrt
 from typing import Any, Final, Protocol
 
 import numpy as np
+from msgspec import UNSET
 
 from core.batch import Floats
 from core.effects.road_load import ROAD_LOAD
@@ -54,6 +59,7 @@ from core.fit.ride_blocks import ENERGY, RideSource, ThinnedRides, word_too_few_
 from core.models import ANY, BASIC_PHYSICAL, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
 from core.models.derived_features import DERIVED_COLUMNS
 from core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, list_raw_columns
+from core.models.limit import LIMIT_NEEDS, EnergyLimit
 from core.vehicles import AccessoryCurve
 from core.vehicles.fleet import CarParameters
 
@@ -61,6 +67,8 @@ _RIDES_PER_COEFFICIENT: Final = 2
 """Fewest rides for each coefficient of a fit."""
 _RESOLUTION: Final = 0.01
 _PRIOR_SD: Final = 0.5
+_ROUNDING: Final = 1e-9
+"""Size of an energy over that of the measured one, below which it is rounding: sums of kinetic energies leave 1e-16."""
 PHYSICS: Final = (*(effect.energy_name for effect in ROAD_LOAD), ACCESSORIES_COLUMN)
 """First columns of the terms whose dimensionless coefficient is 1 where physics holds."""
 
@@ -88,6 +96,8 @@ class _GroupFit:
     rides: int = 0
     known: Counter[str] = field(default_factory=Counter)
     sums: dict[str, float] = field(default_factory=dict)
+    squares: dict[str, float] = field(default_factory=dict)
+    taken: Floats = field(default_factory=lambda: np.zeros(3))
     temperatures: TemperatureBins = field(default_factory=TemperatureBins)
     fills: dict[str, float] = field(default_factory=dict)
     curve: AccessoryCurve | None = None
@@ -95,6 +105,7 @@ class _GroupFit:
     solution: Solution | None = None
     influence: Influence | None = None
     held: tuple[str, ...] = ()
+    dropped: tuple[str, ...] = ()
     scores: ClusterScores | None = None
     absolute: float = 0.0
     squared: float = 0.0
@@ -147,7 +158,7 @@ class _Fitting:
         self.curved = ACCESSORIES_COLUMN in read
         raw = dict.fromkeys(name for column in read for name in list_raw_columns(column))
         basic = BASIC_PHYSICAL.needs if self.curved else ()
-        self.columns = list(dict.fromkeys((*raw, *basic, ENERGY)))
+        self.columns = list(dict.fromkeys((*raw, *basic, *LIMIT_NEEDS, ENERGY)))
         self.kept = BlockFile((*raw, ENERGY))
         filled = dict.fromkeys((*read, *(ACCESSORY_NEEDS if self.curved else ())))
         self.road = [t for t in plan.terms if plan.free and t.columns and t.columns[0].startswith(EFFECT_PREFIX)]
@@ -295,6 +306,8 @@ class _Fitting:
             group.known.update(own.known)
             for name, total in own.sums.items():
                 group.sums[name] = group.sums.get(name, 0.0) + total
+                group.squares[name] = group.squares.get(name, 0.0) + own.squares[name]
+            group.taken = group.taken + own.taken
             if own.temperatures is not None:
                 group.temperatures.merge(own.temperatures)
 
@@ -314,9 +327,12 @@ class _Fitting:
     def _solve(self, group: _GroupFit) -> None:
         """Solve a group's normal equations, and hold coefficients near physics that the rides do not determine."""
         constant = self.place is not None
+        empty = self._find_empty(group)
+        group.moments.clear(empty)
+        group.dropped = tuple(self.terms[self.sloped[i]].name for i in empty)
         moments = group.moments.only([*range(len(self.sloped)), -1])
         solution = solve(moments, constant=constant)
-        weight, toward, group.held = self._make_prior(moments, solution)
+        weight, toward, group.held = self._make_prior(group, moments, solution)
         if group.held:
             solution = solve(moments, constant=constant, weight=weight, toward=toward)
         group.solution = solution
@@ -325,22 +341,60 @@ class _Fitting:
             beside = terms.index((ACCESSORIES_COLUMN,)) if (ACCESSORIES_COLUMN,) in terms else None
             group.influence = Influence(group.moments, solution, beside)
 
-    def _make_prior(self, moments: Moments, free: Solution) -> tuple[Floats, Floats, tuple[str, ...]]:
+    def _find_empty(self, group: _GroupFit) -> list[int]:
+        """Return the positions of the terms whose column is constant or nothing but rounding, except physical ones."""
+        size, root = self._measure_columns(group.moments), np.sqrt(group.moments.rows)
+        empty = []
+        for i, term in enumerate(self._sloped_terms):
+            least = NO_VARIATION * np.hypot(size[i], root * group.moments.mean[i])
+            for main in self._physical:
+                if (by := self._measure_factors(group, term, main)) is not None:
+                    least = max(least, _ROUNDING * by * size[-1])
+            if term not in self._physical and size[i] <= least:
+                empty.append(i)
+        return empty
+
+    def _make_prior(
+        self, group: _GroupFit, moments: Moments, free: Solution
+    ) -> tuple[Floats, Floats, tuple[str, ...]]:
         """Return the weights, the targets and the names of the coefficients that the rides do not determine."""
-        sums = moments.sums(centred=free.constant is not None)
-        size = np.sqrt(np.maximum(np.diag(sums), 0.0))
+        size = self._measure_columns(moments)
         weight, toward, held = np.zeros(len(size) - 1), np.zeros(len(size) - 1), []
-        least = max(free.variance, 1e-9 * sums[-1, -1] / moments.rows) if free.freedom > 0 else sums[-1, -1]
-        terms = [self.terms[i] for i in self.sloped]
-        for k, main in enumerate(terms):
-            if main.unit != "1" or main.columns[0] not in PHYSICS or size[k] >= _RESOLUTION * size[-1]:
-                continue
+        least = max(free.variance, 1e-9 * size[-1] ** 2 / moments.rows) if free.freedom > 0 else size[-1] ** 2
+        terms = self._sloped_terms
+        for main in self._physical:
+            of_main = size[terms.index(main)]
             for i, term in enumerate(terms):
-                if term.columns[-len(main.columns) :] == main.columns:
-                    sd = _PRIOR_SD * (size[k] / size[i] if size[i] > 0.0 and size[k] > 0.0 else 1.0)
-                    weight[i], toward[i] = least / sd**2, float(i == k)
+                by = self._measure_factors(group, term, main)
+                if by is None or by == 0.0 or term.name in group.dropped:
+                    continue
+                if min(of_main, size[i] / by) < _RESOLUTION * size[-1]:
+                    weight[i], toward[i] = least * (by / _PRIOR_SD) ** 2, float(term == main)
                     held.append(term.name)
         return weight, toward, tuple(held)
+
+    def _measure_columns(self, moments: Moments) -> Floats:
+        """Return the root of the sum of squares of each column, about its mean where there is a constant."""
+        return np.sqrt(np.maximum(np.diag(moments.sums(centred=self.place is not None)), 0.0))
+
+    @property
+    def _sloped_terms(self) -> list[Term]:
+        """Return the terms without the constant."""
+        return [self.terms[i] for i in self.sloped]
+
+    @property
+    def _physical(self) -> list[Term]:
+        """Return the terms whose coefficient is 1 where physics holds."""
+        return [term for term in self._sloped_terms if term.unit == "1" and term.columns[0] in PHYSICS]
+
+    @staticmethod
+    def _measure_factors(group: _GroupFit, term: Term, main: Term) -> float | None:
+        """Return the size of what a term multiplies a physical term by, None where it is no product with this term."""
+        others = len(term.columns) - len(main.columns)
+        if term.columns[others:] != main.columns:
+            return None
+        known, squares = group.known, group.squares
+        return prod(sqrt(squares[c] / known[c]) if known.get(c) else 1.0 for c in term.columns[:others])
 
     def _solve_group(self, group: _GroupFit) -> tuple[Floats, float]:
         """Return the coefficients and the constant of a group."""
@@ -369,6 +423,8 @@ class _Fitting:
             rides=group.rides,
             residual_sd_kwh=float(np.sqrt(squared / freedom)) if freedom > 0 and squared else None,
             held=group.held,
+            dropped=group.dropped or UNSET,
+            limit=EnergyLimit.of_training(*group.taken.tolist()) or UNSET,
         )
 
     @property

@@ -96,6 +96,12 @@ class Moments:
         self.mean = self.mean + shift * (other.rows / rows)
         self.rows = rows
 
+    def clear(self, columns: Sequence[int]) -> None:
+        """Set columns to zero, so that no fit gives them a coefficient."""
+        self.mean[list(columns)] = 0.0
+        self.scatter[list(columns)] = 0.0
+        self.scatter[:, list(columns)] = 0.0
+
     def sums(self, *, centred: bool) -> Floats:
         """Return the sums of products.
 

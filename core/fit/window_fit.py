@@ -19,6 +19,7 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
+from msgspec import UNSET
 
 from core.batch import Ints
 from core.columns import ZERO_CELSIUS
@@ -45,6 +46,7 @@ from core.fit.window_solver import GroupFit, solve_group
 from core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
 from core.models.derived_features import DERIVED_COLUMNS
 from core.models.features import ACCESSORIES_COLUMN, FEATURES, Columns, list_raw_columns
+from core.models.limit import LIMIT_NEEDS, EnergyLimit, sum_training
 from core.vehicles.fleet import CarParameters
 
 LEAST_OWN_RIDES: Final = 3
@@ -57,7 +59,7 @@ READ: Final = (
     "effect_rolling",
     "rolling_resistance",
     "effect_inertia_positive",
-    "duration_s",
+    *LIMIT_NEEDS,
     "energy_vi_kwh",
     "energy_vi_sd_kwh",
     "energy_soc_sd_kwh",
@@ -116,7 +118,7 @@ def fit_rows(
                 continue
             group = gather_rows(terms, good.iloc[at], fills[key])
             groups[key] = solve_group(group)
-            fits[key] = _convert(terms, group, groups[key], fills[key])
+            fits[key] = _convert(terms, group, groups[key], fills[key], _find_limit(group, good.iloc[at]))
     if alone:
         only = next(iter(groups))
         groups, fits = groups | {ANY: groups[only]}, fits | {ANY: fits[only]}
@@ -221,7 +223,15 @@ def _join(one: Gaussian, other: Gaussian) -> Gaussian:
     return Gaussian(np.concatenate([one.mean, other.mean]), covariance)
 
 
-def _convert(terms: Sequence[Term], group: GroupRows, fitted: GroupFit, fills: Mapping[str, float]) -> Fit:
+def _find_limit(group: GroupRows, rows: pd.DataFrame) -> EnergyLimit | None:
+    """Return the limit that follows from the whole rides, as windows take and return more than a ride."""
+    rides = [np.bincount(group.ride, get_numbers(rows, name)) for name in (ENERGY, *LIMIT_NEEDS)]
+    return EnergyLimit.of_training(*sum_training(*rides).tolist())
+
+
+def _convert(
+    terms: Sequence[Term], group: GroupRows, fitted: GroupFit, fills: Mapping[str, float], limit: EnergyLimit | None
+) -> Fit:
     """Return the fit of a group as a model file stores it."""
     p = group.terms
     change = np.zeros((len(terms), len(fitted.posterior.mean)))
@@ -247,6 +257,7 @@ def _convert(terms: Sequence[Term], group: GroupRows, fitted: GroupFit, fills: M
         held=tuple(term.name for term, own in zip(terms, share, strict=True) if own > PRIOR_SHARE),
         limited=_find_limited([terms[i].name for i in plain], group, fitted),
         converged=fitted.converged,
+        limit=limit or UNSET,
     )
 
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 import msgspec
 
 from core.errors import EffectError, ModelError, read_input
+from core.files import write_whole
 from core.models.built_in import BUILT_IN_MODELS
 from core.models.features import ACCESSORIES_COLUMN, get_unit
 from core.models.linear import FORMAT, Fit, LinearModel
@@ -112,7 +113,7 @@ def save(model: LinearModel, path: str | Path) -> None:
     model : LinearModel
         Model to write.
     path : str or Path
-        File to write; an existing file is replaced.
+        File to write; an existing file is replaced as a whole, and remains if the new one cannot be written.
 
     Raises
     ------
@@ -121,7 +122,7 @@ def save(model: LinearModel, path: str | Path) -> None:
     """
     content = encode_model(stamp(model))
     try:
-        Path(path).write_bytes(content)
+        write_whole(Path(path), content)
     except OSError as error:
         raise ModelError(
             f"{path}: cannot write the model: {error.strerror}; name a file in a folder that can be written"
@@ -220,6 +221,9 @@ def _check_fit(what: str, fit: Fit, model: LinearModel) -> None:
             raise ModelError(f"{what}: its covariance is not {n} by {n}: fit the model again")
         for value in chain.from_iterable(fit.covariance):
             _check_finite(f"{what}: covariance", value)
+    if fit.limit:
+        for value in (fit.limit.kwh_per_km, fit.limit.power_kw):
+            _check_finite(f"{what}: its limit", value)
     _check_columns(f"{what}: fill", tuple(fit.fills))
     for column, value in fit.fills.items():
         _check_finite(f"{what}: fill of {column!r}", value)

@@ -13,11 +13,13 @@ from typing import Any, Final, cast
 
 import msgspec
 import numpy as np
+from msgspec import UNSET, UnsetType
 
 from core.batch import Floats, Table
 from core.errors import ModelError
 from core.models.features import EFFECT_PREFIX, Columns, list_raw_columns
 from core.models.interval import ANY, PredictionInterval
+from core.models.limit import LIMIT_NEEDS, EnergyLimit
 from core.models.trees import Trees
 from core.vehicles import AccessoryCurve
 
@@ -70,6 +72,11 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         Standard deviation of the in-sample residuals. [kWh]
     held : tuple of str
         Terms that whole rides do not identify, whose coefficients a prior fixes near those of physics.
+    dropped : tuple of str, optional
+        Terms whose column was constant, or nothing but rounding, in all rides; their coefficients are 0. Absent where
+        there are none.
+    limit : EnergyLimit, optional
+        Largest energy that the fit predicts. Absent where there is none, as in models of earlier releases.
     noise_kwh : float, optional
         Variance of a ride's error divided by its size (`core.models.derived_features.compute_size`), where rides were
         weighted by their size. [kWh]
@@ -88,6 +95,8 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     rides: int = 0
     residual_sd_kwh: float | None = None
     held: tuple[str, ...] = ()
+    dropped: tuple[str, ...] | UnsetType = UNSET
+    limit: EnergyLimit | UnsetType = UNSET
     noise_kwh: float | None = None
     limited: tuple[str, ...] = ()
     converged: bool = True
@@ -167,6 +176,8 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         for trees in (self.correction or {}).values():
             read += trees.needs
         raw = [name for column in read for name in list_raw_columns(column)]
+        if self._is_limited:
+            raw += LIMIT_NEEDS
         if self._groups:
             raw.append(VEHICLE_MODEL)
         if self.cars:
@@ -177,6 +188,11 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def effects(self) -> tuple[str, ...]:
         """Names of the effects whose energy it reads."""
         return tuple(c.removeprefix(EFFECT_PREFIX) for c in self.needs if c.startswith(EFFECT_PREFIX))
+
+    @cached_property
+    def _is_limited(self) -> bool:
+        """Whether a fit limits its predictions."""
+        return any(fit.limit for fit in self.fits.values())
 
     @cached_property
     def _groups(self) -> tuple[str, ...]:
@@ -196,13 +212,49 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         -------
         (n,) float
             Energy of each row, the same to the bit however rows are cut into blocks. NaN where a needed column is NaN
-            and has no fill, and for a vehicle model without a fit where there is no fit `*`. [kWh]
+            and has no fill, and for a vehicle model without a fit where there is no fit `*`. Never beyond
+            `compute_limits`. [kWh]
 
         Raises
         ------
         ModelError
             Where a needed column is absent.
         """
+        energy = self._predict_unlimited(columns)
+        if not self._is_limited:
+            return energy
+        most = self.compute_limits(columns)
+        return np.clip(energy, -most, most)
+
+    def compute_limits(self, columns: Table) -> Floats:
+        """Return the largest energy that the model predicts for rides, taken from the battery or returned to it.
+
+        Parameters
+        ----------
+        columns : mapping of str to (n,) array
+            As for `predict`.
+
+        Returns
+        -------
+        (n,) float
+            Infinite where there is no limit; a prediction that equals it was outside. [kWh]
+        """
+        most = np.full(_length(columns, self.needs), np.inf)
+        for key, rows in self._rows(columns) if self._groups else ((ANY, None),):
+            fit = self._fit(key)
+            if fit is not None and fit.limit:
+                seen = Columns(columns, rows=rows)
+                most[slice(None) if rows is None else rows] = fit.limit.compute_energy(
+                    *(seen[name] for name in LIMIT_NEEDS)
+                )
+        return most
+
+    def count_limited(self, columns: Table, energy: Floats) -> int:
+        """Return the number of predicted energies that stopped at their limit."""
+        return int(np.sum(np.abs(energy) >= self.compute_limits(columns))) if self._is_limited else 0
+
+    def _predict_unlimited(self, columns: Table) -> Floats:
+        """Return the energy of rides by the terms, the trees and the factors of cars. [kWh]"""
         if missing := [name for name in self.needs if name not in columns]:
             raise ModelError(
                 f"model {self.name}: column {missing[0]!r} is missing in the data: make the tables with this model's "
@@ -226,7 +278,8 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         Returns
         -------
         dict of str to (n,) float
-            Energy by name of the term; the parts sum to the prediction. NaN for a car without a fit. [kWh]
+            Energy by name of the term; the parts sum to the prediction, unless this stopped at its limit. NaN for a car without a
+            fit. [kWh]
         """
         vehicle_models = np.asarray(columns[VEHICLE_MODEL], dtype=object)
         names = [term.name for term in self.terms] + ([CORRECTION] if self.correction else [])

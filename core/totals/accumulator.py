@@ -47,7 +47,12 @@ AMOUNTS: Final = (
     "speed_rejected",  # time for which the speed was rejected [s]
     "speed_missing",  # time for which the speed was missing, of a car that sends it [s]
     "bridged",  # distance of steps whose distance was bridged [m]
-    "soc_faults",  # samples at which the state of charge is frozen or jumps
+    "unseen",  # time for which bridged distances were driven beyond the time that passed [s]
+    "disputed",  # distance that was counted, and that fixes or odometer dispute [m]
+    "path",  # distance between fixes that end sections [m]
+    "path_run",  # distance that was counted in these sections [m]
+    "mistimed",  # time by which steps turned out to be wrong later in the ride [s]
+    "soc_faults",  # samples at which the state of charge is frozen, stale or jumps
 )
 """What is summed of every ride and window, followed by the effects' energies [J] and the speed histogram [m]."""
 
@@ -66,6 +71,7 @@ EDGES: Final = (
     "power",  # by voltage times current, at the sample [W]
     "code",
     "lost",
+    "speed_scale",  # factor by which the reported speed was multiplied; 0 for 1
     "kind",
 )
 """What is kept of the first and of the last sample of every ride and window; `kind` is the kind of car."""

@@ -106,6 +106,8 @@ def compute_amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> F
     row = dict(zip(AMOUNTS, table, strict=False))
     row["samples"][:] = 1.0
     row["duration"][:], row["distance"][:], row["stops"][:] = dt, clean.distance, clean.stop
+    for name in ("mistimed", "unseen", "disputed", "path", "path_run"):
+        row[name][:] = getattr(clean, name)
     row["energy"][:], row["metered"][:], row["energy_variance"][:] = clean.energy, clean.metered, clean.energy_variance
     for climb, gained, lost in ((clean.climb, "gained", "lost"), (clean.causal_climb, "gained_causal", "lost_causal")):
         np.maximum(climb, 0.0, out=row[gained])
@@ -127,7 +129,7 @@ def compute_amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> F
         ("speed_rejected", Quality.SPEED_REJECTED, dt),
         ("speed_missing", Quality.SPEED_MISSING, dt),
         ("bridged", Quality.BRIDGED, clean.distance),
-        ("soc_faults", Quality.SOC_JUMP | Quality.SOC_FROZEN, 1.0),
+        ("soc_faults", Quality.SOC_JUMP | Quality.SOC_FROZEN | Quality.SOC_STALE, 1.0),
     ):
         np.copyto(row[name], counted, where=(clean.quality & causes) != 0)
     for row_of_effect, (per, power) in zip(table[len(AMOUNTS) :], powers, strict=True):

@@ -38,6 +38,7 @@ from core.totals.exact_sums import ExactSums
 from core.totals.measured_energy import (
     METER_GAIN,
     RIDE_SD,
+    find_inverted,
     find_quantum,
     find_soc_faults,
     measure_by_power,
@@ -358,6 +359,7 @@ class DisplayYields:
         energy, _ = measure_by_power(rides)
         first, last, inverse = rides.at_first("soc"), rides.at_last("soc"), rides.display["inverse"]
         used = ~np.isnan(energy + first + last + inverse) & (first < FULL) & ~find_soc_faults(rides, self._cars)
+        used &= ~find_inverted(rides)
         contradicted = np.zeros(len(used), np.bool_)
         if used.any():
             contradicted[used] = self._learn_healthy(rides.rows(np.flatnonzero(used)))

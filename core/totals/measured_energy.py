@@ -34,6 +34,12 @@ RIDE_SD: Final = 0.02
 Estimated: the public BMW i3, its curve taken off, has 0.02 (DOI 10.21227/6jr9-5235)."""
 METERED_SHARE: Final = 0.5
 """Least share of the duration for which V·I must be known. [1]"""
+TRAINING_SHARE: Final = 0.9
+"""The same for a ride that is fit for training. [1]"""
+HEAVY: Final = 3500.0
+"""Mass of a car whose own is unknown: the heaviest of its licence class in Europe. [kg]"""
+FASTEST: Final = 10.0
+"""Speed with which a ride may begin, as loggers cut the first seconds off. [m/s]"""
 UNSEEN_POWER: Final = 0.5
 """Relative standard uncertainty of the mean power over a time without measurement. [1]"""
 LEAST_CONSUMPTION: Final = 0.0017
@@ -97,12 +103,17 @@ def measure_by_power(totals: Totals) -> tuple[Floats, Floats]:
     lost in gaps. A slow logger has few steps, so its variance is averaged with the expected one.
     """
     energy = totals.amount("energy") / JOULES_PER_KWH
-    duration, metered = totals.amount("duration"), totals.amount("metered")
-    share = np.divide(metered, duration, out=np.zeros(len(energy)), where=duration > 0.0)
+    share = _metered_share(totals)
     whole = np.divide(energy, share, out=np.full(len(energy), np.nan), where=share >= METERED_SHARE)
     sampled = np.sqrt(_estimate_variance(totals)) / JOULES_PER_KWH
     unseen = UNSEEN_POWER * np.abs(whole) * (1.0 - share)
     return whole, np.sqrt((METER_GAIN * whole) ** 2 + sampled**2 + unseen**2 + _cut(totals, whole) ** 2)
+
+
+def _metered_share(totals: Totals) -> Floats:
+    """Return the share of the duration for which V·I is known, (n,). [1]"""
+    duration = totals.amount("duration")
+    return np.divide(totals.amount("metered"), duration, out=np.zeros(len(duration)), where=duration > 0.0)
 
 
 def _expect_variance(totals: Totals) -> tuple[Floats, NDArray[np.bool_]]:
@@ -148,6 +159,30 @@ def _cut(totals: Totals, energy: Floats) -> Floats:
     duration = totals.amount("duration")
     share = np.divide(find_lost_time(totals), duration, out=np.zeros(len(energy)), where=duration > 0.0)
     return np.abs(energy) * share / np.sqrt(3.0)
+
+
+def find_inverted(totals: Totals) -> NDArray[np.bool_]:
+    """Return where the current had the wrong sign in at least one sample.
+
+    Parameters
+    ----------
+    totals : Totals
+        Totals of n rides or windows.
+
+    Returns
+    -------
+    (n,) bool
+    """
+    return np.asarray(totals.quality[:, CAUSES.index("current_inverted")] > 0.0)
+
+
+def _is_impossible(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
+    """Return where more energy returned to the battery than the car can have had from its descent and its motion."""
+    kinds = totals.at_last("kind").astype(np.int64)
+    mass = np.nan_to_num(cars.parameters_of(kinds).mass_kg, nan=HEAVY)
+    descent = np.maximum(totals.amount("lost") - totals.amount("gained"), 0.0)
+    most = mass * (GRAVITY * descent + 0.5 * FASTEST**2) / JOULES_PER_KWH
+    return np.asarray(totals.amount("energy") / JOULES_PER_KWH < -most)
 
 
 def measure_by_soc(totals: Totals) -> tuple[Floats, Floats]:
@@ -330,13 +365,19 @@ def list_energy_faults(totals: Totals, cars: Cars) -> tuple[tuple[str, NDArray[n
     """
     unmeasured = measure_energy(totals, cars).source == NO_SOURCE
     reported = unmeasured & ~np.isnan(totals.at_last("soc"))
+    by_power = ~unmeasured & (measure_energy(totals, cars).source == BY_POWER)
+    stale = totals.quality[:, CAUSES.index("soc_stale")] > 0.0
     jumped = totals.quality[:, CAUSES.index("soc_jump")] > 0.0
     frozen = (totals.quality[:, CAUSES.index("soc_frozen")] > 0.0) | _unmoved(totals, cars)
     unknown = np.isnan(cars.capacity[totals.at_last("kind").astype(np.int64)])
     return (
         ("contradictory_energy", totals.display["contradicted"] > 0.0),
+        ("power_missing", by_power & (_metered_share(totals) < TRAINING_SHARE)),
         ("no_measured_energy", unmeasured),
         ("soc_jump", reported & jumped),
         ("soc_frozen", reported & frozen),
+        ("soc_stale", reported & stale),
         ("unknown_capacity", reported & unknown),
+        ("impossible_energy", by_power & _is_impossible(totals, cars)),
+        ("current_inverted", find_inverted(totals)),
     )

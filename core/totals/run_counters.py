@@ -9,6 +9,7 @@ from core.batch import Ints
 from core.cleaning.quality import CAUSES
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
+from core.totals.logger_faults import LoggerFaults, add_faults, count_faults
 
 
 class RunCounters:
@@ -24,6 +25,8 @@ class RunCounters:
         Of these, rides that are unfit for training, by reason.
     unpredicted : Counter
         Of these, rides whose energy is not predictable, by reason.
+    faults : dict of str to Counter
+        Of these, rides that show a fault of a logger, by its name and by car.
     """
 
     def __init__(self) -> None:
@@ -31,6 +34,7 @@ class RunCounters:
         self.rides = 0
         self.unfit: Counter[str] = Counter()
         self.unpredicted: Counter[str] = Counter()
+        self.faults: LoggerFaults = {}
 
     def count_samples(self, quality: Ints) -> None:
         """Count the quality bits of samples, (n,) int."""
@@ -52,23 +56,27 @@ class RunCounters:
         self.rides += len(rides.lane)
         self.unfit.update(reason for reason in unfit_reasons.tolist() if reason is not None)
         self.unpredicted.update(why for why in map(context.cars.unpredicted, kinds) if why is not None)
+        add_faults(self.faults, count_faults(rides, context.vehicle_ids))
 
     def describe(self) -> dict[str, Any]:
-        """Return `samples` by quality bit, `rides`, and rides `unfit` and `unpredicted` by reason."""
+        """Return `samples` by quality bit, `rides`, `unfit` and `unpredicted` ones by reason, and `logger_faults`."""
         samples = dict(zip(CAUSES, self.samples.tolist(), strict=True))
         return {
             "samples": samples,
             "rides": self.rides,
             "unfit": dict(self.unfit),
             "unpredicted": dict(self.unpredicted),
+            "logger_faults": {name: dict(cars) for name, cars in self.faults.items()},
         }
 
     def dump(self) -> Any:
         """Return the state as plain lists."""
-        return [self.samples.tolist(), self.rides, dict(self.unfit), dict(self.unpredicted)]
+        faults = {name: dict(cars) for name, cars in self.faults.items()}
+        return [self.samples.tolist(), self.rides, dict(self.unfit), dict(self.unpredicted), faults]
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        samples, self.rides, unfit, unpredicted = state
+        samples, self.rides, unfit, unpredicted, faults = state
         self.samples = np.array(samples, np.int64)
         self.unfit, self.unpredicted = Counter(unfit), Counter(unpredicted)
+        self.faults = {name: Counter(cars) for name, cars in faults.items()}

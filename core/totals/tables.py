@@ -18,6 +18,7 @@ from core.cleaning.quality import CAUSES
 from core.columns import JOULES_PER_KWH, KMH, SECONDS_PER_DAY, SPEED_BINS, WINDOW_COLUMNS, ZERO_CELSIUS
 from core.totals.accumulator import AMOUNTS, Totals
 from core.totals.context import RunContext
+from core.totals.distance_witnesses import find_contradicted_distance
 from core.totals.measured_energy import (
     SOURCES,
     MeasuredEnergy,
@@ -39,6 +40,12 @@ Beyond one half, more of the speed profile is inferred than measured.
 """
 MOST_BRIDGED: Final = 0.5
 """Largest share of its distance that may be bridged in a ride fit for training. [1]"""
+MOST_UNMEASURED: Final = 0.03
+"""Largest time of bridged driving that no sample covers, over the duration of a ride fit for training. [1]
+
+The work of a bridge counts in full, and the meters saw only the time that the logger recorded."""
+MOST_MISTIMED: Final = 0.02
+"""Largest time by which steps of a ride fit for training turned out to be wrong, over its duration. [1]"""
 WINTER: Final = ((12, 15), (3, 15))
 """First and last (month, day) of the season with mandatory winter tyres, after Table 1 of the paper."""
 
@@ -102,7 +109,8 @@ def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
     The rules for duration and distance follow section 3 of the paper. Beyond the paper, a ride is unfit if gaps at its
     beginning and end hide more than a tenth of its duration, if its energy cannot be measured, if voltage and current
     contradict a healthy state of charge, if its speed was rejected (or missing) for more than `MOST_REJECTED` of its
-    duration, or if more than `MOST_BRIDGED` of its distance was bridged.
+    duration, or if more than `MOST_BRIDGED` of its distance was bridged. The same holds where the car charged within
+    the ride, where its clock was not yet understood, and where its meters did not see the time of a bridge.
     """
     cars, settings = context.cars, context.settings
     duration = totals.amount("duration")
@@ -111,6 +119,10 @@ def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
     for why, applies in (  # later reasons overwrite earlier ones
         ("cut_by_gap", find_lost_time(totals) > CUT * duration),
         *list_energy_faults(totals, cars),
+        ("speed_contradicted", find_contradicted_distance(totals)),
+        ("charged", totals.at_last("since_charge") < 0.999 * duration - 1.0),
+        ("bridge_unmeasured", totals.amount("unseen") > MOST_UNMEASURED * duration),
+        ("clock_unsettled", totals.amount("mistimed") > MOST_MISTIMED * duration),
         ("too_little_distance", totals.amount("distance") < settings.least_distance),
         ("distance_bridged", _share(totals, "bridged", "distance") > MOST_BRIDGED),
         ("speed_missing", rejected + _share(totals, "speed_missing") > MOST_REJECTED),

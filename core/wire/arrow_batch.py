@@ -1,8 +1,14 @@
 """Read and write batches of samples in Arrow's stream format, `application/vnd.apache.arrow.stream`.
 
 A payload of this form begins with `PREFIX`, which no JSON text does. Its columns have the names of the fields of
-`core.wire.messages.Telemetry`; other columns are ignored. The payload may come from a stranger: its buffers must not be
-compressed, because what they expand to is unknown before, and its columns are checked in full before they are used.
+`core.wire.messages.Telemetry`; other columns are ignored. The payload may come from a stranger, so memory and time are
+bounded by its size, and nothing is expanded before its size is checked:
+
+- buffers must not be compressed, and only types of columns that are used are read;
+- the columns of a row take `LEAST_ROW` bytes at least, because its values take many times as much;
+- texts are places in the bytes of their column or dictionary, which are copied once, however many rows name them, and
+  of a longer text than any name only the beginning is looked at;
+- dictionaries that are sent in parts are joined up to `EXPANSION` times the payload.
 """
 
 import struct
@@ -15,14 +21,21 @@ import pyarrow as pa
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import Batch, Floats
+from core.batch import Batch, Floats, Ints
 from core.wire.json_scanner import POSITION
-from core.wire.name_lookup import Texts
+from core.wire.messages import LONGEST_TEXT
+from core.wire.name_lookup import NAME, Texts
 
 PREFIX: Final = b"\xff\xff\xff\xff"
 """First bytes of a payload: the mark of a message in Arrow's stream format since version 0.15."""
 
+LEAST_ROW: Final = 9
+"""Least size of a row of a batch: a time and the code of a name. [B]"""
+EXPANSION: Final = 4
+"""Largest ratio of the dictionaries that are joined of several parts to the payload."""
+
 _NAMES: Final = "vehicle_id", "ride_id"
+_LONGEST: Final = {"vehicle_id": NAME, "ride_id": 4 * LONGEST_TEXT}  # a character has at most four bytes
 _NUMBERS: Final = tuple(name for name in POSITION if name not in _NAMES)
 _COUNTS: Final = "seq", "occupants"
 _COUNT_PLACES: Final = tuple(POSITION[name] for name in _COUNTS)
@@ -76,6 +89,12 @@ class BatchReader:
         self._most = most
         self._read: dict[int, tuple[bytes, ArrowRows | str]] = {}
 
+    def take(self, payload: bytes) -> ArrowRows | str:
+        """Return the same as `read`, and forget it, so that the caller may write to it."""
+        rows = self.read(payload)
+        del self._read[id(payload)]
+        return rows
+
     def read(self, payload: bytes) -> ArrowRows | str:
         """Return the samples of a batch, or the cause for which none can be used, see `read_rows`."""
         known = self._read.get(id(payload))
@@ -105,21 +124,21 @@ def read_rows(payload: bytes, most: float) -> ArrowRows:
     Raises
     ------
     BatchError
-        `not_arrow`, `compressed`, `too_many_samples`, `empty_list`, or `wrong_type` where a column is missing or has
-        another type than numbers or text.
+        `not_arrow`, `compressed`, `too_large`, `too_many_samples`, `empty_list`, or `wrong_type` where a column is
+        missing or has another type than numbers or text.
     """
     table = _read_table(payload, most)
     names = table.column_names
-    if len(set(names)) < len(names) or not {"vehicle_id", "time_s"} <= set(names):
+    if not {"vehicle_id", "time_s"} <= set(names):
         raise BatchError("wrong_type")
     values = np.full((len(Batch._fields), table.num_rows), np.nan)
     try:
         for name in _NUMBERS:
             if name in names:
-                values[POSITION[name]] = _read_numbers(name, table.column(name))
+                values[POSITION[name]] = _read_numbers(table.column(name))
         vehicles, rides = _read_texts(table, "vehicle_id"), _read_texts(table, "ride_id")
     except _DAMAGE as error:
-        raise BatchError("wrong_type") from error
+        raise BatchError("not_arrow") from error
     is_usable = np.empty(table.num_rows, np.bool_)
     _check_rows(values, values.view(np.uint64), is_usable)
     return ArrowRows(values, vehicles, rides, is_usable & vehicles.is_known)
@@ -144,9 +163,9 @@ def read_times(payload: bytes, most: float) -> Floats:
     if table.num_columns != 1:
         raise BatchError("wrong_type")
     try:
-        return _read_numbers("time_s", table.column(0))
+        return _read_numbers(table.column(0))
     except _DAMAGE as error:
-        raise BatchError("wrong_type") from error
+        raise BatchError("not_arrow") from error
 
 
 def select_rows(payload: bytes, mask: Sequence[bool]) -> bytes:
@@ -180,91 +199,154 @@ def write_rows(table: pa.Table) -> bytes:
 def _read_table(payload: bytes, most: float, names: Collection[str] = POSITION) -> pa.Table:
     """Return the columns of a batch that have one of some names, checked."""
     try:
-        is_compressed = _is_compressed(payload)
-        batches = [] if is_compressed else list(_read_batches(payload, most, names))
+        _check_parts(payload)
+        with pa.ipc.open_stream(pa.py_buffer(payload)) as reader:
+            kept = _select_columns(reader.schema, names)
+        batches = list(_read_batches(payload, min(most, len(payload) / LEAST_ROW), kept))
+    except BatchError:
+        raise
     except _DAMAGE as error:
         raise BatchError("not_arrow") from error
-    if is_compressed:
-        raise BatchError("compressed")
-    if sum(batch.num_rows for batch in batches) > most:
-        raise BatchError("too_many_samples")
     if not any(batch.num_rows for batch in batches):
         raise BatchError("empty_list")
     return pa.Table.from_batches(batches)
 
 
-def _read_batches(payload: bytes, most: float, names: Collection[str]) -> Iterator[pa.RecordBatch]:
-    """Yield the parts of a batch up to the one that exceeds the largest number of rows."""
-    rows = 0
-    with pa.ipc.open_stream(pa.py_buffer(payload)) as reader:
-        for batch in reader:
-            kept = batch.select([i for i, name in enumerate(batch.schema.names) if name in names])
-            rows += batch.num_rows
-            if rows <= most:
-                kept.validate(full=True)
-            yield kept
-            if rows > most:
-                return
+def _select_columns(schema: pa.Schema, names: Collection[str]) -> list[int]:
+    """Return the places of the columns with one of some names: one or more, each name once, of a type that is read."""
+    kept = [i for i, name in enumerate(schema.names) if name in names]
+    if not kept or len({schema.names[i] for i in kept}) < len(kept) or not all(_is_read(schema.field(i)) for i in kept):
+        raise BatchError("wrong_type")
+    return kept
 
 
-def _read_numbers(name: str, column: pa.ChunkedArray) -> Floats:
-    """Return a column of numbers, NaN where unknown; truth values only where the field is one."""
-    kind = column.type
-    is_flag = name == "charging"
-    if kind == pa.float64() and not is_flag:
-        return np.asarray(column.to_numpy())
+def _is_read(field: pa.Field) -> bool:
+    """Return whether a column has a type of which its field is read."""
+    kind = field.type
     if pa.types.is_null(kind):
+        return True
+    if field.name in _NAMES:
+        kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+        return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+    if field.name == "charging":
+        return bool(pa.types.is_boolean(kind))
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
+
+
+def _read_batches(payload: bytes, most: float, kept: list[int]) -> Iterator[pa.RecordBatch]:
+    """Yield the parts of a batch with some columns only; refuse it at the part that exceeds the number of rows."""
+    rows = 0
+    options = pa.ipc.IpcReadOptions(included_fields=kept)
+    with pa.ipc.open_stream(pa.py_buffer(payload), options=options) as reader:
+        for batch in reader:
+            rows += batch.num_rows
+            if rows > most:
+                raise BatchError("too_many_samples")
+            batch.validate()
+            for column in batch.columns:  # a dictionary is checked once, not for each part, see `_read_texts`
+                (column.indices if pa.types.is_dictionary(column.type) else column).validate(full=True)
+            yield batch
+
+
+def _read_numbers(column: pa.ChunkedArray) -> Floats:
+    """Return a column of numbers, NaN where unknown."""
+    if column.type == pa.float64():
+        return np.asarray(column.to_numpy())
+    if pa.types.is_null(column.type):
         return np.full(len(column), np.nan)
-    if not (pa.types.is_boolean(kind) if is_flag else pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-        raise TypeError(f"{name} is of type {kind}")
     return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(), np.float64)
 
 
+class _Dictionary(NamedTuple):
+    """Locate n different texts among those of a column; a place after the last is of no text."""
+
+    places: Ints  # (n + 2,) begin of each text, and the end of the last one twice
+    is_known: NDArray[np.bool_]  # (n + 1,)
+
+
 def _read_texts(table: pa.Table, name: str) -> Texts:
-    """Return a column of text."""
+    """Return a column of text, with no more of each than shows that it is too long."""
+    count = table.num_rows
     if name not in table.column_names or pa.types.is_null(table.column(name).type):
-        none = np.zeros(table.num_rows + 1, np.int64)
-        return Texts(none, np.zeros(1, np.uint8), np.zeros(table.num_rows, np.bool_))
-    column = table.column(name)
-    kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
-    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
-        raise TypeError(f"{name} is of type {column.type}")
-    texts = pa.concat_arrays(column.cast(pa.large_string()).chunks)
-    _, ends, text = texts.buffers()
-    ends = np.frombuffer(ends, np.int64)[texts.offset : texts.offset + len(texts) + 1]
-    text = np.frombuffer(text, np.uint8) if text else np.zeros(1, np.uint8)
-    return Texts(ends, text, texts.is_valid().to_numpy(zero_copy_only=False))
+        none = np.zeros(count, np.int32)
+        return Texts(none, none, np.zeros(1, np.uint8), np.zeros(count, np.bool_))
+    chunks = table.column(name).chunks
+    if pa.types.is_dictionary(table.column(name).type):
+        values, number = _join_dictionaries(chunks)
+    else:
+        values, number = pa.concat_arrays(chunks), np.arange(count)
+    _, ends, text = values.buffers()
+    kind = np.int64 if pa.types.is_large_string(values.type) else np.int32
+    ends = np.frombuffer(ends, kind, len(values) + 1, values.offset * kind().itemsize) if len(values) else [0]
+    ends = np.append(ends, ends[-1]).astype(np.int32)  # a row without a text has the place after the last one
+    is_known = np.append(values.is_valid().to_numpy(zero_copy_only=False), np.False_)[number]
+    sizes = np.minimum(np.diff(ends), _LONGEST[name] + 1)[number]
+    return Texts(ends[number], np.where(is_known, sizes, 0), np.frombuffer(text or bytes(1), np.uint8), is_known)
 
 
-def _is_compressed(payload: bytes) -> bool:
-    """Return whether a part of a stream has compressed buffers, by the metadata of each (a flatbuffer).
+def _join_dictionaries(chunks: list[pa.DictionaryArray]) -> tuple[pa.Array, Ints]:
+    """Return the texts of the dictionaries of parts, and which of them each row has, one more than the last for none.
+
+    Parts that follow one another share a dictionary, and its texts are not repeated.
+    """
+    dictionaries: list[pa.Array] = []
+    firsts, counts = np.zeros((2, len(chunks)), np.int64)  # of the texts of each part
+    last, begin, end = None, 0, 0
+    for at, chunk in enumerate(chunks):
+        values = chunk.dictionary
+        memory = *(buffer.address if buffer else 0 for buffer in values.buffers()), values.offset, len(values)
+        if memory != last:
+            values.validate(full=True)
+            dictionaries.append(values)
+            last, begin, end = memory, end, end + len(values)
+        firsts[at], counts[at] = begin, len(values)
+    sizes = [len(chunk) for chunk in chunks]
+    codes = pa.concat_arrays([chunk.indices for chunk in chunks])
+    is_known = codes.is_valid().to_numpy(zero_copy_only=False)
+    number: Ints = codes.fill_null(0).to_numpy(zero_copy_only=False).astype(np.int64)
+    if (((number < 0) | (number >= np.repeat(counts, sizes))) & is_known).any():
+        raise ValueError("a code of a text that its dictionary lacks")
+    return pa.concat_arrays(dictionaries), np.where(is_known, number + np.repeat(firsts, sizes), end)
+
+
+def _check_parts(payload: bytes) -> None:
+    """Refuse a stream with compressed buffers, or with dictionaries in too many parts, by the metadata of each part.
 
     References
     ----------
-    Apache Arrow, format/Message.fbs.
+    Apache Arrow, format/Message.fbs; the metadata are flatbuffers.
     """
-    at = 0
+    at = joined = 0
+    dictionaries: dict[int, int] = {}
     while at + 8 <= len(payload):
         mark, size = struct.unpack_from("<Ii", payload, at)
         if mark != 0xFFFFFFFF or size < 0:
             raise ValueError("no mark of a message")
         if size == 0:
-            return False
+            return
         message = payload[at + 8 : at + 8 + size]
         root = _follow(message, 0)
         kind = _find_member(message, root, 1)
         header = _find_member(message, root, 2)
         body = _find_member(message, root, 3)
-        table = _follow(message, header) if header else 0
-        if header and kind and message[kind] == _DICTIONARY and (data := _find_member(message, table, 1)):
-            table = _follow(message, data)
-        if header and kind and message[kind] in {_RECORDS, _DICTIONARY} and _find_member(message, table, 3):
-            return True
         length = struct.unpack_from("<q", message, body)[0] if body else 0
         if length < 0:
             raise ValueError("a body of negative size")
+        table = _follow(message, header) if header else 0
+        if header and kind and message[kind] == _DICTIONARY:
+            number = _find_member(message, table, 0)
+            whose = struct.unpack_from("<q", message, number)[0] if number else 0
+            more = _find_member(message, table, 2)
+            before = dictionaries.get(whose, 0) if more and message[more] else 0
+            dictionaries[whose] = before + length
+            joined += before and before + length  # all of it is copied
+            if joined > EXPANSION * len(payload):
+                raise BatchError("too_large")
+            if data := _find_member(message, table, 1):
+                table = _follow(message, data)
+        if header and kind and message[kind] in {_RECORDS, _DICTIONARY} and _find_member(message, table, 3):
+            raise BatchError("compressed")
         at += 8 + size + length
-    return False
 
 
 _DICTIONARY, _RECORDS = 2, 3
@@ -302,13 +384,13 @@ def _check_rows(values: Any, bits: Any, is_usable: Any) -> None:
 
 
 @njit(cache=True)
-def _hash_texts(ends: Any, text: Any, is_known: Any, out: Any) -> None:
+def _hash_texts(places: Any, sizes: Any, text: Any, is_known: Any, out: Any) -> None:
     """Add texts to the hashes of their rows."""
     factor, shift = np.uint64(0x9E3779B97F4A7C15), np.uint64(29)
     for i in range(len(out)):
         mixed = (out[i] ^ np.uint64(is_known[i])) * factor
         if is_known[i]:
-            for at in range(ends[i], ends[i + 1]):
+            for at in range(places[i], places[i] + sizes[i]):
                 mixed = (mixed ^ np.uint64(text[at])) * factor
                 mixed ^= mixed >> shift
         out[i] = (mixed ^ factor) * factor

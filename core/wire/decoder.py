@@ -219,7 +219,7 @@ class Decoder:
         elif len(message.payload) > self._limits.payload_bytes:
             cause = "too_large"
         else:
-            cause = self.batches.read(message.payload)
+            cause = self.batches.take(message.payload)
         if whose is None or isinstance(cause, str):
             self.rejected[str(cause)] += 1
             refusals.append(Refused(message, None, number))
@@ -227,7 +227,7 @@ class Decoder:
         is_used = self._find_lanes(cause, None if whose.kind == BATCH else whose.identity)
         self._write_rides(cause, is_used)
         if is_used.all():
-            return cause.table.copy()
+            return cause.table
         refusals.append(Refused(message, tuple(np.flatnonzero(~is_used).tolist()), number))
         return cause.table[:, is_used]
 
@@ -237,8 +237,7 @@ class Decoder:
         `only` is the vehicle that all rows must be of; None for any.
         """
         numbers = range(len(rows.is_usable))
-        sizes = np.diff(rows.rides.ends)
-        is_long = rows.rides.is_known & (sizes > LONGEST_TEXT)
+        is_long = rows.rides.is_known & (rows.rides.sizes > LONGEST_TEXT)
         for at in np.flatnonzero(is_long).tolist():  # characters count, not bytes
             is_long[at] = len(rows.rides.get(at)) > LONGEST_TEXT
         faults = {"wrong_type": ~rows.is_usable, "too_long": is_long}
@@ -435,7 +434,7 @@ def _transpose(samples: list[Telemetry]) -> list[tuple[Any, ...]]:
 
 def _join_blocks(tables: list[Floats]) -> Batch:
     """Join blocks, and convert wire units to SI units."""
-    table = np.concatenate(tables, axis=1) if tables else np.empty((len(Batch._fields), 0))
+    table = tables[0] if len(tables) == 1 else np.concatenate([np.empty((len(Batch._fields), 0)), *tables], axis=1)
     with np.errstate(over="ignore"):  # a huge value becomes infinite, and out of range
         for column, scale in _SCALES.items():
             table[column] *= scale

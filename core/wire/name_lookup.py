@@ -16,24 +16,28 @@ PENDING: Final = -2.0
 
 
 class Texts(NamedTuple):
-    """Hold n texts one after another, as UTF-8.
+    """Hold n texts as places in a text in UTF-8, which several may share.
 
     Parameters
     ----------
-    ends : (n + 1,) int
-        Begin of the first text, and end of each text.
+    places : (n,) int
+        Begin of each text.
+    sizes : (n,) int
+        Size of each text; of one that is longer than any name only as much as shows this. [B]
     text : (size,) uint8
     is_known : (n,) bool
         Whether there is such a text.
     """
 
-    ends: Ints
+    places: NDArray[np.int32]
+    sizes: NDArray[np.int32]
     text: NDArray[np.uint8]
     is_known: NDArray[np.bool_]
 
     def get(self, number: int) -> str:
         """Return a text."""
-        return self.text[self.ends[number] : self.ends[number + 1]].tobytes().decode()
+        place = self.places[number]
+        return self.text[place : place + self.sizes[number]].tobytes().decode(errors="replace")
 
 
 class NameLookup:
@@ -153,22 +157,30 @@ def _place_lanes(names: Any, first: int, last: int, places: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _find_lanes(ends: Any, text: Any, is_known: Any, places: Any, names: Any, lanes: Any) -> None:
+def _find_lanes(starts: Any, sizes: Any, text: Any, is_known: Any, places: Any, names: Any, lanes: Any) -> None:
     """Write the lane of each name that is known."""
     for i in range(len(lanes)):
-        size = ends[i + 1] - ends[i]
+        start, size = int(starts[i]), int(sizes[i])
         if is_known[i] and 0 < size <= NAME:
-            lanes[i] = places[_find_place(text, ends[i], size, places, names)]
+            lanes[i] = places[_find_place(text, start, size, places, names)]
 
 
 @njit(cache=True, error_model="numpy")
 def _find_rides(
-    ends: Any, text: Any, is_known: Any, lanes: Any, rides: Any, ride_sizes: Any, ride_codes: Any, codes: Any
+    starts: Any,
+    sizes: Any,
+    text: Any,
+    is_known: Any,
+    lanes: Any,
+    rides: Any,
+    ride_sizes: Any,
+    ride_codes: Any,
+    codes: Any,
 ) -> None:
     """Write the code of the ride of each row."""
     for i in range(len(lanes)):
-        lane, size = lanes[i], ends[i + 1] - ends[i]
+        lane, start, size = lanes[i], int(starts[i]), int(sizes[i])
         codes[i] = NO_RIDE
         if lane >= 0 and is_known[i]:
-            is_same = size == ride_sizes[lane] and is_ride_of(text, ends[i], rides, lane, size)
+            is_same = size == ride_sizes[lane] and is_ride_of(text, start, rides, lane, size)
             codes[i] = ride_codes[lane] if is_same else PENDING

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
-from itertools import compress, pairwise
+from itertools import compress
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -178,7 +178,8 @@ def _read_batch(payload: bytes, number: int, only: str | None) -> Samples:
 def _list_vehicles(names: Texts) -> list[str]:
     """Return the names of vehicles as text; those with other than ASCII characters become other invalid names."""
     text = names.text.tobytes().decode("latin-1")
-    return [text[begin:end] for begin, end in pairwise(names.ends.tolist())]
+    places = names.places.tolist()
+    return [text[begin : begin + size] for begin, size in zip(places, names.sizes.tolist(), strict=True)]
 
 
 @lru_cache(maxsize=1 << 16)

@@ -10,14 +10,14 @@ from pathlib import Path
 from tests.support.paths import ROOT
 
 ORDER = (
-    *("core.errors", "core.columns", "core.batch", "core.settings", "core.formatting", "core.compiled_cache"),
+    *("core.errors", "core.columns", "core.batch", "core.settings", "core.formatting", "core.files", "core.compiled_cache"),
     *("core.wire", "core.cleaning", "core.vehicles", "core.signals", "core.effects", "core.totals", "core.models"),
     *("core.stats", "core.forecast", "core.monitoring", "core.snapshot", "core.pipeline"),
     *("core.fit", "core.evaluate", "core.diagnose"),
     *("stream", "tools", "socast"),
 )
 """Packages and root modules; each may import itself and those before it."""
-MOST_PACKAGES, MOST_MODULES, MOST_LINES = 13, 8, 499
+MOST_PACKAGES, MOST_MODULES, MOST_LINES = 13, 9, 499
 ONLY_IN = {
     "zenoh": r"stream/zenoh_\w+\.py",
     "mcap": r"stream/mcap_\w+\.py|tools/bench/measures\.py",

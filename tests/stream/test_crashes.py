@@ -163,7 +163,7 @@ def test_crash_at_each_thousandth_byte_of_the_recording(tmp_path, monkeypatch, s
 _STEPS: list[tuple[object, str]] = [
     (os, "fsync"),
     (os, "link"),
-    (state_file, "sync_folder"),
+    (state_file, "sync"),
     (Path, "replace"),
     (os, "fdatasync"),
 ]

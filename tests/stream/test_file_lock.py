@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from core.errors import SettingsError
-from stream.file_lock import FileLock, sync_folder
+from stream.file_lock import FileLock
 
 HOLDER = """
 import sys
@@ -66,9 +66,3 @@ def test_longer_name_of_the_process_before_is_no_part_of_the_message(file):
 def test_lock_in_a_missing_folder_is_refused(tmp_path):
     with pytest.raises(SettingsError, match=r"^cars cannot be written: No such file or directory;"):
         FileLock(tmp_path / "none" / "lock", "cars")
-
-
-def test_sync_of_a_missing_folder_raises(tmp_path):
-    sync_folder(tmp_path)
-    with pytest.raises(FileNotFoundError):
-        sync_folder(tmp_path / "none")

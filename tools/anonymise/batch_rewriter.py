@@ -97,11 +97,15 @@ class _Names:
     """
 
     def __init__(self, texts: Texts, is_name: Callable[[str], bool]) -> None:
-        known = pa.py_buffer(np.packbits(texts.is_known, bitorder="little").tobytes())
-        buffers = [known, pa.py_buffer(texts.ends), pa.py_buffer(texts.text)]
-        encoded = pa.Array.from_buffers(pa.large_string(), len(texts.is_known), buffers).dictionary_encode()
-        self._names: list[str] = encoded.dictionary.to_pylist()
-        self._numbers: NDArray[np.int64] = encoded.indices.fill_null(-1).to_numpy().astype(np.int64)
+        numbers: dict[str, int] = {}
+        self._numbers = np.array(
+            [
+                numbers.setdefault(texts.get(at), len(numbers)) if is_known else -1
+                for at, is_known in enumerate(texts.is_known.tolist())
+            ],
+            np.int64,
+        )
+        self._names = list(numbers)
         self.is_possible = np.array([*map(is_name, self._names), True])[self._numbers]
 
     def rename(self, is_used: NDArray[np.bool_], kind: Any, whose: str, rename: Callable[[str, str], str]) -> Any:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from core.batch import Batch, Floats, Ints
 from core.cleaning.quality import CAUSES
+from core.files import replacing
 from core.forecast.day_rollover import DailyUpdate
 from core.pipeline import Pipeline
 from core.settings import BOUNDS_OF_LIMITS, Limits
@@ -35,7 +36,6 @@ from tools.cluster.job import (
     write_text,
 )
 from tools.cluster.ordering import Placed, Shared
-from tools.cluster.task_files import replacing
 
 LEAST_ROWS: Final = 20_000
 """Number of samples that pass through the pipeline at a time."""
@@ -199,7 +199,7 @@ def clean_part(job: Job, part: int) -> PartCounts:
     with ExitStack() as files:
         rides, windows = (TotalsFile(job, part, name, lanes) for name in ("rides", "windows"))
         to_rides, to_windows = (
-            files.enter_context(files.enter_context(replacing(job.of_part(part, name))).open("wb"))
+            files.enter_context(files.enter_context(replacing(job.of_part(part, name), is_kept=False)).open("wb"))
             for name in ("rides", "windows")
         )
 

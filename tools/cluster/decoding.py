@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Batch, Ints, Lanes
+from core.files import replacing
 from core.forecast.weather_forecasts import WeatherForecasts
 from core.settings import BOUNDS_OF_LIMITS, Limits
 from core.signals.weather import Stations
@@ -26,7 +27,6 @@ from core.wire.messages import Message, Weather, address
 from stream.mcap_losses import Losses
 from stream.mcap_reader import McapSource
 from tools.cluster.job import Job, open_recording, write_arrays
-from tools.cluster.task_files import replacing
 
 SPAN_BYTES: Final = 8 << 20
 """Size of the chunks of a span; 100,000 to 200,000 samples. [B]"""
@@ -157,7 +157,7 @@ def decode_span(job: Job, number: int, start_ns: float, stop_ns: float) -> Span:
         by_part[part].append(SpanEvent(item, event.lane, _get_kind(event.message), event.message.payload))
     rides = [name for name in decoder.rides if name is not None]
     texts = SpanTexts(lanes.names, rides, list(map(msgspec.msgpack.encode, by_part)))
-    with replacing(job.of_span(number, "texts")) as own:
+    with replacing(job.of_span(number, "texts"), is_kept=False) as own:
         own.write_bytes(msgspec.msgpack.encode(texts))
     return Span(
         number,
@@ -256,7 +256,7 @@ def _write_rows(
     order = np.argsort(part, kind="stable")
     position = np.empty(batch.size, np.int32)
     position[order] = np.arange(batch.size)
-    with replacing(job.of_span(number, "rows")) as own, own.open("wb") as file:
+    with replacing(job.of_span(number, "rows"), is_kept=False) as own, own.open("wb") as file:
         for column in (*batch, item):
             column[order].astype(np.float64, copy=False).tofile(file)
     return position, np.searchsorted(part[order], np.arange(job.parts + 1)).astype(np.int64)

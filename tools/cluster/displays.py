@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from core.batch import Ints
+from core.files import replacing
 from core.totals.accumulator import AMOUNTS, EDGES, Sums, Totals
 from core.totals.display_record import create_unknown_yields
 from core.totals.display_yield import DisplayYields
@@ -19,7 +20,6 @@ from core.vehicles.fleet import UNKNOWN
 from tools.cluster.cleaning import END, count_columns, read_totals
 from tools.cluster.job import Job, read_arrays, read_rows, read_text, write_text
 from tools.cluster.ordering import Ordering
-from tools.cluster.task_files import replacing
 
 RIDES_AT_A_TIME: Final = 4000
 """Number of rides that are learned from at a time."""
@@ -124,7 +124,7 @@ def learn_displays(job: Job, ordering: Ordering, width: int, sizes: Mapping[str,
         if place < AFTER_ALL:
             displays.apply_daily_update(kind_of_lane)
     for name, each in zip(("rides", "windows"), yields, strict=True):
-        with replacing(job.of_run(f"{name}.displays")) as own:
+        with replacing(job.of_run(f"{name}.displays"), is_kept=False) as own:
             each.tofile(own)
     _write_names(job, ordering, rides)
     return [*rides.cut(job, "rides", sizes["rides"]), *windows.cut(job, "windows", sizes["windows"])]

@@ -14,12 +14,12 @@ from xxhash import xxh3_64_intdigest
 from core import effects, models
 from core.batch import Batch, Floats
 from core.cleaning.elevation_map import ElevationMap
+from core.files import replacing
 from core.settings import Settings
 from core.totals.context import Model
 from core.vehicles import add_vehicles
 from stream.elevation_files import open_elevation
 from stream.mcap_reader import McapSource
-from tools.cluster.task_files import replacing
 from tools.terminal.vehicle_files import load_vehicle_file
 
 COLUMNS: Final = (*Batch._fields, "item")
@@ -92,7 +92,7 @@ def open_recording(path: Path, size: int) -> McapSource:  # noqa: ARG001 - a fil
 
 def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
     """Write arrays to a file."""
-    with replacing(path) as own, own.open("wb") as file:
+    with replacing(path, is_kept=False) as own, own.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
@@ -123,7 +123,11 @@ def read_rows(path: Path, width: int, start: int, stop: int) -> Floats:
 def write_text(path: Path, columns: Mapping[str, Sequence[str | None]]) -> None:
     """Write columns of text to a file."""
     table = pa.table({name: pa.array(values, pa.string()) for name, values in columns.items()})
-    with replacing(path) as own, pa.OSFile(str(own), "wb") as sink, pa.ipc.new_file(sink, table.schema) as writer:
+    with (
+        replacing(path, is_kept=False) as own,
+        pa.OSFile(str(own), "wb") as sink,
+        pa.ipc.new_file(sink, table.schema) as writer,
+    ):
         writer.write_table(table)
 
 

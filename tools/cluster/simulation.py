@@ -13,9 +13,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
+from core.files import replacing
 from stream.mcap_writer import McapSink
 from stream.recording_metadata import list_changed_settings, make_metadata
-from tools.cluster.task_files import replacing
 from tools.cluster.workers import Workers
 from tools.simulator.car_files import CarFile, CarWriter, ShiftTruth, merge_cars, order_shifts, plan_merge
 from tools.simulator.fleet import PreparedFleet, describe_fleet, drive_car, make_fleet_sky, make_members
@@ -83,7 +83,7 @@ def write_car(simulation: Simulation, factors: tuple[float, ...], number: int, s
     fleet = _prepare(simulation, factors)
     member, path = fleet.members[number], scratch / f"car-{number:06d}"
     own, shifts = Truth(factors=fleet.name_factors(), faults={fleet.members[number].name: Counter()}), []
-    with replacing(path) as part, _without_garbage_collection():
+    with replacing(path, is_kept=False) as part, _without_garbage_collection():
         writer = CarWriter(part)
         for messages in drive_car(fleet, member, own):
             writer.write(messages)

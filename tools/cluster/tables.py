@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from core.cleaning.quality import CAUSES
+from core.totals.logger_faults import LoggerFaults, add_faults
 from stream.mcap_reader import McapSource
 from tools.cluster.cleaning import PartCounts, clean_part
 from tools.cluster.decoding import SPAN_BYTES, Span, decode_span, plan_spans
@@ -98,7 +99,7 @@ def make_tables(
         file.unlink()
     _, width = make_context(job)
     slices = learn_displays(job, ordering, width, ROWS)
-    written: list[tuple[int, Counter[str], Counter[str]]] = []
+    written: list[tuple[int, Counter[str], Counter[str], LoggerFaults]] = []
     tasks = [(job, _name_file(out, piece.name, piece.number), piece) for piece in slices]
     for name in ROWS:
         _clear_folder(out / f"{name}.parquet")
@@ -144,15 +145,16 @@ def _count(
     ordering: Ordering,
     parts: Sequence[PartCounts],
     rides: int,
-    written: Sequence[tuple[int, Counter[str], Counter[str]]],
+    written: Sequence[tuple[int, Counter[str], Counter[str], LoggerFaults]],
 ) -> dict[str, Any]:
     """Return the counters of a run."""
     received, rejected = ordering.received, ordering.rejected
     for part in parts:
         received.update(part.received)
         rejected.update(part.rejected)
-    unfit, unpredicted = Counter[str](), Counter[str]()
-    for _, why_unfit, why_unpredicted in written:
+    unfit, unpredicted, faults = Counter[str](), Counter[str](), LoggerFaults()
+    for _, why_unfit, why_unpredicted, more_faults in written:
+        add_faults(faults, more_faults)
         unfit.update(why_unfit)
         unpredicted.update(why_unpredicted)
     samples = [sum(counts) for counts in zip(*(part.samples for part in parts), strict=True)]
@@ -167,6 +169,7 @@ def _count(
         "rides": rides,
         "unfit": dict(unfit),
         "unpredicted": dict(unpredicted),
+        "logger_faults": {name: dict(cars) for name, cars in faults.items()},
         "unpredictable": dict(ordering.cars.unpredictable),
         "unknown_models": ordering.cars.group_unknown(ordering.lanes.names),
     }

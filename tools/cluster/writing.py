@@ -5,19 +5,18 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-import pandas as pd
 
 from core.pipeline import Pipeline
 from core.settings import BOUNDS_OF_LIMITS, Limits
 from core.totals.context import RunContext
 from core.totals.display_record import DISPLAY_YIELD
+from core.totals.logger_faults import LoggerFaults
 from core.totals.run_counters import RunCounters
 from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
 from tools.cluster.cleaning import count_columns, read_totals
 from tools.cluster.displays import Slice
 from tools.cluster.job import Job, load_surroundings, read_rows, read_text
 from tools.cluster.ordering import Shared
-from tools.cluster.task_files import replacing
 from tools.terminal.parquet_table import ParquetTable
 
 _MOST = Limits(vehicles=BOUNDS_OF_LIMITS["vehicles"][1], vehicle_models=BOUNDS_OF_LIMITS["vehicle_models"][1])
@@ -33,7 +32,7 @@ def make_context(job: Job) -> tuple[RunContext, int]:
     return pipeline.context, pipeline.accumulator.width
 
 
-def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], Counter[str]]:
+def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], Counter[str], LoggerFaults]:
     """Write a file of a table.
 
     Parameters
@@ -48,6 +47,8 @@ def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], C
     rows : int
     unfit, unpredicted : Counter of str
         Rides by why they are unfit for training, and by why they are not predicted; empty for windows.
+    faults : LoggerFaults
+        Faults of loggers by car; empty for windows.
     """
     context, width = make_context(job)
     columns = count_columns(width)
@@ -73,13 +74,6 @@ def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], C
         table = tabulate_rides(totals, names, drivers, context)
     else:
         table = tabulate_windows(totals, context)
-    _write(table, out)
-    return len(table), counters.unfit, counters.unpredicted
-
-
-def _write(table: pd.DataFrame, out: Path) -> None:
-    """Write a table to a Parquet file."""
-    with replacing(out) as own:
-        file = ParquetTable(own)
+    with ParquetTable(out) as file:
         file.append(table)
-        file.close()
+    return len(table), counters.unfit, counters.unpredicted, counters.faults

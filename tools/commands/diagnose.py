@@ -22,6 +22,7 @@ from core.diagnose.siblings.groups import read_groups
 from core.effects.road_load import ROAD_LOAD
 from core.errors import ModelError, SettingsError
 from core.evaluate.paper.results import to_json_values
+from core.files import write_whole
 from core.fit.measured_rows import join_tables
 from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from core.fit.ride_blocks import get_names
@@ -398,7 +399,7 @@ def _write_suggestion(result: dict[str, Any], path: Path | None) -> str | None:
     if not (path and text):
         return None
     try:
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text.encode())
     except OSError as error:
         raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in another folder") from error
     return str(path)

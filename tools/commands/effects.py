@@ -11,6 +11,7 @@ from core import effects
 from core.columns import SIGNALS
 from core.effects import Effect, Parameter
 from core.errors import SettingsError
+from core.files import write_whole
 from core.formatting import everyday
 from tools.terminal.effect_template import blank, from_effect
 from tools.terminal.output import EffectFiles, JsonFile, check_outputs, make_console, write_json
@@ -116,7 +117,7 @@ def new_file(
     content = blank(name) if origin is None else from_effect(effects.get(origin), name)
     check_outputs((), file)
     try:
-        file.write_text(content, encoding="utf-8")
+        write_whole(file, content.encode())
     except OSError as error:
         raise SettingsError(f"{file} cannot be written: {error.strerror}; name a file in another folder") from error
     message = f"{file} holds the effect {name}. Edit it, then: socast effects check {file}"

@@ -30,7 +30,14 @@ from tools.terminal.forecast_run import run_forecasts
 from tools.terminal.live_table import add_predictions, make_ride_records, show_rides
 from tools.terminal.model_comparison import load_models, make_records, show_models
 from tools.terminal.output import JsonFile, check_outputs, make_console, parse_speed, write_json
-from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
+from tools.terminal.recordings import (
+    Recordings,
+    open_recordings,
+    refuse_unusable,
+    show_progress,
+    warn_of_loggers,
+    warn_of_losses,
+)
 from tools.terminal.shift_outcomes import ShiftOutcomes, show_outcomes
 
 SUBSCRIBER_S = 10.0
@@ -157,6 +164,7 @@ def _forecast(
     if layout:
         console.print(f"layout for Foxglove in {layout}", markup=False, highlight=False, soft_wrap=True)
     warn_outside(quality)
+    warn_of_loggers(quality)
 
 
 def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], stop: Event, endpoint: str) -> None:

@@ -35,7 +35,14 @@ from tools.terminal.output import (
     write_json,
 )
 from tools.terminal.parquet_table import ParquetTable
-from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
+from tools.terminal.recordings import (
+    Recordings,
+    open_recordings,
+    refuse_unusable,
+    show_progress,
+    warn_of_loggers,
+    warn_of_losses,
+)
 from tools.terminal.rich_table import Column, make_table
 from tools.terminal.table_files import read as read_tables
 
@@ -102,9 +109,8 @@ def tables(
         if json_file:
             kept.append(ended)
 
-    tabulate(sources, pipeline, write)
-    rides.close()
-    windows.close()
+    with rides, windows:
+        tabulate(sources, pipeline, write)
     ended = pd.concat(kept) if json_file else pd.DataFrame()
     _finish(sources, pipeline.quality(), rides.rows, windows.rows, folder, json_file, ended)
 
@@ -128,6 +134,7 @@ def _finish(
     console = make_console(json_file)
     show(quality, rides, windows, folder, console)
     warn_outside(quality)
+    warn_of_loggers(quality)
     warn_of_losses(sources)
 
 

@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from core.errors import CatalogueError, SettingsError
+from core.files import write_whole
 from core.vehicles import VehicleModel, is_drag_area_assumed, list_assumed, load_catalogue, read_data_sheets
 from core.wire.messages import IDENTITY
 from tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
@@ -66,7 +67,7 @@ def new_file(
     vehicles = read_data_sheets(text, str(file))
     check_outputs((), file)
     try:
-        file.write_text(text, encoding="utf-8")
+        write_whole(file, text.encode())
     except OSError as error:
         raise CatalogueError(f"{file} cannot be written: {error.strerror}; name another file") from error
     _show(vehicles, None)

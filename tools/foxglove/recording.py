@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from core.errors import RecordingError
+from core.files import write_whole
 from core.wire.messages import Message, address
 from stream.closeable import Closeable
 from stream.mcap_writer import McapSink
@@ -83,7 +84,7 @@ class FoxgloveRecording(Closeable):
         """
         text = json.dumps(make_layout(sorted(self._cars)), indent=2) + "\n"
         try:
-            path.write_text(text, encoding="utf-8")
+            write_whole(path, text.encode())
         except OSError as error:
             raise RecordingError(f"{path} cannot be written: {error.strerror}; make room") from error
 

@@ -14,6 +14,7 @@ from plotly.offline import get_plotlyjs
 from core.errors import SettingsError
 from core.evaluate.paper import published
 from core.evaluate.paper.results import to_json_values
+from core.files import write_whole
 from tools.report.cells import Cell, ReportTable, Row
 from tools.report.evaluation.illustrations import Illustration, build_illustrations
 from tools.report.evaluation.result import Result, get_mapping
@@ -68,7 +69,7 @@ def save(text: str, path: Path) -> None:
         Where the file cannot be written.
     """
     try:
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text.encode())
     except OSError as error:
         raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in an existing folder") from error
 

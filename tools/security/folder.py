@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from core.errors import SettingsError, suggest_names
+from core.files import replacing
 from stream.zenoh_session import parse_prefix
 from tools.security.access import CONSUMER, DISPATCH, GATEWAY, SERVICES, WEATHER, make_access_control
 from tools.security.certificates import Authority, Credential, Issued, now_utc, read_certificate
@@ -404,14 +405,13 @@ def _read_json(file: Path, missing: str) -> dict[str, Any]:
 
 def _write_new(file: Path, text: str, mode: int = 0o600) -> None:
     """Write a file that does not exist, for its owner only by default."""
+    if file.exists():
+        raise SettingsError(f"{file} is there already and is not overwritten; move it away")
     try:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-        with os.fdopen(descriptor, "w", encoding="utf-8") as out:
-            out.write(text)
-            out.flush()
-            os.fsync(out.fileno())
-    except FileExistsError as error:
-        raise SettingsError(f"{file} is there already and is not overwritten; move it away") from error
+        with replacing(file) as fresh:
+            descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+            with os.fdopen(descriptor, "w", encoding="utf-8") as out:
+                out.write(text)
     except OSError as error:
         raise SettingsError(f"{file} cannot be written: {error.strerror}; choose another folder") from error

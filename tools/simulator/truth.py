@@ -11,6 +11,7 @@ import numpy as np
 
 from core.batch import Floats
 from core.errors import SettingsError
+from core.files import write_whole
 from tools.simulator.calibration import EffectEnergies
 from tools.simulator.car_files import ShiftTruth
 from tools.simulator.cars import Car
@@ -240,7 +241,7 @@ class Truth:
             displays = ",\n  ".join(json.dumps(display) for display in self.displays)
             lines.append(f'"displays": [\n  {displays}\n]')
         try:
-            path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+            write_whole(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
         except OSError as error:
             raise SettingsError(f"{path} cannot be written: {error.strerror}; choose another place") from error
 

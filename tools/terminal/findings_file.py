@@ -43,7 +43,7 @@ def read_findings(path: Path) -> list[Finding]:
 
 
 def write_findings(path: Path, findings: Sequence[Finding]) -> None:
-    """Replace the file of findings atomically, so that a complete file exists at any time.
+    """Replace the file of findings as a whole.
 
     Parameters
     ----------
@@ -57,13 +57,7 @@ def write_findings(path: Path, findings: Sequence[Finding]) -> None:
     SettingsError
         If the file cannot be written.
     """
-    fresh = path.with_name(f".{path.name}.new")
-    write_json(fresh, "findings", {"findings": msgspec.to_builtins(list(findings))})
-    try:
-        fresh.replace(path)
-    except OSError as error:
-        fresh.unlink(missing_ok=True)
-        raise SettingsError(f"{path} cannot be written: {error.strerror}; name another file") from error
+    write_json(path, "findings", {"findings": msgspec.to_builtins(list(findings))})
 
 
 def show_changes(before: Sequence[Finding], after: Sequence[Finding], console: Console) -> None:

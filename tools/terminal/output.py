@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 
 from core.errors import SettingsError
+from core.files import write_whole
 
 STANDARD_OUTPUT: Final = Path("-")
 """The file name that means standard output."""
@@ -179,7 +180,7 @@ def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspe
         sys.stdout.flush()
         return
     try:
-        path.write_bytes(text)
+        write_whole(path, text)
     except OSError as error:
         raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in an existing folder") from error
 

@@ -1,16 +1,17 @@
 """Functions of all commands that read recordings: open recordings, show progress, and report losses."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from os.path import realpath
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from core.errors import RecordingError, SettingsError
+from core.totals.logger_faults import describe_faults
 from stream.mcap_reader import McapSource
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="MCAP recordings.", show_default=False)]
@@ -109,6 +110,18 @@ def show_progress(
     with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
         task = progress.add_task(words, total=sum(source.blocks for source in sources))
         yield lambda: progress.update(task, completed=sum(source.blocks_read for source in sources))
+
+
+def warn_of_loggers(quality: Mapping[str, Any]) -> None:
+    """Print one line on standard error for each fault of loggers: the cars and the remedy.
+
+    Parameters
+    ----------
+    quality : mapping
+        Counters of `core.pipeline.Pipeline.quality`.
+    """
+    for line in describe_faults(quality["logger_faults"]):
+        Console(stderr=True).print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
 
 def warn_of_losses(sources: Iterable[McapSource], console: Console | None = None) -> None:

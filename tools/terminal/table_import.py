@@ -6,6 +6,7 @@ from typing import NamedTuple
 from rich.console import Console
 
 from core.errors import ImportFileError, SettingsError
+from core.files import write_whole
 from tools.importers.table.column_map import FileFormat, parse_map, read_map
 from tools.importers.table.conversion import convert_tables, open_tables
 from tools.importers.table.guess import guess_map
@@ -148,7 +149,7 @@ def _guess(kind: str, files: list[Path], options: TableImport, preset: Preset | 
         console.print("the map is not kept; --map MAP.toml keeps it, so that you can correct it", markup=False)
         return content
     try:
-        map_file.write_bytes(content)
+        write_whole(map_file, content)
     except OSError as error:
         raise ImportFileError(f"{map_file} cannot be written: {error.strerror}; name another file") from error
     console.print(f"map in {map_file}: check it, then import with --map {map_file}", markup=False, soft_wrap=True)

@@ -15,6 +15,7 @@ import pandas as pd
 from core.batch import Floats
 from core.errors import ModelError
 from core.evaluate.binning import bin_rides
+from core.evaluate.paper.held_out import word_limited
 from core.evaluate.relative_errors import compute_relative_figures, compute_share_below_least
 from core.evaluate.ride_filter import find_exclusion_reasons, name_rides
 from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
@@ -121,7 +122,7 @@ def select_rides(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Comp
         clusters=assign_vehicle_days(kept),
         read=len(rides),
         left_out=left_out,
-        notes=_notes(kept, models),
+        notes=(*_notes(kept, models), *_list_limited(kept, models)),
     )
 
 
@@ -176,6 +177,12 @@ def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str,
     if "driver_id" not in rides or rides["driver_id"].isna().all():
         notes.append("drivers are unknown: errors are shown by vehicle, not by driver")
     return tuple(notes)
+
+
+def _list_limited(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> list[str]:
+    """Return a note on each model of which predictions stopped at its limit."""
+    counts = {label: model.count_limited(rides, model.predict(rides)) for label, model in models.items()}
+    return [f"{label}: {word_limited(count, len(rides))}" for label, count in counts.items() if count]
 
 
 def compare_predictions(compared: ComparedRides) -> dict[str, Any]:

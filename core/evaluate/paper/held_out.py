@@ -34,7 +34,7 @@ class HeldOutPredictions:
     overlap : float
         Number of tested rides over number of training rides.
     notes : tuple of str
-        Recipes that were left out, and why.
+        Recipes that were left out, and why; predictions that stopped at the limit of their model.
     """
 
     recipes: tuple[str, ...]
@@ -85,6 +85,8 @@ def select_comparable(by_recipe: Mapping[str, Sequence[Prediction]], rides: int)
                 notes.append(
                     f"{name}: no prediction for {missing / of:.2%} of the rides; no recipe is evaluated by these"
                 )
+            if limited := sum(p.limited for p in predictions):
+                notes.append(f"{name}: {word_limited(limited, of)}")
     repeats = len(next(iter(by_recipe.values()), ()))
     predicted = [
         np.all([~np.isnan(by_recipe[name][i].energy) for name in kept], axis=0) for i in range(repeats) if kept
@@ -103,6 +105,11 @@ def select_comparable(by_recipe: Mapping[str, Sequence[Prediction]], rides: int)
         overlap=float(np.mean([n / (rides - n) for n in tested])) if tested else np.nan,
         notes=tuple(notes),
     )
+
+
+def word_limited(limited: int, rides: int) -> str:
+    """Return that predictions stopped at the limit of their model."""
+    return f"{limited:,} of {rides:,} predictions are more than a ride can take, and count as the limit of the model"
 
 
 def compute_cell_means(held: HeldOutPredictions, evaluated: EvaluatedRides, values: Sequence[Floats]) -> Floats:

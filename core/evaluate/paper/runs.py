@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from core.batch import Floats
 from core.errors import SocastError
 from core.evaluate.ride_filter import EvaluatedRides
+from core.models import LinearModel
 from core.stats.splits import Positions, Split
 
 LEVEL: Final = 0.9
@@ -63,6 +64,8 @@ class Prediction(NamedTuple):
         Interval at `LEVEL`, where the model has one. [kWh]
     problem : str
         Reason why there is no prediction at all; otherwise empty.
+    limited : int
+        Number of predictions that stopped at the limit of the model, see `core.models.limit`.
     """
 
     rows: Positions
@@ -70,6 +73,7 @@ class Prediction(NamedTuple):
     lower: Floats | None = None
     upper: Floats | None = None
     problem: str = ""
+    limited: int = 0
 
 
 def fit_and_predict(recipe: EvaluatedRecipe, evaluated: EvaluatedRides, split: Split) -> Prediction:
@@ -81,10 +85,11 @@ def fit_and_predict(recipe: EvaluatedRecipe, evaluated: EvaluatedRides, split: S
         model = recipe.fit(evaluated.rides.iloc[split.train])
         test_rides = evaluated.drop_answers().iloc[split.test]
         energy = np.asarray(model.predict(test_rides), dtype=np.float64)
+        limited = model.count_limited(test_rides, energy) if isinstance(model, LinearModel) else 0
         if getattr(model, "interval", None) is None:
-            return Prediction(split.test, energy)
+            return Prediction(split.test, energy, limited=limited)
         lower, upper = model.predict_interval(test_rides, LEVEL)  # type: ignore[attr-defined]
-        return Prediction(split.test, energy, np.asarray(lower), np.asarray(upper))
+        return Prediction(split.test, energy, np.asarray(lower), np.asarray(upper), limited=limited)
     except SocastError as error:
         return Prediction(split.test, np.full(len(split.test), np.nan), problem=str(error))
 

@@ -112,7 +112,7 @@ def test_time_advances_by_the_period_over_missing_and_huge_stamps(seq):
     assert clean.dt.sum() == pytest.approx(PERIOD * (N - 1), abs=1.0)
 
 
-@pytest.mark.parametrize("step", [4.0, 20.0, 500.0, 3e7, -4.0, -20.0, -500.0, -3e7])
+@pytest.mark.parametrize("step", [4.0, 20.0, 500.0, -4.0, -20.0, -500.0, -3e7])
 @pytest.mark.parametrize("sd", [0.0, 0.3])
 def test_clock_that_is_set_while_the_counter_runs_keeps_the_duration(step, sd):
     columns = jittered(sd, 2)

@@ -5,7 +5,8 @@ from datetime import UTC, datetime
 from typing import Final
 
 from core.errors import ImportFileError
-from tools.importers.table.agreement import CarSums, Check, check_agreement
+from tools.importers.table.agreement import Check, check_agreement
+from tools.importers.table.agreement_sums import CarSums
 from tools.importers.table.column_map import GUESSED_ORIGIN, ColumnMap
 from tools.importers.table.row_reader import RowReader
 from tools.importers.table.table_file import TableFile

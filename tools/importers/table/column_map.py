@@ -19,6 +19,7 @@ from tools.importers.table.sampling import (
     LONGEST_HOLD,
     LONGEST_PERIOD,
     SHORTEST_PERIOD,
+    STAND,
     Sampling,
     find_holds,
 )
@@ -43,6 +44,7 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
         "prefix": str,
         "model": str,
         "models": dict,
+        "inverted": list,
         "nominal_voltage_v": (int, float),
     },
     "time": {
@@ -55,7 +57,8 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
         "origin_from_file_name": str,
     },
     "ride": {"column": str, "from_file_name": bool, "gap_s": (int, float)},
-    "rows": {"period_s": (int, float), "hold_s": (int, float)},
+    "parked": {"column": str, "values": list},
+    "rows": {"period_s": (int, float), "hold_s": (int, float), "on_change": bool, "silence_s": (int, float)},
     "long": {"name": str, "value": str},
     "fields": {},
 }
@@ -123,7 +126,7 @@ class TimeSource(NamedTuple):
 
 
 class VehicleSource(NamedTuple):
-    """Describe which car a row belongs to, and its model."""
+    """Describe which car a row belongs to, its model, and the cars whose current and power have the opposite sign."""
 
     column: str | None
     name: str | None
@@ -131,6 +134,7 @@ class VehicleSource(NamedTuple):
     model: str | None
     models: Mapping[str, str]
     nominal_voltage: float
+    inverted: frozenset[str] = frozenset()
 
 
 class RideSource(NamedTuple):
@@ -139,6 +143,16 @@ class RideSource(NamedTuple):
     column: str | None = None
     from_file_name: bool = False
     gap: float | None = None
+
+
+class ParkedSource(NamedTuple):
+    """Describe in which rows a car is parked, so that an unknown speed is 0: words of a column, in small letters.
+
+    An empty word stands for an empty cell.
+    """
+
+    column: str
+    words: frozenset[str]
 
 
 class FieldSource(NamedTuple):
@@ -167,6 +181,8 @@ class ColumnMap(NamedTuple):
         By the names of `FIELD_UNITS`.
     sampling : Sampling, optional
         How rows that carry only part of the fields become samples; None sends each row as it is.
+    parked : ParkedSource, optional
+        Rows in which the car is parked.
     """
 
     path: Path
@@ -177,6 +193,7 @@ class ColumnMap(NamedTuple):
     long: tuple[str, str] | None
     fields: Mapping[str, FieldSource]
     sampling: Sampling | None = None
+    parked: ParkedSource | None = None
 
     def list_required_columns(self) -> list[str]:
         """Return the columns that every file must have."""
@@ -185,6 +202,7 @@ class ColumnMap(NamedTuple):
     def list_columns(self) -> list[str]:
         """Return all columns that are read, each once."""
         names = self.list_required_columns() + [each.column for each in self.fields.values() if each.column is not None]
+        names += [self.parked.column] if self.parked else []
         return list(dict.fromkeys([*names, *(self.long or ())]))
 
 
@@ -266,6 +284,7 @@ class _MapReader:
             long,
             fields,
             self.read_rows(),
+            self.read_parked(),
         )
 
     def refuse(self, keys: tuple[str, ...], words: str) -> ImportFileError:
@@ -393,6 +412,7 @@ class _MapReader:
             table.get("model"),
             models,
             float(table.get("nominal_voltage_v", NOMINAL_VOLTAGE)),
+            frozenset(map(str, table.get("inverted", ()))),
         )
 
     def read_ride(self) -> RideSource:
@@ -405,6 +425,13 @@ class _MapReader:
         if gap is not None and not 1 <= gap <= 86400:
             raise self.refuse(("ride", "gap_s"), f"gap_s is {gap:g}, must be from 1 to 86400 s")
         return RideSource(table.get("column"), table.get("from_file_name", False), gap)
+
+    def read_parked(self) -> ParkedSource | None:
+        """Return in which rows the car is parked."""
+        if "parked" not in self.tables:
+            return None
+        words = frozenset(str(word).strip().lower() for word in self.need("parked", "values"))
+        return ParkedSource(self.need("parked", "column"), words)
 
     def read_rows(self) -> Sampling | None:
         """Return how rows become samples, None where each row is one as it is."""
@@ -422,8 +449,10 @@ class _MapReader:
         }
         if not table and not own:
             return None
-        usual = self.read_hold(table["hold_s"], ("rows", "hold_s")) if "hold_s" in table else HOLD
-        return Sampling(period, find_holds(usual) | own)
+        usual = STAND if table.get("on_change") else HOLD
+        usual = self.read_hold(table["hold_s"], ("rows", "hold_s")) if "hold_s" in table else usual
+        silence = self.read_hold(table.get("silence_s", HOLD), ("rows", "silence_s"))
+        return Sampling(period, find_holds(usual) | own, silence if table.get("on_change") else None)
 
     def read_hold(self, hold: float, where: tuple[str, ...]) -> float:
         """Return the age up to which a value stays known. [s]"""

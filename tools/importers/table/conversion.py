@@ -1,6 +1,7 @@
 """Convert tables to a recording: read, sort, make messages, and check whether the values agree."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,13 +11,14 @@ from core.errors import ImportFileError
 from core.vehicles import load_catalogue
 from stream.mcap_writer import MOST_CHANNELS, McapSink
 from stream.recording_metadata import make_metadata
-from tools.importers.table.agreement import AgreementSums
+from tools.importers.table.agreement_sums import AgreementSums
 from tools.importers.table.clock_checks import list_checks, refuse_overlap
 from tools.importers.table.column_map import ColumnMap
 from tools.importers.table.import_summary import ImportSummary, describe_missing
 from tools.importers.table.row_messages import RowMessages, join_signals
 from tools.importers.table.row_reader import RowReader
 from tools.importers.table.sampling import sample_rows
+from tools.importers.table.shared_stamps import LEFT_OUT, StampRule, spread_rows
 from tools.importers.table.skipped_files import SkippedFiles
 from tools.importers.table.table_file import TableFile, open_table
 from tools.importers.table.time_sort import sort_rows
@@ -99,7 +101,9 @@ def convert_tables(
     messages = RowMessages(columns, reader)
     try:
         with McapSink(out, metadata=make_metadata("import", settings=settings or {})) as sink:
-            for rows in _sample(sort_rows(_read_limited(reader, tables), out.resolve().parent), columns):
+            spread = _SpreadRows(reader)
+            sorted_rows = sort_rows(_read_limited(reader, tables), out.resolve().parent)
+            for rows in _sample(spread.iterate(sorted_rows), columns):
                 if not messages.samples:  # sorting has read all files
                     refuse_overlap(reader, columns)
                 sums.add(rows)
@@ -124,7 +128,7 @@ def convert_tables(
         cells=reader.cells,
         examples=reader.examples,
         decimal=tables[0].decimal,
-        notes=[*skipped.list_lines(opened), *_list_notes(tables, columns)],
+        notes=[*skipped.list_lines(opened), *spread.list_notes(), *_list_notes(tables, columns)],
         cars=cars,
         checks=list_checks(tables, columns, reader, cars, sums.span[1]),
     )
@@ -141,10 +145,45 @@ def _read_limited(reader: RowReader, tables: Sequence[TableFile]) -> Iterator[np
         yield block
 
 
+class _SpreadRows:
+    """Spread rows that share a stamp, and tell of how many."""
+
+    def __init__(self, reader: RowReader) -> None:
+        self.reader = reader
+        self.rules: dict[int, StampRule] = {}
+        self.counts: dict[int, int] = {}
+        self.left_out: dict[int, int] = {}
+
+    def iterate(self, blocks: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
+        """Yield rows in the order of time; the first block comes when all files are read."""
+        for first in blocks:
+            self.rules = self.reader.stamps.find_rules()
+            yield from spread_rows(chain([first], blocks), self.rules, self.counts, self.left_out)
+
+    def list_notes(self) -> list[str]:
+        """Return a line for each way of stamping."""
+        cars: dict[str, list[int]] = {}
+        for place, rule in self.rules.items():
+            cars.setdefault(rule.describe(), []).append(place)
+        return [
+            f"{sum(self.counts[place] for place in places):,} rows of {_name_cars(self.reader, places)} share stamps "
+            f"with others ({words}; write finer times, or a time for each row, for exact ones)"
+            for words, places in cars.items()
+        ] + [
+            f"left out: {sum(self.left_out.values()):,} rows with {LEFT_OUT}"
+            for _ in range(any(self.left_out.values()))
+        ]
+
+
+def _name_cars(reader: RowReader, places: Sequence[int]) -> str:
+    """Return the name of a car, or how many there are."""
+    return reader.vehicles[places[0]] if len(places) == 1 else f"{len(places)} cars"
+
+
 def _sample(blocks: Iterator[np.ndarray], columns: ColumnMap) -> Iterator[np.ndarray]:
     """Yield sorted rows as they are sent."""
     if columns.long or columns.sampling:
-        blocks = map(join_signals, blocks)
+        blocks = (join_signals(rows, columns.long is not None) for rows in blocks)
     return blocks if columns.sampling is None else sample_rows(blocks, columns.sampling)
 
 

@@ -15,6 +15,7 @@ from tools.importers.table.column_map import (
     TIME_UNITS,
     ColumnMap,
     FileFormat,
+    ParkedSource,
     RideSource,
     TimeSource,
     VehicleSource,
@@ -27,6 +28,7 @@ from tools.importers.table.presets import Preset, find_preset
 from tools.importers.table.row_messages import join_signals
 from tools.importers.table.row_reader import RowReader
 from tools.importers.table.sampling import Sampling, find_holds, sample_rows
+from tools.importers.table.shared_stamps import spread_rows
 from tools.importers.table.skipped_files import SkippedFiles
 from tools.importers.table.table_file import TableFile
 
@@ -34,8 +36,6 @@ MOST_FILES: Final = 8
 """Files from whose first blocks a map is guessed."""
 APART: Final = 30 * 86400.0
 """Time between the starts of files with clocks that start at 0, for the guess. [s]"""
-GAP: Final = 600.0
-"""Gap between rides, as of the cleaning. [s]"""
 
 
 class GuessedField(NamedTuple):
@@ -69,6 +69,10 @@ class GuessedMap(NamedTuple):
         How rows that carry only part of the fields become samples.
     preset : Preset, optional
         The export that the tables are.
+    inverted : tuple of str
+        Cars whose current and power have the opposite sign.
+    parked : (str, tuple of str), optional
+        Column and words of rows in which the car is parked.
     """
 
     time: GuessedTime
@@ -80,6 +84,8 @@ class GuessedMap(NamedTuple):
     left_out: Sequence[tuple[str, str]]
     rows: GuessedRows | None
     preset: Preset | None
+    inverted: tuple[str, ...] = ()
+    parked: tuple[str, tuple[str, ...]] | None = None
 
 
 def guess_map(
@@ -126,12 +132,19 @@ def guess_map(
             f"{tables[0].path}: no column looks like speed, charge or power; it has {listed}; write a map by hand, "
             "with the columns in [fields]"
         )
-    rows, sampling = _read_rows(sources, sources.time, blocks)
+    on_change = preset is not None and preset.on_change
+    rows, sampling, vehicles = _read_rows(sources, sources.time, blocks, on_change)
     known = {each.field: KnownUnit(each.unit, each.sign, each.reason) for each in sources.fields}
     units = guess_values(rows, known)
+    unresolved = sampling.unresolved if sampling else {}
     fields = [
-        GuessedField(each.field, each.column, each.signal, *units[each.field], each.true) for each in sources.fields
+        GuessedField(each.field, each.column, each.signal, *units[each.field][:3], each.true)
+        for each in sources.fields
+        if each.field not in unresolved
     ]
+    left_out = [*sources.left_out]
+    left_out += [(each.column or each.signal or "", unresolved[each.field]) for each in sources.fields if each.field in unresolved]
+    inverted = sorted({vehicles[place] for each in units.values() for place in each.other})
     is_per_file = sources.vehicle is None and len(tables) > 1 and sources.ride is not None
     return GuessedMap(
         sources.time,
@@ -140,9 +153,11 @@ def guess_map(
         is_per_file,
         sources.long,
         fields,
-        sources.left_out,
+        left_out,
         sampling,
         preset,
+        tuple(inverted),
+        sources.parked,
     )
 
 
@@ -156,8 +171,10 @@ def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles) -> Bl
     return blocks
 
 
-def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.ndarray, GuessedRows | None]:
-    """Return the rows as samples in the order of time, and how rows become samples."""
+def _read_rows(
+    sources: Sources, time: GuessedTime, blocks: Blocks, on_change: bool
+) -> tuple[np.ndarray, GuessedRows | None, list[str]]:
+    """Return the rows as samples in the order of time, how rows become samples, and the names of the cars."""
     car = VehicleSource(sources.vehicle, None, "", None, {}, NOMINAL_VOLTAGE)
     provisional = ColumnMap(
         Path("guess"),
@@ -167,6 +184,9 @@ def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.
         RideSource(),
         sources.long,
         {each.field: each.to_field_source() for each in sources.fields},
+        parked=ParkedSource(sources.parked[0], frozenset(word.lower() for word in sources.parked[1]))
+        if sources.parked
+        else None,
     )
     reader = RowReader(provisional)
     needed = set(provisional.list_required_columns())
@@ -179,12 +199,16 @@ def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.
         raise ImportFileError(
             f"{table.path}: none of its first {reader.rows:,} rows can be read ({found}); write a map by hand"
         )
-    rows = join_signals(rows[np.lexsort((rows["vehicle"], rows["time"]))])
-    sampling = guess_rows(rows)
+    for part in parts:
+        reader.stamps.add(part)
+    rows = rows[np.lexsort((rows["vehicle"], rows["time"]))]
+    rows = join_signals(np.concatenate(list(spread_rows([rows], reader.stamps.find_rules(), {}, {}))))
+    sampling = guess_rows(rows, on_change)
     if sampling is not None:
-        parts = list(sample_rows([rows], Sampling(sampling.period, find_holds(sampling.hold))))
+        holds = find_holds(sampling.hold) | dict(sampling.holds)
+        parts = list(sample_rows([rows], Sampling(sampling.period, holds, sampling.silence)))
         rows = np.concatenate(parts)
-    return rows, sampling
+    return rows, sampling, reader.vehicles
 
 
 def _to_time_source(time: GuessedTime) -> TimeSource:

@@ -11,6 +11,8 @@ OTHER_TIME: Final = "other time"
 """Role of a column that probably holds a time, used where no column of the role `TIME` does."""
 VEHICLE: Final = "vehicle"
 RIDE: Final = "ride"
+STATE: Final = "state"
+"""Role of a column that may say in words whether the car drives, is parked or charges."""
 SIGNAL: Final = "signal"
 VALUE: Final = "value"
 
@@ -96,6 +98,7 @@ _RULES: Final = (
     ),
     ("occupants", r"\b(occupants?|passengers|people)\b", ""),
     ("charging", r"\b(is )?charging( state)?\b|\bcharge state\b", _NO_STATE),
+    (STATE, r"^(vehicle |car |drive |driving |shift )?(state|status|mode)$|^gear( position| state)?$|^activity$", ""),
     (SIGNAL, r"^(signal|metric|diagnostic|variable|parameter|key|name)( (id|name))?$", ""),
     (VALUE, r"^(value|data|reading|val)$", ""),
 )

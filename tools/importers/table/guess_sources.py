@@ -1,7 +1,7 @@
 """Choose the columns or signals that fields of a map are read from: those of a preset first, then by their names."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -12,6 +12,7 @@ from tools.importers.table.guess_names import (
     OTHER_TIME,
     RIDE,
     SIGNAL,
+    STATE,
     TIME,
     VALUE,
     VEHICLE,
@@ -24,6 +25,20 @@ from tools.importers.table.table_file import Block, TableFile
 from tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
 
 Blocks = Sequence[tuple[TableFile, Block]]
+
+PARKED: Final = frozenset(
+    "p park parked parking asleep sleep sleeping offline off inactive suspended standby stopped standstill idle "
+    "complete completed plugged pluggedin chargecomplete".split()
+)
+CHARGES: Final = frozenset(
+    "charge charging chargingac chargingdc accharging dccharging fastcharging quickcharging supercharging "
+    "startingcharge".split()
+)
+DRIVES: Final = frozenset(
+    "d r n b drive driving reverse neutral moving motion inmotion trip ride online on active awake ready running "
+    "driven".split()
+)
+"""Words of a state, in small letters without spaces: parked, charging and neither."""
 
 
 class Source(NamedTuple):
@@ -60,6 +75,8 @@ class Sources(NamedTuple):
         One for each field.
     left_out : list of (str, str)
         Columns that are not read, with the reason.
+    parked : (str, tuple of str), optional
+        Column and words of rows in which the car is parked.
     """
 
     time: GuessedTime | None
@@ -68,6 +85,7 @@ class Sources(NamedTuple):
     long: tuple[str, str] | None
     fields: list[Source]
     left_out: list[tuple[str, str]]
+    parked: tuple[str, tuple[str, ...]] | None = None
 
 
 def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) -> Sources:
@@ -97,17 +115,22 @@ def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) 
         fields += [each for each in chosen if each.field not in taken]
         bare = choose_bare(names, blocks, {each.field for each in fields})
         fields += [Source(each.field, each.column, None, each.unit, reason=each.reason) for each in bare]
+    states = [each.name for each in roles.get(STATE, ())] if by_name else []
+    parked = _find_parked(preset, names, states, blocks)
+    if parked is not None and "charging" not in {each.field for each in fields}:
+        fields += _find_charging(parked[0], blocks)
     time = (_find_time_of_preset(preset, blocks) if preset else None) or _guess_clock(names, roles, blocks)
     vehicle, ride = (
         _find_filled([*given, *(each.name for each in roles.get(role, ()) if by_name or role == VEHICLE)], blocks)
         for role, given in ((VEHICLE, preset.vehicle if preset else ()), (RIDE, preset.ride if preset else ()))
     )
     read = {each.column for each in fields} | {vehicle, ride, *(long or ()), *(time.columns if time else ())}
+    read |= {parked[0]} if parked else set()
     left_out = [(name, why) for name, why in left_out if name not in read]
     unread = "its name says nothing" if by_name else "the preset does not read it"
-    known = read | ({each.name for each in named} if by_name else set())
+    known = read | ({each.name for each in named if each.role != STATE} if by_name else set())
     left_out += [(name, unread) for name in names if name not in known]
-    return Sources(time, vehicle, ride, long, fields, left_out)
+    return Sources(time, vehicle, ride, long, fields, left_out, parked)
 
 
 def _guess_clock(names: Sequence[str], roles: Mapping[str, list[NamedColumn]], blocks: Blocks) -> GuessedTime | None:
@@ -116,6 +139,31 @@ def _guess_clock(names: Sequence[str], roles: Mapping[str, list[NamedColumn]], b
     by_cells = [each for each in find_times(names, blocks) if each.name not in {one.name for one in named}]
     candidates = [*named, *by_cells]
     return guess_time(candidates, blocks) if candidates else None
+
+
+def _find_parked(
+    preset: Preset | None, names: Sequence[str], states: Sequence[str], blocks: Blocks
+) -> tuple[str, tuple[str, ...]] | None:
+    """Return the column that says in which rows the car is parked, and its words for it."""
+    if preset is not None and preset.parked is not None and preset.parked[0] in names:
+        return preset.parked
+    for name in states:
+        words = _list_signals(name, blocks)
+        plain = {_simplify(word) for word in words}
+        if plain and plain <= PARKED | CHARGES | DRIVES and plain & (PARKED | CHARGES):
+            return name, tuple(word for word in words if _simplify(word) in PARKED | CHARGES)
+    return None
+
+
+def _find_charging(column: str, blocks: Blocks) -> list[Source]:
+    """Return the source of the state of charging, if a column says so in words."""
+    true = tuple(word for word in _list_signals(column, blocks) if _simplify(word) in CHARGES)
+    return [Source("charging", column, None, None, true=true, reason="by its words")] if true else []
+
+
+def _simplify(word: str) -> str:
+    """Return the letters of a word, small."""
+    return "".join(letter for letter in word.lower() if letter.isalpha())
 
 
 def count_known(name: str, blocks: Blocks) -> int:

@@ -6,7 +6,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from core.batch import Floats
-from tools.importers.table.agreement import SUMS, AgreementSums, fit_mass
+from tools.importers.table.agreement_sums import AgreementSums, CarSums, sum_cars
+from tools.importers.table.sign_evidence import SignEvidence, judge_sign
 from tools.importers.table.units import FIELD_UNITS, POWER, Conversion, find_conversion
 
 NEAR: Final = 0.15
@@ -26,6 +27,17 @@ _COMPARISONS: Final = (
 """Field, the sum that its distance is compared with, and the field whose unit must be known for it."""
 
 
+_WITNESSES: Final = frozenset({"time", "vehicle", "speed_kmh", "soc_pct", "charging", "elevation_m"})
+"""Columns beside a power that say something of its sign."""
+_WORDS: Final = {
+    "acceleration": ("acceleration discharges the battery", "acceleration would charge the battery"),
+    "charge": ("the charge falls as energy is drawn", "the charge would rise as energy is drawn"),
+    "power at stops": ("stops discharge the battery", "stops would charge the battery"),
+    "energy per km": ("driving discharges the battery", "driving would charge the battery"),
+}
+"""Witness of a sign -> what it says of a right sign, and of an inverted one."""
+
+
 class KnownUnit(NamedTuple):
     """Hold what is known of a field before its values are seen: unit and sign, None where unknown, and the source."""
 
@@ -35,11 +47,12 @@ class KnownUnit(NamedTuple):
 
 
 class GuessedUnit(NamedTuple):
-    """Hold unit and sign of a field with the reasons for them."""
+    """Hold unit and sign of a field with the reasons for them, and the places of cars that have the other sign."""
 
     unit: str | None
     sign: int
     reasons: tuple[str, ...]
+    other: tuple[int, ...] = ()
 
 
 def guess_values(rows: np.ndarray, known: Mapping[str, KnownUnit]) -> dict[str, GuessedUnit]:
@@ -178,39 +191,51 @@ def _guess_by_distance(field: str, measured: str, rows: np.ndarray) -> str | Non
 def _guess_signs(
     rows: np.ndarray, found: Mapping[str, GuessedUnit], signs: Mapping[str, int | None]
 ) -> dict[str, GuessedUnit]:
-    """Return the current and the power with their signs, inverted where acceleration would charge the battery."""
-    inverted = {}
+    """Return the current and the power with their signs, inverted where the witnesses of most cars say so."""
+    judged = {}
     pairs = (("battery_current_a", "battery_voltage_v"), (POWER, POWER))
     for field, beside in pairs:
         if field not in found or (beside not in found and field != POWER):
             continue
-        names = [name for name in rows.dtype.names or () if name in {"time", "vehicle", "speed_kmh", field, beside}]
-        total = _sum(rows[names])
-        given = signs[field] or 1
-        sign, reason = _judge_sign(fit_mass(total), total, is_given=signs[field] is not None)
-        inverted[field] = found[field]._replace(sign=sign * given, reasons=(*found[field].reasons, reason))
-    return inverted
+        names = [name for name in rows.dtype.names or () if name in {*_WITNESSES, field, beside}]
+        evidence = {place: judge_sign(car) for place, car in _list_cars(rows[names]).items()}
+        known = [each.sign for each in evidence.values() if each.sign]
+        sign = -1 if sum(known) < 0 else 1
+        other = tuple(place for place, each in evidence.items() if each.sign == -sign)
+        reason = _explain_sign(list(evidence.values()), sign, is_given=signs[field] is not None)
+        judged[field] = found[field]._replace(
+            sign=sign * (signs[field] or 1), reasons=(*found[field].reasons, reason), other=other
+        )
+    return judged
 
 
-def _judge_sign(mass: float | None, total: Mapping[str, float], *, is_given: bool) -> tuple[int, str]:
-    """Return by what a power is multiplied so that driving discharges, and the reason."""
-    inverted = "sign inverted against the preset: with its sign, " if is_given else "sign inverted: as it stands, "
-    if mass is not None and abs(mass) > 100.0:
-        if mass < 0:
-            return -1, f"{inverted}acceleration would charge the battery"
-        return 1, "sign: acceleration discharges the battery"
-    if total["distance"] > 1000.0:
-        if total["energy"] < 0:
-            return -1, f"{inverted}driving would charge the battery"
-        return 1, "sign: driving discharges the battery"
+def _explain_sign(evidence: list[SignEvidence], sign: int, *, is_given: bool) -> str:
+    """Return why a sign was chosen."""
+    deciding = next((each for each in evidence if each.sign == sign), None)
+    if deciding is not None:
+        witness = (deciding.right if sign > 0 else deciding.inverted)[0]
+        does, would = _WORDS[witness]
+        if sign > 0:
+            return f"sign: {does}"
+        how = "against the preset: with its sign" if is_given else "as it stands"
+        return f"sign inverted {how}, {would}" if is_given else f"sign inverted: {how}, {would}"
+    contradiction = next((each for each in evidence if each.is_contradictory), None)
+    if contradiction is not None:
+        pro, con = " and ".join(contradiction.right), " and ".join(contradiction.inverted)
+        return f"sign not decided: {pro} for this sign, {con} against it; check it"
     if is_given:
-        return 1, "sign of the preset: too little driving to check"
-    return 1, "sign: too little driving to check; positive must mean discharging"
+        return "sign of the preset: too little driving to check"
+    return "sign: too little driving to check; positive must mean discharging"
+
+
+def _list_cars(rows: np.ndarray) -> dict[int, CarSums]:
+    """Return the sums of each car by its place."""
+    sums = AgreementSums()
+    sums.add(rows)
+    names = [str(place) for place in range(int(rows["vehicle"].max()) + 1)]
+    return {int(car.vehicle): car for car in sums.list_cars(names, {}, None)}
 
 
 def _sum(rows: np.ndarray) -> dict[str, float]:
     """Return the sums of all cars."""
-    sums = AgreementSums()
-    sums.add(rows)
-    cars = sums.list_cars([""] * (int(rows["vehicle"].max()) + 1), {}, None)
-    return {name: sum(car.sums[name] for car in cars) for name in SUMS}
+    return sum_cars(list(_list_cars(rows).values()))

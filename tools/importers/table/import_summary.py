@@ -8,7 +8,8 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.text import Text
 
-from tools.importers.table.agreement import CarSums, Check
+from tools.importers.table.agreement import Check
+from tools.importers.table.agreement_sums import CarSums
 from tools.importers.table.cells import suggest_decimal
 from tools.importers.table.column_map import has_power
 

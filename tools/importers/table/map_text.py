@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tools.importers.table.column_map import GUESSED_ORIGIN
-from tools.importers.table.guess import GAP, GuessedField, GuessedMap
+from tools.importers.table.guess import GuessedField, GuessedMap
 from tools.importers.table.table_file import TableFile
 from tools.importers.table.units import FIELD_UNITS, POWER
 from tools.terminal.rich_table import Column, make_table
@@ -15,6 +15,8 @@ from tools.terminal.rich_table import Column, make_table
 MOST_LEFT_OUT: Final = 40
 """Columns that are not read and are listed in a map."""
 
+RIDES: Final = "stops, charging and gaps end rides"
+"""How rides are found where no column names them."""
 MOST_NAMED: Final = 8
 """Columns that are not read and are named on the terminal."""
 
@@ -33,15 +35,24 @@ def write_map_text(guessed: GuessedMap, table: TableFile) -> str:
     lines += _write_file(table, guessed) + _write_vehicle(guessed, table) + _write_time(guessed) + _write_ride(guessed)
     if guessed.long:
         lines += ["[long]", f"name = {_quote(guessed.long[0])}", f"value = {_quote(guessed.long[1])}", ""]
+    if guessed.parked:
+        words = ", ".join(map(_quote, guessed.parked[1]))
+        lines += ["[parked]", f"column = {_quote(guessed.parked[0])}", f"values = [{words}]   # no speed: it is 0", ""]
     if guessed.rows:
         lines += [
             f"[rows]   # {guessed.rows.reason}",
             f"period_s = {guessed.rows.period:g}   # time between samples",
             f"hold_s = {guessed.rows.hold:g}   # age up to which a value stays known",
-            "",
         ]
+        if guessed.rows.silence is not None:
+            lines += [
+                "on_change = true   # values are known as long as the car stands, or other values of it arrive",
+                f"silence_s = {guessed.rows.silence:.3g}   # a driving car that sends nothing for longer is not known",
+            ]
+        lines.append("")
     lines.append("[fields]")
-    lines += [_write_field(each) for each in guessed.fields]
+    holds = guessed.rows.holds if guessed.rows else {}
+    lines += [_write_field(each, holds.get(each.field)) for each in guessed.fields]
     if guessed.left_out:
         lines += ["", "# Not read:"]
         lines += [f"#   {_quote(name)}: {why}" for name, why in guessed.left_out[:MOST_LEFT_OUT]]
@@ -54,9 +65,14 @@ def make_guess_table(guessed: GuessedMap) -> Table:
     time = guessed.time
     _add(table, "time", " + ".join(time.columns), time.unit or time.form or "", time.reason + _describe_zone(guessed))
     _add(table, "vehicle", guessed.vehicle or "", "", "by its name" if guessed.vehicle else _describe_vehicle(guessed))
-    _add(table, "ride", guessed.ride or "", "", "by its name" if guessed.ride else f"gaps of {GAP:g} s")
+    _add(table, "ride", guessed.ride or "", "", "by its name" if guessed.ride else RIDES)
     if guessed.rows:
         _add(table, "rows", "", f"every {guessed.rows.period:g} s", guessed.rows.reason)
+        for field, why in guessed.rows.unresolved.items():
+            _add(table, field, "", "not read", why)
+    if guessed.parked:
+        words = ", ".join(word or "empty" for word in guessed.parked[1])
+        _add(table, "parked", guessed.parked[0], words, "no speed is sent then: it is 0")
     for each in guessed.fields:
         unit = f"{each.unit or ''}{', sign inverted' if each.sign < 0 else ''}"
         _add(table, each.field, each.column or each.signal or "", unit, "; ".join(each.reasons))
@@ -130,6 +146,9 @@ def _write_vehicle(guessed: GuessedMap, table: TableFile) -> list[str]:
         source = "from_file_name = true"
     else:
         source = f"name = {_quote(table.stem)}"
+    if guessed.inverted:
+        names = ", ".join(map(_quote, guessed.inverted))
+        source += f"\ninverted = [{names}]   # cars whose current and power have the opposite sign"
     return ["[vehicle]", source, '# model = "nissan-leaf-2013"   # key of the vehicle catalogue', ""]
 
 
@@ -156,11 +175,10 @@ def _write_time(guessed: GuessedMap) -> list[str]:
 
 def _write_ride(guessed: GuessedMap) -> list[str]:
     """Return the table of the rides."""
-    source = f"column = {_quote(guessed.ride)}" if guessed.ride else f"gap_s = {GAP:g}"
-    return ["[ride]", source, ""]
+    return ["[ride]", f"column = {_quote(guessed.ride)}", ""] if guessed.ride else []
 
 
-def _write_field(each: GuessedField) -> str:
+def _write_field(each: GuessedField, hold: float | None) -> str:
     """Return the line of a field."""
     where = f"column = {_quote(each.column)}" if each.column is not None else f"signal = {_quote(each.signal or '')}"
     parts = [where]
@@ -170,6 +188,8 @@ def _write_field(each: GuessedField) -> str:
         parts.append(f"true = [{', '.join(map(_quote, each.true))}]")
     if each.sign < 0 or each.field in {"battery_current_a", POWER}:
         parts.append(f"sign = {each.sign}")
+    if hold is not None:
+        parts.append(f"hold_s = {hold:.4g}")
     comment = f"   # {'; '.join(each.reasons)}" if each.reasons else ""
     return f"{each.field} = {{ {', '.join(parts)} }}{comment}"
 

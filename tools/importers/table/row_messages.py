@@ -9,10 +9,11 @@ from core.batch import Floats, Ints
 from core.vehicles import load_catalogue
 from core.vehicles.catalogue import OVERRIDES
 from core.vehicles.data_sheet import OF_SHEET
-from core.wire.messages import Message, Telemetry, Vehicle, encode
+from core.wire.messages import Message, Ride, Telemetry, Vehicle, encode
 from tools.importers.drive import DECIMALS, make_message
 from tools.importers.table.column_map import ColumnMap
 from tools.importers.table.row_reader import RowReader
+from tools.importers.table.shared_stamps import number_in_stamp
 from tools.importers.table.units import POWER
 
 DECIMALS_OF_TABLES: Final = {**DECIMALS, "odometer_km": 4}
@@ -23,6 +24,10 @@ OFF_GRID: Final = 0.25
 """Deviation of a time between two rows from whole periods from which it is irregular. [periods]"""
 MOST_OFF_GRID: Final = 0.3
 """Largest share of irregular times of a log with a period. [1]"""
+SAME: Final = 0.1
+"""Ratio by which two successive times between rows may differ and be the same. [1]"""
+MOST_CHANGED: Final = 0.05
+"""Largest share of times between rows that equal the one before and are not the period, of a log with one period."""
 _FIELDS: Final = tuple(Telemetry.__struct_fields__[4:])  # after vehicle, time, ride and counter
 
 
@@ -47,7 +52,6 @@ class RowMessages:
         self.samples = 0
         self._announced: set[int] = set()
         self._last: dict[int, float] = {}
-        self._ride_numbers: dict[int, int] = {}
 
     def make(self, rows: np.ndarray) -> list[Message]:
         """Return the messages of rows.
@@ -57,19 +61,23 @@ class RowMessages:
         rows : structured array
             Rows in the order of time, after those of the calls before.
         """
-        rides = self._name_rides(rows)
+        rides, before = self._name_rides(rows), self._find_gaps(rows)
         columns = _make_wire_columns(rows, self.map.vehicle.nominal_voltage)
         stamps = np.round(rows["time"], 3).tolist()
         wire = [columns.get(name, repeat(None)) for name in _FIELDS]
         names, messages = self.reader.vehicles, []
-        for place, stamp, ride, *values in zip(rows["vehicle"].tolist(), stamps, rides, *wire, strict=False):
+        for place, stamp, last, ride, *values in zip(
+            rows["vehicle"].tolist(), stamps, before, rides, *wire, strict=False
+        ):
             if place not in self._announced:
                 self._announced.add(place)
                 is_regular = has_period(rows["time"][rows["vehicle"] == place])
                 messages += self._announce(names[place], stamp, None if is_regular else 0.0)
-            vehicle = names[place]
+            vehicle, receipt = names[place], round(stamp * 1000) * 1_000_000
+            if last is not None:
+                messages += _divide_rides(vehicle, last, stamp, receipt)
             sample = Telemetry(vehicle, stamp, ride, None, *values)
-            messages.append(Message(f"fleet/{vehicle}/telemetry", encode(sample), round(stamp * 1000) * 1_000_000))
+            messages.append(Message(f"fleet/{vehicle}/telemetry", encode(sample), receipt))
         self.samples += len(rows)
         return messages
 
@@ -82,18 +90,33 @@ class RowMessages:
 
     def _name_rides(self, rows: np.ndarray) -> list[str | None]:
         """Return the ride of each row."""
+        names: list[str | None] = [*self.reader.rides, None]
+        return [names[place] for place in rows["ride"].tolist()]
+
+    def _find_gaps(self, rows: np.ndarray) -> list[float | None]:
+        """Return for each row the time of the last row before it, where a gap of the map lies between, else None."""
         if self.map.ride.gap is None:
-            names: list[str | None] = [*self.reader.rides, None]
-            return [names[place] for place in rows["ride"].tolist()]
-        numbers = np.ones(len(rows), "i8")
+            return [None] * len(rows)
+        found = np.full(len(rows), None, object)
         for vehicle in np.unique(rows["vehicle"]).tolist():
             at = np.flatnonzero(rows["vehicle"] == vehicle)
             times = rows["time"][at]
             before = np.append(self._last.get(vehicle, times[0]), times[:-1])
-            numbers[at] = self._ride_numbers.get(vehicle, 1) + np.cumsum(times - before > self.map.ride.gap)
-            self._last[vehicle], self._ride_numbers[vehicle] = float(times[-1]), int(numbers[at[-1]])
-        names_of = self.reader.vehicles
-        return [f"{names_of[v]}-{n}" for v, n in zip(rows["vehicle"].tolist(), numbers.tolist(), strict=True)]
+            is_gap = times - before > self.map.ride.gap
+            found[at[is_gap]] = before[is_gap]
+            self._last[vehicle] = float(times[-1])
+        return list(found)
+
+
+def _divide_rides(vehicle: str, last: float, stamp: float, receipt: int) -> list[Message]:
+    """Return the end of the ride before a gap and the start of the next one.
+
+    A ride that the samples named would last over stops and charging, which end rides without names.
+    """
+    return [
+        make_message(f"fleet/{vehicle}/ride", Ride(vehicle, time, vehicle, event))._replace(receipt_ns=receipt)
+        for time, event in ((last, "end"), (stamp, "start"))
+    ]
 
 
 def has_period(times: Floats) -> bool:
@@ -108,13 +131,21 @@ def has_period(times: Floats) -> bool:
     --------
     >>> has_period(np.array([0.0, 1.1, 2.0, 2.9, 6.0, 7.0])), has_period(np.array([0.0, 1.0, 1.5, 9.0, 11.0, 20.0]))
     (True, False)
+
+    A log of which parts have another period has none, although all times are multiples of the shortest one.
+
+    >>> has_period(np.append(np.arange(0.0, 300.0, 15.0), np.arange(300.0, 1200.0, 60.0)))
+    False
     """
     steps = np.diff(times)
-    steps = steps[(steps > 0.0) & (steps <= LONGEST_STEP)]
+    steps = steps[(steps > 0.0) & (steps <= LONGEST_STEP * 1.5)]
     if not len(steps):
         return True
     periods = steps / np.median(steps)
-    return bool(np.mean(np.abs(periods - np.maximum(np.round(periods), 1.0)) > OFF_GRID) <= MOST_OFF_GRID)
+    off_grid = np.abs(periods - np.maximum(np.round(periods), 1.0)) > OFF_GRID
+    is_double = np.abs(periods[1:] - 1.0) > OFF_GRID
+    changed = is_double & (np.abs(np.diff(periods)) <= SAME * periods[1:])
+    return bool(np.mean(off_grid) <= MOST_OFF_GRID) and float(changed.mean() if len(changed) else 0.0) <= MOST_CHANGED
 
 
 def introduce_vehicle(vehicle: str, time_s: float, model: str, period_s: float | None = None) -> Message:
@@ -137,17 +168,25 @@ def introduce_vehicle(vehicle: str, time_s: float, model: str, period_s: float |
     return make_message(f"fleet/{vehicle}/vehicle", Vehicle(vehicle, time_s, model, period_s=period_s, **figures))
 
 
-def join_signals(rows: np.ndarray) -> np.ndarray:
+def join_signals(rows: np.ndarray, is_long: bool = True) -> np.ndarray:
     """Return rows of which those of one car and one time are joined into one.
 
     Parameters
     ----------
     rows : structured array
-        Rows in the order of time and vehicle. Of several values of a field, the largest remains.
+        Rows in the order of time and vehicle.
+    is_long : bool
+        Whether each row holds one signal. Of several values of a field, the largest then remains. Rows of any other
+        table are joined only where they hold different fields, as two values of a field are two measurements.
     """
     if len(rows) < 2:
         return rows
     new = np.append(True, (np.diff(rows["time"]) > 0) | (np.diff(rows["vehicle"]) != 0))
+    if not is_long and not new.all():
+        places = number_in_stamp(rows, np.flatnonzero(new))
+        order = np.lexsort((places, rows["vehicle"], rows["time"]))
+        rows, places = rows[order], places[order]
+        new |= np.append(True, np.diff(places) != 0)
     starts = np.flatnonzero(new)
     joined = rows[starts].copy()
     for name in rows.dtype.names or ():

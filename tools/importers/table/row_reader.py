@@ -16,9 +16,11 @@ from core.wire.messages import LONGEST_TEXT, join_chunks
 from tools.importers.table.cells import suggest_decimal, to_bools, to_numbers
 from tools.importers.table.column_map import ColumnMap, FieldSource
 from tools.importers.table.row_times import TimeReader
+from tools.importers.table.shared_stamps import StampStatistics
 from tools.importers.table.skipped_files import SkippedFiles
 from tools.importers.table.table_file import WRONG_WIDTH, Block, TableFile
 from tools.importers.table.time_overlaps import TimeSpans
+from tools.importers.table.units import POWER
 
 Bools = NDArray[np.bool_]
 
@@ -63,6 +65,8 @@ class RowReader:
         Cells that hold no number where one belongs, by column and first such text; their rows are kept.
     spans : TimeSpans
         Times that each file covers.
+    stamps : StampStatistics
+        How many rows share a stamp.
     """
 
     def __init__(self, columns: ColumnMap, skipped: SkippedFiles | None = None) -> None:
@@ -76,7 +80,7 @@ class RowReader:
         self.dtype = np.dtype(
             [("time", "f8"), ("vehicle", "i4"), ("ride", "i4"), *((name, "f8") for name in columns.fields)]
         )
-        self.spans = TimeSpans()
+        self.spans, self.stamps = TimeSpans(), StampStatistics()
         self._places: dict[str, dict[str, int]] = {"vehicle": {}, "ride": {}}
         self._times = TimeReader(columns.time)
 
@@ -88,6 +92,7 @@ class RowReader:
                 for block in table.iterate_blocks(self.map.list_columns(), self.causes):
                     rows = self.convert(table, block)
                     self.spans.add(str(table.path), rows)
+                    self.stamps.add(rows)
                     yield rows
             if table.path in self.skipped.rows:
                 self.skipped.rows[table.path] = self.rows - before
@@ -122,7 +127,28 @@ class RowReader:
             rows[name] = self._read_field(table, block, name, source, count)
             has_value |= np.isfinite(rows[name])
         self._drop(keep, ~has_value, NO_VALUE)
+        self._invert(rows)
+        self._stop_parked(block, rows)
         return rows[keep]
+
+    def _invert(self, rows: np.ndarray) -> None:
+        """Turn the sign of current and power of the cars that the map names."""
+        places = [place for place, name in enumerate(self.vehicles) if name in self.map.vehicle.inverted]
+        if places:
+            turned = np.isin(rows["vehicle"], places)
+            for name in {"battery_current_a", POWER} & set(rows.dtype.names or ()):
+                rows[name][turned] *= -1.0
+
+    def _stop_parked(self, block: Block, rows: np.ndarray) -> None:
+        """Set an unknown speed to 0 in rows in which the car is parked."""
+        source = self.map.parked
+        if source is None or source.column not in block or "speed_kmh" not in (rows.dtype.names or ()):
+            return
+        coded = pc.dictionary_encode(pc.cast(block[source.column], pa.string()))
+        words = [str(word).strip().lower() in source.words for word in coded.dictionary.to_pylist()]
+        parked = np.array([*words, "" in source.words])
+        places = pc.fill_null(coded.indices, len(words)).to_numpy(zero_copy_only=False)
+        rows["speed_kmh"][parked[places] & np.isnan(rows["speed_kmh"])] = 0.0
 
     def _drop(self, keep: Bools, wrong: Bools, cause: str) -> None:
         """Mark rows as unreadable, each under its first cause."""

@@ -5,7 +5,7 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
+from core.batch import Floats, Ints
 from tools.importers.table.units import POWER
 
 HOLD: Final = 30.0
@@ -14,6 +14,8 @@ VOLTAGE_HOLDS: Final = 10.0
 """Ratio of the age up to which a voltage stays known, which changes little, to that of a current. [1]"""
 SLOW_HOLD: Final = 1800.0
 """Age up to which a temperature, the number of occupants or the state of charging stays known. [s]"""
+STAND: Final = 600.0
+"""Time without any row for which the values of a standing car stay known, where values are sent on change. [s]"""
 LONGEST_HOLD: Final = 86400.0
 """Largest age that a map may state. [s]"""
 SHORTEST_PERIOD: Final = 0.1
@@ -27,6 +29,7 @@ SLOW: Final = ("battery_temperature_c", "ambient_c", "occupants", "charging")
 NOT_HELD: Final = ("latitude_deg", "longitude_deg", "elevation_m", "odometer_km", "soc_pct")
 """Fields that are sent only where a row has them: a value of before would say that the car stood still."""
 _KEYS: Final = ("time", "vehicle", "ride")
+_SPEED: Final = "speed_kmh"
 _VOLTAGE: Final = "battery_voltage_v"
 _CURRENT: Final = "battery_current_a"
 _Series = tuple[Floats, Floats]
@@ -41,10 +44,14 @@ class Sampling(NamedTuple):
         Time between two samples; None keeps the times of the rows. [s]
     holds : mapping of str to float
         Age of each field up to which its value stays known. [s]
+    silence : float, optional
+        For values that are sent on change: time without any row of a car after which its values are unknown unless it
+        stands, for which `STAND` holds. None where values are not sent on change. [s]
     """
 
     period: float | None
     holds: Mapping[str, float]
+    silence: float | None = None
 
 
 def find_holds(usual: float = HOLD) -> dict[str, float]:
@@ -86,9 +93,17 @@ class _Sampler:
     """Hold what the next rows need of those before."""
 
     def __init__(self, sampling: Sampling) -> None:
-        self.period, self.holds = sampling
+        self.period, self.holds, self.silence = sampling
         self._waiting: np.ndarray | None = None
         self._known: dict[int, dict[str, tuple[float, float]]] = {}
+        self._filled: dict[int, float] = {}
+        self._rides: dict[int, int] = {}
+        self._last: dict[int, tuple[float, float]] = {}  # time of the last row of a car, and until when it speaks
+
+    @property
+    def _fills(self) -> bool:
+        """Whether samples are made where a car has no row, because nothing changed."""
+        return self.silence is not None and self.period is not None
 
     def take(self, rows: np.ndarray) -> np.ndarray:
         """Return the samples that no later row changes."""
@@ -96,68 +111,145 @@ class _Sampler:
             return rows
         if self._waiting is not None:
             rows = np.concatenate([self._waiting, rows])
-        end = len(rows)
+        end, bound = len(rows), np.inf
         if self.period is not None:
-            end = int(np.searchsorted(rows["time"], np.floor(rows["time"][-1] / self.period) * self.period, "left"))
+            bound = float(np.floor(rows["time"][-1] / self.period))
+            end = int(np.searchsorted(rows["time"], bound * self.period, "left"))
         self._waiting = rows[end:].copy() if end < len(rows) else None
-        return self._convert(rows[:end])
+        return self._convert(rows[:end], bound)
 
     def finish(self) -> np.ndarray:
         """Return the samples of the rows that waited."""
         waiting, self._waiting = self._waiting, None
-        return np.zeros(0) if waiting is None else self._convert(waiting)
+        if waiting is None:
+            return np.zeros(0)
+        bound = np.floor(waiting["time"][-1] / self.period) + 1.0 if self.period is not None else np.inf
+        return self._convert(waiting, float(bound))
 
-    def _convert(self, rows: np.ndarray) -> np.ndarray:
-        """Return the samples of whole periods."""
+    def _convert(self, rows: np.ndarray, bound: float) -> np.ndarray:
+        """Return the samples of whole periods before a number of periods."""
+        vehicles = set(rows["vehicle"].tolist()) | (set(self._last) if self._fills else set())
         parts = [
-            self._convert_car(vehicle, rows[rows["vehicle"] == vehicle])
-            for vehicle in np.unique(rows["vehicle"]).tolist()
+            self._convert_car(vehicle, rows[rows["vehicle"] == vehicle], bound) for vehicle in sorted(vehicles)
         ]
         if not parts:
             return rows
         samples = np.concatenate(parts)
         return samples[np.lexsort((samples["vehicle"], samples["time"]))]
 
-    def _convert_car(self, vehicle: int, rows: np.ndarray) -> np.ndarray:
+    def _convert_car(self, vehicle: int, rows: np.ndarray, bound: float) -> np.ndarray:
         """Return the samples of one car."""
+        before = self._known.setdefault(vehicle, {})
+        series = {name: _prepend(before.get(name), rows, name) for name in rows.dtype.names or () if name not in _KEYS}
+        times, ends_at = self._find_ends(vehicle, rows, series)
         if self.period is None:
             samples, starts, ends = rows.copy(), rows["time"], rows["time"]
         else:
             ticks = np.floor(rows["time"] / self.period)
-            last = np.append(np.diff(ticks) > 0, True)
-            samples = rows[last].copy()
-            starts = ticks[last] * self.period
+            last = np.append(np.diff(ticks) > 0, True)[: len(rows)]
+            samples, ticks = rows[last].copy(), ticks[last]
+            if self._fills:
+                samples, ticks = self._fill(vehicle, samples, ticks, times, ends_at, bound)
+            starts = ticks * self.period
             ends = starts + self.period
             samples["time"] = starts + self.period / 2
-        before = self._known.setdefault(vehicle, {})
-        series = {name: _prepend(before.get(name), rows, name) for name in rows.dtype.names or () if name not in _KEYS}
-        for name, (times, values) in series.items():
-            samples[name] = self._sample(name, times, values, starts, ends)
-            if len(times):
-                before[name] = (float(times[-1]), float(values[-1]))
+        spoken = {name: _find_until(each[0], times, ends_at) for name, each in series.items()}
+        for name, (at, values) in series.items():
+            samples[name] = self._sample(name, at, values, spoken[name], starts, ends)
+            if len(at):
+                before[name] = (float(at[-1]), float(values[-1]))
+                if len(times) and spoken[name][-1] < times[-1]:  # the car was silent since
+                    del before[name]
         if self.period is not None and {_VOLTAGE, _CURRENT} <= series.keys():
-            samples[_CURRENT] = self._sample_current(series, samples[_VOLTAGE], samples[_CURRENT], starts, ends)
+            samples[_CURRENT] = self._sample_current(series, spoken, samples[_VOLTAGE], samples[_CURRENT], starts, ends)
+        if len(times) and self.silence is not None:
+            self._last[vehicle] = (float(times[-1]), float(ends_at[-1]))
+            self._rides[vehicle] = int(rows["ride"][-1]) if len(rows) else self._rides.get(vehicle, -1)
         return samples
 
+    def _find_ends(self, vehicle: int, rows: np.ndarray, series: Mapping[str, _Series]) -> tuple[Floats, Floats]:
+        """Return the times of rows, after the last one of before, and until when each says that nothing changed."""
+        if self.silence is None:
+            return np.zeros(0), np.zeros(0)
+        speeds = find_latest(*series.get(_SPEED, (np.zeros(0), np.zeros(0))), rows["time"], np.inf)
+        ends = rows["time"] + np.where(speeds == 0.0, max(STAND, self.silence), self.silence)
+        if vehicle not in self._last:
+            return rows["time"], ends
+        last, end = self._last[vehicle]
+        return np.append(last, rows["time"]), np.append(end, ends)
+
+    def _fill(
+        self, vehicle: int, samples: np.ndarray, ticks: Floats, times: Floats, ends: Floats, bound: float
+    ) -> tuple[np.ndarray, Floats]:
+        """Return samples and their numbers of periods with those between, as long as nothing changed."""
+        of_rows = np.floor(times / self.period)
+        last = np.append(np.diff(of_rows) > 0, True)
+        known, until = of_rows[last], np.minimum(np.floor(ends[last] / self.period), bound - 1.0)
+        until = np.minimum(until, np.append(known[1:], np.inf) - 1.0)
+        if (done := self._filled.get(vehicle)) is not None:
+            known = np.maximum(known, done)
+        counts = np.maximum(until - known, 0.0).astype("i8")
+        added = np.repeat(known, counts) + 1.0 + _count_up(counts)
+        self._filled[vehicle] = max(float(bound) - 1.0, float(of_rows[-1]))
+        if not len(added):
+            return samples, ticks
+        order = np.argsort(np.append(ticks, added), kind="stable")
+        filled = np.concatenate([samples, np.zeros(len(added), samples.dtype)])[order]
+        filled["vehicle"] = vehicle
+        of_row = np.where(order < len(samples), np.arange(len(order)), -1)
+        latest = np.maximum.accumulate(of_row)
+        filled["ride"] = np.where(latest >= 0, filled["ride"][latest], self._rides.get(vehicle, -1))
+        return filled, np.append(ticks, added)[order]
+
     def _sample_current(
-        self, series: Mapping[str, _Series], voltage: Floats, current: Floats, starts: Floats, ends: Floats
+        self,
+        series: Mapping[str, _Series],
+        spoken: Mapping[str, Floats],
+        voltage: Floats,
+        current: Floats,
+        starts: Floats,
+        ends: Floats,
     ) -> Floats:
         """Return the current that gives the mean power at the mean voltage."""
         times, amperes = series[_CURRENT]
         volts = find_latest(*series[_VOLTAGE], times, self.holds[_VOLTAGE])
         at = np.isfinite(volts)
-        power = self._sample(_CURRENT, times[at], (amperes * volts)[at], starts, ends)
+        power = self._sample(_CURRENT, times[at], (amperes * volts)[at], spoken[_CURRENT][at], starts, ends)
         return np.divide(power, voltage, out=current.copy(), where=np.isfinite(power) & (voltage > 0))
 
-    def _sample(self, name: str, times: Floats, values: Floats, starts: Floats, ends: Floats) -> Floats:
-        """Return the values of a field in periods."""
+    def _sample(
+        self, name: str, times: Floats, values: Floats, spoken: Floats, starts: Floats, ends: Floats
+    ) -> Floats:
+        """Return the values of a field in periods; `spoken` says until when a car without a later row speaks."""
         hold = self.holds[name]
         if self.period is None:
-            return find_latest(times, values, ends, hold)
-        latest = find_latest(times, values, ends, max(hold, self.period), "left")
+            return find_latest(times, values, ends, np.minimum(hold, spoken - times))
+        longest = np.minimum(max(hold, self.period), np.maximum(spoken - times, self.period))
+        latest = find_latest(times, values, ends, longest, "left")
         if name not in AVERAGED:
             return latest
-        return compute_held_means(times, values, starts, ends, max(hold, self.period), latest)
+        # a sender on change sends at most once a period: what changed since the last value did so within one
+        ramp = 0.0 if self.silence is None else self.period
+        return compute_held_means(times, values, starts, ends, longest, latest, ramp)
+
+
+def _find_until(at: Floats, times: Floats, ends: Floats) -> Floats:
+    """Return until when values at some times are known to be unchanged: to the first time a car is silent for long."""
+    if not len(times):
+        return np.full(len(at), np.inf)
+    silent = np.where(ends < np.append(times[1:], np.inf), ends, np.inf)
+    first = np.minimum.accumulate(silent[::-1])[::-1]
+    until: Floats = first[np.minimum(np.searchsorted(times, at, "left"), len(times) - 1)]
+    return until
+
+
+def _count_up(counts: Ints) -> Ints:
+    """Return 0, 1, ... for each count.
+
+    >>> _count_up(np.array([2, 0, 3])).tolist()
+    [0, 1, 0, 1, 2]
+    """
+    return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _prepend(before: tuple[float, float] | None, rows: np.ndarray, name: str) -> _Series:
@@ -170,7 +262,7 @@ def _prepend(before: tuple[float, float] | None, rows: np.ndarray, name: str) ->
 
 
 def find_latest(
-    times: Floats, values: Floats, at: Floats, hold: float, side: Literal["left", "right"] = "right"
+    times: Floats, values: Floats, at: Floats, hold: float | Floats, side: Literal["left", "right"] = "right"
 ) -> Floats:
     """Return the latest value of a quantity at each moment, NaN where it is older than a limit.
 
@@ -182,8 +274,8 @@ def find_latest(
         Known values.
     at : (m,) float64
         Moments. [s]
-    hold : float
-        Largest age. [s]
+    hold : float or (n,) float64
+        Largest age, of all values or of each. [s]
     side : {"left", "right"}
         Whether a value known at the moment itself counts (`right`).
 
@@ -194,12 +286,18 @@ def find_latest(
     if not len(times):
         return np.full(len(at), np.nan)
     latest = np.searchsorted(times, at, side) - 1
-    is_known = (latest >= 0) & (at - times[latest] <= hold)
+    is_known = (latest >= 0) & (at - times[latest] <= (hold if np.ndim(hold) == 0 else np.asarray(hold)[latest]))
     return np.where(is_known, values[latest], np.nan)
 
 
 def compute_held_means(
-    times: Floats, values: Floats, starts: Floats, ends: Floats, hold: float, otherwise: Floats
+    times: Floats,
+    values: Floats,
+    starts: Floats,
+    ends: Floats,
+    hold: float | Floats,
+    otherwise: Floats,
+    ramp: float = 0.0,
 ) -> Floats:
     """Return the means of a quantity over periods; each value counts until the next one, at most for a time.
 
@@ -211,10 +309,12 @@ def compute_held_means(
         Known values.
     starts, ends : (m,) float64
         Periods. [s]
-    hold : float
-        Longest time for which a value counts. [s]
+    hold : float or (n,) float64
+        Longest time for which a value counts, of all values or of each. [s]
     otherwise : (m,) float64
         Returned for periods in which no value counts.
+    ramp : float
+        Time before the next value within which the quantity changes to it, along a line. [s]
 
     Returns
     -------
@@ -225,15 +325,29 @@ def compute_held_means(
     >>> times, values = np.array([0.0, 3.0]), np.array([10.0, 20.0])
     >>> compute_held_means(times, values, np.array([2.0, 4.0]), np.array([4.0, 6.0]), 2.0, np.full(2, np.nan)).tolist()
     [20.0, 20.0]
+    >>> compute_held_means(times, values, np.array([0.0]), np.array([3.0]), 5.0, np.full(1, np.nan), 1.0).tolist()
+    [11.666666666666666]
     """
     if not len(times):
         return otherwise
-    until = np.minimum(np.append(times[1:], np.inf), times + hold)
-    length = until - times
-    breaks = np.column_stack((times, until)).ravel()
-    known = np.concatenate(([0.0], np.cumsum(np.column_stack((length, np.zeros(len(times)))).ravel())))[:-1]
-    amount = np.column_stack((values * length, np.zeros(len(times)))).ravel()
-    integral = np.concatenate(([0.0], np.cumsum(amount)))[:-1]
-    span = np.interp(ends, breaks, known) - np.interp(starts, breaks, known)
-    total = np.interp(ends, breaks, integral) - np.interp(starts, breaks, integral)
-    return np.divide(total, span, out=otherwise.copy(), where=span > 1e-6)
+    following = np.append(times[1:], np.inf)
+    until = np.minimum(following, times + hold)
+    goes_on = until >= following  # the value is known up to the next one
+    line = np.where(goes_on & (ramp > 0.0), np.where(following - times <= 1.5 * ramp, until - times, ramp), 0.0)
+    knots = np.column_stack((times, until - line, until)).ravel()
+    known = np.column_stack((until - line - times, line, np.zeros(len(times)))).ravel()
+    slope = np.divide(np.append(np.diff(values), 0.0), line, out=np.zeros(len(times)), where=line > 0.0)
+    level = np.column_stack((values, values, np.zeros(len(times)))).ravel()
+    rise = np.column_stack((np.zeros(len(times)), slope, np.zeros(len(times)))).ravel()
+
+    def integrate(at: Floats) -> tuple[Floats, Floats]:
+        place = np.maximum(np.searchsorted(knots, at, "right") - 1, 0)
+        inside = np.clip(at - knots[place], 0.0, known[place])
+        total = amount[place] + inside * (level[place] + 0.5 * rise[place] * inside)
+        return total, time[place] + inside
+
+    time = np.append(0.0, np.cumsum(known))[:-1]
+    amount = np.append(0.0, np.cumsum(known * (level + 0.5 * rise * known)))[:-1]
+    (first, since), (last, to) = integrate(starts), integrate(ends)
+    span = to - since
+    return np.divide(last - first, span, out=otherwise.copy(), where=span > 1e-6)

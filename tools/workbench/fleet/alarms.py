@@ -6,7 +6,6 @@ import numpy as np
 
 from tools.commands.ask import HIGH_RISK, LOW_RISK
 from tools.workbench.fleet.board import Board
-from tools.workbench.fleet.frames import SILENT_S
 
 MOST_ALARMS: Final = 50
 """Largest number of alarms of a list, the most serious first."""
@@ -28,10 +27,10 @@ def list_alarms(board: Board) -> dict[str, Any]:
     """
     with board.lock:
         risk = board.column("risk")
-        age = board.newest - board.column("time")
-        silent = (age > SILENT_S) & (board.column("riding") > 0.0)
+        age, is_silent = board.get_ages(), board.find_silent()
+        silent = is_silent & (board.column("riding") > 0.0)
         names = board.vehicle_ids
-        rows = np.flatnonzero((risk >= LOW_RISK) & ~(age > SILENT_S))
+        rows = np.flatnonzero((risk >= LOW_RISK) & ~is_silent)
         alarms = [_describe_risk(names[row], float(risk[row])) for row in rows.tolist()]
         alarms += [_describe_silence(names[row], float(age[row])) for row in np.flatnonzero(silent).tolist()]
         alarms += [

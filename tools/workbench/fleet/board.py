@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from core.wire.messages import Finding, Forecast, Interval, Message, address
 from core.wire.sample_reader import Samples, holds_samples, read_samples
 from tools.workbench.fleet.density import TraceDensity
+from tools.workbench.fleet.fleet_time import SILENT_S, FleetTime, find_newest
 from tools.workbench.fleet.newest_values import COLUMNS, compile_kernel, make_unknown_cars, write_samples
 
 POINT: Final = ("soc", "end", "end_low", "end_high", "risk", "predicted", "measured", "ride")
@@ -27,6 +28,8 @@ MOST_POINTS: Final = 4000
 """Largest number of points of a history; the older half is then dropped."""
 MOST_CARS: Final = 50_000
 """Largest number of cars; later ones are not shown."""
+MOST_COUNT: Final = 2**53
+"""Largest number of samples by cause that a forecast may give."""
 MOST_FINDINGS: Final = 200
 """Largest number of findings that are kept, the newest."""
 
@@ -48,6 +51,7 @@ class BoardState(NamedTuple):
     lengths: list[int]
     findings: dict[str, Finding]
     rides: int
+    time: FleetTime
 
 
 class History:
@@ -123,6 +127,7 @@ class Board:
         self._ride_ids: dict[str, str | None] = {}
         self._rows: dict[str, int] = {}
         self._values = make_unknown_cars(64)
+        self._time = FleetTime()
         self._histories: list[History] = []
         self._decode = {
             "forecast": msgspec.json.Decoder(Forecast).decode,
@@ -140,9 +145,16 @@ class Board:
 
     @property
     def newest(self) -> float:
-        """Newest time of any car, NaN without one. [Unix s]"""
-        time = self.column("time")
-        return float(np.nanmax(time)) if np.isfinite(time).any() else nan
+        """Newest time of the cars that are not silent, except wrong clocks; NaN without a car. [Unix s]"""
+        return find_newest(self.column("time"), ~self.find_silent())
+
+    def get_ages(self) -> NDArray[np.float64]:
+        """Return the time since the last forecast of each car, as other cars show it. [s]"""
+        return self._time.progress - self.column("heard")
+
+    def find_silent(self) -> NDArray[np.bool_]:
+        """Return which cars are silent."""
+        return self.get_ages() > SILENT_S
 
     def find(self, vehicle_id: str) -> int | None:
         """Return the row of a car, None for one that has sent nothing."""
@@ -180,6 +192,8 @@ class Board:
         try:
             value = decode(message.payload)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            value = None
+        if value is None or (isinstance(value, Forecast) and not _is_possible(value)):
             self.counts["undecodable"] += 1
             return
         self.counts[where.kind] += 1
@@ -206,6 +220,7 @@ class Board:
             self._histories.append(History())
             if len(self) > len(self._values):
                 self._values = np.concatenate([self._values, make_unknown_cars(len(self._values))])
+            self._time.join(self._values[row])
         return row
 
     def _take_samples(self, samples: Samples) -> None:
@@ -227,8 +242,9 @@ class Board:
         predicted = _number(forecast.ride_energy_predicted_kwh)
         measured = _number(forecast.ride_energy_measured_kwh)
         risk = _number(forecast.reserve_risk)
+        self._time = self._time.hear(self._values, row, forecast.time_s)
         car = self._values[row]
-        car["time"], car["soc"], car["soc_sd"] = forecast.time_s, soc, _number(forecast.soc_sd_pct)
+        car["soc"], car["soc_sd"] = soc, _number(forecast.soc_sd_pct)
         car["range"], car["range_low"], car["range_high"] = _bounds(forecast.range_km)
         car["end"], car["end_low"], car["end_high"] = end
         car["risk"], car["predicted"], car["measured"] = risk, predicted, measured
@@ -248,6 +264,7 @@ class Board:
                 [len(history) for history in self._histories],
                 self.findings.copy(),
                 len(self.rides),
+                self._time,
             )
 
     def load(self, state: BoardState) -> None:
@@ -258,10 +275,16 @@ class Board:
             self._values = np.concatenate([state.values, make_unknown_cars(64)])
             self.models, self.quality = state.models.copy(), state.quality.copy()
             self._ride_ids, self.findings = state.ride_ids.copy(), state.findings.copy()
+            self._time = state.time
             del self._histories[len(self) :], self.rides[state.rides :]
             for history, length in zip(self._histories, state.lengths, strict=True):
                 history.truncate(length)
             self.epoch += 1
+
+
+def _is_possible(forecast: Forecast) -> bool:
+    """Return whether the counts of a forecast can be counts; a stranger may send numbers of any length."""
+    return all(0 <= count <= MOST_COUNT for count in msgspec.structs.astuple(forecast.quality))
 
 
 def _number(value: float | None) -> float:

@@ -39,13 +39,14 @@ def describe_car(workbench: Workbench, request: JsonRequest) -> dict[str, Any]:
     fleet = get_fleet(workbench)
     board = fleet.board
     with board.lock:
-        if board.find(vehicle_id) is None:
+        row = board.find(vehicle_id)
+        if row is None:
             raise NotFoundError(f"no car {vehicle_id[:64]!r} has sent anything so far: choose one on the page Fleet")
         record: dict[str, Any] = {
             "car": vehicle_id,
             "vehicle_model": board.models.get(vehicle_id),
             "ride_id": board.get_ride(vehicle_id),
-            "newest_s": board.newest,
+            "age_s": float(board.get_ages()[row]),
             "values": board.get_values(vehicle_id),
             "quality": board.quality.get(vehicle_id, {}),
             "history": make_history(board, vehicle_id),

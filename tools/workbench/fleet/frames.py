@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from tools.workbench.fleet.board import Board
 
 HEAD: Final = struct.Struct("<IIQd")
-"""Number of cars, epoch, sequence number, and newest time of any car [Unix s]; 24 bytes."""
-SILENT_S: Final = 600.0
-"""Time without a sample after which a car is silent. [s]"""
+"""Number of cars, epoch, sequence number, and newest time of the fleet [Unix s]; 24 bytes."""
 RIDING, CHARGING, SILENT = 1, 2, 4
 
 
@@ -98,10 +96,9 @@ def encode_frame(board: Board, sequence: int) -> bytes:
     bytes
     """
     with board.lock:
-        newest, age = board.newest, board.newest - board.column("time")
         flags = RIDING * (board.column("riding") > 0.0) + CHARGING * (board.column("charging") > 0.0)
-        derived = {"age": age, "flags": flags + SILENT * (age > SILENT_S)}
+        derived = {"age": board.get_ages(), "flags": flags + SILENT * board.find_silent()}
         parts = [
             each.quantise(derived[each.name] if each.name in derived else board.column(each.name)) for each in COLUMNS
         ]
-        return HEAD.pack(len(board), board.epoch, sequence, newest) + b"".join(parts)
+        return HEAD.pack(len(board), board.epoch, sequence, board.newest) + b"".join(parts)

@@ -95,4 +95,7 @@ class Observer:
     def _run(self) -> None:
         """Take what arrives until the end."""
         while not self._stop.wait(LOOK_S):
-            self.board.take(self._source.take())
+            try:
+                self.board.take(self._source.take())
+            except Exception:  # noqa: BLE001 - the pages must not keep old values for the rest of the day
+                _log.exception("messages were left out by a defect")

@@ -104,7 +104,7 @@ class CarPage {
   draw(record) {
     const { parts } = this;
     const { values, outlook } = record;
-    const age = record.newest_s - values.time;
+    const age = record.age_s;
     const state = age > 600 ? ["warn", `silent ${duration(age)}`] : values.charging ? ["good", "charging"] : values.riding ? ["", "in a ride"] : ["", "between rides"];
     parts.chips.className = "row";
     parts.chips.replaceChildren(

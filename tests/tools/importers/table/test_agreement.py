@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tests.support.own_tables import make_drive
-from tools.importers.table.agreement import AgreementSums, check_agreement
+from tools.importers.table.agreement import check_agreement
+from tools.importers.table.agreement_sums import AgreementSums
 
 
 def make_rows(start=None, **factors):

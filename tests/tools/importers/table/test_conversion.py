@@ -3,10 +3,12 @@
 from collections import Counter
 from datetime import UTC, datetime
 
+import msgspec
 import pandas as pd
 import pytest
 
 from core.errors import ImportFileError
+from core.wire.messages import Ride
 from stream.mcap_reader import McapSource
 from tests.support.own_tables import read_samples
 from tools.importers.table.column_map import read_map
@@ -214,13 +216,18 @@ def test_files_in_any_order_are_merged_by_time(tmp_path):
     assert keys.count("fleet/car-a/vehicle") == 1
 
 
-def test_gaps_divide_rides_of_each_car(tmp_path):
+def test_gaps_divide_rides_of_each_car_and_leave_them_without_names(tmp_path):
     rows = [("a", 0), ("b", 5), ("a", 10), ("b", 700), ("a", 701), ("a", 702)]
     stamps = [(car, datetime.fromtimestamp(NOON + second, UTC).isoformat()) for car, second in rows]
     content = "t,speed,car\n" + "".join(f"{stamp},1,{car}\n" for car, stamp in stamps)
-    text = MAP.format(time="", more="[ride]\ngap_s = 600", fields="").replace('name = "taxi-7"', 'column = "car"')
+    text = MAP.format(time="", more="[ride]\ngap_s = 300", fields="").replace('name = "taxi-7"', 'column = "car"')
     samples, _ = run(tmp_path, content, text=text)
-    assert [s.ride_id for s in samples] == ["a-1", "b-1", "a-1", "b-2", "a-2", "a-2"]
+    assert {s.ride_id for s in samples} == {None}
+    messages = [m for block in McapSource(tmp_path / "out.mcap") for m in block if m.key.endswith("/ride")]
+    events = [msgspec.json.decode(m.payload, type=Ride) for m in messages]
+    assert [(e.vehicle_id, e.event, e.time_s - NOON) for e in events] == [
+        ("b", "end", 5), ("b", "start", 700), ("a", "end", 10), ("a", "start", 701),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,10 @@ class Preset(NamedTuple):
         Names that the columns of the long form may have.
     fields : mapping of str to sequence of PresetField
         Places of each field, the best one first.
+    parked : (str, tuple of str), optional
+        Column and words of rows in which the car is parked.
+    on_change : bool
+        Whether values are sent on change.
     """
 
     name: str
@@ -88,6 +92,8 @@ class Preset(NamedTuple):
     ride: Sequence[str]
     long: Sequence[tuple[str, str]]
     fields: Mapping[str, Sequence[PresetField]]
+    parked: tuple[str, tuple[str, ...]] | None = None
+    on_change: bool = False
 
     def fits(self, names: Sequence[str]) -> bool:
         """Return whether a table with these columns is such an export."""
@@ -170,6 +176,8 @@ def _read(name: str, tables: Mapping[str, Any]) -> Preset:
         _to_list(ride.get("column", [])),
         [(first, second) for first in _to_list(long.get("name", [])) for second in _to_list(long["value"])],
         {field: _read_places(places) for field, places in tables["fields"].items()},
+        (tables["parked"]["column"], tuple(tables["parked"]["values"])) if "parked" in tables else None,
+        about.get("on_change", False),
     )
 
 

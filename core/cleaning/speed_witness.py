@@ -1,0 +1,270 @@
+"""Two witnesses of the speed, its odometer and its fixes, outvote a speed that is stuck or in another unit.
+
+The way is divided into sections: between two fixes `SECTION` apart, and between two changes of the odometer. Over each
+section, the witness shows a distance, and the speed shows another one. Their sums, in which older sections count less,
+are compared.
+
+*Stuck.* The speed shows less than half of the distance of a witness over some hundred metres, and no other witness
+contradicts it. From then on the speed counts as missing, so that odometer and fixes show the distance, and what the
+speed has missed before is added. It counts again once it agrees with the fixes, or the odometer.
+
+*Another unit.* The ratio of both distances is that of two units, such as 1.609 for a speed in miles per hour. The speed
+is then multiplied by it. Where a car has both witnesses, both must show the ratio; one alone cannot tell whether it is
+itself the one in another unit.
+
+A distance that the speed has shown too much cannot be taken back from rows before. It is disputed, as is all distance
+while a single witness shows another unit; a ride with much of it is unfit for training.
+"""
+
+from math import isnan, log, nan
+from typing import Any, Final
+
+from numba import njit
+
+from core.cleaning.quality import Quality
+from core.cleaning.sphere import compute_chord
+
+FIELDS: Final = (
+    "section_latitude",  # fix at which the open section began [rad], NaN without one
+    "section_longitude",
+    "section_age",  # time since then [s]
+    "section_run",  # distance by the speed since then [m]
+    "section_hole",  # 1 if the speed was unknown since then
+    "section_distance",  # distance that was counted since then [m]
+    "fix_near",  # distance by fixes in the last sections, the older the less [m]
+    "run_near",  # distance by the speed in them [m]
+    "fix_far",  # the same with a longer memory
+    "run_far",
+    "odometer_far",  # distance by the odometer between its last changes, the older the less [m]
+    "odometer_run_far",  # distance by the speed between them [m]
+    "tick_reading",  # odometer when it last changed [m], NaN without one
+    "tick",  # smallest change of the odometer so far [m], 0 if unknown
+    "tick_run",  # distance by the speed since it last changed [m]
+    "tick_chord",  # distance by fixes since then [m]
+    "tick_hole",  # 1 if the speed was unknown since then
+    "tick_missed",  # distance by the odometer beyond that of the speed, since both last agreed [m]
+    "reported",  # last speed, as reported times `speed_scale` [m/s], NaN where unknown
+    "missed",  # distance by fixes beyond that of the speed, since both last agreed [m]
+    "missed_time",  # time since both last agreed [s]
+    "speed_stuck",  # 1 while the speed counts as missing because witnesses outvote it
+    "speed_scale",  # factor by which the reported speed is multiplied, 0 for a factor of 1
+)
+
+SPEED_CONTRADICTED: Final = int(Quality.SPEED_CONTRADICTED)
+
+SECTION: Final = 100.0
+"""Distance of the fixes at the ends of a section. [m] Noise of 8 m adds less than 1 % to it."""
+NEAR_MEMORY: Final = 300.0
+"""Distance after which the weight of a section has decreased to 1/e, to recognise a stuck speed. [m]"""
+FAR_MEMORY: Final = 3000.0
+"""The same to recognise a unit. [m]"""
+LEAST_NEAR: Final = 200.0
+"""Sum of such distances from which a speed may count as stuck. [m]"""
+LEAST_FAR: Final = 1000.0
+"""Sum of such distances from which a speed may be in another unit. [m]"""
+STUCK: Final = 0.5
+"""Ratio of the distance by the speed to that of a witness below which a speed is stuck. [1]"""
+AGREES: Final = 0.25
+"""Largest logarithm of a ratio of distances that agree again."""
+SAME: Final = 0.04
+"""Largest deviation of the logarithm of a ratio from that of two units."""
+FACTORS: Final = (1.609344, 1 / 1.609344, 3.6, 1 / 3.6, 1.852, 1 / 1.852, 3.6 / 1.609344, 1.609344 / 3.6)
+"""Ratios of the units of speed: km/h, mph, m/s and knots."""
+CIRCLING: Final = 600.0
+"""Distance by the speed within `SCATTER` of one place after which the speed is too high, or stuck while driving. [m]"""
+SCATTER: Final = 50.0
+"""Largest distance from that place. [m]"""
+SLACK: Final = 50.0
+"""Distance that fixes may leap, beyond what a car can have driven. [m]"""
+TICKS: Final = 2.0
+"""Number of its changes that an odometer must miss to support a speed of zero."""
+
+
+@njit(cache=False)
+def weigh_speed(state: Any, row: Any, speed: float, dt: float, gap: bool, settings: Any) -> tuple[float, float, float]:
+    """Return the speed to use, NaN while witnesses outvote it, and what it has missed or shown too much so far.
+
+    Parameters
+    ----------
+    state, row, settings : record
+    speed : float
+        Reported speed times `speed_scale`, NaN where unknown. [m/s]
+    dt : float
+        Time since the last sample. [s]
+    gap : bool
+        Whether that is longer than the speed is known for.
+
+    Returns
+    -------
+    speed : float
+        [m/s]
+    missed : float
+        Distance to add, because the speed did not show it. [m]
+    disputed : float
+        Distance that was counted, and that the witnesses dispute. [m]
+    """
+    advance_sections(state, speed, dt, gap)
+    missed, disputed = take_fix(state, row, settings)
+    more, too_much = take_odometer(state, row.raw_odometer)
+    missed, disputed = missed + more, disputed + too_much
+    factor = find_unit(state)
+    if factor != 1.0:
+        state.speed_scale = factor * (state.speed_scale if state.speed_scale > 0.0 else 1.0)
+        missed, disputed = missed + max(0.0, state.missed), disputed + max(0.0, -state.missed)
+        speed *= factor
+        state.reported, state.speed_stuck = speed, 0.0
+        forget_sections(state)
+    if state.speed_stuck == 1.0 and not isnan(speed):
+        row.quality += SPEED_CONTRADICTED
+        return nan, missed, disputed
+    if state.speed_scale > 0.0 and not isnan(speed):
+        row.quality += SPEED_CONTRADICTED
+    return speed, missed, disputed
+
+
+@njit(cache=False)
+def advance_sections(state: Any, speed: float, dt: float, gap: bool) -> None:
+    """Extend the open sections by the distance of a step."""
+    unknown = gap or isnan(speed) or isnan(state.reported)
+    run = 0.0 if unknown else 0.5 * (speed + state.reported) * dt
+    state.reported = speed
+    state.section_age += dt
+    state.section_run += run
+    state.tick_run += run
+    state.missed_time += dt
+    if unknown:
+        state.section_hole = state.tick_hole = 1.0
+    if gap:
+        state.section_latitude = nan
+
+
+@njit(cache=False)
+def take_fix(state: Any, row: Any, settings: Any) -> tuple[float, float]:
+    """Close a section at a fix that is far enough; return the distance that the speed missed or showed too much."""
+    if isnan(row.raw_latitude) or isnan(row.raw_longitude):
+        return 0.0, 0.0
+    if isnan(state.section_latitude):
+        open_section(state, row)
+        return 0.0, 0.0
+    chord = compute_chord(state.section_latitude, state.section_longitude, row.raw_latitude, row.raw_longitude)
+    if chord > settings.speed_limit * state.section_age + SLACK:
+        open_section(state, row)
+        return 0.0, 0.0
+    circles = chord < SCATTER and state.section_run > CIRCLING and not is_at(state, row)
+    if chord < SECTION and not circles:
+        return 0.0, 0.0
+    state.tick_chord += chord
+    run, known = state.section_run, state.section_hole == 0.0
+    row.path, row.path_run = chord, state.section_distance
+    open_section(state, row)
+    if not known:
+        return 0.0, 0.0
+    near, far = max(0.0, 1.0 - max(chord, run) / NEAR_MEMORY), max(0.0, 1.0 - max(chord, run) / FAR_MEMORY)
+    state.fix_near, state.run_near = near * state.fix_near + chord, near * state.run_near + run
+    state.fix_far, state.run_far = far * state.fix_far + chord, far * state.run_far + run
+    agrees = run > 0.0 and abs(log(chord / run)) < AGREES
+    if agrees:
+        state.missed = state.missed_time = state.speed_stuck = 0.0
+        return 0.0, 0.0
+    if circles:
+        state.missed, state.speed_stuck = 0.0, 1.0
+        return 0.0, run - chord
+    state.missed += 0.0 if state.speed_stuck == 1.0 else chord - run
+    supported = state.tick > 0.0 and state.tick_chord > TICKS * state.tick + LEAST_NEAR
+    if state.speed_stuck == 1.0 or supported or state.fix_near < LEAST_NEAR or state.run_near > STUCK * state.fix_near:
+        return 0.0, 0.0
+    state.speed_stuck = 1.0
+    missed, state.missed = max(0.0, state.missed), 0.0
+    return missed, 0.0
+
+
+@njit(cache=False)
+def open_section(state: Any, row: Any) -> None:
+    """Begin a section at a fix."""
+    state.section_latitude, state.section_longitude = row.raw_latitude, row.raw_longitude
+    state.section_age = state.section_run = state.section_hole = state.section_distance = 0.0
+
+
+@njit(cache=False)
+def is_at(state: Any, row: Any) -> bool:
+    """Return whether a fix is exactly the one at which the section began: the receiver may be frozen."""
+    return bool(row.raw_latitude == state.section_latitude and row.raw_longitude == state.section_longitude)
+
+
+@njit(cache=False)
+def take_odometer(state: Any, odometer: float) -> tuple[float, float]:
+    """Compare the speed with the odometer; return the distance that the speed missed or showed too much."""
+    if isnan(odometer):
+        return 0.0, 0.0
+    if odometer == state.tick_reading:
+        return 0.0, find_excess(state)
+    driven, run, known = odometer - state.tick_reading, state.tick_run, state.tick_hole == 0.0
+    state.tick_reading = odometer
+    state.tick_run = state.tick_chord = state.tick_hole = 0.0
+    if isnan(driven) or driven <= 0.0:
+        return 0.0, 0.0
+    state.tick = driven if state.tick == 0.0 else min(state.tick, driven)
+    if not known:
+        return 0.0, 0.0
+    kept = max(0.0, 1.0 - driven / FAR_MEMORY)
+    state.odometer_far = kept * state.odometer_far + driven
+    state.odometer_run_far = kept * state.odometer_run_far + run
+    if not isnan(state.section_latitude):  # the fixes decide
+        return 0.0, 0.0
+    if run >= STUCK * driven:
+        state.tick_missed = 0.0
+        state.speed_stuck = state.speed_stuck if run > 2.0 * driven else 0.0
+        return 0.0, 0.0
+    state.tick_missed += 0.0 if state.speed_stuck == 1.0 else driven - run
+    if state.tick_missed < LEAST_NEAR:
+        return 0.0, 0.0
+    missed, state.tick_missed = state.tick_missed, 0.0
+    state.speed_stuck = 1.0
+    return missed, 0.0
+
+
+@njit(cache=False)
+def find_excess(state: Any) -> float:
+    """Return the distance that the speed shows although the odometer and the fixes stand still, if it is clear. [m]"""
+    clear = state.tick > 0.0 and state.tick_run > TICKS * state.tick + CIRCLING
+    if not clear or not isnan(state.section_latitude):
+        return 0.0
+    excess: float = state.tick_run
+    state.tick_run, state.speed_stuck = 0.0, 1.0
+    return excess
+
+
+@njit(cache=False)
+def find_unit(state: Any) -> float:
+    """Return the ratio of two units of speed that the witnesses show, 1 where they show none."""
+    by_fixes = find_factor(state.fix_far, state.run_far)
+    by_odometer = find_factor(state.odometer_far, state.odometer_run_far)
+    if by_fixes == by_odometer:
+        return by_fixes
+    lacks_odometer = state.odometer_far < LEAST_FAR
+    return by_fixes if lacks_odometer and state.fix_far > 2.0 * LEAST_FAR and isnan(state.tick_reading) else 1.0
+
+
+@njit(cache=False)
+def find_factor(witnessed: float, run: float) -> float:
+    """Return the ratio of two units that two distances show, 1 where they show none."""
+    if witnessed < LEAST_FAR or run <= 0.0:
+        return 1.0
+    ratio = log(witnessed / run)
+    for factor in FACTORS:
+        if abs(ratio - log(factor)) < SAME:
+            return factor
+    return 1.0
+
+
+@njit(cache=False)
+def forget_sections(state: Any) -> None:
+    """Forget the sums of both witnesses, after the scale of the speed has changed."""
+    state.fix_near = state.run_near = state.fix_far = state.run_far = 0.0
+    state.odometer_far = state.odometer_run_far = state.missed = state.tick_missed = state.missed_time = 0.0
+    state.section_latitude = nan
+    state.tick_hole = 1.0
+
+
+UNKNOWN_AT_FIRST: Final = ("section_latitude", "section_longitude", "tick_reading", "reported")
+"""Fields of a new lane that are NaN."""

@@ -1,0 +1,22 @@
+"""Distances of fixes on the sphere, compiled."""
+
+from math import cos, pi, sqrt
+
+from numba import njit
+
+from core.columns import EARTH_RADIUS
+
+
+@njit(cache=False)
+def wrap_angle(angle: float) -> float:
+    """Return a difference of two angles wrapped to -π to π. [rad]"""
+    return angle - 2.0 * pi if angle > pi else angle + 2.0 * pi if angle < -pi else angle
+
+
+@njit(cache=False)
+def compute_chord(latitude: float, longitude: float, other_latitude: float, other_longitude: float) -> float:
+    """Return the distance of two fixes on a sphere; valid for some kilometres. [m]"""
+    north = other_latitude - latitude
+    east = wrap_angle(other_longitude - longitude)
+    east *= cos(0.5 * (latitude + other_latitude))
+    return EARTH_RADIUS * sqrt(north * north + east * east)

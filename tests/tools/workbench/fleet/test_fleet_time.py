@@ -1,0 +1,128 @@
+"""A car whose clock is wrong silences no other car, and a car that is silent shows whoever sends."""
+
+import numpy as np
+import pytest
+
+from core.wire.messages import Forecast, Message, QualityCounts, encode
+from tools.workbench.fleet.alarms import list_alarms
+from tools.workbench.fleet.board import Board
+from tools.workbench.fleet.frames import HEAD, encode_frame
+
+NOW = 1.7e9
+DAY = 86_400.0
+
+
+def forecast(car, time, risk=0.9, **quality):
+    """Return the forecast of a car in a ride."""
+    counts = {name: quality.get(name, 0) for name in QualityCounts.__struct_fields__}
+    energies = None, None, 60.0, 0.2, None, None, risk
+    value = Forecast(car, NOW + time, "r", "model/1", 1.0, 60.0, *energies, quality=QualityCounts(**counts))
+    return Message(f"fleet/{car}/forecast", encode(value), 0)
+
+
+def run(board, cars, begin, end, step=15.0, ahead=0.0):
+    """Let cars send forecasts."""
+    for time in np.arange(begin, end, step).tolist():
+        board.take([forecast(car, time + ahead) for car in cars])
+
+
+def alarms(board):
+    """Return the car and the value of each alarm by its kind."""
+    kinds = {"reserve": {}, "silent": {}}
+    for each in list_alarms(board)["list"]:
+        kinds[each["kind"]][each["car"]] = each["value"]
+    return kinds
+
+
+@pytest.mark.parametrize("ahead", [9 * 60.0, 11 * 60.0, DAY, 400 * DAY, -DAY])
+@pytest.mark.parametrize("cars", [1, 2, 30])
+def test_sample_of_a_wrong_clock_silences_no_other_car(ahead, cars):
+    board, others = Board(), [f"taxi-{at}" for at in range(cars)]
+    run(board, [*others, "wrong"], 0.0, 120.0)
+    board.take([forecast("wrong", 120.0 + ahead)])
+    assert set(others) <= set(alarms(board)["reserve"])
+    run(board, [*others, "wrong"], 120.0, 1500.0)
+    assert alarms(board) == {"reserve": dict.fromkeys([*others, "wrong"], 0.9), "silent": {}}
+
+
+@pytest.mark.parametrize("ahead", [11 * 60.0, DAY])
+def test_car_whose_clock_stays_wrong_silences_no_other_car(ahead):
+    board = Board()
+    for time in np.arange(0.0, 1500.0, 15.0).tolist():
+        board.take([forecast("a", time), forecast("wrong", time + ahead * (time > 60.0)), forecast("b", time)])
+        assert alarms(board)["silent"] == {}
+    head = HEAD.unpack_from(encode_frame(board, 1))
+    assert head[3] == board.newest == NOW + 1485.0
+
+
+def test_two_wrong_clocks_silence_the_others_only_until_their_next_forecasts():
+    board = Board()
+    run(board, "abc", 0.0, 100.0)
+    board.take([forecast("x", 100.0), forecast("y", 100.0), forecast("x", 100.0 + DAY), forecast("y", 100.0 + DAY)])
+    run(board, "abc", 105.0, 106.0)
+    assert set("abc") <= set(alarms(board)["reserve"])
+
+
+@pytest.mark.parametrize("wrong", [None, 11 * 60.0, DAY, -DAY])
+def test_car_that_fell_silent_shows_after_ten_minutes_of_the_others(wrong):
+    board = Board()
+    run(board, ["a", "b", "gone"], 0.0, 60.0)
+    if wrong is not None:
+        board.take([forecast("b", 60.0 + wrong)])
+    run(board, "ab", 75.0, 600.0)
+    assert alarms(board)["silent"] == {}
+    run(board, "ab", 600.0, 900.0)
+    found = alarms(board)
+    assert (set(found["silent"]), set(found["reserve"])) == ({"gone"}, {"a", "b"})
+    assert found["silent"]["gone"] in {13, 14}
+
+
+def test_only_car_with_a_clock_ahead_shows_that_another_is_silent():
+    board = Board()
+    run(board, ["a", "gone"], 0.0, 60.0)
+    run(board, "a", 75.0, 900.0, ahead=DAY)
+    assert set(alarms(board)["silent"]) == {"gone"}
+
+
+def test_pause_of_the_whole_fleet_counts_once_two_cars_are_back():
+    board = Board()
+    run(board, "abc", 0.0, 60.0)
+    board.take([forecast("a", 8 * 3600.0)])
+    assert alarms(board)["silent"] == {}
+    board.take([forecast("b", 8 * 3600.0 + 5.0)])
+    assert alarms(board)["silent"] == {"c": 479}
+    run(board, "ab", 8 * 3600.0 + 10.0, 8 * 3600.0 + 300.0)
+    assert set(alarms(board)["silent"]) == {"c"}
+
+
+def test_return_to_an_earlier_state_returns_to_its_time():
+    board = Board()
+    run(board, ["a", "b", "gone"], 0.0, 60.0)
+    state = board.dump()
+    run(board, "ab", 60.0, 900.0)
+    later = alarms(board)
+    board.load(state)
+    assert alarms(board)["silent"] == {}
+    run(board, "ab", 60.0, 900.0)
+    assert alarms(board) == later
+
+
+@pytest.mark.parametrize("count", [10**400, -1, 2**64])
+def test_forecast_with_impossible_counts_is_left_out(count):
+    board = Board()
+    good = forecast("a", 0.0, repaired_time=1)
+    forged = good._replace(payload=good.payload.replace(b'"repaired_time":1', b'"repaired_time":%d' % count))
+    assert forged != good
+    board.take([forged, forecast("b", 0.0)])
+    assert (board.vehicle_ids, board.counts) == (["b"], {"forecast": 1, "undecodable": 1})
+
+
+@pytest.mark.parametrize("field", ["time_s", "ride_distance_km", "soc_pct", "reserve_risk"])
+def test_forecast_with_a_number_of_400_digits_breaks_nothing(field):
+    board = Board()
+    head, _, rest = forecast("a", 0.0).payload.partition(f'"{field}":'.encode())
+    forged = head + f'"{field}":1{"0" * 400}'.encode() + rest[rest.index(b",") :]
+    board.take([Message("fleet/a/forecast", forged, 0), forecast("b", 0.0)])
+    assert "b" in board.vehicle_ids
+    encode_frame(board, 1)
+    list_alarms(board)
