@@ -17,8 +17,9 @@ class Settings(NamedTuple):
     speed_limit : float
         Speed above which a reported speed is rejected; 130 km/h as in section 3 of the paper. [m/s]
     window : int
-        Number of samples in the moving average of a reported speed, 1 to 8; 1 takes it as reported. The average of
-        speeds between fixes has at least 3.
+        Number of samples in the moving average of a reported speed, 1 to 8; 1 takes it as reported. 0, the default,
+        averages up to 8 samples as the noise of each car asks, and none of a clean speed. The average of speeds
+        between fixes has at least 3.
     elevation_length : float
         Distance over which elevation is smoothed. [m]
     elevation_slack : float
@@ -43,7 +44,7 @@ class Settings(NamedTuple):
 
     period: float = 3.0
     speed_limit: float = 130 * KMH
-    window: int = 1
+    window: int = 0
     elevation_length: float = 80.0
     elevation_slack: float = 1.0
     tunnel_limit: float = 10_000.0
@@ -98,7 +99,7 @@ class Limits(NamedTuple):
 LIMITS = {
     "period": (0.1, 60.0),
     "speed_limit": (30 * KMH, 300 * KMH),
-    "window": (1, 8),
+    "window": (0, 8),
     "elevation_length": (0.0, 2000.0),
     "elevation_slack": (0.0, 20.0),
     "tunnel_limit": (0.0, 50_000.0),

@@ -1,10 +1,10 @@
 """The one sequential kernel: everything that depends on an earlier row of the same lane.
 
 The kernel is causal: the output of a row depends on that row and on the state of its lane. Any chunking of the input
-therefore gives bitwise the same output. Its parts are the files `clock.py`, `motion.py`, `elevation.py`, `meters.py`,
-`repetition.py`, `segmentation.py` and `fleet_clock.py`, each with the fields of the state that it keeps. This file
-composes them. Between two rows, a ride may end by a message of dispatch, or because the other cars show that its car
-is silent.
+therefore gives bitwise the same output. Its parts are the files `clock.py`, `motion.py`, `speed_noise.py`,
+`elevation.py`, `meters.py`, `repetition.py`, `segmentation.py` and `fleet_clock.py`, each with the fields of the state
+that it keeps. This file composes them. Between two rows, a ride may end by a message of dispatch, or because the other
+cars show that its car is silent.
 
 In all of them `state` is the record of the lane (`STATE`), `row` the record of the sample, whose raw values are named
 `raw_*`, and `settings` the record of the operator's settings.
@@ -30,6 +30,7 @@ from core.cleaning import (
     repetition,
     segmentation,
     shared_stamps,
+    speed_noise,
     speed_witness,
     sphere,
 )
@@ -52,7 +53,8 @@ _UNKNOWN_AT_FIRST: Final = {
         ("heading", "heading_latitude", "heading_longitude", "odometer", "speed", "acceleration", "ring"), nan
     ),
     **dict.fromkeys(("elevation", "level", "offset_variance", *meters.UNKNOWN_AT_FIRST), nan),
-    **dict.fromkeys(("battery_temperature", "occupants", *speed_witness.UNKNOWN_AT_FIRST), nan),
+    **dict.fromkeys((*speed_noise.UNKNOWN_AT_FIRST, *speed_witness.UNKNOWN_AT_FIRST), nan),
+    **dict.fromkeys(("battery_temperature", "occupants"), nan),
 }
 
 
@@ -61,7 +63,7 @@ def _dtype() -> np.dtype[np.void]:
     parts = (
         *(*clock.FIELDS, *motion.FIELDS, *elevation.FIELDS, *segmentation.FIELDS),
         *(*fleet_clock.FIELDS, *meters.FIELDS, *power_sign.FIELDS, *repetition.FIELDS),
-        *(*speed_witness.FIELDS, *_OWN_FIELDS),
+        *(*speed_noise.FIELDS, *speed_witness.FIELDS, *_OWN_FIELDS),
     )
     return np.dtype([(part, "f8") if isinstance(part, str) else (part[0], "f8", (part[1],)) for part in parts])
 
@@ -512,7 +514,7 @@ def find_uncovered_time(state: Any, bits: int, dt: float, settings: Any) -> floa
 @njit(cache=False)
 def begins_stop(state: Any) -> bool:
     """Return whether a stop begins with this sample, with hysteresis between two speeds."""
-    if state.smooth > motion.MOVING:
+    if state.smooth > motion.MOVING or state.leap > motion.MOVING:  # a start that is held back has begun
         state.standing = 0.0
     elif state.smooth < motion.CRAWL and state.standing == 0.0:
         state.standing = 1.0
@@ -523,5 +525,5 @@ def begins_stop(state: Any) -> bool:
 watch_sources(
     clean_rows,
     *(batch, clock, columns, elevation, fleet_clock, meters, motion, power_sign, quality, repetition, segmentation),
-    *(shared_stamps, speed_witness, sphere),
+    *(shared_stamps, speed_noise, speed_witness, sphere),
 )

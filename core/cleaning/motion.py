@@ -9,9 +9,10 @@ A single spike is therefore never driven, while the far end of a tunnel is. Wher
 held for at most 20 periods, or 3.5 periods where a witness is available. The distance of a car that never sends a speed
 is measured between fixes that are at least 20 m apart, otherwise by its odometer.
 
-A reported speed is taken as it is, because an average over some seconds hides much of the energy of speeding up and
-braking. A moving average applies to speeds between fixes, and for some samples beside an implausible change in a step,
-which may be a hole in which the last speed was held.
+A reported speed is averaged as far as the noise of the car asks, see `core.cleaning.speed_noise`, because an average
+over some seconds hides much of the energy of speeding up and braking. A moving average of a fixed length applies to
+speeds between fixes, and for some samples beside an implausible change in a step, which may be a hole in which the
+last speed was held. The distance is that of the speed as reported.
 
 Where a distance was bridged or held, its work is done over the time distance / speed and not over the step. The
 acceleration accounts for the kinetic energy of the smoothed speed: over a ride, inertia adds up to the difference of
@@ -25,6 +26,14 @@ from numba import njit
 
 from core.cleaning.elevation import combine_elevation, update_climb
 from core.cleaning.quality import Quality
+from core.cleaning.speed_noise import (
+    SPEED_NOISY,
+    average_adaptively,
+    find_leap_limit,
+    hold_leap,
+    is_still,
+    observe_noise,
+)
 from core.cleaning.speed_witness import weigh_speed
 from core.cleaning.sphere import compute_chord, wrap_angle
 from core.columns import KMH
@@ -92,6 +101,8 @@ HOLE: Final = 3.5
 """Longest step that is not a hole. [periods]
 
 A longer step is a hole for slow loggers too: odometer and fixes then show its distance better than two speeds do."""
+AUTOMATIC: Final = 0
+"""Setting of the moving average by which it is as long as the noise of the car asks."""
 ROUGH_WINDOW: Final = 3
 """Least number of samples in the moving average of rough speeds: between two fixes, or beside an implausible change."""
 HARDEST: Final = 6.0
@@ -234,16 +245,22 @@ def smooth_speed(state: Any, speed: float, window: int, restart: bool) -> float:
 
 
 @njit(cache=False)
-def update_smooth_speed(state: Any, speed: float, dt: float, restart: bool, settings: Any) -> None:
-    """Update the smoothed speed by an accepted one; average for some samples where a speed is rough."""
-    if not restart and state.place > 0.0 and abs(speed - state.smooth) > HARDEST * dt:
+def update_smooth_speed(state: Any, row: Any, speed: float, dt: float, restart: bool, settings: Any) -> None:
+    """Update the smoothed speed by an accepted one, averaged as its noise or the settings ask."""
+    if not restart and state.place > 0.0 and abs(speed - state.smooth) > HARDEST * dt + 4.0 * state.noise:
         state.rough = ROUGH_WINDOW
-    window = settings.window
+    window = max(1, settings.window)
     if state.rough > 0.0:
         window = max(window, ROUGH_WINDOW)
         state.rough -= 1.0
     state.smooth = smooth_speed(state, speed, int(window), restart)
     state.speed_age = 0.0
+    if settings.window != AUTOMATIC or isnan(row.raw_speed) or state.speed_stuck == 1.0:  # between fixes
+        return
+    observe_noise(state, speed, dt, restart)
+    if state.noise > 0.0 and window == 1:
+        state.smooth, count = average_adaptively(state.ring, int(state.place) - 1, RING, state.noise)
+        row.quality += SPEED_NOISY if count > 1 else 0
 
 
 @njit(cache=False)
@@ -317,17 +334,52 @@ def accept_speed(state: Any, row: Any, settings: Any) -> float:
 
 
 @njit(cache=False)
+def find_leap(state: Any, row: Any, speed: float, dt: float) -> float:
+    """Return the change of speed beyond which a sample is held back, smaller where two fixes contradict it. [m/s]
+
+    They contradict where the last speed explains their distance, and the mean of both speeds by far does not.
+    """
+    limit = find_leap_limit(max(dt, state.period) if state.has_period == 1.0 else dt)
+    change = speed - state.speed
+    if abs(change) * dt > 2.0 * SLACK and abs(change) < limit and state.fix_age == 0.0 and not isnan(row.raw_latitude):
+        chord = compute_chord(state.latitude, state.longitude, row.raw_latitude, row.raw_longitude)
+        if abs(chord - state.speed * dt) < 0.2 * abs(change) * dt:
+            return 0.5 * abs(change)
+    return limit
+
+
+@njit(cache=False)
+def repair_speed(state: Any, row: Any, speed: float, dt: float, longest: float) -> tuple[float, float]:
+    """Return an accepted speed without noise at standstill and without spikes, and distance that spikes cost. [m]"""
+    if state.noise > 0.0 and is_still(state, speed):
+        speed = 0.0
+    speed, missed, bits = hold_leap(state, speed, dt, find_leap(state, row, speed, dt), longest)
+    row.quality += bits
+    return speed, missed
+
+
+@njit(cache=False)
+def add_held_distance(state: Any, held: float) -> float:
+    """Count the distance of speeds that were held back, negative where they had too much; return it. [m]"""
+    state.fix_distance += held
+    state.odometer_distance += held
+    return held
+
+
+@njit(cache=False)
 def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Advance the motion of the car by a sample; fill in the columns of motion and the climb."""
     hole = find_hole(state, settings)
     gap = dt > hole
     unseen_since = state.missed_time + dt
     speed, missed, row.disputed = weigh_speed(state, row, accept_speed(state, row, settings), dt, gap, settings)
+    speed, held = repair_speed(state, row, speed, dt, hole)
     state.fix_age += dt
     state.odometer_age += dt
     age = max(state.fix_age, dt)
     fixed = not (isnan(row.raw_latitude) or isnan(state.latitude))
     distance = integrate_speed(state, speed, dt, fixed, fixed or not isnan(state.odometer), gap, settings.period)
+    distance += add_held_distance(state, max(-distance, held))
     shortfall, derived = evaluate_fix(state, row, dt, settings)
     if isnan(speed) and derived <= settings.speed_limit:
         speed = derived
@@ -346,7 +398,7 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     row.turn_rate = 0.0 if isnan(state.latitude) else update_heading(state, state.latitude, state.longitude, dt)
     before = state.smooth
     if not isnan(speed):
-        update_smooth_speed(state, speed, dt, gap or state.speed_age > hole, settings)
+        update_smooth_speed(state, row, speed, dt, gap or state.speed_age > hole, settings)
     known = not (isnan(speed) or isnan(state.speed) or gap or shortfall > 0.0)
     state.speed = speed
     row.speed = 0.5 * (before + state.smooth)

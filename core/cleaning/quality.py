@@ -54,9 +54,9 @@ class Quality(IntFlag):
     SPEED_CONTRADICTED = 1 << 22
     """The speed contradicts odometer and fixes, stuck or in another unit; the distance is theirs."""
     SPEED_SPIKE = 1 << 23
-    """The speed leaps for one sample and returns, as no car can; it was taken as missing."""
+    """The speed of the sample before leapt and has returned, as drivers cannot; the last speed before it was used."""
     SPEED_NOISY = 1 << 24
-    """The speed of this car is noisy, so that a moving average was applied."""
+    """The speed of this car is noisy, so that a moving average over two samples or more was applied."""
     POSITION_DRIFT = 1 << 25
     """The fix wanders although the car stands, by its odometer, its speed or the noise of its fixes."""
     SLOPE_REJECTED = 1 << 26

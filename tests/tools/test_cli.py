@@ -179,7 +179,7 @@ def test_version_option_prints_version():
         ("replay --speed", "option '--speed' requires an argument; `socast replay --help`"),
         ("ask taxi-7 --distance-km abc", "--distance-km is 'abc', must be a valid number; `socast ask --help`"),
         ("evaluate . --seed 1.5", "--seed is '1.5', must be a valid integer; `socast evaluate --help`"),
-        ("live --smoothing 0", "--smoothing is '0', must be greater than or equal to 1; `socast live --help`"),
+        ("live --smoothing -1", "--smoothing is '-1', must be greater than or equal to 0; `socast live --help`"),
         ("live --period-s nan", "--period-s is 'nan', must be"),
     ],
 )

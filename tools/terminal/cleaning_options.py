@@ -44,7 +44,7 @@ Smoothing = Annotated[
     typer.Option(
         "--smoothing",
         metavar="N",
-        help="Samples in the moving average of reported speed.",
+        help="Samples in the moving average of reported speed; 0: as the noise of each car asks.",
         **_limits("window"),
     ),
 ]
@@ -74,7 +74,7 @@ def make_settings(
     period_s : float
         Nominal time between two samples. [s]
     smoothing : int
-        Number of samples in the moving average of a reported speed. [1]
+        Number of samples in the moving average of a reported speed; 0 for as many as the noise of each car asks. [1]
     least_distance_km : float
         Distance below which a ride is unfit for training. [km]
 

@@ -199,6 +199,7 @@ def test_night_without_counter_equals_night_with_restarted_counter():
 def test_detection_of_stops_has_hysteresis():
     columns = without(full(), "latitude_deg", "longitude_deg")
     speed = np.full(N, 10.0)
+    speed[29] = 5.0
     speed[30:60] = 0.0
     speed[40:50] = 1.0  # creeps below the threshold of motion
     columns["speed_kmh"] = speed * 3.6

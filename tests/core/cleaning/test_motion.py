@@ -316,16 +316,16 @@ def test_wide_motion_does_not_reach_into_a_hole(rows):
 def test_first_sample_of_a_moving_car_is_no_change():
     base = without(drive(20, speed=20.0), *POSITION)
     base["speed_kmh"] = 72.0 + 7.2 * (np.arange(20) % 2)
-    clean = cleaned(base)
+    clean = cleaned(base, Settings(window=1))
     assert clean.speed[2:] == pytest.approx(21.0)
 
 
 def test_speed_beside_an_implausible_change_is_averaged():
     base = without(highway(), *POSITION)
-    base["speed_kmh"][100] = 0.0
+    base["speed_kmh"][100:104] = 0.0
     clean, plain = cleaned(base), np.asarray(base["speed_kmh"]) * KMH
-    assert np.abs(clean.acceleration[100:104]).max() == pytest.approx(plain[99] / 3.0 / PERIOD, rel=0.1)
-    beside = np.r_[2:99, 106 : len(plain)]
+    assert np.abs(clean.acceleration).max() <= 6.0
+    beside = np.r_[2:99, 110 : len(plain)]
     assert clean.speed[beside] == pytest.approx(0.5 * (plain[beside] + plain[beside - 1]))
 
 
