@@ -67,6 +67,8 @@ REPEAT_MEMORY: Final = 100.0
 """Number of samples in the running share of those that repeat the current."""
 LEAST_REPEATS: Final = 0.3
 """Share of repetitions of a current that is assumed of any car: a coarse meter at a steady speed. [1]"""
+LEAST_SPEED_CHANGE: Final = 18.0 * KMH
+"""Sum of changes of speed without which a current may stay the same for any time. [m/s]"""
 LEAST_CHANCE: Final = -16.0
 """Logarithm of the chance of a run of repetitions below which the current is frozen: one in ten million."""
 FROZEN_SPEED_CHANGE: Final = 108.0 * KMH
@@ -174,7 +176,7 @@ def is_power_frozen(state: Any, row: Any, dt: float) -> bool:
         return False
     state.current_runs += 1.0 if drives else 0.0
     usual = LEAST_REPEATS + (1.0 - LEAST_REPEATS) * state.current_repeats
-    if state.current_runs * log(usual) < LEAST_CHANCE:
+    if state.current_runs * log(usual) < LEAST_CHANCE and state.speed_varied > LEAST_SPEED_CHANGE:
         return True
     state.current_repeats += (1.0 - state.current_repeats) / REPEAT_MEMORY if drives else 0.0
     state.current_age += dt

@@ -24,6 +24,7 @@ FIELDS: Final = (
     "sign_pk",
     "sign_pv",
     "sign_kv",
+    "fall_total",  # sum of the sizes of the changes of the charge [1]
     "fall_square",  # sum of the squares of the changes of the charge [1]
     "fall_product",  # sum of the falls of the charge times what V·I drew meanwhile [1]
     "raw_power",  # voltage times current of the last sample, as reported [W]
@@ -50,7 +51,7 @@ MASSES: Final = (200.0, 7500.0)
 FALL_MEMORY: Final = 30.0
 """Number of changes of the charge after which the weight of a change has decreased to 1/e."""
 LEAST_FALL: Final = 0.03
-"""Root of the sum of the squares of the changes from which the charge decides. [1]"""
+"""Sum of the sizes of the changes from which the charge decides. [1]"""
 LEAST_RATIO: Final = 0.3
 """Least ratio of energy to charge, of either sign, that decides: usable and nominal capacity differ. [1]"""
 
@@ -89,6 +90,7 @@ def observe_charge(state: Any, fall: float, capacity: float, is_clear: bool) -> 
     if isnan(used) or used == 0.0 or not is_clear:
         return
     kept = 1.0 - 1.0 / FALL_MEMORY
+    state.fall_total = kept * state.fall_total + abs(fall)
     state.fall_square = kept * state.fall_square + fall * fall
     state.fall_product = kept * state.fall_product + fall * used
     decide_sign(state)
@@ -117,7 +119,7 @@ def judge_acceleration(state: Any) -> float:
 def decide_sign(state: Any) -> None:
     """Decide the sign of the current; without a clear witness, what was decided last remains."""
     sign = judge_acceleration(state)
-    if sign == 0.0 and state.fall_square > LEAST_FALL * LEAST_FALL:
+    if sign == 0.0 and state.fall_total > LEAST_FALL:
         ratio = state.fall_product / state.fall_square
         sign = 1.0 if ratio > LEAST_RATIO else -1.0 if ratio < -LEAST_RATIO else 0.0
     if sign != 0.0:
