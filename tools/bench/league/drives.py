@@ -206,7 +206,7 @@ def make_track(rng: np.random.Generator, drives: int, start: float, stays: tuple
     needed = [float(each.power.sum()) * STEP / JOULES / usable for each in made]
     soc = min(0.97, max(rng.uniform(0.55, 0.95), RESERVE + needed[0] + 0.05))
     builder = _Builder(Track(kind, usable), start, soc)
-    builder.stay(rng.uniform(8.0, 60.0), 400.0, on=True)
+    builder.stay(rng.uniform(2.0, 60.0), 400.0, on=True)
     for number, drive in enumerate(made):
         builder.drive(drive)
         drawn = str(rng.choice(["asleep", "awake", "charging"], p=(0.5, 0.25, 0.25)))
@@ -215,7 +215,7 @@ def make_track(rng: np.random.Generator, drives: int, start: float, stays: tuple
         after = needed[number + 1] if number + 1 < drives else 0.0
         target = max(RESERVE + after + 0.05, min(0.95, builder.soc + rng.uniform(0.1, 0.4)))
         must = builder.soc < RESERVE + after + 0.02
-        builder.stay(rng.uniform(5.0, 100.0), 400.0, on=True)
+        builder.stay(rng.uniform(2.0, 90.0), 400.0, on=True)
         if stay == "asleep":
             builder.stay(rng.choice([1200.0, 3600.0, 8 * 3600.0, 14 * 3600.0]) * rng.uniform(0.8, 1.2), 8.0)
             if must:
@@ -227,7 +227,7 @@ def make_track(rng: np.random.Generator, drives: int, start: float, stays: tuple
                 builder.charge(target, 3600.0, on=False)
         else:
             builder.charge(target, rng.uniform(600.0, 2000.0), on=True)
-        builder.stay(rng.uniform(8.0, 60.0), 400.0, on=True)
+        builder.stay(rng.uniform(2.0, 60.0), 400.0, on=True)
     return builder.close()
 
 

@@ -12,7 +12,7 @@ from core.pipeline import Pipeline
 from core.wire.messages import Message
 from tools.bench.league.fault import CLOCK, Fault, are_compatible, settle
 from tools.bench.league.faults import FAULTS
-from tools.bench.league.laws import WRONG, Truth, Verdict, find_starts, find_truths, judge
+from tools.bench.league.laws import COLUMNS, WRONG, Truth, Verdict, find_starts, find_truths, judge
 from tools.bench.league.loggers import Log, make_car, sample, write_messages
 
 DRIVES: Final = 3
@@ -98,21 +98,22 @@ def write_stream(entries: Sequence[Entry]) -> list[Message]:
 
 
 def tabulate(messages: Sequence[Message]) -> pd.DataFrame:
-    """Return the ride table of a stream, as `socast tables` makes it."""
+    """Return the ride table of a stream, as `socast tables` makes it; of its columns those that are judged."""
     pipeline = Pipeline(EXTENDED_PHYSICAL, keep_forecasts=False, two_sided=True)
     for at in range(0, len(messages), BLOCK):
         pipeline.take(messages[at : at + BLOCK])
     pipeline.finish()
-    return pipeline.take_rides()
+    return pipeline.take_rides()[list(COLUMNS)]
 
 
 def judge_stream(entries: Sequence[Entry]) -> list[Verdict]:
     """Return what became of each drive of some cars, which are cleaned in one stream."""
     rides = tabulate(write_stream(entries))
+    of_car = dict(iter(rides.groupby("vehicle_id")))
     return [
         verdict
         for number, faults, log, truths, starts in entries
-        for verdict in judge(number, log, truths, starts, faults, rides[rides["vehicle_id"] == log.car.name])
+        for verdict in judge(number, log, truths, starts, faults, of_car.get(log.car.name, rides[:0]))
     ]
 
 

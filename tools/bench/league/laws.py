@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 
 from core.batch import Ints
+from core.cleaning import quality
 from core.settings import Settings
 from tools.bench.league.drives import JOULES
 from tools.bench.league.fault import CAUSES, Fault, find_spoiled
@@ -45,6 +46,12 @@ NO_FAULTS: Final = ("ambient_filled", "ambient_assumed")
 CLOCK_BITS: Final = ("repaired_time", "clock_step")
 """Quality bits that tell of a wrong clock."""
 AMOUNTS: Final = ("distance_km", "energy_kwh", "duration_s")
+QUALITY: Final = tuple(f"quality_{cause}" for cause in quality.CAUSES)
+COLUMNS: Final = (
+    *("vehicle_id", "start_s", *AMOUNTS, "energy_sd_kwh", "energy_source", "fit_for_training", "unfit_reason"),
+    *("battery_temperature_c", "occupants", *QUALITY),
+)
+"""Columns of the ride table that are judged."""
 RIGHT, REPAIRED, VAGUE, UNFIT, ODD, WRONG = WORDS = ("right", "repaired", "vague", "unfit", "odd", "wrong")
 """What becomes of a drive; `odd` is unfit for a reason that no fault of its car explains."""
 
@@ -187,11 +194,7 @@ def judge(
 def _describe(rides: pd.DataFrame, merged: Any) -> dict[str, Any]:
     """Return what the rides of a drive say."""
     fit = rides["fit_for_training"].to_numpy(bool)
-    bits = {
-        str(name).removeprefix("quality_"): int(rides[name].sum())
-        for name in rides
-        if str(name).startswith("quality_") and rides[name].any()
-    }
+    counts = rides[list(QUALITY)].to_numpy().sum(axis=0).tolist()
     return {
         **{name: float(rides[name].sum()) for name in AMOUNTS},
         "start_s": float(rides["start_s"].iloc[0]) if len(rides) else None,
@@ -200,7 +203,7 @@ def _describe(rides: pd.DataFrame, merged: Any) -> dict[str, Any]:
         "rides": len(rides),
         "merged": bool((merged & fit).any()),
         "unfit": sorted(set(rides["unfit_reason"].dropna())),
-        "bits": {name: count for name, count in bits.items() if name not in NO_FAULTS},
+        "bits": {n: count for n, count in zip(quality.CAUSES, counts, strict=True) if count and n not in NO_FAULTS},
     }
 
 

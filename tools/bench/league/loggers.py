@@ -16,6 +16,10 @@ SHARES: Final = (0.16, 0.07, 0.45, 0.1, 0.08, 0.04, 0.05, 0.05)
 """Share of the loggers that has each."""
 FIRST_DAY: Final = 1_717_200_000.0
 """1 June 2024. [Unix s]"""
+LONELY: Final = 0.4
+"""Share of the cars that drive on days of their own, when no other car sends. [1]"""
+DAYS: Final = 120
+"""Number of such days, two apart."""
 PLACE: Final = (45.5, -73.6)
 """Where the roads of the league are. [deg]"""
 FIELDS: Final = (
@@ -116,6 +120,8 @@ def make_car(rng: np.random.Generator, number: int, drives: int, stays: tuple[st
         if rng.random() < share:
             sends.discard(name)
     start = FIRST_DAY + rng.uniform(0.0, 6 * 3600.0)
+    if rng.random() < LONELY:
+        start += (1 + number % DAYS) * 2 * 86400.0
     return Car(
         name=f"car-{number:05d}",
         track=make_track(rng, drives, start, stays),

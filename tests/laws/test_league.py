@@ -1,0 +1,104 @@
+"""Test that no fault of a logger, alone or beside another, makes a ride that is fit for training and wrong."""
+
+from functools import cache
+from itertools import combinations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tools.bench.league.fault import are_compatible
+from tools.bench.league.faults import FAULTS
+from tools.bench.league.fleet import BESIDE, judge_stream, make_entry
+from tools.bench.league.laws import REPAIRED, RIGHT, WRONG
+from tools.bench.league.replay import find_difference
+
+pytestmark = pytest.mark.long
+
+KNOWN = frozenset(
+    {
+        *("clock_bursts", "clock_floored_10_s", "clock_floored_60_s", "clock_week_rollover", "counter_kept_asleep"),
+        *("sent_from_cache", "sent_on_change", "every_60_s"),
+        *("speed_stuck_at_zero", "speed_stuck", "speed_spikes", "speed_in_mph", "speed_in_m_s", "speed_scaled"),
+        *("speed_tunnel", "fixes_only"),
+        *("current_inverted", "current_frozen", "current_missing"),
+        BESIDE,
+    }
+)
+"""Faults of which the cleaning makes rides that are fit and wrong, and `BESIDE` while cars spoil rides of other cars.
+
+Take out a name when its fault is repaired. A name whose fault misleads no more makes a test fail."""
+HARMLESS = (
+    *("clock_jitter", "clock_set_forward", "clock_floored_1_s", "clock_drift", "counter_absent", "counter_restarts"),
+    *("sent_twice", "sent_late", "samples_lost", "every_1_s", "every_10_s", "speed_noisy", "position_noisy"),
+    *("position_jumps", "position_absent", "position_drift_parked", "odometer_absent", "odometer_coarse"),
+)
+"""Faults that cost nothing: each drive stays fit for training."""
+SEED, CARS = 11, 2
+"""Seed of the cars, and number of cars that have each fault."""
+SEARCHED = 40
+"""Number of cars among which a known fault misleads at least once."""
+
+
+def drive(names, cars=range(CARS), seed=SEED):
+    """Yield what became of each drive of cars, each of which has the stream to itself."""
+    for number in cars:
+        yield from judge_stream([make_entry(seed, number, [FAULTS[name] for name in names])])
+
+
+@cache
+def drive_alone(name):
+    """Return what became of each drive of some cars that have one fault."""
+    return tuple(drive([name]))
+
+
+def tell(verdicts):
+    """Return what is wrong, in a form that an assertion shows."""
+    return [(each.car, each.drive, each.why, each.found, each.truth) for each in verdicts if each.word == WRONG]
+
+
+def test_every_drive_without_a_fault_is_fit_and_right():
+    assert {each.word for each in drive((), range(4))} <= {RIGHT, REPAIRED}
+
+
+@pytest.mark.parametrize("name", [name for name in FAULTS if name not in KNOWN])
+def test_no_drive_with_a_fault_is_fit_and_wrong(name):
+    assert not tell(drive_alone(name))
+
+
+@pytest.mark.parametrize("name", HARMLESS)
+def test_every_drive_with_a_harmless_fault_stays_fit_and_right(name):
+    assert {each.word for each in drive_alone(name)} <= {RIGHT, REPAIRED}
+
+
+@pytest.mark.parametrize("name", [name for name in FAULTS if name in KNOWN])
+def test_known_faults_still_mislead(name):
+    assert any(each.word == WRONG for each in drive([name], range(SEARCHED))), f"take {name} out of KNOWN"
+
+
+PAIRS = [
+    (one, other)
+    for one, other in combinations(FAULTS, 2)
+    if not {one, other} & KNOWN and are_compatible(FAULTS[one], FAULTS[other])
+]
+
+
+@given(pair=st.sampled_from(PAIRS), seed=st.integers(0, 50))
+def test_no_drive_with_two_faults_is_fit_and_wrong(pair, seed):
+    assert not tell(drive(pair, range(1), seed))
+
+
+@pytest.mark.skipif(BESIDE in KNOWN, reason="known: cars with wrong clocks end the rides of others")
+@given(seed=st.integers(0, 50))
+def test_cars_with_wrong_clocks_do_not_change_what_becomes_of_others(seed):
+    healthy = [make_entry(seed, number, []) for number in range(3)]
+    bad = ("clock_bursts", "clock_floored_60_s", "clock_set_forward", "clock_week_rollover", "clock_drift")
+    others = [make_entry(seed, 3 + number, [FAULTS[name]]) for number, name in enumerate(bad)]
+    together = [each for each in judge_stream([*healthy, *others]) if not each.faults]
+    assert not tell(together)
+
+
+@settings(max_examples=4)
+@given(seed=st.integers(0, 50))
+def test_any_chunking_of_faulty_streams_gives_the_same_bytes(seed):
+    assert not find_difference(seed, [2 * seed + 1])
