@@ -9,6 +9,7 @@ from core.batch import Ints
 from core.cleaning.quality import CAUSES
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
+from core.totals.tables import model_columns
 
 
 class RunCounters:
@@ -23,7 +24,8 @@ class RunCounters:
     unfit : Counter
         Of these, rides that are unfit for training, by reason.
     unpredicted : Counter
-        Of these, rides whose energy is not predictable, by reason.
+        Of these, rides whose energy is not predictable, by reason; `model_limit` where the model predicts more than a
+        ride can take (`core.models.limit`).
     """
 
     def __init__(self) -> None:
@@ -52,6 +54,11 @@ class RunCounters:
         self.rides += len(rides.lane)
         self.unfit.update(reason for reason in unfit_reasons.tolist() if reason is not None)
         self.unpredicted.update(why for why in map(context.cars.unpredicted, kinds) if why is not None)
+        model: Any = context.model
+        if getattr(model, "is_limited", False):
+            columns = model_columns(rides, context, model.needs)
+            if limited := model.count_limited(columns, model.predict(columns)):
+                self.unpredicted["model_limit"] += limited
 
     def describe(self) -> dict[str, Any]:
         """Return `samples` by quality bit, `rides`, and rides `unfit` and `unpredicted` by reason."""
