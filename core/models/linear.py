@@ -278,8 +278,8 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         Returns
         -------
         dict of str to (n,) float
-            Energy by name of the term; the parts sum to the prediction, also where this stopped at its limit. NaN for a car
-            without a fit. [kWh]
+            Energy by name of the term; the parts sum to the prediction, also where this stopped at its limit. NaN for
+            a car without a fit. [kWh]
         """
         vehicle_models = np.asarray(columns[VEHICLE_MODEL], dtype=object)
         names = [term.name for term in self.terms] + ([CORRECTION] if self.correction else [])

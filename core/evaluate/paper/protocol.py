@@ -207,9 +207,9 @@ def tabulate_runs(plan: EvaluationPlan, done: Mapping[Any, Any]) -> dict[str, An
     found["about"]["left_out_of_training"] = list(plan.untrained)
     wide = [] if plan.repeats >= FEWEST_REPEATS else [_describe_width(plan.repeats, held["ride"].overlap)]
     unfitted = [name for name in BUILT_IN_MODELS if name in held["ride"].recipes]
-    if unfitted:
-        wide.append(f"{', '.join(unfitted)}: {HILLS_OF_BUILT_IN}")
-    found["about"]["notes"] = wide + _list_notes(splits, held, new) + _list_untested(table, splits["new"]) + failed
+    hills = [f"{', '.join(unfitted)}: {HILLS_OF_BUILT_IN}"] if unfitted else []
+    notes = wide + _list_notes(splits, held, new) + _list_untested(table, splits["new"]) + failed + hills
+    found["about"]["notes"] = notes
     return results.to_json_values(found)
 
 

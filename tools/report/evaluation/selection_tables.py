@@ -47,8 +47,8 @@ def tabulate_removed_terms(result: Result) -> ReportTable:
     share = get_number(get_part(selection, "margin", "share"))
     for name, label in (
         ("margin", f"With a margin: error shown to be at most {100.0 * (share or 0.0):g} % larger"),
-        ("rfecv", "RFECV of the paper: least cross-validated error"),
-        ("rfe", "RFE of the paper: no significant loss"),
+        ("rfecv", "RFECV: least cross-validated error"),
+        ("rfe", "RFE: no significant loss"),
     ):
         if get_mapping(selection, name):
             theirs = format_terms(
@@ -61,8 +61,8 @@ def tabulate_removed_terms(result: Result) -> ReportTable:
             rows.append(Row(label, cells))
     note = (
         "Half of the rides choose the terms. The other half show the increase of the mean absolute error without them. "
-        "RFE removes terms while no loss is significant, and few rides show hardly any. The margin asks that the one-sided "
-        "95 % interval of the loss lies below it, and takes the terms of physics last."
+        "RFE removes terms while no loss is significant, and few rides show hardly any. The margin asks that the "
+        "one-sided 95 % interval of the loss lies below it, and takes the terms of physics last."
     )
     heads = ("terms removed", "loss, kWh")
     return ReportTable(
