@@ -18,6 +18,9 @@ its coefficient near the physical value 1. The coefficient of an interaction is 
 A column that does not vary has no coefficient, and neither has an interaction whose column is nothing but the rounding
 of the energies that it sums. Such terms are dropped, and the fit names them.
 
+Coefficients of gained and lost altitude satisfy one constraint: a mean ride that gains as much as it loses takes no
+less than on a level road. Least squares alone may regain more downhill than it spends uphill.
+
 The covariance admits that the errors of rides of one vehicle on one day depend on each other. It treats the accessory
 curve as fitted together with the coefficients. The variance of the accessories' own coefficient holds for the given
 shape of the curve.
@@ -67,8 +70,9 @@ _RIDES_PER_COEFFICIENT: Final = 2
 """Fewest rides for each coefficient of a fit."""
 _RESOLUTION: Final = 0.01
 _PRIOR_SD: Final = 0.5
-_ROUNDING: Final = 1e-9
+ROUNDING: Final = 1e-9
 """Size of an energy over that of the measured one, below which it is rounding: sums of kinetic energies leave 1e-16."""
+_ALTITUDES: Final = ("gained_m", "lost_m")
 PHYSICS: Final = (*(effect.energy_name for effect in ROAD_LOAD), ACCESSORIES_COLUMN)
 """First columns of the terms whose dimensionless coefficient is 1 where physics holds."""
 
@@ -331,10 +335,11 @@ class _Fitting:
         group.moments.clear(empty)
         group.dropped = tuple(self.terms[self.sloped[i]].name for i in empty)
         moments = group.moments.only([*range(len(self.sloped)), -1])
-        solution = solve(moments, constant=constant)
+        hills = self._build_hills(group)
+        solution = solve(moments, constant=constant, least=hills)
         weight, toward, group.held = self._make_prior(group, moments, solution)
         if group.held:
-            solution = solve(moments, constant=constant, weight=weight, toward=toward)
+            solution = solve(moments, constant=constant, weight=weight, toward=toward, least=hills)
         group.solution = solution
         if self.covariance:
             terms = [self.terms[i].columns for i in self.sloped]
@@ -349,7 +354,7 @@ class _Fitting:
             least = NO_VARIATION * np.hypot(size[i], root * group.moments.mean[i])
             for main in self._physical:
                 if (by := self._measure_factors(group, term, main)) is not None:
-                    least = max(least, _ROUNDING * by * size[-1])
+                    least = max(least, ROUNDING * by * size[-1])
             if term not in self._physical and size[i] <= least:
                 empty.append(i)
         return empty
@@ -370,6 +375,19 @@ class _Fitting:
                     weight[i], toward[i] = least * (by / _PRIOR_SD) ** 2, float(term == main)
                     held.append(term.name)
         return weight, toward, tuple(held)
+
+    def _build_hills(self, group: _GroupFit) -> Floats | None:
+        """Return what a hill, up and down, adds to each column of a mean ride, linearly and by its square; or None."""
+        mean = dict(zip([term.columns for term in self._sloped_terms], group.moments.mean, strict=False))
+        hills = np.zeros((2, len(self.sloped)))
+        for i, term in enumerate(self._sloped_terms):
+            others = tuple(column for column in term.columns if column not in _ALTITUDES)
+            power = len(term.columns) - len(others)
+            if power and "effect_climbing" not in others and term.name not in group.dropped:
+                by = mean.get(others) if others else 1.0
+                hills[min(power, 2) - 1, i] = prod(group.fills.get(c, 1.0) for c in others) if by is None else by
+        hills = hills[hills.any(axis=1)]
+        return hills if len(hills) else None
 
     def _measure_columns(self, moments: Moments) -> Floats:
         """Return the root of the sum of squares of each column, about its mean where there is a constant."""

@@ -24,7 +24,7 @@ from core.fit.fitting import fit_terms
 from core.fit.pooled import POOLED_RECIPES
 from core.fit.ride_blocks import RideFrame, RideParquet, ThinnedRides
 from core.fit.window_recipe import WindowRecipe
-from core.models import BASIC_TERMS, LinearModel, Term, make_physical_term
+from core.models import BASIC_TERMS, HILLS_OF_BUILT_IN, LinearModel, Term, make_physical_term
 from core.models.features import ACCESSORIES_COLUMN, FEATURES, derive_coefficient_unit
 
 INTERVAL_RIDES: Final = 20_000
@@ -260,13 +260,19 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
     {
         each.name: each
         for each in (
-            LinearRecipe("basic_physical", "Basic Physical Model", BASIC_TERMS, free=False, note="nothing is fitted"),
+            LinearRecipe(
+                "basic_physical",
+                "Basic Physical Model",
+                BASIC_TERMS,
+                free=False,
+                note=f"nothing is fitted; {HILLS_OF_BUILT_IN}",
+            ),
             LinearRecipe(
                 "extended_physical",
                 "Extended Physical Model",
                 (*BASIC_TERMS, ACCESSORY_TERM),
                 free=False,
-                note="the accessory curve is fitted",
+                note=f"the accessory curve is fitted; {HILLS_OF_BUILT_IN}",
             ),
             LinearRecipe("fitted_physical", "Fitted Extended Physical Model (Linear Regression)", FITTED_TERMS),
             LinearRecipe(

@@ -23,6 +23,7 @@ from typing import Final, NamedTuple
 from zlib import crc32
 
 import numpy as np
+from scipy.optimize import nnls
 
 from core.batch import Floats, Ints
 
@@ -174,7 +175,14 @@ class Solution:
         return self.residual / self.freedom if self.freedom > 0 else np.nan
 
 
-def solve(moments: Moments, *, constant: bool, weight: Floats | None = None, toward: Floats | None = None) -> Solution:
+def solve(
+    moments: Moments,
+    *,
+    constant: bool,
+    weight: Floats | None = None,
+    toward: Floats | None = None,
+    least: Floats | None = None,
+) -> Solution:
     """Return the least-squares fit of the last column on the others, of minimum norm in standardised columns.
 
     Parameters
@@ -186,6 +194,9 @@ def solve(moments: Moments, *, constant: bool, weight: Floats | None = None, tow
     weight, toward : (p,) float, optional
         Penalty `weight (coefficient - toward)^2` on the sum of squares; without it, ordinary least squares. An
         observation of the coefficient with variance v has the weight s^2 / v, where s^2 is the residual variance.
+    least : (k, p) float, optional
+        Sums of coefficients, by row, that must not be negative. Their multipliers solve the dual, non-negative least
+        squares.
 
     Returns
     -------
@@ -198,7 +209,12 @@ def solve(moments: Moments, *, constant: bool, weight: Floats | None = None, tow
     sums = moments.sums(centred=constant)
     gram, cross, squares = sums[:p, :p], sums[:p, p], float(sums[p, p])
     inverse, rank = compute_pseudo_inverse(gram + np.diag(weight), np.sqrt(moments.rows) * moments.mean[:p])
-    coefficients = inverse @ (cross + weight * toward)
+    right = cross + weight * toward
+    coefficients = inverse @ right
+    if least is not None and (least @ coefficients < 0.0).any():
+        half = _root(inverse)
+        change = half.T @ (least / np.linalg.norm(least, axis=1, keepdims=True)).T
+        coefficients = half @ (half.T @ right + change @ nnls(change, -half.T @ right)[0])
     residual = max(float(squares - 2.0 * coefficients @ cross + coefficients @ gram @ coefficients), 0.0)
     offset = float(moments.mean[p] - moments.mean[:p] @ coefficients) if constant else None
     return Solution(coefficients, offset, rank, residual, moments.rows, weight)

@@ -225,7 +225,7 @@ def _join(one: Gaussian, other: Gaussian) -> Gaussian:
 
 def _find_limit(group: GroupRows, rows: pd.DataFrame) -> EnergyLimit | None:
     """Return the limit that follows from the whole rides, as windows take and return more than a ride."""
-    rides = [np.bincount(group.ride, get_numbers(rows, name)) for name in (ENERGY, *LIMIT_NEEDS)]
+    rides = [np.bincount(group.ride, get_numbers(rows, name)).astype(np.float64) for name in (ENERGY, *LIMIT_NEEDS)]
     return EnergyLimit.of_training(*sum_training(*rides).tolist())
 
 

@@ -9,6 +9,7 @@ from core.models.built_in import (
     BASIC_TERMS,
     BUILT_IN_MODELS,
     EXTENDED_PHYSICAL,
+    HILLS_OF_BUILT_IN,
     make_physical_term,
 )
 from core.models.file import decode_model, encode_model, load, save, stamp
@@ -33,6 +34,7 @@ __all__ = [
     "CORRECTION",
     "EXTENDED_PHYSICAL",
     "FORMAT",
+    "HILLS_OF_BUILT_IN",
     "VEHICLE",
     "VEHICLE_MODEL",
     "Fit",

@@ -48,3 +48,7 @@ BUILT_IN_MODELS: Final[Mapping[str, LinearModel]] = MappingProxyType(
     {model.name: model for model in (BASIC_PHYSICAL, EXTENDED_PHYSICAL)}
 )
 """Models that come with the product and need no fitting, by name."""
+HILLS_OF_BUILT_IN: Final = (
+    "as in the paper, a descent returns all that the climb took, so a hill up and down costs nothing"
+)
+"""What readers of the predictions of `BUILT_IN_MODELS` need to know."""

@@ -221,9 +221,8 @@ def _check_fit(what: str, fit: Fit, model: LinearModel) -> None:
             raise ModelError(f"{what}: its covariance is not {n} by {n}: fit the model again")
         for value in chain.from_iterable(fit.covariance):
             _check_finite(f"{what}: covariance", value)
-    if fit.limit:
-        for value in (fit.limit.kwh_per_km, fit.limit.power_kw):
-            _check_finite(f"{what}: its limit", value)
+    for value in msgspec.structs.astuple(fit.limit) if fit.limit else ():
+        _check_finite(f"{what}: its limit", value)
     _check_columns(f"{what}: fill", tuple(fit.fills))
     for column, value in fit.fills.items():
         _check_finite(f"{what}: fill of {column!r}", value)

@@ -176,7 +176,7 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         for trees in (self.correction or {}).values():
             read += trees.needs
         raw = [name for column in read for name in list_raw_columns(column)]
-        if self._is_limited:
+        if self.is_limited:
             raw += LIMIT_NEEDS
         if self._groups:
             raw.append(VEHICLE_MODEL)
@@ -190,7 +190,7 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return tuple(c.removeprefix(EFFECT_PREFIX) for c in self.needs if c.startswith(EFFECT_PREFIX))
 
     @cached_property
-    def _is_limited(self) -> bool:
+    def is_limited(self) -> bool:
         """Whether a fit limits its predictions."""
         return any(fit.limit for fit in self.fits.values())
 
@@ -221,7 +221,7 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             Where a needed column is absent.
         """
         energy = self._predict_unlimited(columns)
-        if not self._is_limited:
+        if not self.is_limited:
             return energy
         most = self.compute_limits(columns)
         return np.clip(energy, -most, most)
@@ -251,7 +251,7 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     def count_limited(self, columns: Table, energy: Floats) -> int:
         """Return the number of predicted energies that stopped at their limit."""
-        return int(np.sum(np.abs(energy) >= self.compute_limits(columns))) if self._is_limited else 0
+        return int(np.sum(np.abs(energy) >= self.compute_limits(columns))) if self.is_limited else 0
 
     def _predict_unlimited(self, columns: Table) -> Floats:
         """Return the energy of rides by the terms, the trees and the factors of cars. [kWh]"""
@@ -278,8 +278,8 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         Returns
         -------
         dict of str to (n,) float
-            Energy by name of the term; the parts sum to the prediction, unless this stopped at its limit. NaN for a car without a
-            fit. [kWh]
+            Energy by name of the term; the parts sum to the prediction, also where this stopped at its limit. NaN for
+            a car without a fit. [kWh]
         """
         vehicle_models = np.asarray(columns[VEHICLE_MODEL], dtype=object)
         names = [term.name for term in self.terms] + ([CORRECTION] if self.correction else [])
@@ -294,7 +294,10 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             if self.correction:
                 trees = self._trees(key)
                 parts[CORRECTION][rows] = trees.predict(Columns(columns, None, fit.curve, rows)) if trees else 0.0
-        return {name: self._scale_by_car(energy, columns) for name, energy in parts.items()}
+        parts = {name: self._scale_by_car(energy, columns) for name, energy in parts.items()}
+        total, most = np.abs(sum(parts.values())), self.compute_limits(columns)
+        share = np.divide(most, total, out=np.ones(len(total)), where=total > most)
+        return {name: energy * share for name, energy in parts.items()}
 
     def predict_interval(self, columns: Table, level: float = 0.9) -> tuple[Floats, Floats]:
         """Return bounds between which the energy of a ride lies with a given probability.

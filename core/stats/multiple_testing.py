@@ -28,6 +28,9 @@ from core.stats.scores import Estimate
 SIGNIFICANCE: Final = 0.05
 """Probability, over all pairs, of reporting a difference where there is none. [1]"""
 
+CO_DOMINANCE_MARGIN: Final = 0.25
+"""Share of the least error by which that of a co-dominating model may be larger, at the end of its interval. [1]"""
+
 Pair = tuple[str, str]
 
 
@@ -98,7 +101,10 @@ def adjust_differences(differences: Mapping[Pair, Estimate]) -> dict[Pair, float
 
 
 def select_dominating(errors: Mapping[str, float], differences: Mapping[Pair, Estimate]) -> list[str]:
-    """Return the dominating model, or the co-dominating ones: those that no model beats significantly.
+    """Return the dominating model, or the co-dominating ones.
+
+    A difference that is not significant proves nothing where its interval is wide. A model therefore co-dominates only
+    if the interval also excludes that its error is larger by more than `CO_DOMINANCE_MARGIN`.
 
     Parameters
     ----------
@@ -110,14 +116,23 @@ def select_dominating(errors: Mapping[str, float], differences: Mapping[Pair, Es
     Returns
     -------
     list of str
-        The model of least error and all that are not significantly worse than it, best first.
+        The model of least error, and all that are neither significantly worse than it nor possibly worse by more than
+        the margin, best first. An unknown interval excludes nothing, so the difference itself has to lie within it.
     """
     known = sorted((error, name) for name, error in errors.items() if not np.isnan(error))
     if not known:
         return []
-    best = known[0][1]
+    least, best = known[0]
     p = adjust_differences(differences)
-    worse = {
-        a if b == best else b for (a, b), chance in p.items() if best in {a, b} and chance < SIGNIFICANCE
-    }  # NaN is not below
+    worse = set()
+    for (a, b), difference in differences.items():
+        if best in {a, b}:
+            more = abs(difference.value) if np.isnan(difference.ci95) else _find_upper_end(difference, a == best)
+            if p[a, b] < SIGNIFICANCE or more > CO_DOMINANCE_MARGIN * least:  # NaN is neither
+                worse.add(b if a == best else a)
     return [name for _, name in known if name not in worse]
+
+
+def _find_upper_end(difference: Estimate, reverse: bool) -> float:
+    """Return the upper end of the 95 % interval of a difference, or of its negative."""
+    return (-difference.value if reverse else difference.value) + difference.ci95

@@ -56,6 +56,13 @@ class Estimate(NamedTuple):
         return float(stdtrit(self.freedom, 0.975) * self.error) if self.freedom > 0 else nan
 
     @property
+    def upper95(self) -> float:
+        """End of the one-sided 95 % confidence interval: the true value is higher in one case of twenty."""
+        if self.error == 0.0:
+            return self.value
+        return self.value + float(stdtrit(self.freedom, 0.95) * self.error) if self.freedom > 0 else nan
+
+    @property
     def p(self) -> float:
         """Two-sided probability of a value at least as far from zero where the true value is zero. [1]"""
         if self.error == 0.0:

@@ -10,6 +10,7 @@ from core.cleaning.quality import CAUSES
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
 from core.totals.logger_faults import LoggerFaults, add_faults, count_faults
+from core.totals.tables import model_columns
 
 
 class RunCounters:
@@ -24,7 +25,8 @@ class RunCounters:
     unfit : Counter
         Of these, rides that are unfit for training, by reason.
     unpredicted : Counter
-        Of these, rides whose energy is not predictable, by reason.
+        Of these, rides whose energy is not predictable, by reason; `model_limit` where the model predicts more than a
+        ride can take (`core.models.limit`).
     faults : dict of str to Counter
         Of these, rides that show a fault of a logger, by its name and by car.
     """
@@ -57,6 +59,11 @@ class RunCounters:
         self.unfit.update(reason for reason in unfit_reasons.tolist() if reason is not None)
         self.unpredicted.update(why for why in map(context.cars.unpredicted, kinds) if why is not None)
         add_faults(self.faults, count_faults(rides, context.vehicle_ids))
+        model: Any = context.model
+        if getattr(model, "is_limited", False):
+            columns = model_columns(rides, context, model.needs)
+            if limited := model.count_limited(columns, model.predict(columns)):
+                self.unpredicted["model_limit"] += limited
 
     def describe(self) -> dict[str, Any]:
         """Return `samples` by quality bit, `rides`, `unfit` and `unpredicted` ones by reason, and `logger_faults`."""

@@ -7,6 +7,7 @@ from typing import Any
 
 from core.evaluate.paper.protocol import EvaluationPlan, plan_evaluation, select_recipes, tabulate_runs
 from core.evaluate.paper.runs import call_in_one_thread
+from core.evaluate.paper.selection import MARGIN
 from core.vehicles import add_vehicles
 from tools.cluster.workers import Workers
 from tools.terminal.table_files import read
@@ -27,6 +28,7 @@ class EvaluationJob:
         Names of recipes, as on the command line.
     seed, repeats : int
     left_out_of_training : tuple of str
+    removal_margin : float
         As of `core.evaluate.paper.protocol.evaluate`.
     vehicle_files : tuple of Path
         Files that a worker loads before its first task.
@@ -41,6 +43,7 @@ class EvaluationJob:
     seed: int
     repeats: int
     left_out_of_training: tuple[str, ...]
+    removal_margin: float = MARGIN
     vehicle_files: tuple[Path, ...] = ()
     run: str = ""
 
@@ -67,6 +70,7 @@ def plan_job(job: EvaluationJob) -> EvaluationPlan:
         seed=job.seed,
         repeats=job.repeats,
         left_out_of_training=job.left_out_of_training,
+        removal_margin=job.removal_margin,
     )
 
 

@@ -15,6 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from core.errors import SettingsError
 from core.evaluate.paper.protocol import SEGMENTS, tabulate_runs
 from core.evaluate.paper.runs import run_in_parallel
+from core.evaluate.paper.selection import MARGIN
 from core.fit import segment_network
 from core.fit.recipes import RECIPES
 from core.fit.window_recipe import WindowRecipe
@@ -54,6 +55,16 @@ def evaluate_tables(
             show_default=False,
         ),
     ] = None,
+    removal_margin: Annotated[
+        float,
+        typer.Option(
+            metavar="PERCENT",
+            min=0.0,
+            max=100.0,
+            help="Terms of the hybrid model count as removable while the error without them is shown to be larger by "
+            "at most this share.",
+        ),
+    ] = 100.0 * MARGIN,
     jobs: Annotated[
         int | None, typer.Option(help="Number of processes; all cores by default.", show_default=False)
     ] = None,
@@ -87,6 +98,7 @@ def evaluate_tables(
         seed,
         repeats,
         tuple(leave_out_of_training or ()),
+        removal_margin / 100.0,
         tuple(file.resolve() for file in vehicles or ()),
     )
     result = _evaluate(job, jobs, place)

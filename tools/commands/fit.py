@@ -7,6 +7,7 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import typer
+from msgspec import UNSET
 from rich.console import Console
 from scipy.special import stdtrit
 
@@ -59,7 +60,13 @@ def fit(
     *,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="MODEL.json", help="The model file to write.")],
     recipe_name: Annotated[
-        str | None, typer.Option("--recipe", metavar="NAME", help=f"One of {', '.join(RECIPES)}.", show_default=False)
+        str | None,
+        typer.Option(
+            "--recipe",
+            metavar="NAME",
+            help=f"One of {', '.join(RECIPES)}. In {' and '.join(models.BUILT_IN_MODELS)}, {models.HILLS_OF_BUILT_IN}.",
+            show_default=False,
+        ),
     ] = None,
     adapt_to: Annotated[
         Path | None,
@@ -314,6 +321,8 @@ def summary(model: LinearModel, title: str) -> dict[str, Any]:
             "residual_sd_kwh": fitted.residual_sd_kwh,
             "clusters": fitted.clusters,
             "held": fitted.held,
+            "dropped": fitted.dropped or (),
+            "limit": None if fitted.limit is UNSET else msgspec.to_builtins(fitted.limit),
             "converged": fitted.converged,
             "limited": fitted.limited,
             "curve": None if fitted.curve is None else _celsius(fitted.curve),
@@ -371,6 +380,7 @@ def show(model: LinearModel, title: str, console: Console) -> None:
         table.add_row("any other (*)" if key == ANY else key, f"{fitted.rides:,}", error, left_sd)
     console.print(table)
     _show_coefficients(model, console)
+    _show_dropped(model, console)
     _show_curves(model, console)
     parts = [
         f"factors of {len(model.cars):,} cars" if model.cars else "",
@@ -417,6 +427,14 @@ def _show_coefficients(model: LinearModel, console: Console) -> None:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     for line in describe_implausible(model):
         console.print(f"NOT plausible: {line}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _show_dropped(model: LinearModel, console: Console) -> None:
+    """Print the terms of each fit whose column had no content."""
+    for key, fitted in model.fits.items():
+        if fitted.dropped:
+            line = f"dropped for {key}, as its column does not vary beyond rounding: {', '.join(fitted.dropped)}"
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _cell(one: Coefficient, *, held: bool, marked: bool) -> str:

@@ -20,6 +20,7 @@ from core.evaluate.ride_filter import EvaluatedRides, filter_rides
 from core.fit.recipes import RECIPES
 from core.fit.segment_network import SegmentRecipe, build_segments
 from core.fit.window_recipe import RecipeWithWindows, WindowRecipe
+from core.models import BUILT_IN_MODELS, HILLS_OF_BUILT_IN
 from core.models.features import list_raw_columns
 from core.stats.scores import compute_widening
 from core.stats.splits import REPEATS, TEST_SHARE, Split, split_by_date, split_by_ride, split_by_vehicle
@@ -109,6 +110,7 @@ def plan_evaluation(
     seed: int = 0,
     repeats: int = REPEATS,
     left_out_of_training: Collection[str] = (),
+    removal_margin: float = selection.MARGIN,
 ) -> EvaluationPlan:
     """Return the runs of an evaluation, see `evaluate`."""
     table = filter_rides(rides)
@@ -120,7 +122,10 @@ def plan_evaluation(
     }
     few = new_vehicle.plan_learning_curves(new_vehicle.list_learners(recipes), table, splits["new"], seed)
     calls |= {("few", *key): call for key, call in few.items()}
-    calls |= {("selection", name): call for name, call in selection.plan_selection(table, recipes, seed).items()}
+    calls |= {
+        ("selection", name): call
+        for name, call in selection.plan_selection(table, recipes, seed, removal_margin).items()
+    }
     return EvaluationPlan(table, recipes, seed, repeats, untrained, splits, calls)
 
 
@@ -131,6 +136,7 @@ def evaluate(
     seed: int = 0,
     repeats: int = REPEATS,
     left_out_of_training: Collection[str] = (),
+    removal_margin: float = selection.MARGIN,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -149,6 +155,8 @@ def evaluate(
     left_out_of_training : collection of str
         Vehicle models whose rides train no model that predicts a new vehicle model (Tables 12 and 13, and the curves
         over a few rides). The paper leaves out the LEAF: `nissan-leaf`.
+    removal_margin : float
+        Loss by which removed terms may increase the error of the hybrid model, over this error. [1]
     jobs : int
         Number of processes.
     progress : callable, optional
@@ -161,7 +169,14 @@ def evaluate(
     SettingsError
         Where a vehicle model to leave out has no rides.
     """
-    plan = plan_evaluation(rides, recipes, seed=seed, repeats=repeats, left_out_of_training=left_out_of_training)
+    plan = plan_evaluation(
+        rides,
+        recipes,
+        seed=seed,
+        repeats=repeats,
+        left_out_of_training=left_out_of_training,
+        removal_margin=removal_margin,
+    )
     return tabulate_runs(plan, run_in_parallel(plan.calls, jobs, progress))
 
 
@@ -191,7 +206,10 @@ def tabulate_runs(plan: EvaluationPlan, done: Mapping[Any, Any]) -> dict[str, An
     found["recipes"] = {name: recipe.title for name, recipe in recipes.items() if name in held["ride"].recipes}
     found["about"]["left_out_of_training"] = list(plan.untrained)
     wide = [] if plan.repeats >= FEWEST_REPEATS else [_describe_width(plan.repeats, held["ride"].overlap)]
-    found["about"]["notes"] = wide + _list_notes(splits, held, new) + _list_untested(table, splits["new"]) + failed
+    unfitted = [name for name in BUILT_IN_MODELS if name in held["ride"].recipes]
+    hills = [f"{', '.join(unfitted)}: {HILLS_OF_BUILT_IN}"] if unfitted else []
+    notes = wide + _list_notes(splits, held, new) + _list_untested(table, splits["new"]) + failed + hills
+    found["about"]["notes"] = notes
     return results.to_json_values(found)
 
 

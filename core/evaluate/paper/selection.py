@@ -4,6 +4,11 @@ Recursive elimination ranks the terms: fit, remove the term of smallest standard
 as many terms as give the least cross-validated error. RFE goes further: it removes terms in that order as long as the
 difference score does not find the model worse than the full one.
 
+On few rides hardly any loss is significant, so RFE removes nearly all terms, rolling resistance among them. Beyond the
+paper, elimination with a margin therefore asks for evidence that a removal costs little: it removes terms as long as
+the one-sided 95 % interval of the loss lies below a share of the error of the full model. It takes the terms in the
+same order, those of physics last.
+
 Half of the rides rank the terms. The other half measures the cost of removing them, so no term is chosen and evaluated
 on the same rides. Columns are standardised, and fitted for each vehicle model separately, as in the hybrid model. The
 rank of a term follows from the root mean square of its coefficients over vehicle models, weighted by their rides.
@@ -28,10 +33,11 @@ from sklearn.model_selection import KFold
 from core.batch import Floats
 from core.evaluate.ride_filter import EvaluatedRides
 from core.fit.block_sums import build_design
+from core.fit.fitting import ROUNDING
 from core.fit.recipes import LinearRecipe
 from core.fit.regression import Moments, solve
 from core.models import ANY, Term
-from core.models.features import Columns
+from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns
 from core.stats.multiple_testing import SIGNIFICANCE
 from core.stats.scores import Codes, Estimate, average_over_repeats
 from core.stats.splits import Positions, Split, split_by_ride
@@ -46,6 +52,8 @@ FOLDS: Final = 5
 """Number of folds of the cross-validation."""
 REPEATS: Final = 10
 """Number of splits of the half that measures the cost."""
+MARGIN: Final = 0.01
+"""Largest loss of elimination with a margin, over the error of the full model. [1]"""
 KEPT_IMPORTANCE: Final = 1e100
 """Importance of a column that must not be eliminated."""
 
@@ -101,13 +109,19 @@ class Design(NamedTuple):
         return Design(self.table[rows], self.energy[rows], [self.strata[i] for i in rows.tolist()])
 
 
-def plan_selection(evaluated: EvaluatedRides, recipes: Mapping[str, Any], seed: int) -> dict[str, Callable[[], Any]]:
+def plan_selection(
+    evaluated: EvaluatedRides, recipes: Mapping[str, Any], seed: int, margin: float = MARGIN
+) -> dict[str, Callable[[], Any]]:
     """Return the call that finds removable terms, by recipe; empty where the recipe is not evaluated."""
     recipe = recipes.get(RECIPE)
-    return {RECIPE: partial(find_removable_terms, recipe, evaluated, seed)} if isinstance(recipe, LinearRecipe) else {}
+    if not isinstance(recipe, LinearRecipe):
+        return {}
+    return {RECIPE: partial(find_removable_terms, recipe, evaluated, seed, margin)}
 
 
-def find_removable_terms(recipe: LinearRecipe, evaluated: EvaluatedRides, seed: int) -> dict[str, Any]:
+def find_removable_terms(
+    recipe: LinearRecipe, evaluated: EvaluatedRides, seed: int, margin: float = MARGIN
+) -> dict[str, Any]:
     """Return the terms that can be removed from a recipe.
 
     Parameters
@@ -116,6 +130,8 @@ def find_removable_terms(recipe: LinearRecipe, evaluated: EvaluatedRides, seed: 
     evaluated : EvaluatedRides
     seed : int
         Seed of the random halves and folds.
+    margin : float
+        Largest loss of elimination with a margin, over the error of the full model. [1]
 
     Returns
     -------
@@ -123,8 +139,9 @@ def find_removable_terms(recipe: LinearRecipe, evaluated: EvaluatedRides, seed: 
         `constant`: terms that do not vary within any vehicle model. `rfecv`: `removed` terms; `scores`, the
         cross-validated error by number of terms in the half that ranks; `loss`, the cost of removing them in the other
         half. `rfe`: `removed` terms; `steps`, each with the next term and the `loss` with it and all before it removed;
-        `loss` of all removed terms, None where there are none. A loss is a difference of mean absolute errors [kWh]
-        with its `ci95` and `p`. The dict is empty where there are too few rides.
+        `loss` of all removed terms, None where there are none. `margin`: the same of elimination with a margin, and the
+        `share` and the `largest` loss [kWh] that it allows. A loss is a difference of mean absolute errors [kWh] with
+        its `ci95`, `p` and `upper95`. The dict is empty where there are too few rides.
     """
     terms = tuple(term for term in recipe.terms if term.columns)
     rides, halves = _halves(evaluated, len(terms), seed)
@@ -134,8 +151,10 @@ def find_removable_terms(recipe: LinearRecipe, evaluated: EvaluatedRides, seed: 
     varies = np.ptp(whole.table[:, 1:], axis=0) > 0.0
     whole = whole._replace(table=whole.table[:, np.append(True, varies)])
     names = np.array([term.name for term in terms])
+    physical = np.array([term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES_COLUMN)) for term in terms])[varies]
     removable = rank_terms(whole.part(halves.train), names[varies].tolist(), seed)
-    return {"constant": names[~varies].tolist()} | _add_losses(removable, names[varies], whole.part(halves.test), seed)
+    losses = _add_losses(removable, names[varies], physical, whole.part(halves.test), seed, margin)
+    return {"constant": names[~varies].tolist()} | losses
 
 
 def rank_terms(rides: Design, names: Sequence[str], seed: int) -> dict[str, Any]:
@@ -157,25 +176,47 @@ def rank_terms(rides: Design, names: Sequence[str], seed: int) -> dict[str, Any]
     }
 
 
-def _add_losses(removable: Mapping[str, Any], names: NDArray[np.str_], design: Design, seed: int) -> dict[str, Any]:
-    """Return `rfecv` and `rfe` with their cost on rides that did not rank the terms."""
+def _add_losses(
+    removable: Mapping[str, Any],
+    names: NDArray[np.str_],
+    physical: NDArray[np.bool_],
+    design: Design,
+    seed: int,
+    margin: float,
+) -> dict[str, Any]:
+    """Return `rfecv`, `rfe` and `margin` with their cost on rides that did not rank the terms."""
     order = removable["order"]
-    price, *steps = compute_losses(design, [removable["cut"], *(order[: i + 1] for i in range(len(order)))], seed)
-    gone = next((i for i, loss in enumerate(steps) if loss.value > 0.0 and loss.p < SIGNIFICANCE), len(steps))
+    last = order[np.argsort(physical[order], kind="stable")]
+    sets = [removable["cut"], *_nest(order), *_nest(last)]
+    error, (price, *steps) = compute_losses(design, sets, seed)
+    largest = margin * error
+    worse = [loss.value > 0.0 and loss.p < SIGNIFICANCE for loss in steps[: len(order)]]
+    too_much = [not loss.upper95 <= largest for loss in steps[len(order) :]]
     return {
         "rfecv": {"removed": names[removable["cut"]].tolist(), "scores": removable["scores"], "loss": _figures(price)},
-        "rfe": {
-            "removed": names[order[:gone]].tolist(),
-            "loss": _figures(steps[gone - 1]) if gone else None,
-            "steps": [
-                {"term": str(name), "loss": _figures(loss)} for name, loss in zip(names[order], steps, strict=True)
-            ],
-        },
+        "rfe": _tabulate_steps(names[order], steps[: len(order)], worse),
+        "margin": {"share": margin, "largest": largest, "error": error}
+        | _tabulate_steps(names[last], steps[len(order) :], too_much),
     }
 
 
-def compute_losses(design: Design, removed: Sequence[Codes], seed: int) -> list[Estimate]:
-    """Return the increase of the error when terms are removed, over splits of these rides.
+def _nest(order: Codes) -> list[Codes]:
+    """Return the terms that are gone after each step."""
+    return [order[: i + 1] for i in range(len(order))]
+
+
+def _tabulate_steps(names: NDArray[np.str_], steps: Sequence[Estimate], refused: Sequence[bool]) -> dict[str, Any]:
+    """Return the terms removed before the first refused step, their loss, and all steps."""
+    gone = next((i for i, applies in enumerate(refused) if applies), len(steps))
+    return {
+        "removed": names[:gone].tolist(),
+        "loss": _figures(steps[gone - 1]) if gone else None,
+        "steps": [{"term": str(name), "loss": _figures(loss)} for name, loss in zip(names, steps, strict=True)],
+    }
+
+
+def compute_losses(design: Design, removed: Sequence[Codes], seed: int) -> tuple[float, list[Estimate]]:
+    """Return the error of the full model, and its increase when terms are removed, over splits of these rides. [kWh]
 
     Parameters
     ----------
@@ -191,7 +232,8 @@ def compute_losses(design: Design, removed: Sequence[Codes], seed: int) -> list[
     splits = split_by_ride(design.strata, seed, REPEATS)
     errors = np.array([_errors(design, kept, split) for split in splits])  # (repeats, sets of terms)
     overlap = float(np.mean([len(s.test) / len(s.train) for s in splits]))
-    return [average_over_repeats(errors[:, i] - errors[:, 0], overlap) for i in range(1, len(kept))]
+    losses = [average_over_repeats(errors[:, i] - errors[:, 0], overlap) for i in range(1, len(kept))]
+    return float(errors[:, 0].mean()), losses
 
 
 def _errors(design: Design, kept: Sequence[Codes], split: Split) -> Floats:
@@ -226,16 +268,18 @@ def _design(
     fits = recipe.fit(table.iloc[halves.train]).fits
     model = evaluated.model[rides]
     ranks = np.isin(np.arange(len(rides)), halves.train)
-    columns = np.empty((len(rides), len(terms)))
+    columns, energies = np.empty((len(rides), len(terms))), np.array([term.unit == "1" for term in terms])
     for code in np.unique(model).tolist():
         of_model = np.flatnonzero(model == code)
         name = evaluated.vehicle_models[code]
         fit = fits.get(name, fits[ANY])
         of: Any = table.iloc[of_model]
+        used = evaluated.energy[rides[of_model]]
         part = build_design(terms, Columns(of, fit.fills, fit.curve), len(of_model))
         first = part[ranks[of_model]]
         scale = first.std(axis=0)
         varies = scale > 1e-9 * np.abs(first).max(axis=0, initial=0.0)
+        varies &= (scale > ROUNDING * used[ranks[of_model]].std()) | ~energies
         columns[of_model] = np.where(varies, (part - first.mean(axis=0)) / np.where(varies, scale, 1.0), 0.0)
     strata = [(evaluated.vehicle_models[code], int(evaluated.cluster[i])) for code, i in zip(model, rides, strict=True)]
     return Design(np.column_stack([model.astype(np.float64), columns]), evaluated.energy[rides], strata)
@@ -243,4 +287,4 @@ def _design(
 
 def _figures(loss: Estimate) -> dict[str, float]:
     """Return the figures of a loss."""
-    return {**loss.figures(), "p": loss.p}
+    return {**loss.figures(), "p": loss.p, "upper95": loss.upper95}

@@ -12,7 +12,7 @@ from core.stats.multiple_testing import (
     list_pairs,
     select_dominating,
 )
-from core.stats.scores import UNKNOWN, average_over_repeats
+from core.stats.scores import UNKNOWN, Estimate, average_over_repeats
 from tests.support.repeated_splits import repeated
 
 
@@ -63,6 +63,20 @@ def test_identical_models_co_dominate():
     best, p = compare(same, seed=7)
     assert best == ["m0", "m1", "m2"]
     assert set(p.values()) == {1.0}
+
+
+def test_an_error_larger_by_a_factor_is_no_co_dominance_however_wide_its_interval():
+    errors = {"a": 0.1, "absurd": 5e8, "near": 0.11, "unsure": 0.12}
+    differences = {
+        ("a", "absurd"): Estimate(-5e8, 6e8, 9.0),
+        ("a", "near"): Estimate(-0.01, 0.005, 9.0),
+        ("unsure", "a"): Estimate(0.02, 0.02, 9.0),
+        ("absurd", "near"): Estimate(5e8, 6e8, 9.0),
+        ("absurd", "unsure"): Estimate(5e8, 6e8, 9.0),
+        ("near", "unsure"): Estimate(-0.01, 0.02, 9.0),
+    }
+    assert min(adjust_differences(differences).values()) > 0.05
+    assert select_dominating(errors, differences) == ["a", "near"]
 
 
 def test_models_without_error_are_not_selected():

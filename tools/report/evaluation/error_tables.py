@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from core.evaluate.paper import published
 from core.evaluate.paper.published import AVERAGE, PHYSICAL
-from core.stats.multiple_testing import SIGNIFICANCE
+from core.stats.multiple_testing import CO_DOMINANCE_MARGIN, SIGNIFICANCE
 from tools.report.cells import (
     UNKNOWN,
     Cell,
@@ -45,11 +45,12 @@ WEIGHTED_NOTE: Final = (
 )
 """Note below tables that have a weighted row."""
 DOMINATES: Final[Mapping[str, str]] = MappingProxyType({"dominates": "●", "dominates_average": "○"})
-"""Marks of models that no other model beats significantly: in the mean over rides, in the average over clusters."""
+"""Marks of models that dominate or co-dominate: in the mean over rides, in the average over clusters."""
 DOMINATES_NOTE: Final = (
-    "●: no model is significantly better by the difference score on the same test rides. A single ● in a "
-    "column marks the model that dominates; several mark models that co-dominate. ○: the same for the "
-    "average over clusters instead of the mean over rides."
+    "●: no model is significantly better by the difference score on the same test rides, and the 95 % interval of the "
+    f"difference from the best one ends below {CO_DOMINANCE_MARGIN:.0%} of its error. A single ● in a column marks the "
+    "model that dominates; several mark models that co-dominate. ○: the same for the average over clusters instead of "
+    "the mean over rides."
 )
 """Note that explains the marks `DOMINATES`."""
 

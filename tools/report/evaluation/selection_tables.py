@@ -44,7 +44,12 @@ def tabulate_removed_terms(result: Result) -> ReportTable:
     rows: list[Row] = []
     if selection.get("constant"):
         rows.append(Row("constant columns", (Cell(format_terms(selection["constant"])), Cell(""))))
-    for name, label in (("rfecv", "RFECV: least cross-validated error"), ("rfe", "RFE: no significant loss")):
+    share = get_number(get_part(selection, "margin", "share"))
+    for name, label in (
+        ("margin", f"With a margin: error shown to be at most {100.0 * (share or 0.0):g} % larger"),
+        ("rfecv", "RFECV: least cross-validated error"),
+        ("rfe", "RFE: no significant loss"),
+    ):
         if get_mapping(selection, name):
             theirs = format_terms(
                 [term.replace("_", " ") for finding in published.get_findings(name) for term in finding.terms]
@@ -55,7 +60,9 @@ def tabulate_removed_terms(result: Result) -> ReportTable:
             )
             rows.append(Row(label, cells))
     note = (
-        "Half of the rides choose the terms. The other half show the increase of the mean absolute error without them."
+        "Half of the rides choose the terms. The other half show the increase of the mean absolute error without them. "
+        "RFE removes terms while no loss is significant, and few rides show hardly any. The margin asks that the "
+        "one-sided 95 % interval of the loss lies below it, and takes the terms of physics last."
     )
     heads = ("terms removed", "loss, kWh")
     return ReportTable(
@@ -76,8 +83,9 @@ def tabulate_steps(result: Result) -> ReportTable:
     ReportTable
         One row per removed term, with the loss [kWh] and its p-value.
     """
-    steps = get_part(result, "selection", "rfe", "steps") or []
-    count = len(get_part(result, "selection", "rfe", "removed") or ()) + BEYOND
+    name = "margin" if get_part(result, "selection", "margin", "steps") else "rfe"
+    steps = get_part(result, "selection", name, "steps") or []
+    count = len(get_part(result, "selection", name, "removed") or ()) + BEYOND
     rows = tuple(
         Row(f"{i}  {format_terms([step.get('term')])}", (Cell(_loss(step.get("loss"))), Cell(_p(step.get("loss")))))
         for i, step in enumerate(steps[:count], start=1)

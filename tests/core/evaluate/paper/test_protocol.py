@@ -12,10 +12,11 @@ from core.columns import ZERO_CELSIUS
 from core.errors import ModelError, SettingsError
 from core.evaluate.binning import SEASONS
 from core.evaluate.paper.accessories import compute_figure_1
-from core.evaluate.paper.held_out import select_comparable
+from core.evaluate.paper.held_out import select_comparable, word_limited
 from core.evaluate.paper.protocol import evaluate, select_recipes
 from core.evaluate.paper.runs import Prediction
 from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, filter_rides
+from core.models import HILLS_OF_BUILT_IN
 from core.stats.splits import Split
 from core.vehicles import AccessoryCurve
 from tests.support import planted_rides
@@ -255,6 +256,7 @@ def test_vehicle_model_left_out_of_training_changes_new_vehicle_errors_only(ride
     assert two["about"]["notes"] == [
         "intervals by ride are 11.3 times as wide over 2 repeats as over many: give --repeats 8 or more",
         f"{MODELS[1]}: not tested as a new vehicle model, for want of rides to test or of others to train on",
+        f"basic_physical: {HILLS_OF_BUILT_IN}",
     ]
     assert result["about"]["notes"] == []
 
@@ -286,6 +288,13 @@ def test_recipes_are_evaluated_on_rides_that_all_of_them_predict():
     assert len(evaluation.rows[0]) == 100
 
 
+def test_predictions_beyond_what_a_ride_can_take_are_counted_by_recipe():
+    counted = Prediction(np.arange(600), np.zeros(600), limited=3)
+    held = select_comparable({"absurd": [counted, counted]}, 1200)
+    assert held.notes == (f"absurd: {word_limited(6, 1200)}",)
+    assert word_limited(6, 1200).startswith("6 of 1,200 predictions are more than a ride can take")
+
+
 def test_one_car_on_one_day_is_evaluated_without_parts_that_need_more():
     table = fleet(200, models=MODELS[:1])
     table = table.assign(vehicle_id="one", date="2018-01-15").drop(columns="driver_id")
@@ -297,7 +306,9 @@ def test_one_car_on_one_day_is_evaluated_without_parts_that_need_more():
     assert "by_vehicle" not in evaluation["coverage"]["true"]
     assert evaluation["splits"]["vehicle"]["true"][MODELS[0]] is None
     assert evaluation["splits"]["date"]["true"][MODELS[0]] is None
-    assert len(evaluation["about"]["notes"]) == 3
+    *notes, hills = evaluation["about"]["notes"]
+    assert len(notes) == 3
+    assert hills == f"basic_physical: {HILLS_OF_BUILT_IN}"
 
 
 def test_excluded_rides_are_counted_by_reason(rides):

@@ -5,7 +5,8 @@ import pytest
 
 from core.evaluate.paper.selection import VehicleModelRegression, find_removable_terms, plan_selection
 from core.evaluate.ride_filter import filter_rides
-from core.fit.recipes import LinearRecipe, make_term
+from core.fit.recipes import FITTED_TERMS, LinearRecipe, make_term
+from core.models import make_physical_term
 from tests.support import planted_rides
 
 MODELS = ("kia-soul-ev-2015", "tesla-model-s")
@@ -51,7 +52,55 @@ def test_loss_of_removal_is_reported_for_each_step(selection):
 
 def test_total_loss_equals_loss_of_last_removal(selection):
     assert selection["rfe"]["loss"] == selection["rfe"]["steps"][len(DECOYS) - 1]["loss"]
-    assert set(selection["rfe"]["loss"]) == {"value", "ci95", "p"}
+    assert set(selection["rfe"]["loss"]) == {"value", "ci95", "p", "upper95"}
+
+
+def test_elimination_with_a_margin_removes_decoys_and_states_what_it_allows(selection):
+    margin = selection["margin"]
+    assert set(margin["removed"]) == set(DECOYS)
+    assert margin["largest"] == pytest.approx(0.01 * margin["error"])
+    assert margin["loss"]["upper95"] <= margin["largest"]
+    assert margin["steps"][len(DECOYS)]["loss"]["upper95"] > margin["largest"]
+
+
+def test_a_wider_margin_removes_more():
+    removed = [
+        len(find_removable_terms(RECIPE, filter_rides(fleet()), 2, share)["margin"]["removed"]) for share in (0.0, 10.0)
+    ]
+    assert removed[0] <= len(DECOYS) < removed[1]
+
+
+def test_on_few_rides_elimination_with_a_margin_removes_only_what_it_shows_to_cost_little():
+    table = fleet(700)
+    table["energy_kwh"] += np.random.default_rng(9).normal(0.0, 0.3, len(table))
+    found = find_removable_terms(RECIPE, filter_rides(table), 2)
+    assert set(found["rfe"]["removed"]) & set(PLANTED)
+    assert len(found["margin"]["removed"]) < len(found["rfe"]["removed"])
+    shown = [step["loss"]["upper95"] for step in found["margin"]["steps"][: len(found["margin"]["removed"])]]
+    assert all(loss <= found["margin"]["largest"] for loss in shown)
+
+
+def test_terms_of_physics_are_the_last_that_elimination_with_a_margin_takes():
+    terms = (*FITTED_TERMS, *(make_term(c) for c in (*PLANTED, *DECOYS)), make_term())
+    recipe = LinearRecipe("hybrid_full", "Hybrid", terms)
+    found = find_removable_terms(recipe, filter_rides(fleet()), 2)
+    names, physics = [step["term"] for step in found["margin"]["steps"]], {term.name for term in FITTED_TERMS}
+    first = min(names.index(name) for name in physics & set(names))
+    assert set(names[first:]) <= physics
+    assert len(names) == len(found["rfe"]["steps"])
+
+
+def test_a_column_of_rounding_is_constant_for_elimination():
+    terms = (make_physical_term("inertia", ("effect_inertia",)), *(make_term(c) for c in PLANTED), make_term())
+    table = fleet()
+    table["effect_inertia"] = np.random.default_rng(4).normal(0.0, 1e-17, len(table))
+    table.loc[table.index[::400], "effect_inertia"] = 0.02
+    of_rounding = table.assign(effect_inertia=np.where(table["effect_inertia"] < 0.01, table["effect_inertia"], 0.0))
+    constant = [
+        find_removable_terms(LinearRecipe("hybrid_full", "Hybrid", terms), filter_rides(rides), 2)["constant"]
+        for rides in (table, of_rounding)
+    ]
+    assert constant == [[], ["inertia"]]
 
 
 def test_no_loss_where_no_term_is_removable():
