@@ -271,7 +271,7 @@ class Pipeline:
         clean, ends = self.cleaner.clean_between(batch, len(self.lanes), place, ride_events, *of_cars)
         sky = self.stations.sky_between(clean.time, clean.latitude, clean.longitude, observations)
         clean = clean._replace(quality=flag_ambient(clean, sky))
-        self.counters.count_samples(clean.quality)
+        self.counters.count_samples(clean.quality, clean.lane)
         return CleanRows(clean, sky, kind, place, ends)
 
     def sum_up(self, rows: CleanRows) -> Sums:

@@ -36,6 +36,8 @@ MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 """Start of a message record: opcode, length [B], channel, sequence, log time [ns], publish time [ns]."""
 FOOTER_RECORD: Final = struct.Struct("<BQQQI")
 """Footer record: opcode, length [B], start of the summary [B], start of its offsets [B], CRC."""
+DAMAGE: Final = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError, OverflowError)
+"""What damaged records raise."""
 _CHUNK_HEAD: Final = struct.Struct("<BQQQQII")  # opcode, length, first and last time, size, CRC, length of a name
 _LENGTH: Final = struct.Struct("<I")
 

@@ -23,7 +23,7 @@ class Losses:
         Whether the file has no end mark, because its writer was killed. Data that the writer had not yet written are
         lost.
     truncated_bytes : int
-        Size of the incomplete record at the end of the file. [B]
+        Size of the incomplete record at the end of each recording in the file. [B]
     damaged_chunks, damaged_bytes : int
         Number and total size of the chunks that do not decompress or whose checksum differs. [1], [B]
     missing_messages : int
@@ -38,6 +38,8 @@ class Losses:
         Number of messages that came after messages with a later time of receipt.
     is_contradicted : bool
         Whether the summary lists chunks that overlap, repeat or lie outside the file, or not all of them.
+    stray_bytes : int
+        Size of what lies in the file after or between recordings. [B]
     """
 
     unfinished: bool = False
@@ -51,6 +53,7 @@ class Losses:
     oversized_bytes: int = 0
     disordered: int = 0
     is_contradicted: bool = False
+    stray_bytes: int = 0
 
     def __bool__(self) -> bool:
         """Return whether anything was lost."""
@@ -70,6 +73,7 @@ class Losses:
             self.oversized_bytes + other.oversized_bytes,
             self.disordered + other.disordered,
             self.is_contradicted or other.is_contradicted,
+            self.stray_bytes + other.stray_bytes,
         )
 
     def lines(self) -> list[str]:
@@ -100,4 +104,6 @@ class Losses:
             )
         if self.is_contradicted:
             sentences.append("its summary contradicts the file: the chunks were found by a scan")
+        if self.stray_bytes:
+            sentences.append(f"{self.stray_bytes:,} bytes after the end of a recording are none, and are not read")
         return sentences

@@ -2,7 +2,8 @@
 
 The `mcap` package makes an object of every record, which takes 7 µs per message, and stops at the first invalid byte.
 This reader decompresses a chunk and locates its messages in one compiled loop (`mcap_scan.py`); it makes no object of a
-message. It counts the data that it cannot read, and leaves them out.
+message. It counts the data that it cannot read, and leaves them out. It reads each of several recordings that were
+joined to one file, with its own channels.
 
 Files may be forged. Time and memory are therefore bounded, and time is linear in the size of the file: a chunk has at
 most `LARGEST_CHUNK` bytes, all chunks together expand to at most `EXPANSION` times the bytes read and `ALLOWANCE`, at
@@ -20,19 +21,19 @@ from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
 import numpy as np
-import zstandard
 
 from core.batch import Ints
 from core.errors import RecordingError
 from core.wire.message_block import MessageBlock, MessageColumns
+from stream.mcap_channels import LARGEST_DESCRIPTION, Channels, Topics
 from stream.mcap_format import (
     CHANNEL,
     CHUNK,
     CHUNK_INDEX,
+    DAMAGE,
     DATA_END,
     FOOTER,
     FOOTER_RECORD,
-    FOR_VIEWERS,
     HEADER,
     LARGEST_CHUNK,
     MAGIC,
@@ -44,15 +45,13 @@ from stream.mcap_format import (
     SCHEMA,
     STATISTICS,
     OversizedError,
-    decode_channel,
     decode_metadata,
     decompress_chunk,
-    explain_foreign_channel,
-    iterate_strings,
     read_records,
 )
 from stream.mcap_losses import ALLOWANCE, EXPANSION, Losses
 from stream.mcap_scan import NO_RECORDS, scan_chunk
+from stream.mcap_sections import Section, find_sections
 from stream.waiting_messages import WaitingMessages
 
 RAW_BLOCK: Final = 1 << 20
@@ -66,12 +65,6 @@ LARGEST_SUMMARY: Final = 64 << 20
 """Largest summary that is read of any file. [B]"""
 SUMMARY_SHARE: Final = 8
 """Ratio of a large file to the largest summary that is read of it; with a larger one, a scan finds the chunks."""
-LARGEST_DESCRIPTION: Final = 1 << 20
-"""Largest schema or channel. [B]"""
-MOST_DESCRIPTIONS: Final = 1 << 18
-"""Largest number of descriptions that differ from the one before of the same number."""
-DESCRIPTION_BYTES: Final = 64 << 20
-"""Largest size of all schemas and channels together. [B]"""
 LARGEST_METADATA: Final = 64 << 10
 """Largest metadata record. [B]"""
 _STATISTICS: Final = struct.Struct("<QHIIII")  # messages, schemas, channels, attachments, metadata, chunks
@@ -79,7 +72,6 @@ _CHUNK_PLACE: Final = struct.Struct("<QQQQ")  # first time, last time, offset, l
 _SPAN: Final = struct.Struct("<QQ")  # first and last time in the head of a chunk
 _TAIL: Final = FOOTER_RECORD.size + len(MAGIC)
 IN_ORDER: Final = "only a reader of the whole recording, in order, can use it; read it without --cluster"
-_DAMAGE: Final = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError, OverflowError)
 
 
 class _Block(NamedTuple):
@@ -89,6 +81,7 @@ class _Block(NamedTuple):
     last_ns: int
     offset: int
     length: int
+    channels: Channels
     chunked: bool
 
 
@@ -106,6 +99,8 @@ class McapSource:
         Data that the current iteration could not read so far; complete after its end.
     blocks, blocks_read : int
         Number of chunks in the file, and number of chunks that the current iteration has read.
+    joined : int
+        Number of recordings in the file, more than one where files were joined.
     schemas : dict
         Name of the schema by topic, for the topics read so far; an empty name for a topic without a schema.
     metadata : dict of str to str
@@ -124,24 +119,19 @@ class McapSource:
         self.path = Path(path)
         self.losses = Losses()
         self.blocks_read = 0
-        self.schemas: dict[str, str] = {}
         self.metadata: dict[str, str] = {}
         self.viewer_messages: Counter[str] = Counter()
-        self._schemas: dict[int, tuple[str, str, bytes]] = {}
-        self._topics: list[str] = []  # the keys of all blocks of messages
-        self._numbers: dict[str, int] = {}
-        self._key_of_channel = np.full(1 << 16, -1)
-        self._foreign: dict[int, tuple[str, str]] = {}
-        self._for_viewers: set[int] = set()
-        self._learnt: dict[tuple[int, bytes], bytes] = {}
-        self._learnt_bytes = self._changes = self._read_bytes = self._expanded = 0
+        self._topics = Topics()
+        self.schemas = self._topics.schemas
+        self._parts: list[Channels] = []
+        self._read_bytes = self._expanded = 0
         self._count: int | None = None
         try:
             with self.path.open("rb") as file:
                 self._check(file)
-                with suppress(*_DAMAGE):
+                with suppress(*DAMAGE):
                     self._read_metadata(file)
-                self._blocks = self._read_index(file) or self._scan_chunks(file)
+                self._blocks = self._locate_blocks(file)
         except OSError as error:
             raise RecordingError(f"{self.path} cannot be read: {(error.strerror or str(error)).lower()}") from error
         self._of_file = self.losses
@@ -152,6 +142,11 @@ class McapSource:
     def blocks(self) -> int:
         """Return the number of chunks in the file."""
         return len(self._blocks)
+
+    @property
+    def joined(self) -> int:
+        """Return the number of recordings in the file."""
+        return len(self._parts)
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
@@ -168,7 +163,12 @@ class McapSource:
     def __iter__(self) -> Iterator[MessageBlock]:
         """Yield the messages in order of receipt, some chunks at a time."""
         whole = self._of_file
-        self.losses = Losses(whole.unfinished, whole.truncated_bytes, is_contradicted=whole.is_contradicted)
+        self.losses = Losses(
+            whole.unfinished,
+            whole.truncated_bytes,
+            is_contradicted=whole.is_contradicted,
+            stray_bytes=whole.stray_bytes,
+        )
         self.viewer_messages = Counter()
         self._read_bytes = self._expanded = 0
         self.blocks_read = delivered = 0
@@ -240,7 +240,7 @@ class McapSource:
 
     @property
     def count(self) -> int | None:
-        """Return the number of messages by the summary; None without an intact one."""
+        """Return the number of messages by the summary; None without an intact one of each recording in the file."""
         return self._count
 
     def _check(self, file: BinaryIO) -> None:
@@ -266,58 +266,76 @@ class McapSource:
 
     def _refuse_foreign(self) -> None:
         """Refuse a recording if none of its channels follows the wire contract."""
-        if self._foreign and (self._key_of_channel < 0).all():
-            _, reason = next(iter(self._foreign.values()))
+        foreign = [reason for channels in self._parts for _, reason in channels.foreign.values()]
+        if foreign and not self._topics.keys:
+            reason = foreign[0]
             raise RecordingError(
                 f"{self.path} is of another contract: {reason}; record with `socast live --record DIR`"
             )
 
-    def _locate_summary(self, file: BinaryIO) -> tuple[int, int]:
-        """Return the place of the summary and its size; a size of 0 without an intact summary."""
-        size = file.seek(0, 2)
-        if size < 2 * len(MAGIC) + _TAIL:
+    def _locate_blocks(self, file: BinaryIO) -> list[_Block]:
+        """Return the chunks of each recording in the file, by time."""
+        whole = Section(0, file.seek(0, 2))
+        blocks, self._count = self._read_index(file, whole, channels := Channels(self._topics))
+        self._parts = [channels]
+        if blocks:
+            return blocks
+        sections, self.losses.stray_bytes = find_sections(file)
+        counts: list[int | None] = []
+        self.losses.is_contradicted &= len(sections) == 1
+        self._parts = [channels] if len(sections) == 1 else [Channels(self._topics) for _ in sections]
+        for section, channels in zip(sections, self._parts, strict=True):
+            listed, count = self._read_index(file, section, channels) if len(sections) > 1 else ([], None)
+            counts.append(count)
+            blocks += listed or self._scan_chunks(file, section, channels)
+        known = [count for count in counts if count is not None]
+        self._count = sum(known) if len(known) == len(counts) else None
+        return sorted(blocks, key=itemgetter(0))
+
+    def _locate_summary(self, file: BinaryIO, section: Section) -> tuple[int, int]:
+        """Return the place of the summary of a recording and its size; a size of 0 without an intact summary."""
+        begin, end = section
+        if end - begin < 2 * len(MAGIC) + _TAIL:
             return 0, 0
-        file.seek(size - _TAIL)
+        file.seek(end - _TAIL)
         tail = file.read(_TAIL)
         opcode, _, start, _, crc = FOOTER_RECORD.unpack(tail[: FOOTER_RECORD.size])
-        length = size - _TAIL - start
-        most = max(LARGEST_SUMMARY, size // SUMMARY_SHARE)
+        length = end - begin - _TAIL - start
+        most = max(LARGEST_SUMMARY, (end - begin) // SUMMARY_SHARE)
         if opcode != FOOTER or not tail.endswith(MAGIC) or not start or not 0 <= length <= most:
             return 0, 0
-        file.seek(start)
+        file.seek(begin + start)
         found = 0
         for at in range(0, length if crc else 0, RAW_BLOCK):
             found = zlib.crc32(file.read(min(RAW_BLOCK, length - at)), found)
         is_damaged = crc and zlib.crc32(tail[: FOOTER_RECORD.size - 4], found) != crc
-        return start, 0 if is_damaged else length
+        return begin + start, 0 if is_damaged else length
 
-    def _read_index(self, file: BinaryIO) -> list[_Block]:
-        """Return the chunks that the summary lists; an empty list without an intact summary that counts them."""
-        start, length = self._locate_summary(file)
+    def _read_index(self, file: BinaryIO, section: Section, channels: Channels) -> tuple[list[_Block], int | None]:
+        """Return the chunks that a summary lists, and the number of messages; none without one that counts them."""
+        start, length = self._locate_summary(file, section)
         blocks: list[_Block] = []
         count = chunks = None
         try:
             for opcode, body in read_records(file, start, length, LARGEST_DESCRIPTION):
                 if opcode == CHUNK_INDEX:
                     first_ns, last_ns, offset, length = _CHUNK_PLACE.unpack_from(body)
-                    blocks.append(_Block(first_ns, last_ns, offset, length, chunked=True))
+                    blocks.append(_Block(first_ns, last_ns, section.begin + offset, length, channels, chunked=True))
                 elif opcode == STATISTICS:
                     count, *_, chunks = _STATISTICS.unpack_from(body)
                 else:
-                    self._learn(opcode, body)
-        except _DAMAGE:
-            return []
-        if chunks != len(blocks) or not _are_apart(blocks, start):
-            self.losses.is_contradicted = bool(blocks) and chunks is not None
-            return []
-        self._count = count if blocks else None
-        return sorted(blocks, key=itemgetter(0))
+                    channels.learn(opcode, body)
+        except DAMAGE:
+            return [], None
+        if chunks != len(blocks) or not _are_apart(blocks, section.begin, start):
+            self.losses.is_contradicted |= bool(blocks) and chunks is not None
+            return [], None
+        return sorted(blocks, key=itemgetter(0)), count if blocks else None
 
-    def _scan_chunks(self, file: BinaryIO) -> list[_Block]:
+    def _scan_chunks(self, file: BinaryIO, section: Section, channels: Channels) -> list[_Block]:
         """Return the chunks found by a scan from record to record, up to the first incomplete record."""
-        size, at = file.seek(0, 2), len(MAGIC)
+        at, size = section.begin + len(MAGIC), section.end
         blocks: list[_Block] = []
-        self.losses.unfinished = True
         while at + RECORD.size <= size:
             file.seek(at)
             head = file.read(MESSAGE_HEAD.size).ljust(MESSAGE_HEAD.size, b"\0")
@@ -327,18 +345,18 @@ class McapSource:
                 break
             if opcode == CHUNK:
                 first_ns, last_ns = _SPAN.unpack_from(head, RECORD.size)
-                blocks.append(_Block(first_ns, last_ns, at, end - at, chunked=True))
+                blocks.append(_Block(first_ns, last_ns, at, end - at, channels, chunked=True))
             elif opcode == MESSAGE:
-                _add_raw(blocks, int.from_bytes(head[15:23], "little"), at, end - at)
+                _add_raw(blocks, int.from_bytes(head[15:23], "little"), at, end - at, channels)
             elif opcode in {SCHEMA, CHANNEL}:
                 file.seek(at + RECORD.size)
-                with suppress(*_DAMAGE):  # its messages count as undescribed
-                    self._learn(opcode, file.read(min(length, LARGEST_DESCRIPTION + 1)))
+                with suppress(*DAMAGE):  # its messages count as undescribed
+                    channels.learn(opcode, file.read(min(length, LARGEST_DESCRIPTION + 1)))
             at = end
             if opcode == DATA_END:
-                self.losses.unfinished = False
                 return self._order_blocks(file, blocks)
-        self.losses.truncated_bytes = size - at
+        self.losses.unfinished = True
+        self.losses.truncated_bytes += size - at
         return self._order_blocks(file, blocks)
 
     def _order_blocks(self, file: BinaryIO, blocks: list[_Block]) -> list[_Block]:
@@ -349,43 +367,6 @@ class McapSource:
                 self._read_messages(file, block)
         return ordered
 
-    def _learn(self, opcode: int, body: bytes) -> None:
-        """Store a schema or a channel; ignore other records."""
-        if opcode not in {SCHEMA, CHANNEL} or self._learnt.get((opcode, body[:2])) == body:
-            return
-        before = len(self._learnt.get((opcode, body[:2]), b""))
-        if (
-            len(body) > LARGEST_DESCRIPTION
-            or self._changes >= MOST_DESCRIPTIONS
-            or self._learnt_bytes + len(body) - before > DESCRIPTION_BYTES
-        ):
-            raise OversizedError(f"a description of {len(body):,} bytes, number {self._changes + 1:,}")
-        self._changes += 1
-        self._learnt_bytes += len(body) - before
-        number = int.from_bytes(body[:2], "little")
-        if opcode == SCHEMA:
-            name, form, data = iterate_strings(body, 2, 3)
-            self._schemas[number] = (name.decode(), form.decode(), data)
-        else:
-            topic, encoding, marks = decode_channel(body)
-            wire = self._schemas.get(int.from_bytes(body[2:4], "little"), ("", "", b""))
-            self.schemas[topic] = wire[0]
-            is_for_viewers = marks == FOR_VIEWERS
-            (self._for_viewers.add if is_for_viewers else self._for_viewers.discard)(number)
-            reason = f"topic {topic} is for viewers" if is_for_viewers else ""
-            reason = reason or explain_foreign_channel(topic, encoding, *wire)
-            self._key_of_channel[number] = -1 if reason else self._number_topic(topic)
-            if reason:
-                self._foreign[number] = (topic, reason)
-        self._learnt[opcode, body[:2]] = body
-
-    def _number_topic(self, topic: str) -> int:
-        """Return the number of a key."""
-        number = self._numbers.setdefault(topic, len(self._topics))
-        if number == len(self._topics):
-            self._topics.append(topic)
-        return number
-
     def _read_messages(self, file: BinaryIO, block: _Block) -> MessageBlock:
         """Return the messages of a block in the order of the file; of a damaged block those before the damage."""
         records, key, done = NO_RECORDS, np.empty(0, np.int64), 0
@@ -394,36 +375,28 @@ class McapSource:
             key = np.empty(len(records.channel), np.int64)
             for at, before in zip(*(map(int, column) for column in records.descriptions.T), strict=True):
                 opcode, body = records.get_description(at)
-                if self._learnt.get((opcode, body[:2])) != body:
-                    self._find_keys(records.channel[done:before], key[done:before])
+                if not block.channels.know(opcode, body):
+                    self._find_keys(block, records.channel[done:before], key[done:before])
                     done = before
-                    self._learn(opcode, body)
-            self._find_keys(records.channel[done:], key[done:])
+                    block.channels.learn(opcode, body)
+            self._find_keys(block, records.channel[done:], key[done:])
             done = len(key)
             if records.is_damaged:
                 raise ValueError("a record reaches beyond its chunk, or is none")
         except OversizedError:
             self.losses.oversized += 1
             self.losses.oversized_bytes += block.length
-        except _DAMAGE:
+        except DAMAGE:
             self.losses.damaged_chunks += 1
             self.losses.damaged_bytes += block.length
-        columns = MessageColumns(self._topics, key, records.text, records.starts, records.sizes, records.receipts)
+        columns = MessageColumns(self._topics.keys, key, records.text, records.starts, records.sizes, records.receipts)
         messages = MessageBlock(columns.select(slice(done)))
         has_key = key[:done] >= 0
         return messages if has_key.all() else messages.take(has_key)
 
-    def _find_keys(self, channel: Ints, key: Ints) -> None:
-        """Write the number of the key of each message, -1 where it has none; count those that are left out."""
-        key[:] = self._key_of_channel[channel]
-        if (key >= 0).all():
-            return
-        for number, count in zip(*np.unique(channel[key < 0], return_counts=True), strict=True):
-            if number in self._foreign:
-                left_out = self.viewer_messages if number in self._for_viewers else self.losses.foreign
-                left_out[self._foreign[number][0]] += int(count)
-            else:
-                self.losses.undescribed += int(count)
+    def _find_keys(self, block: _Block, channel: Ints, key: Ints) -> None:
+        """Write the number of the key of each message of a block, see `Channels.find_keys`."""
+        block.channels.find_keys(channel, key, self.losses, self.viewer_messages)
 
     def _read_block(self, file: BinaryIO, block: _Block) -> bytes:
         """Return the records of a block, within the limits."""
@@ -439,9 +412,9 @@ class McapSource:
         return data
 
 
-def _are_apart(blocks: list[_Block], end: int) -> bool:
-    """Return whether chunks lie in the file, before its summary, and none overlaps another."""
-    at = len(MAGIC)
+def _are_apart(blocks: list[_Block], begin: int, end: int) -> bool:
+    """Return whether chunks lie in a recording, before its summary, and none overlaps another."""
+    at = begin + len(MAGIC)
     for block in sorted(blocks, key=itemgetter(2)):
         if block.offset < at or block.length < RECORD.size:
             return False
@@ -449,11 +422,11 @@ def _are_apart(blocks: list[_Block], end: int) -> bool:
     return at <= end
 
 
-def _add_raw(blocks: list[_Block], receipt_ns: int, offset: int, length: int) -> None:
+def _add_raw(blocks: list[_Block], receipt_ns: int, offset: int, length: int, channels: Channels) -> None:
     """Add a message outside chunks to the block that it continues, or else as a new block."""
     last = blocks[-1] if blocks else None
     if last and not last.chunked and last.offset + last.length == offset and last.length < RAW_BLOCK:
         first_ns, last_ns = min(last.first_ns, receipt_ns), max(last.last_ns, receipt_ns)
-        blocks[-1] = _Block(first_ns, last_ns, last.offset, last.length + length, chunked=False)
+        blocks[-1] = _Block(first_ns, last_ns, last.offset, last.length + length, channels, chunked=False)
     else:
-        blocks.append(_Block(receipt_ns, receipt_ns, offset, length, chunked=False))
+        blocks.append(_Block(receipt_ns, receipt_ns, offset, length, channels, chunked=False))

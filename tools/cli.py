@@ -49,6 +49,7 @@ COMMANDS: Final = {
     "serve": Command("tools.commands.serve", "serve", "Show the fleet and its models in a browser."),
     "ask": Command("tools.commands.ask", "ask_outlook", "Ask a live consumer whether a car can take a ride."),
     "replay": Command("tools.commands.replay", "replay", "Replay recordings through a model or to a router."),
+    "check": Command("tools.commands.check", "check", "Show what the logger of each car sends wrong, and its cost."),
     "info": Command("tools.commands.info", "info", "Show what recordings contain and what is lost."),
     "anonymise": Command("tools.commands.anonymise", "anonymise", "Hide names, places and dates of recordings."),
     "elevation": Command("tools.commands.elevation", "app", "Learn a map of elevation from the fixes of a fleet."),

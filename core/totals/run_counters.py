@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from core.batch import Ints
+from core.batch import Ints, grown
 from core.cleaning.quality import CAUSES
 from core.totals.accumulator import Totals
 from core.totals.context import RunContext
@@ -38,8 +38,8 @@ class RunCounters:
         self.unpredicted: Counter[str] = Counter()
         self.faults: LoggerFaults = {}
 
-    def count_samples(self, quality: Ints) -> None:
-        """Count the quality bits of samples, (n,) int."""
+    def count_samples(self, quality: Ints, lane: Ints) -> None:  # noqa: ARG002 - see `CarCounters`
+        """Count the quality bits of samples, (n,) int, of the cars of some lanes, (n,) int."""
         for place in range(len(CAUSES)):
             self.samples[place] += np.count_nonzero(quality & (1 << place))
 
@@ -87,3 +87,27 @@ class RunCounters:
         self.samples = np.array(samples, np.int64)
         self.unfit, self.unpredicted = Counter(unfit), Counter(unpredicted)
         self.faults = {name: Counter(cars) for name, cars in faults.items()}
+
+
+class CarCounters(RunCounters):
+    """Count the samples of each car by quality bit too."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._of_cars: Ints = np.zeros((0, 1 + len(CAUSES)), np.int64)
+
+    def count_samples(self, quality: Ints, lane: Ints) -> None:
+        """Count the quality bits of samples, (n,) int, of the cars of some lanes, (n,) int."""
+        super().count_samples(quality, lane)
+        if not len(lane):
+            return
+        self._of_cars = grown(self._of_cars, int(lane.max()) + 1)
+        rows = len(self._of_cars)
+        self._of_cars[:, 0] += np.bincount(lane, minlength=rows)
+        for place in range(len(CAUSES)):
+            self._of_cars[:, 1 + place] += np.bincount(lane[quality & (1 << place) != 0], minlength=rows)
+
+    def list_cars(self, cars: int) -> tuple[Ints, Ints]:
+        """Return the samples of each of some cars, (cars,), and those with each quality bit, (cars, len(CAUSES))."""
+        counts = grown(self._of_cars, max(cars, 1))[:cars]
+        return counts[:, 0], counts[:, 1:]

@@ -10,7 +10,15 @@ from pathlib import Path
 from tests.support.paths import ROOT
 
 ORDER = (
-    *("core.errors", "core.columns", "core.batch", "core.settings", "core.formatting", "core.files", "core.compiled_cache"),
+    *(
+        "core.errors",
+        "core.columns",
+        "core.batch",
+        "core.settings",
+        "core.formatting",
+        "core.files",
+        "core.compiled_cache",
+    ),
     *("core.wire", "core.cleaning", "core.vehicles", "core.signals", "core.effects", "core.totals", "core.models"),
     *("core.stats", "core.forecast", "core.monitoring", "core.snapshot", "core.pipeline"),
     *("core.fit", "core.evaluate", "core.diagnose"),

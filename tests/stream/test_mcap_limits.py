@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 
 from core.errors import RecordingError
 from core.wire.messages import Message
-from stream import mcap_reader, waiting_messages
+from stream import mcap_channels, mcap_reader, waiting_messages
 from stream.mcap_format import (
     CHANNEL,
     CHUNK,
@@ -255,7 +255,7 @@ def test_messages_that_wait_are_sorted_in_linear_time(tmp_path, monkeypatch):
 
 
 def test_descriptions_that_change_without_end_are_left_out(tmp_path, monkeypatch):
-    monkeypatch.setattr(mcap_reader, "MOST_DESCRIPTIONS", 50)
+    monkeypatch.setattr(mcap_channels, "MOST_DESCRIPTIONS", 50)
     changing = b"".join(channel(7, b"fleet/car-%d/telemetry" % i) for i in range(60))
     got, source = read_data(tmp_path / "r.mcap", finish(GOOD + chunk(changing), b""))
     assert got == SENT

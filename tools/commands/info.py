@@ -58,10 +58,11 @@ def describe_recording(source: McapSource, step: Callable[[], None] = lambda: No
     Returns
     -------
     dict
-        `path`, `bytes`, `chunks`, `messages`, `begin`, `end` (ISO 8601, None for an empty recording), `duration_s`,
-        `vehicles` (that have keys of their own), `stations`, `gateways` (that send batches), `kinds`, `topics`
-        (`messages` and `schema` each), `viewer_topics` (likewise; their messages are for viewers, and no command reads
-        them), `metadata` (what wrote the recording; empty if the file does not say) and `losses`.
+        `path`, `bytes`, `joined` (recordings in the file, more than one where files were joined), `chunks`, `messages`,
+        `begin`, `end` (ISO 8601, None for an empty recording), `duration_s`, `vehicles` (that have keys of their own),
+        `stations`, `gateways` (that send batches), `kinds`, `topics` (`messages` and `schema` each), `viewer_topics`
+        (likewise; their messages are for viewers, and no command reads them), `metadata` (what wrote the recording;
+        empty if the file does not say) and `losses`.
     """
     counts: Counter[str] = Counter()
     first = last = None
@@ -83,6 +84,7 @@ def describe_recording(source: McapSource, step: Callable[[], None] = lambda: No
     return {
         "path": str(source.path),
         "bytes": source.path.stat().st_size,
+        "joined": source.joined,
         "chunks": source.blocks,
         "messages": counts.total(),
         "begin": _format_time(first),
@@ -128,6 +130,8 @@ def _show(console: Console, content: dict[str, Any]) -> None:
         highlight=False,
         soft_wrap=True,
     )
+    if content["joined"] > 1:
+        console.print(f"{content['joined']:,} recordings joined to one file; all are read", highlight=False)
     if content["metadata"]:
         console.print(_describe_metadata(content["metadata"]), markup=False, highlight=False, soft_wrap=True)
     if for_viewers := content["viewer_topics"].values():

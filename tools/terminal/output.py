@@ -22,6 +22,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "add": 1,
     "anonymise": 1,
     "ask": 1,
+    "check": 1,
     "cluster": 1,
     "compare": 1,
     "demo": 1,
