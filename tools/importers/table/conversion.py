@@ -15,6 +15,7 @@ from tools.importers.table.agreement_sums import AgreementSums
 from tools.importers.table.clock_checks import list_checks, refuse_overlap
 from tools.importers.table.column_map import ColumnMap
 from tools.importers.table.import_summary import ImportSummary, describe_missing
+from tools.importers.table.parked_rows import fill_parked
 from tools.importers.table.row_messages import RowMessages, join_signals
 from tools.importers.table.row_reader import RowReader
 from tools.importers.table.sampling import sample_rows
@@ -184,7 +185,9 @@ def _sample(blocks: Iterator[np.ndarray], columns: ColumnMap) -> Iterator[np.nda
     """Yield sorted rows as they are sent."""
     if columns.long or columns.sampling:
         blocks = (join_signals(rows, columns.long is not None) for rows in blocks)
-    return blocks if columns.sampling is None else sample_rows(blocks, columns.sampling)
+    if columns.sampling is not None:
+        return sample_rows(blocks, columns.sampling)
+    return fill_parked(blocks) if columns.parked is not None and "speed_kmh" in columns.fields else blocks
 
 
 def _list_notes(tables: Sequence[TableFile], columns: ColumnMap) -> list[str]:

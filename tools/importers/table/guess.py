@@ -142,8 +142,8 @@ def guess_map(
         for each in sources.fields
         if each.field not in unresolved
     ]
-    left_out = [*sources.left_out]
-    left_out += [(each.column or each.signal or "", unresolved[each.field]) for each in sources.fields if each.field in unresolved]
+    dropped = [each for each in sources.fields if each.field in unresolved]
+    left_out = [*sources.left_out, *((each.column or each.signal or "", unresolved[each.field]) for each in dropped)]
     inverted = sorted({vehicles[place] for each in units.values() for place in each.other})
     is_per_file = sources.vehicle is None and len(tables) > 1 and sources.ride is not None
     return GuessedMap(

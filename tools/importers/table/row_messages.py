@@ -113,10 +113,8 @@ def _divide_rides(vehicle: str, last: float, stamp: float, receipt: int) -> list
 
     A ride that the samples named would last over stops and charging, which end rides without names.
     """
-    return [
-        make_message(f"fleet/{vehicle}/ride", Ride(vehicle, time, vehicle, event))._replace(receipt_ns=receipt)
-        for time, event in ((last, "end"), (stamp, "start"))
-    ]
+    events = (Ride(vehicle, last, vehicle, "end"), Ride(vehicle, stamp, vehicle, "start"))
+    return [make_message(f"fleet/{vehicle}/ride", event)._replace(receipt_ns=receipt) for event in events]
 
 
 def has_period(times: Floats) -> bool:
