@@ -202,7 +202,13 @@ def _read_rows(
     for part in parts:
         reader.stamps.add(part)
     rows = rows[np.lexsort((rows["vehicle"], rows["time"]))]
-    rows = join_signals(np.concatenate(list(spread_rows([rows], reader.stamps.find_rules(), {}, {}))))
+    spread = list(spread_rows([rows], reader.stamps.find_rules(), {}, {}))
+    if not spread:
+        raise ImportFileError(
+            f"{blocks[0][0].path}: nothing shows when its rows were taken, because many share {rows['time'][0]:.0f} s "
+            "or another stamp; write a time for each row"
+        )
+    rows = join_signals(np.concatenate(spread))
     sampling = guess_rows(rows, on_change)
     if sampling is not None:
         holds = find_holds(sampling.hold) | dict(sampling.holds)

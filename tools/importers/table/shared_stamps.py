@@ -318,11 +318,12 @@ def _place_cut(stamps: Floats, sizes: Ints, before: Floats, after: Floats, rule:
     """Return the first time and the step of the rows of cut stamps."""
     quantum, period = rule.quantum, rule.period
     goes_on, went_on = after - stamps < 1.5 * quantum, stamps - before < 1.5 * quantum
+    is_inner = goes_on & went_on
     is_full = sizes >= FULL * quantum / period - 1.0
-    begins, ends = ~went_on & goes_on & ~is_full, ~goes_on & ~is_full
-    step = np.where(is_full, quantum / sizes, period)
-    first = np.where(begins, stamps + quantum - sizes * period, stamps)
-    return np.where(is_full | begins | ends, first, np.nan), step
+    step = np.where(is_inner, quantum / sizes, np.minimum(period, quantum / sizes))
+    # the first rows of a recording end with their quantum, the last ones begin with it
+    first = np.where(goes_on & ~went_on, stamps + quantum - sizes * step, stamps)
+    return np.where(is_full | ~is_inner, first, np.nan), step
 
 
 def _place_sent(stamps: Floats, sizes: Ints, before: Floats, after: Floats, rule: StampRule) -> tuple[Floats, Floats]:
