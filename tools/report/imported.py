@@ -8,8 +8,8 @@ from plotly.subplots import make_subplots
 
 from core.vehicles import load_catalogue
 from tools.importers.table.agreement_sums import CarSums
-from tools.importers.table.sign_evidence import estimate_capacity
 from tools.importers.table.import_summary import ImportSummary, list_lines
+from tools.importers.table.sign_evidence import estimate_capacity
 from tools.report.cells import Cell, ReportTable, Row
 from tools.report.evaluation.illustrations import Illustration
 from tools.report.evaluation.sections import Section

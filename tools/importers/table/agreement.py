@@ -16,6 +16,10 @@ USED: Final = (0.05, 1.0)
 """Consumptions of road vehicles. [kWh/km]"""
 REGAINED: Final = -0.5
 """Energy per distance that a descent may regain. [kWh/km]"""
+SPARSE: Final = 15.0
+"""Time between rows from which the speed shows distances only roughly. [s]"""
+NEARLY: Final = 1.35
+"""Ratio of two distances that such rows explain. [1]"""
 INVERT: Final = "invert the sign of the current or the power in [fields]"
 """Remedy where the sign of all cars is wrong."""
 
@@ -80,8 +84,8 @@ def check_agreement(cars: list[CarSums]) -> list[Check]:
     alike = [car for car in cars if (signs.evidence[car.vehicle].sign < 0) == signs.is_common] or cars
     return [
         *_check_speeds(cars, total),
-        _check_distance("odometer against speed", total["odometer"], total["speed_beside_odometer"], "odometer"),
-        _check_distance("positions against speed", total["fixes"], total["speed_beside_fixes"], "positions"),
+        _check_distance("odometer against speed", total, "odometer", "odometer"),
+        _check_distance("positions against speed", total, "fixes", "positions"),
         *_check_single_cars(cars, signs),
         _check_sign(alike, signs),
         _check_consumption(sum_cars(alike), signs),
@@ -124,9 +128,9 @@ def _check_single_cars(cars: Sequence[CarSums], signs: _Signs) -> list[Check]:
     return [Check("sign of each car", found, "one sign for all cars", False, remedy)]
 
 
-def _check_distance(name: str, measured: float, by_speed: float, what: str) -> Check:
+def _check_distance(name: str, total: Mapping[str, float], of: str, what: str) -> Check:
     """Compare a distance with that by speed."""
-    limit = "ratio from 0.9 to 1.1"
+    limit, measured, by_speed = "ratio from 0.9 to 1.1", total[of], total[f"speed_beside_{of}"]
     if by_speed < 1000.0 or (what == "odometer" and measured < 5000.0):
         return Check(name, f"less than {5 if what == 'odometer' else 1} km to compare", limit, None)
     ratio = measured / by_speed
@@ -142,8 +146,12 @@ def _check_distance(name: str, measured: float, by_speed: float, what: str) -> C
         1000.0: "the odometer is probably in m",
     }
     near = min(likely, key=lambda each: abs(np.log(ratio / each)) if ratio > 0 else np.inf)
-    words = likely[near] if ratio > 0 and abs(np.log(ratio / near)) < 0.1 else "one of them is wrong or has gaps"
-    return Check(name, found, limit, False, f"{words}; correct the unit in [fields]")
+    if ratio > 0 and abs(np.log(ratio / near)) < 0.1:
+        return Check(name, found, limit, False, f"{likely[near]}; correct the unit in [fields]")
+    apart = total["duration"] / max(total["steps"], 1.0)
+    if apart > SPARSE and 1 / NEARLY <= ratio <= NEARLY:
+        return Check(name, f"{found}; rows {apart:.3g} s apart show no distance by speed", limit, None)
+    return Check(name, found, limit, False, "one of them is wrong or has gaps: draw both over the time")
 
 
 def _check_sign(cars: Sequence[CarSums], signs: _Signs) -> Check:

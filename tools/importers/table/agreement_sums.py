@@ -1,4 +1,4 @@
-"""Sum for each car what speed, distance, energy and state of charge of imported rows say, over rows in order of time."""
+"""Sum for each car what speed, distance, energy and charge of imported rows say, over rows in the order of time."""
 
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
@@ -34,6 +34,7 @@ PAIR: Final = ("kinetic", "power", "speed")
 
 SUMS: Final = (
     "duration",  # between rows that are integrated [s]
+    "steps",  # number of these steps
     "odometer",  # distance by the odometer, where both are known [m]
     "speed_beside_odometer",
     "fixes",  # distance by fixes, where both are known and the car drives [m]
@@ -225,6 +226,7 @@ def _compute_steps(rows: Mapping[str, Floats], ages: Mapping[str, Floats]) -> di
     outside = np.where(may_charge, np.nan, 0.0)
     return {
         "duration": step,
+        "steps": valid.astype("f8"),
         "odometer": odometer + 0.0 * distance,
         "speed_beside_odometer": distance + 0.0 * odometer,
         "fixes": fixes + 0.0 * distance,

@@ -5,7 +5,7 @@ A mistake in the file is one line with the file, the line number, the value, wha
 
 import re
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from datetime import datetime, tzinfo
 from difflib import get_close_matches
 from pathlib import Path
@@ -23,7 +23,7 @@ from tools.importers.table.sampling import (
     Sampling,
     find_holds,
 )
-from tools.importers.table.units import FIELD_UNITS, POWER, Conversion, find_conversion
+from tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
 from tools.terminal.settings_file import explain_toml
 
 TIME_UNITS: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
@@ -146,10 +146,7 @@ class RideSource(NamedTuple):
 
 
 class ParkedSource(NamedTuple):
-    """Describe in which rows a car is parked, so that an unknown speed is 0: words of a column, in small letters.
-
-    An empty word stands for an empty cell.
-    """
+    """Describe in which rows a car is parked: words of a column, in small letters; an empty one is an empty cell."""
 
     column: str
     words: frozenset[str]
@@ -182,7 +179,6 @@ class ColumnMap(NamedTuple):
     sampling : Sampling, optional
         How rows that carry only part of the fields become samples; None sends each row as it is.
     parked : ParkedSource, optional
-        Rows in which the car is parked.
     """
 
     path: Path
@@ -502,8 +498,3 @@ def _suggest(name: str, known: list[str]) -> str:
     """Return the remedy for an unknown key."""
     near = get_close_matches(name, known, 1)
     return f"did you mean '{near[0]}'?" if near else f"write one of {', '.join(known)}"
-
-
-def has_power(fields: Collection[str]) -> bool:
-    """Return whether the fields give the power of the battery."""
-    return POWER in fields or {"battery_voltage_v", "battery_current_a"} <= set(fields)

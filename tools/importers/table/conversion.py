@@ -15,6 +15,7 @@ from tools.importers.table.agreement_sums import AgreementSums
 from tools.importers.table.clock_checks import list_checks, refuse_overlap
 from tools.importers.table.column_map import ColumnMap
 from tools.importers.table.import_summary import ImportSummary, describe_missing
+from tools.importers.table.parked_rows import fill_parked
 from tools.importers.table.row_messages import RowMessages, join_signals
 from tools.importers.table.row_reader import RowReader
 from tools.importers.table.sampling import sample_rows
@@ -111,6 +112,7 @@ def convert_tables(
     except ImportFileError:
         out.unlink()
         raise
+    notes = spread.list_notes()
     if not messages.samples:
         out.unlink()
         found = reader.explain_causes(tables[0].decimal)
@@ -128,7 +130,7 @@ def convert_tables(
         cells=reader.cells,
         examples=reader.examples,
         decimal=tables[0].decimal,
-        notes=[*skipped.list_lines(opened), *spread.list_notes(), *_list_notes(tables, columns)],
+        notes=[*skipped.list_lines(opened), *notes, *_list_notes(tables, columns)],
         cars=cars,
         checks=list_checks(tables, columns, reader, cars, sums.span[1]),
     )
@@ -161,17 +163,16 @@ class _SpreadRows:
             yield from spread_rows(chain([first], blocks), self.rules, self.counts, self.left_out)
 
     def list_notes(self) -> list[str]:
-        """Return a line for each way of stamping."""
+        """Count rows that were left out, and return a line for each way of stamping."""
         cars: dict[str, list[int]] = {}
         for place, rule in self.rules.items():
             cars.setdefault(rule.describe(), []).append(place)
+        if lost := sum(self.left_out.values()):
+            self.reader.causes[LEFT_OUT] = lost
         return [
-            f"{sum(self.counts[place] for place in places):,} rows of {_name_cars(self.reader, places)} share stamps "
-            f"with others ({words}; write finer times, or a time for each row, for exact ones)"
+            f"{sum(self.counts.get(place, 0) for place in places):,} rows of {_name_cars(self.reader, places)} share "
+            f"stamps with others ({words}; write finer times, or a time for each row, for exact ones)"
             for words, places in cars.items()
-        ] + [
-            f"left out: {sum(self.left_out.values()):,} rows with {LEFT_OUT}"
-            for _ in range(any(self.left_out.values()))
         ]
 
 
@@ -184,7 +185,9 @@ def _sample(blocks: Iterator[np.ndarray], columns: ColumnMap) -> Iterator[np.nda
     """Yield sorted rows as they are sent."""
     if columns.long or columns.sampling:
         blocks = (join_signals(rows, columns.long is not None) for rows in blocks)
-    return blocks if columns.sampling is None else sample_rows(blocks, columns.sampling)
+    if columns.sampling is not None:
+        return sample_rows(blocks, columns.sampling)
+    return fill_parked(blocks) if columns.parked is not None and "speed_kmh" in columns.fields else blocks
 
 
 def _list_notes(tables: Sequence[TableFile], columns: ColumnMap) -> list[str]:

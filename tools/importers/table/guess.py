@@ -142,8 +142,8 @@ def guess_map(
         for each in sources.fields
         if each.field not in unresolved
     ]
-    left_out = [*sources.left_out]
-    left_out += [(each.column or each.signal or "", unresolved[each.field]) for each in sources.fields if each.field in unresolved]
+    dropped = [each for each in sources.fields if each.field in unresolved]
+    left_out = [*sources.left_out, *((each.column or each.signal or "", unresolved[each.field]) for each in dropped)]
     inverted = sorted({vehicles[place] for each in units.values() for place in each.other})
     is_per_file = sources.vehicle is None and len(tables) > 1 and sources.ride is not None
     return GuessedMap(
@@ -202,7 +202,13 @@ def _read_rows(
     for part in parts:
         reader.stamps.add(part)
     rows = rows[np.lexsort((rows["vehicle"], rows["time"]))]
-    rows = join_signals(np.concatenate(list(spread_rows([rows], reader.stamps.find_rules(), {}, {}))))
+    spread = list(spread_rows([rows], reader.stamps.find_rules(), {}, {}))
+    if not spread:
+        raise ImportFileError(
+            f"{blocks[0][0].path}: nothing shows when its rows were taken, because many share {rows['time'][0]:.0f} s "
+            "or another stamp; write a time for each row"
+        )
+    rows = join_signals(np.concatenate(spread))
     sampling = guess_rows(rows, on_change)
     if sampling is not None:
         holds = find_holds(sampling.hold) | dict(sampling.holds)

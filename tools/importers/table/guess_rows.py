@@ -17,7 +17,7 @@ TOGETHER: Final = 0.5
 """Share of the rows with speed that hold power, or the reverse, below which rows carry only what changed. [1]"""
 LONGEST_STEP: Final = 300.0
 """Longest time between two values that counts as one step. [s]"""
-FAST: Final = ("speed_kmh", "battery_current_a", POWER)
+FAST: Final[tuple[str, ...]] = ("speed_kmh", "battery_current_a", POWER)
 """Fields of which it matters how long a value holds."""
 LEAST_VALUES: Final = 20
 """Values of a field from which its way of sending is learned."""
@@ -92,7 +92,7 @@ def guess_rows(rows: np.ndarray, on_change: bool = False) -> GuessedRows | None:
         Whether the sender is known to send on change, where the rows are too few to show it.
     """
     names = rows.dtype.names or ()
-    energy = [name for name in ("battery_current_a", POWER) if name in names]
+    energy: list[str] = [name for name in ("battery_current_a", POWER) if name in names]
     if "speed_kmh" not in names or not energy:
         return None
     speed = np.isfinite(rows["speed_kmh"])

@@ -1,7 +1,7 @@
 """Choose the columns or signals that fields of a map are read from: those of a preset first, then by their names."""
 
 from collections.abc import Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -19,26 +19,13 @@ from tools.importers.table.guess_names import (
     NamedColumn,
     guess_name,
 )
+from tools.importers.table.guess_state import find_charging, find_parked
 from tools.importers.table.guess_time import GuessedTime, guess_time
 from tools.importers.table.presets import Preset
 from tools.importers.table.table_file import Block, TableFile
 from tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
 
 Blocks = Sequence[tuple[TableFile, Block]]
-
-PARKED: Final = frozenset(
-    "p park parked parking asleep sleep sleeping offline off inactive suspended standby stopped standstill idle "
-    "complete completed plugged pluggedin chargecomplete".split()
-)
-CHARGES: Final = frozenset(
-    "charge charging chargingac chargingdc accharging dccharging fastcharging quickcharging supercharging "
-    "startingcharge".split()
-)
-DRIVES: Final = frozenset(
-    "d r n b drive driving reverse neutral moving motion inmotion trip ride online on active awake ready running "
-    "driven".split()
-)
-"""Words of a state, in small letters without spaces: parked, charging and neither."""
 
 
 class Source(NamedTuple):
@@ -147,23 +134,13 @@ def _find_parked(
     """Return the column that says in which rows the car is parked, and its words for it."""
     if preset is not None and preset.parked is not None and preset.parked[0] in names:
         return preset.parked
-    for name in states:
-        words = _list_signals(name, blocks)
-        plain = {_simplify(word) for word in words}
-        if plain and plain <= PARKED | CHARGES | DRIVES and plain & (PARKED | CHARGES):
-            return name, tuple(word for word in words if _simplify(word) in PARKED | CHARGES)
-    return None
+    return next(((name, words) for name in states if (words := find_parked(_list_signals(name, blocks)))), None)
 
 
 def _find_charging(column: str, blocks: Blocks) -> list[Source]:
     """Return the source of the state of charging, if a column says so in words."""
-    true = tuple(word for word in _list_signals(column, blocks) if _simplify(word) in CHARGES)
+    true = find_charging(_list_signals(column, blocks))
     return [Source("charging", column, None, None, true=true, reason="by its words")] if true else []
-
-
-def _simplify(word: str) -> str:
-    """Return the letters of a word, small."""
-    return "".join(letter for letter in word.lower() if letter.isalpha())
 
 
 def count_known(name: str, blocks: Blocks) -> int:

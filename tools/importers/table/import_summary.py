@@ -11,7 +11,7 @@ from rich.text import Text
 from tools.importers.table.agreement import Check
 from tools.importers.table.agreement_sums import CarSums
 from tools.importers.table.cells import suggest_decimal
-from tools.importers.table.column_map import has_power
+from tools.importers.table.units import has_power
 
 
 class ImportSummary(NamedTuple):

@@ -28,6 +28,12 @@ SAME: Final = 0.1
 """Ratio by which two successive times between rows may differ and be the same. [1]"""
 MOST_CHANGED: Final = 0.05
 """Largest share of times between rows that equal the one before and are not the period, of a log with one period."""
+LONGEST_PARKED: Final = 3600.0
+"""Longest time between two rows of a parked car that shows another period. [s]"""
+LONG: Final = 5.0
+"""Times between rows that are not lost rows where several equal ones follow each other. [periods]"""
+FEWEST_LONG: Final = 3
+"""Number of such times of a log that changes its period."""
 _FIELDS: Final = tuple(Telemetry.__struct_fields__[4:])  # after vehicle, time, ride and counter
 
 
@@ -113,10 +119,8 @@ def _divide_rides(vehicle: str, last: float, stamp: float, receipt: int) -> list
 
     A ride that the samples named would last over stops and charging, which end rides without names.
     """
-    return [
-        make_message(f"fleet/{vehicle}/ride", Ride(vehicle, time, vehicle, event))._replace(receipt_ns=receipt)
-        for time, event in ((last, "end"), (stamp, "start"))
-    ]
+    events = (Ride(vehicle, last, vehicle, "end"), Ride(vehicle, stamp, vehicle, "start"))
+    return [make_message(f"fleet/{vehicle}/ride", event)._replace(receipt_ns=receipt) for event in events]
 
 
 def has_period(times: Floats) -> bool:
@@ -138,14 +142,15 @@ def has_period(times: Floats) -> bool:
     False
     """
     steps = np.diff(times)
-    steps = steps[(steps > 0.0) & (steps <= LONGEST_STEP * 1.5)]
+    steps = steps[(steps > 0.0) & (steps <= LONGEST_PARKED)]
     if not len(steps):
         return True
-    periods = steps / np.median(steps)
-    off_grid = np.abs(periods - np.maximum(np.round(periods), 1.0)) > OFF_GRID
-    is_double = np.abs(periods[1:] - 1.0) > OFF_GRID
-    changed = is_double & (np.abs(np.diff(periods)) <= SAME * periods[1:])
-    return bool(np.mean(off_grid) <= MOST_OFF_GRID) and float(changed.mean() if len(changed) else 0.0) <= MOST_CHANGED
+    periods = steps / np.median(steps[steps <= LONGEST_STEP] if steps.min() <= LONGEST_STEP else steps)
+    near = periods[steps <= LONGEST_STEP]
+    off_grid = np.abs(near - np.maximum(np.round(near), 1.0)) > OFF_GRID
+    again = (np.abs(periods[1:] - 1.0) > OFF_GRID) & (np.abs(np.diff(periods)) <= SAME * periods[1:])
+    is_changed = again.sum() > MOST_CHANGED * len(steps) or (again & (periods[1:] > LONG)).sum() >= FEWEST_LONG
+    return not is_changed and not (len(off_grid) and np.mean(off_grid) > MOST_OFF_GRID)
 
 
 def introduce_vehicle(vehicle: str, time_s: float, model: str, period_s: float | None = None) -> Message:

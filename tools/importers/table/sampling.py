@@ -16,6 +16,8 @@ SLOW_HOLD: Final = 1800.0
 """Age up to which a temperature, the number of occupants or the state of charging stays known. [s]"""
 STAND: Final = 600.0
 """Time without any row for which the values of a standing car stay known, where values are sent on change. [s]"""
+AHEAD: Final = 2.0
+"""Periods after a sample whose rows it needs, where values are sent on change. [1]"""
 LONGEST_HOLD: Final = 86400.0
 """Largest age that a map may state. [s]"""
 SHORTEST_PERIOD: Final = 0.1
@@ -100,11 +102,6 @@ class _Sampler:
         self._rides: dict[int, int] = {}
         self._last: dict[int, tuple[float, float]] = {}  # time of the last row of a car, and until when it speaks
 
-    @property
-    def _fills(self) -> bool:
-        """Whether samples are made where a car has no row, because nothing changed."""
-        return self.silence is not None and self.period is not None
-
     def take(self, rows: np.ndarray) -> np.ndarray:
         """Return the samples that no later row changes."""
         if not len(rows):
@@ -113,10 +110,10 @@ class _Sampler:
             rows = np.concatenate([self._waiting, rows])
         end, bound = len(rows), np.inf
         if self.period is not None:
-            bound = float(np.floor(rows["time"][-1] / self.period))
+            bound = float(np.floor(rows["time"][-1] / self.period)) - (0.0 if self.silence is None else AHEAD)
             end = int(np.searchsorted(rows["time"], bound * self.period, "left"))
         self._waiting = rows[end:].copy() if end < len(rows) else None
-        return self._convert(rows[:end], bound)
+        return self._convert(rows[:end], bound, rows[end:])
 
     def finish(self) -> np.ndarray:
         """Return the samples of the rows that waited."""
@@ -124,46 +121,53 @@ class _Sampler:
         if waiting is None:
             return np.zeros(0)
         bound = np.floor(waiting["time"][-1] / self.period) + 1.0 if self.period is not None else np.inf
-        return self._convert(waiting, float(bound))
+        return self._convert(waiting, float(bound), waiting[:0])
 
-    def _convert(self, rows: np.ndarray, bound: float) -> np.ndarray:
-        """Return the samples of whole periods before a number of periods."""
-        vehicles = set(rows["vehicle"].tolist()) | (set(self._last) if self._fills else set())
+    def _convert(self, rows: np.ndarray, bound: float, ahead: np.ndarray) -> np.ndarray:
+        """Return the samples of whole periods before a number of periods; `ahead` are rows after them."""
+        vehicles = set(rows["vehicle"].tolist())
+        if self.silence is not None and self.period is not None:
+            vehicles |= set(self._last)
         parts = [
-            self._convert_car(vehicle, rows[rows["vehicle"] == vehicle], bound) for vehicle in sorted(vehicles)
+            self._convert_car(vehicle, rows[rows["vehicle"] == vehicle], ahead[ahead["vehicle"] == vehicle], bound)
+            for vehicle in sorted(vehicles)
         ]
         if not parts:
             return rows
         samples = np.concatenate(parts)
         return samples[np.lexsort((samples["vehicle"], samples["time"]))]
 
-    def _convert_car(self, vehicle: int, rows: np.ndarray, bound: float) -> np.ndarray:
+    def _convert_car(self, vehicle: int, rows: np.ndarray, ahead: np.ndarray, bound: float) -> np.ndarray:
         """Return the samples of one car."""
         before = self._known.setdefault(vehicle, {})
-        series = {name: _prepend(before.get(name), rows, name) for name in rows.dtype.names or () if name not in _KEYS}
-        times, ends_at = self._find_ends(vehicle, rows, series)
+        both = rows if self.silence is None else np.concatenate([rows, ahead])
+        series = {name: _prepend(before.get(name), both, name) for name in rows.dtype.names or () if name not in _KEYS}
+        times, ends_at = self._find_ends(vehicle, both, series)
+        past = len(times) - (len(both) - len(rows))
         if self.period is None:
             samples, starts, ends = rows.copy(), rows["time"], rows["time"]
         else:
             ticks = np.floor(rows["time"] / self.period)
             last = np.append(np.diff(ticks) > 0, True)[: len(rows)]
             samples, ticks = rows[last].copy(), ticks[last]
-            if self._fills:
-                samples, ticks = self._fill(vehicle, samples, ticks, times, ends_at, bound)
+            if self.silence is not None:
+                samples, ticks = self._fill(vehicle, samples, ticks, self.period, times[:past], ends_at[:past], bound)
             starts = ticks * self.period
             ends = starts + self.period
             samples["time"] = starts + self.period / 2
         spoken = {name: _find_until(each[0], times, ends_at) for name, each in series.items()}
         for name, (at, values) in series.items():
             samples[name] = self._sample(name, at, values, spoken[name], starts, ends)
-            if len(at):
-                before[name] = (float(at[-1]), float(values[-1]))
-                if len(times) and spoken[name][-1] < times[-1]:  # the car was silent since
+            # only rows up to here are of before, for the next ones
+            own = len(at) if self.silence is None else int(np.searchsorted(at, times[past - 1], "right"))
+            if own:
+                before[name] = (float(at[own - 1]), float(values[own - 1]))
+                if self.silence is not None and spoken[name][own - 1] < times[past - 1]:  # silent since
                     del before[name]
         if self.period is not None and {_VOLTAGE, _CURRENT} <= series.keys():
             samples[_CURRENT] = self._sample_current(series, spoken, samples[_VOLTAGE], samples[_CURRENT], starts, ends)
-        if len(times) and self.silence is not None:
-            self._last[vehicle] = (float(times[-1]), float(ends_at[-1]))
+        if self.silence is not None:
+            self._last[vehicle] = (float(times[past - 1]), float(ends_at[past - 1]))
             self._rides[vehicle] = int(rows["ride"][-1]) if len(rows) else self._rides.get(vehicle, -1)
         return samples
 
@@ -179,12 +183,19 @@ class _Sampler:
         return np.append(last, rows["time"]), np.append(end, ends)
 
     def _fill(
-        self, vehicle: int, samples: np.ndarray, ticks: Floats, times: Floats, ends: Floats, bound: float
+        self,
+        vehicle: int,
+        samples: np.ndarray,
+        ticks: Floats,
+        period: float,
+        times: Floats,
+        ends: Floats,
+        bound: float,
     ) -> tuple[np.ndarray, Floats]:
         """Return samples and their numbers of periods with those between, as long as nothing changed."""
-        of_rows = np.floor(times / self.period)
+        of_rows = np.floor(times / period)
         last = np.append(np.diff(of_rows) > 0, True)
-        known, until = of_rows[last], np.minimum(np.floor(ends[last] / self.period), bound - 1.0)
+        known, until = of_rows[last], np.minimum(np.floor(ends[last] / period), bound - 1.0)
         until = np.minimum(until, np.append(known[1:], np.inf) - 1.0)
         if (done := self._filled.get(vehicle)) is not None:
             known = np.maximum(known, done)
@@ -217,9 +228,7 @@ class _Sampler:
         power = self._sample(_CURRENT, times[at], (amperes * volts)[at], spoken[_CURRENT][at], starts, ends)
         return np.divide(power, voltage, out=current.copy(), where=np.isfinite(power) & (voltage > 0))
 
-    def _sample(
-        self, name: str, times: Floats, values: Floats, spoken: Floats, starts: Floats, ends: Floats
-    ) -> Floats:
+    def _sample(self, name: str, times: Floats, values: Floats, spoken: Floats, starts: Floats, ends: Floats) -> Floats:
         """Return the values of a field in periods; `spoken` says until when a car without a later row speaks."""
         hold = self.holds[name]
         if self.period is None:

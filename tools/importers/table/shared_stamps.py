@@ -15,7 +15,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from core.batch import Floats, Ints
-from tools.importers.table.cells import Bools
 
 QUANTA: Final = (60.0, 30.0, 20.0, 15.0, 10.0, 5.0, 2.0, 1.0)
 """Quanta to which loggers cut their stamps. [s]"""
@@ -107,7 +106,7 @@ class StampStatistics:
             self._shared[vehicle] += int(sizes[sizes > 1].sum())
             self._most[vehicle] = max(self._most[vehicle], int(sizes.max()))
             if sizes.max() > 1:
-                self._copies[vehicle] += _count_copies(of_car, starts)
+                self._copies[vehicle] += _count_copies(of_car)
             if self._kept[vehicle] < MOST_GROUPS:
                 self._groups[vehicle].stamps.append(of_car["time"][starts])
                 self._groups[vehicle].sizes.append(sizes)
@@ -160,13 +159,13 @@ def number_in_stamp(rows: np.ndarray, starts: Ints) -> Ints:
     return places
 
 
-def _count_copies(rows: np.ndarray, starts: Ints) -> int:
+def _count_copies(rows: np.ndarray) -> int:
     """Return the number of rows that repeat all fields of the row before with the same stamp."""
     same = np.ones(len(rows) - 1, bool)
     for name in rows.dtype.names or ():
         if name != "ride":
             first, second = rows[name][:-1], rows[name][1:]
-            same &= (first == second) | ((first != first) & (second != second))
+            same &= (first == second) | (np.isnan(first) & np.isnan(second))
     return int(same.sum())
 
 
@@ -315,22 +314,19 @@ def place_in_time(rows: np.ndarray, starts: Ints, before: Floats, after: Floats,
     return times
 
 
-def _place_cut(
-    stamps: Floats, sizes: Ints, before: Floats, after: Floats, rule: StampRule
-) -> tuple[Floats, Floats]:
+def _place_cut(stamps: Floats, sizes: Ints, before: Floats, after: Floats, rule: StampRule) -> tuple[Floats, Floats]:
     """Return the first time and the step of the rows of cut stamps."""
     quantum, period = rule.quantum, rule.period
     goes_on, went_on = after - stamps < 1.5 * quantum, stamps - before < 1.5 * quantum
+    is_inner = goes_on & went_on
     is_full = sizes >= FULL * quantum / period - 1.0
-    begins, ends = ~went_on & goes_on & ~is_full, ~goes_on & ~is_full
-    step = np.where(is_full, quantum / sizes, period)
-    first = np.where(begins, stamps + quantum - sizes * period, stamps)
-    return np.where(is_full | begins | ends, first, np.nan), step
+    step = np.where(is_inner, quantum / sizes, np.minimum(period, quantum / sizes))
+    # the first rows of a recording end with their quantum, the last ones begin with it
+    first = np.where(goes_on & ~went_on, stamps + quantum - sizes * step, stamps)
+    return np.where(is_full | ~is_inner, first, np.nan), step
 
 
-def _place_sent(
-    stamps: Floats, sizes: Ints, before: Floats, after: Floats, rule: StampRule
-) -> tuple[Floats, Floats]:
+def _place_sent(stamps: Floats, sizes: Ints, before: Floats, after: Floats, rule: StampRule) -> tuple[Floats, Floats]:
     """Return the first time and the step of the rows of stamps of sending."""
     is_after = rule.kind == "sent after"
     room = np.where(is_after, stamps - before, after - stamps)

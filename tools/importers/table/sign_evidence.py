@@ -194,9 +194,7 @@ def _hear_mean(car: CarSums) -> Sign:
     weight = find_mass(car) * GRAVITY
     if car.sums["climb_distance"] > 0.8 * distance:
         lifted = weight * car.sums["climb"] * (0.85 if car.sums["climb"] < 0.0 else 1.1)
-        fitting = [
-            sign for sign in (1, -1) if ROAD[0] <= (sign * energy - lifted) / distance / 3600.0 <= ROAD[1]
-        ]
+        fitting = [sign for sign in (1, -1) if ROAD[0] <= (sign * energy - lifted) / distance / 3600.0 <= ROAD[1]]
         return fitting[0] if len(fitting) == 1 else 0  # type: ignore[return-value]
     if energy > 0.0:
         return 1

@@ -1,7 +1,7 @@
 """Units of the columns in tables of one's own, converted to those of the wire contract by pint."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cache
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -159,6 +159,11 @@ def convertible(unit: str, field: str) -> bool:
     except SettingsError:
         return False
     return True
+
+
+def has_power(fields: Collection[str]) -> bool:
+    """Return whether the fields give the power of the battery."""
+    return POWER in fields or {"battery_voltage_v", "battery_current_a"} <= set(fields)
 
 
 @cache
