@@ -23,10 +23,25 @@ from tools.importers.table.sampling import (
     find_holds,
 )
 from tools.importers.table.units import FIELD_UNITS, POWER, Conversion, find_conversion
+from tools.importers.table.zone_offsets import find_offset, make_zone
 from tools.terminal.settings_file import explain_toml
 
-TIME_UNITS: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-"""Unit of a time in numbers -> seconds."""
+TIME_UNITS: Final[Mapping[str, float]] = {
+    "s": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
+    "min": 60.0,
+    "h": 3600.0,
+    "d": 86400.0,
+    "excel": 86400.0,
+}
+"""Unit of a time in numbers -> seconds. Days of `excel` count from 30 December 1899 in local time."""
+_TIME_UNIT: Final = re.compile(rf"(?:(\d+(?:\.\d+)?) ?)?({'|'.join(TIME_UNITS)})")
+"""Unit of a time in numbers, perhaps several of them, such as `10 ms`."""
+SERIAL: Final = "excel"
+MOST_WEEKS: Final = 4096
+"""Largest number of weeks by which times are moved."""
 GUESSED_ORIGIN: Final = "2000-01-01T00:00:00"
 """Time of the number 0 in a guessed map, which a person must correct."""
 NOMINAL_VOLTAGE: Final = 360.0
@@ -53,6 +68,8 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
         "origin": str,
         "day_from_file_name": bool,
         "origin_from_file_name": str,
+        "offset_column": str,
+        "add_weeks": int,
     },
     "ride": {"column": str, "from_file_name": bool, "gap_s": (int, float)},
     "rows": {"period_s": (int, float), "hold_s": (int, float)},
@@ -106,6 +123,12 @@ class TimeSource(NamedTuple):
         Whether the table holds times of day, and the name of its file the day.
     origin_form : str, optional
         Form of the time of the number 0 in the name of the file, as of `strptime`.
+    offset_column : str, optional
+        Column whose cells state the offset of the local times from UTC, as an offset or at the end of a time.
+    add_weeks : int
+        Weeks by which all times are moved, as for a receiver whose count of weeks starts again.
+    is_serial : bool
+        Whether numbers are days of a spreadsheet, in local time.
     """
 
     columns: tuple[str, ...]
@@ -115,6 +138,9 @@ class TimeSource(NamedTuple):
     origin: float
     day_from_file_name: bool = False
     origin_form: str | None = None
+    offset_column: str | None = None
+    add_weeks: int = 0
+    is_serial: bool = False
 
     @property
     def is_relative(self) -> bool:
@@ -185,7 +211,8 @@ class ColumnMap(NamedTuple):
     def list_columns(self) -> list[str]:
         """Return all columns that are read, each once."""
         names = self.list_required_columns() + [each.column for each in self.fields.values() if each.column is not None]
-        return list(dict.fromkeys([*names, *(self.long or ())]))
+        offset = [self.time.offset_column] if self.time.offset_column else []
+        return list(dict.fromkeys([*names, *offset, *(self.long or ())]))
 
 
 def read_map(path: Path) -> ColumnMap:
@@ -315,9 +342,14 @@ class _MapReader:
         if not all(isinstance(name, str) for name in names) or len(names) > 2:
             raise self.refuse(("time", "column"), f"column is {columns!r}, must be one name, or those of date and time")
         unit = table.get("unit")
-        if unit is not None and unit not in TIME_UNITS:
+        if unit is not None and find_time_unit(unit) is None:
             raise self.refuse(
                 ("time", "unit"), f"unit is '{unit}', must be one of {', '.join(TIME_UNITS)}; text has none"
+            )
+        weeks = table.get("add_weeks", 0)
+        if abs(weeks) > MOST_WEEKS:
+            raise self.refuse(
+                ("time", "add_weeks"), f"add_weeks is {weeks}, must be at most {MOST_WEEKS}, such as 1024"
             )
         if unit is not None and "format" in table:
             raise self.refuse(("time", "format"), "a time has a unit or a format; leave one of them out")
@@ -327,8 +359,11 @@ class _MapReader:
             raise self.refuse(
                 ("time", "origin"), "a day comes from origin or from the file name; leave one of them out"
             )
-        seconds, zero = TIME_UNITS.get(unit) if unit else None, self.find_origin(zone)
-        return TimeSource(names, seconds, table.get("format"), zone, zero, of_name, form)
+        seconds, zero = find_time_unit(unit) if unit else None, self.find_origin(zone)
+        offsets = table.get("offset_column")
+        return TimeSource(
+            names, seconds, table.get("format"), zone, zero, of_name, form, offsets, weeks, unit == SERIAL
+        )
 
     def read_origin_form(self, table: Mapping[str, Any]) -> str | None:
         """Return the form of the time of the number 0 in the names of files."""
@@ -348,13 +383,17 @@ class _MapReader:
             raise self.refuse(where, f"'{form}' holds no day; write a form such as ride_%Y-%m-%d_%H%M%S")
         return form
 
-    def find_zone(self, name: str) -> ZoneInfo:
-        """Return the time zone of a name."""
+    def find_zone(self, name: str) -> tzinfo:
+        """Return the time zone of a name, or of an offset such as `+02:00`."""
+        offset = None if name in {"UTC", "GMT"} else find_offset(name)
+        if offset is not None and "/" not in name:
+            return make_zone(offset)
         try:
             return ZoneInfo(name)
         except (ZoneInfoNotFoundError, ValueError, OSError) as error:
             raise self.refuse(
-                ("time", "zone"), f"zone is '{name}', which is no time zone; write one such as Europe/Berlin or UTC"
+                ("time", "zone"),
+                f"zone is '{name}', which is no time zone; write one such as Europe/Berlin, +02:00 or UTC",
             ) from error
 
     def find_origin(self, zone: tzinfo) -> float:
@@ -451,6 +490,18 @@ class _MapReader:
         true = frozenset(str(word).strip().lower() for word in table.get("true", ()))
         turned = Conversion(sign * conversion.factor, sign * conversion.offset)
         return FieldSource(table.get("column"), table.get("signal"), turned, true)
+
+
+def find_time_unit(text: str) -> float | None:
+    """Return a unit of numbers that are times, None for no such unit. [s]
+
+    Examples
+    --------
+    >>> find_time_unit("ms"), find_time_unit("10 ms"), find_time_unit("weeks")
+    (0.001, 0.01, None)
+    """
+    found = _TIME_UNIT.fullmatch(text)
+    return float(found[1] or 1.0) * TIME_UNITS[found[2]] if found else None
 
 
 def find_line(text: str, *keys: str) -> int:

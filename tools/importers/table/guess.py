@@ -5,22 +5,22 @@ from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Final, NamedTuple
-from zoneinfo import ZoneInfo
 
 import numpy as np
 
 from core.errors import ImportFileError
+from tools.importers.table.cells import to_numbers
+from tools.importers.table.clock_units import judge_unit
 from tools.importers.table.column_map import (
     NOMINAL_VOLTAGE,
-    TIME_UNITS,
     ColumnMap,
     FileFormat,
     RideSource,
-    TimeSource,
     VehicleSource,
+    find_time_unit,
 )
 from tools.importers.table.guess_rows import GuessedRows, guess_rows
-from tools.importers.table.guess_sources import Blocks, Sources, choose_sources
+from tools.importers.table.guess_sources import Blocks, Source, Sources, choose_sources
 from tools.importers.table.guess_time import GuessedTime
 from tools.importers.table.guess_values import KnownUnit, guess_values
 from tools.importers.table.presets import Preset, find_preset
@@ -34,6 +34,9 @@ MOST_FILES: Final = 8
 """Files from whose first blocks a map is guessed."""
 APART: Final = 30 * 86400.0
 """Time between the starts of files with clocks that start at 0, for the guess. [s]"""
+COUNTS_FROM: Final = 1.7e9
+MOST_COUNTED: Final = 1e9
+"""Time of the number 0 of clocks that count from 0, and their span, before their unit is known. [s]"""
 GAP: Final = 600.0
 """Gap between rides, as of the cleaning. [s]"""
 
@@ -126,7 +129,7 @@ def guess_map(
             f"{tables[0].path}: no column looks like speed, charge or power; it has {listed}; write a map by hand, "
             "with the columns in [fields]"
         )
-    rows, sampling = _read_rows(sources, sources.time, blocks)
+    rows, sampling, time = _read_rows(sources, sources.time, blocks)
     known = {each.field: KnownUnit(each.unit, each.sign, each.reason) for each in sources.fields}
     units = guess_values(rows, known)
     fields = [
@@ -134,7 +137,7 @@ def guess_map(
     ]
     is_per_file = sources.vehicle is None and len(tables) > 1 and sources.ride is not None
     return GuessedMap(
-        sources.time,
+        time,
         sources.vehicle,
         sources.ride,
         is_per_file,
@@ -156,13 +159,16 @@ def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles) -> Bl
     return blocks
 
 
-def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.ndarray, GuessedRows | None]:
-    """Return the rows as samples in the order of time, and how rows become samples."""
+def _read_rows(
+    sources: Sources, time: GuessedTime, blocks: Blocks
+) -> tuple[np.ndarray, GuessedRows | None, GuessedTime]:
+    """Return the rows as samples in the order of time, how rows become samples, and the clock with its unit."""
     car = VehicleSource(sources.vehicle, None, "", None, {}, NOMINAL_VOLTAGE)
+    scale = _find_scale(time, blocks) if time.needs_origin else 1.0
     provisional = ColumnMap(
         Path("guess"),
         FileFormat(),
-        _to_time_source(time),
+        time.to_source(scale, COUNTS_FROM) if time.needs_origin else time.to_source(),
         car,
         RideSource(),
         sources.long,
@@ -171,8 +177,8 @@ def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.
     reader = RowReader(provisional)
     needed = set(provisional.list_required_columns())
     parts = [reader.convert(table, block) for table, block in blocks if needed <= block.keys()]
-    for number, part in enumerate(parts):  # clocks that start at 0 follow each other, so that no files overlap
-        part["time"] += number * APART * time.needs_origin
+    if time.needs_origin:
+        time = _place_counts(parts, scale, time, sources.fields)
     rows = np.concatenate(parts)
     if not len(rows):
         table, found = blocks[0][0], reader.explain_causes(blocks[0][0].decimal)
@@ -184,11 +190,24 @@ def _read_rows(sources: Sources, time: GuessedTime, blocks: Blocks) -> tuple[np.
     if sampling is not None:
         parts = list(sample_rows([rows], Sampling(sampling.period, find_holds(sampling.hold))))
         rows = np.concatenate(parts)
-    return rows, sampling
+    return rows, sampling, time
 
 
-def _to_time_source(time: GuessedTime) -> TimeSource:
-    """Return the clock for the provisional reading."""
-    unit = TIME_UNITS[time.unit] if time.unit else None
-    origin = 1.7e9 if time.needs_origin else 0.0
-    return TimeSource(time.columns, unit, time.form, ZoneInfo("UTC"), origin, time.day_from_file_name)
+def _find_scale(time: GuessedTime, blocks: Blocks) -> float:
+    """Return the unit with which a clock that counts from 0 stays within `MOST_COUNTED`. [s]"""
+    largest = 1.0
+    for table, block in blocks:
+        if time.columns[0] in block:
+            numbers = to_numbers(block[time.columns[0]], table.decimal)[0]
+            largest = max(largest, float(np.nanmax(np.abs(numbers), initial=0.0)))
+    return float(min(1.0, 10.0 ** np.floor(np.log10(MOST_COUNTED / largest))))
+
+
+def _place_counts(parts: list[np.ndarray], scale: float, time: GuessedTime, fields: Sequence[Source]) -> GuessedTime:
+    """Scale the times of a clock that counts from 0 to seconds, let its files follow each other, and return its unit."""
+    for part in parts:
+        part["time"] = (part["time"] - COUNTS_FROM) / scale
+    unit, reason = judge_unit(parts, time.unit, {each.field: each.unit for each in fields})
+    for number, part in enumerate(parts):  # so that no files overlap
+        part["time"] = COUNTS_FROM + part["time"] * (find_time_unit(unit) or 1.0) + number * APART
+    return time._replace(unit=unit, reason=f"{time.reason}; {reason}")
