@@ -1,4 +1,4 @@
-"""Judge in which unit a clock counts: by distances, by what a car can accelerate, by its name, and by the usual period."""
+"""Judge in which unit a clock counts: by distances, by accelerations, by its name, and by the usual period."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from core.batch import Floats
-from tools.importers.table.column_map import TIME_UNITS, find_time_unit
+from tools.importers.table.time_source import TIME_UNITS, find_time_unit
 
 UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
 """Units that are told from each other by far."""
@@ -48,7 +48,7 @@ def judge_unit(parts: Sequence[np.ndarray], named: str | None, units: Mapping[st
     ratio, witness = find_ratio(parts)
     if ratio is not None:
         exact = units.get("speed_kmh") is not None and (witness != "odometer" or units.get("odometer_km") is not None)
-        unit = _find_nearest(ratio, [*UNITS, *TICKS] if exact else UNITS)
+        unit = find_nearest(ratio, [*UNITS, *TICKS] if exact else UNITS)
         distance = f"distance by speed agrees with {'the odometer' if witness == 'odometer' else 'positions'} in {unit}"
         if named is None or named == unit:
             return unit, distance
@@ -56,7 +56,7 @@ def judge_unit(parts: Sequence[np.ndarray], named: str | None, units: Mapping[st
             return unit, f"{distance}, not in {named} as the name says; check it"
         return named, f"unit in the name: {named}"
     if (acceleration := _find_acceleration(parts)) is not None:
-        unit = _find_nearest(acceleration / USUAL_ACCELERATION, UNITS)
+        unit = find_nearest(acceleration / USUAL_ACCELERATION, UNITS)
         named_acceleration = acceleration / (find_time_unit(named) or 1.0) if named else 0.0
         if named is None or not 0.02 < named_acceleration < 50.0:
             shown = f"in {unit} a car accelerates as speed does here"
@@ -160,7 +160,7 @@ def _is_usual(period: float) -> bool:
     return USUAL_PERIODS[0] <= period <= USUAL_PERIODS[1]
 
 
-def _find_nearest(ratio: float, units: Sequence[str]) -> str:
+def find_nearest(ratio: float, units: Sequence[str] = UNITS) -> str:
     """Return the unit that is nearest to a number of seconds; one of `TICKS` only where it fits exactly."""
     seconds = {unit: find_time_unit(unit) or 1.0 for unit in units}
     exact = [unit for unit in TICKS if unit in seconds and abs(np.log(ratio / seconds[unit])) < NEAR_TICK]

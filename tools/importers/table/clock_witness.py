@@ -1,9 +1,9 @@
-"""Judge a clock of a table by other witnesses: other clocks of its rows, the names of the files, and when they were written."""
+"""Judge a clock of a table by other clocks of its rows, the names of the files, and when they were written."""
 
 import re
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, date, datetime
+from functools import partial
 from itertools import islice
 from typing import Final, NamedTuple
 
@@ -12,12 +12,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from core.batch import Floats
-from tools.importers.table.column_map import TimeSource
 from tools.importers.table.guess_time import Blocks, GuessedTime, collect_cells
 from tools.importers.table.name_times import find_name_day
 from tools.importers.table.offset_column import read_offsets
+from tools.importers.table.row_faults import RowFaults
 from tools.importers.table.row_times import SECONDS_PER_WEEK, TimeReader
 from tools.importers.table.text_times import parse_times
+from tools.importers.table.time_source import TimeSource
 from tools.importers.table.zone_offsets import LARGEST, spell_offset
 
 DAY: Final = 86400.0
@@ -108,7 +109,7 @@ def _compare(first: GuessedTime, other: GuessedTime, blocks: Blocks) -> Differen
 
 
 def _check_weeks(first: GuessedTime, others: Sequence[GuessedTime], blocks: Blocks) -> GuessedTime:
-    """Return a clock with the weeks or the origin by which it differs from another clock, or from the day in the names."""
+    """Return a clock with the weeks or the origin by which it differs from another clock or the names of files."""
     for other in others:
         found = _compare(first, other, blocks)
         if found is not None and (changed := _shift(first, found.usual, f"column '{other.columns[0]}'")) is not None:
@@ -155,7 +156,7 @@ def _find_offset_column(first: GuessedTime, names: Sequence[str], blocks: Blocks
 
 
 def _take_zone(first: GuessedTime, other: GuessedTime, blocks: Blocks, *, is_fixed: bool) -> GuessedTime | None:
-    """Return a local clock with the zone that another clock gives, or that clock where it is as good; None for neither."""
+    """Return a local clock with the zone of another one, or that one where it is as good; None for neither."""
     found = _compare(first, other, blocks)
     if found is None or abs(found.usual) > LARGEST + STEADY + ROLLOVER_WEEKS * SECONDS_PER_WEEK * 2:
         return None
@@ -198,8 +199,8 @@ def _order_day_and_month(
     """Return a clock with the format that the witnesses prefer, or with a doubt where none of them decides."""
     forms = [first.form or "", *first.others]
     times = {form: read_clock(first._replace(form=form).to_source(), blocks) for form in forms}
-    for find in (_prefer_by_clock, _prefer_by_name, _prefer_by_file):
-        kept, reason = find(first, forms, times, others, blocks)
+    for find in (partial(_prefer_by_clock, others=others), _prefer_by_name, _prefer_by_file):
+        kept, reason = find(forms, times, blocks)
         if reason and len(kept) == 1:
             return first._replace(
                 form=kept[0], others=(), reason=f"{first.reason}, not {_spell(forms, kept)}, {reason}"
@@ -219,7 +220,7 @@ def _order_day_and_month(
 
 
 def _assume_order(
-    first: GuessedTime, forms: Sequence[str], times: dict[str, Floats], names: Sequence[str]
+    first: GuessedTime, forms: Sequence[str], times: Mapping[str, Floats], names: Sequence[str]
 ) -> GuessedTime:
     """Return a clock whose order of day and month is assumed, with the doubt."""
     forms = _keep_latest(forms, times)
@@ -245,7 +246,7 @@ def _assume_order(
     return first._replace(form=form, others=(), reason=reason, doubts=(*first.doubts, doubt))
 
 
-def _keep_latest(forms: Sequence[str], times: dict[str, Floats]) -> list[str]:
+def _keep_latest(forms: Sequence[str], times: Mapping[str, Floats]) -> list[str]:
     """Return the formats with the latest year, where two digits may be the year or the day."""
     years = {form: datetime.fromtimestamp(float(np.nanmedian(times[form])), UTC).year for form in forms}
     return [form for form in forms if years[form] == max(years.values())]
@@ -255,7 +256,7 @@ Kept = tuple[list[str], str]
 
 
 def _prefer_by_clock(
-    first: GuessedTime, forms: list[str], times: dict[str, Floats], others: Sequence[GuessedTime], blocks: Blocks
+    forms: list[str], times: Mapping[str, Floats], blocks: Blocks, *, others: Sequence[GuessedTime]
 ) -> Kept:
     """Return the formats that agree with another clock."""
     for other in others:
@@ -272,9 +273,7 @@ def _is_near(ahead: Floats) -> bool:
     return len(known) >= LEAST_ROWS and bool(np.mean(np.abs(known) < LARGEST + DAY / 2) > 0.9)
 
 
-def _prefer_by_name(
-    first: GuessedTime, forms: list[str], times: dict[str, Floats], others: Sequence[GuessedTime], blocks: Blocks
-) -> Kept:
+def _prefer_by_name(forms: list[str], times: Mapping[str, Floats], blocks: Blocks) -> Kept:
     """Return the formats that agree with the days in the names of the files."""
     days = [find_name_day(table.path) for table, _ in blocks]
     if None in days:
@@ -299,9 +298,7 @@ def _fits_days(times: Floats, days: Sequence[date | None], blocks: Blocks) -> bo
     return True
 
 
-def _prefer_by_file(
-    first: GuessedTime, forms: list[str], times: dict[str, Floats], others: Sequence[GuessedTime], blocks: Blocks
-) -> Kept:
+def _prefer_by_file(forms: list[str], times: Mapping[str, Floats], blocks: Blocks) -> Kept:
     """Return the formats with which no row is later than the files, or so early that no logger was there."""
     written = max(table.path.stat().st_mtime for table, _ in blocks) + DAY
     tests: list[tuple[Callable[[Floats], bool], str]] = [
@@ -322,7 +319,7 @@ def _read_on(first: GuessedTime, forms: list[str], blocks: Blocks) -> list[str]:
         return forms
     (name,) = first.columns
     for table in dict.fromkeys(table for table, _ in blocks):
-        for block in islice(table.iterate_blocks([name], Counter()), 1, MOST_BLOCKS):
+        for block in islice(table.iterate_blocks([name], RowFaults()), 1, MOST_BLOCKS):
             texts = pc.unique(pc.utf8_trim_whitespace(pc.cast(block[name], pa.string()))).drop_null()
             reads = {form: int(np.sum(~np.isnat(parse_times(texts, form).stamps))) for form in forms}
             best = [form for form in forms if reads[form] == max(reads.values())]

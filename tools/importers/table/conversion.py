@@ -11,7 +11,7 @@ from core.vehicles import load_catalogue
 from stream.mcap_writer import MOST_CHANNELS, McapSink
 from stream.recording_metadata import make_metadata
 from tools.importers.table.agreement import AgreementSums
-from tools.importers.table.clock_checks import list_checks, refuse_overlap
+from tools.importers.table.clock_checks import ClockUnit, list_checks, refuse_overlap
 from tools.importers.table.column_map import ColumnMap
 from tools.importers.table.import_summary import ImportSummary, describe_missing
 from tools.importers.table.row_messages import RowMessages, join_signals
@@ -96,13 +96,14 @@ def convert_tables(
     skipped = skipped or SkippedFiles()
     opened = len(tables) + len(skipped.rows)
     reader, sums = RowReader(columns, skipped), AgreementSums()
-    messages = RowMessages(columns, reader)
+    messages, unit = RowMessages(columns, reader), ClockUnit(columns)
     try:
         with McapSink(out, metadata=make_metadata("import", settings=settings or {})) as sink:
             for rows in _sample(sort_rows(_read_limited(reader, tables), out.resolve().parent), columns):
                 if not messages.samples:  # sorting has read all files
                     refuse_overlap(reader, columns)
                 sums.add(rows)
+                unit.add(rows)
                 sink.put(messages.make(rows))
     except ImportFileError:
         out.unlink()
@@ -120,13 +121,14 @@ def convert_tables(
         rows=reader.rows,
         samples=messages.samples,
         hours=sum(car.sums["duration"] for car in cars) / 3600.0,
-        causes=reader.causes,
+        causes=reader.faults.causes,
+        places=reader.faults.places,
         cells=reader.cells,
         examples=reader.examples,
         decimal=tables[0].decimal,
-        notes=[*skipped.list_lines(opened), *_list_notes(tables, columns)],
+        notes=[*skipped.list_lines(opened), *reader.faults.notes, *_list_notes(tables, columns)],
         cars=cars,
-        checks=list_checks(tables, columns, reader, cars, sums.span[1]),
+        checks=list_checks(tables, columns, reader, cars, sums.span, unit.check()),
     )
 
 

@@ -1,6 +1,5 @@
 """Guess a first map of a table from presets, names, units, ranges and physics, and say why."""
 
-from collections import Counter
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
@@ -11,24 +10,19 @@ import numpy as np
 from core.errors import ImportFileError
 from tools.importers.table.cells import to_numbers
 from tools.importers.table.clock_units import judge_unit
-from tools.importers.table.column_map import (
-    NOMINAL_VOLTAGE,
-    ColumnMap,
-    FileFormat,
-    RideSource,
-    VehicleSource,
-    find_time_unit,
-)
+from tools.importers.table.column_map import NOMINAL_VOLTAGE, ColumnMap, FileFormat, RideSource, VehicleSource
 from tools.importers.table.guess_rows import GuessedRows, guess_rows
-from tools.importers.table.guess_sources import Blocks, Source, Sources, choose_sources
-from tools.importers.table.guess_time import GuessedTime
+from tools.importers.table.guess_sources import Source, Sources, choose_sources
+from tools.importers.table.guess_time import Blocks, GuessedTime
 from tools.importers.table.guess_values import KnownUnit, guess_values
 from tools.importers.table.presets import Preset, find_preset
+from tools.importers.table.row_faults import RowFaults
 from tools.importers.table.row_messages import join_signals
 from tools.importers.table.row_reader import RowReader
 from tools.importers.table.sampling import Sampling, find_holds, sample_rows
 from tools.importers.table.skipped_files import SkippedFiles
 from tools.importers.table.table_file import TableFile
+from tools.importers.table.time_source import find_time_unit
 
 MOST_FILES: Final = 8
 """Files from whose first blocks a map is guessed."""
@@ -115,7 +109,13 @@ def guess_map(
     preset = preset or find_preset(names)
     if preset is not None and preset.extra_cells:
         tables = [table._replace(extra_cells=True) for table in tables]
-    blocks = _read_first_blocks(tables, skipped or SkippedFiles())
+    faults = RowFaults()
+    blocks = _read_first_blocks(tables, skipped or SkippedFiles(), faults)
+    if not blocks and faults.causes:
+        raise ImportFileError(
+            f"{tables[0].path}: none of its {faults.causes.total():,} rows can be read ({faults.explain()}; "
+            f"{faults.explain_first()}); export the file again, or correct these rows"
+        )
     if not blocks:
         raise ImportFileError(f"{tables[0].path}: has a header and no rows; name another file")
     sources = choose_sources(names, blocks, preset)
@@ -149,12 +149,12 @@ def guess_map(
     )
 
 
-def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles) -> Blocks:
+def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles, faults: RowFaults) -> Blocks:
     """Return the first rows of each file that has some."""
     blocks = []
     for table in tables:
         with skipped.skip(table.path):
-            found = (block for block in table.iterate_blocks(table.names, Counter()) if len(next(iter(block.values()))))
+            found = (block for block in table.iterate_blocks(table.names, faults) if len(next(iter(block.values()))))
             blocks += [(table, block) for block in islice(found, 1)]
     return blocks
 
@@ -204,7 +204,7 @@ def _find_scale(time: GuessedTime, blocks: Blocks) -> float:
 
 
 def _place_counts(parts: list[np.ndarray], scale: float, time: GuessedTime, fields: Sequence[Source]) -> GuessedTime:
-    """Scale the times of a clock that counts from 0 to seconds, let its files follow each other, and return its unit."""
+    """Scale the times of a clock that counts from 0, let its files follow each other, and return its unit."""
     for part in parts:
         part["time"] = (part["time"] - COUNTS_FROM) / scale
     unit, reason = judge_unit(parts, time.unit, {each.field: each.unit for each in fields})

@@ -36,7 +36,8 @@ _TIME_NAMES: Final = (
 _OTHER_TIME_NAMES: Final = (
     r"^(local|gps|device|log|sample|record|event|utc) ?(time|date ?time)$"
     r"|^(time|date ?time|date|time ?stamp) ?(utc|local|gmt)$"
-    r"|^(t|uptime|millis(econds)?|ticks?|seconds|gps (week|tow|seconds)|i?tow|(gps )?time of week|week( number)?)$"
+    r"|^(t|uptime|millis(econds)?|ticks?|seconds|gps (week|tow|seconds)|i?tow|(gps )?time of week"
+    r"|(gps )?week|week number)$"
     r"|^(phone|server|host|pc|system|car|vehicle|logger|rel|relative|run|running|session|trip) ?time( (s|ms|us|min|h))?$"
     r"|^time since\b"
 )
@@ -123,8 +124,15 @@ class NamedColumn(NamedTuple):
     unit: str | None
 
 
-def guess_name(name: str) -> NamedColumn | None:
+def guess_name(name: str, unit: str | None = None) -> NamedColumn | None:
     """Return the role of a column by its name; None where the name says nothing.
+
+    Parameters
+    ----------
+    name : str
+        The name.
+    unit : str, optional
+        Unit that the file states elsewhere, for a name without one.
 
     Examples
     --------
@@ -134,6 +142,7 @@ def guess_name(name: str) -> NamedColumn | None:
     ('A', None)
     """
     bare, bracketed = _take_brackets(name.partition("#")[0])
+    bracketed = bracketed or unit
     words = _split_words(bare)
     text = " ".join(words).lower()
     last = (bracketed or (words[-1] if words else "")).lower()
@@ -143,9 +152,9 @@ def guess_name(name: str) -> NamedColumn | None:
         if re.search(pattern, text) and not (unless and re.search(unless, text)):
             return NamedColumn(name, role, _find_unit(role, bracketed, words))
     # a time in milliseconds, and so on, ends in its unit
-    unit = _TIME_UNITS.get(words[-1].lower()) if words else None
-    if unit and re.search(_TIME_NAMES, " ".join(words[:-1]).lower()):
-        return NamedColumn(name, TIME, unit)
+    of_time = _TIME_UNITS.get(words[-1].lower()) if words else None
+    if of_time and re.search(_TIME_NAMES, " ".join(words[:-1]).lower()):
+        return NamedColumn(name, TIME, of_time)
     return None
 
 

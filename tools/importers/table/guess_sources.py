@@ -84,7 +84,8 @@ def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) 
         The export that the tables are.
     """
     by_name = preset is None or preset.rest
-    named = [found for name in names if (found := guess_name(name)) is not None]
+    units = {name: unit for table, _ in blocks for name, unit in zip(table.names, table.units, strict=False) if unit}
+    named = [found for name in names if (found := guess_name(name, units.get(name))) is not None]
     roles: dict[str, list[NamedColumn]] = {}
     for each in named:
         roles.setdefault(each.role, []).append(each)
@@ -114,7 +115,7 @@ def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) 
 def _choose_clock(
     names: Sequence[str], roles: Mapping[str, list[NamedColumn]], preset: Preset | None, blocks: Blocks
 ) -> GuessedTime | None:
-    """Return the clock: that of a preset, else of columns called so, with other such names, or with cells that are times."""
+    """Return the clock: that of a preset, else of columns called so, or with cells that are times."""
     given = _find_time_of_preset(preset, blocks) if preset else None
     named = [*roles.get(TIME, ()), *roles.get(OTHER_TIME, ())]
     by_cells = [each for each in find_times(names, blocks) if each.name not in {one.name for one in named}]

@@ -13,13 +13,13 @@ import pyarrow.compute as pc
 
 from core.batch import Floats
 from core.errors import ImportFileError
-from tools.importers.table.column_map import SERIAL, TimeSource, find_time_unit
 from tools.importers.table.guess_names import NamedColumn
 from tools.importers.table.month_names import describe_doubt
 from tools.importers.table.name_times import guess_name_form
 from tools.importers.table.table_file import Block, TableFile
 from tools.importers.table.text_times import parse_times, to_unix
 from tools.importers.table.time_forms import list_forms
+from tools.importers.table.time_source import SERIAL, TimeSource, find_time_unit
 
 EPOCH_UNITS: Final = ("s", "ms", "us", "ns")
 """Units of Unix time."""

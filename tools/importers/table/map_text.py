@@ -6,9 +6,10 @@ from typing import Final
 from rich.table import Table
 from rich.text import Text
 
-from tools.importers.table.column_map import GUESSED_ORIGIN
 from tools.importers.table.guess import GAP, GuessedField, GuessedMap
+from tools.importers.table.guess_time import GuessedTime
 from tools.importers.table.table_file import TableFile
+from tools.importers.table.time_source import GUESSED_ORIGIN
 from tools.importers.table.units import FIELD_UNITS, POWER
 from tools.terminal.rich_table import Column, make_table
 
@@ -149,12 +150,6 @@ def _write_time(guessed: GuessedMap) -> list[str]:
         lines.append(f"unit = {_quote(time.unit)}")
     if time.form:
         lines.append(f"format = {_quote(time.form)}")
-    if time.add_weeks:
-        lines.append(f"add_weeks = {time.add_weeks}   # the count of GPS weeks started again")
-    if time.offset_column:
-        lines.append(f"offset_column = {_quote(time.offset_column)}   # states the offset of the local times from UTC")
-    if time.origin:
-        lines.append(f"origin = {_quote(time.origin)}   # time of the number 0")
     if time.day_from_file_name:
         lines.append("day_from_file_name = true   # the file holds times of day; its name holds the day")
     if time.origin_form:
@@ -166,7 +161,19 @@ def _write_time(guessed: GuessedMap) -> list[str]:
         lines.append(f"zone = {_quote(time.zone)}")
     elif not time.has_zone:
         lines.append('zone = "UTC"   # the file does not state it: correct it where it is local time')
-    return [*lines, ""]
+    return [*lines, *_write_corrections(time), ""]
+
+
+def _write_corrections(time: GuessedTime) -> list[str]:
+    """Return the keys of a clock that other witnesses correct."""
+    lines = []
+    if time.add_weeks:
+        lines.append(f"add_weeks = {time.add_weeks}   # the count of GPS weeks started again")
+    if time.offset_column:
+        lines.append(f"offset_column = {_quote(time.offset_column)}   # states the offset of the local times from UTC")
+    if time.origin:
+        lines.append(f"origin = {_quote(time.origin)}   # time of the number 0")
+    return lines
 
 
 def _write_ride(guessed: GuessedMap) -> list[str]:

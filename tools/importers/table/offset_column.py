@@ -12,7 +12,10 @@ from core.batch import Floats
 from tools.importers.table.text_times import Stamps, to_unix
 from tools.importers.table.zone_offsets import find_offset
 
-_STATED: Final = r"(?:\d[^+-]*|^)(?P<zone>(?:UTC|GMT)[+-]\d{1,2}(?::?\d\d)?|[+-]\d\d:?\d\d|\bZ|\b[A-Z]{3,5})(?:\s+\d{4}|\s*\([^)]*\))?\s*$"
+_STATED: Final = (
+    r"(?:\d[^+-]*|^)(?P<zone>(?:UTC|GMT)[+-]\d{1,2}(?::?\d\d)?|[+-]\d\d:?\d\d|\bZ|\b[A-Z]{3,5})"
+    r"(?:\s+\d{4}|\s*\([^)]*\))?\s*$"
+)
 """Offset at the end of a time, or before a year at its end."""
 
 

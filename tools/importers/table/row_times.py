@@ -11,11 +11,11 @@ import pyarrow.compute as pc
 from core.batch import Floats, Ints
 from core.columns import SECONDS_PER_DAY
 from tools.importers.table.cells import Bools, to_bools, to_numbers
-from tools.importers.table.column_map import TimeSource
 from tools.importers.table.name_times import find_day, find_origin
 from tools.importers.table.offset_column import read_offsets
 from tools.importers.table.table_file import Block, TableFile
 from tools.importers.table.text_times import parse_times, to_unix
+from tools.importers.table.time_source import TimeSource
 
 NEIGHBOUR: Final = 600.0
 """Longest time from a row of the repeated hour to the row beside it that shows which of both hours it is. [s]"""
@@ -116,8 +116,9 @@ class TimeReader:
             form = None if form is None else f"%Y-%m-%d {form}"
         parsed = parse_times(texts, form)
         offsets = parsed.offsets
-        if self.source.offset_column in block:
-            found = self._fill(read_offsets(block[self.source.offset_column], parsed.stamps))
+        stated = block.get(self.source.offset_column or "")
+        if stated is not None:
+            found = self._fill(read_offsets(stated, parsed.stamps))
             offsets = np.where(np.isnan(offsets), found, offsets)
         times, unclear = to_unix(parsed.stamps) - offsets, np.zeros(len(offsets), bool)
         plain = np.isnan(offsets)
@@ -128,7 +129,7 @@ class TimeReader:
     def _fill(self, offsets: Floats) -> Floats:
         """Return the offsets of rows, with unknown ones as in the row before, or in the next one at the start."""
         known = pd.Series(offsets)
-        filled = known.ffill().fillna(self._last_offset).bfill().to_numpy()
+        filled = np.asarray(known.ffill().fillna(self._last_offset).bfill(), "f8")
         self._last_offset = float(filled[-1]) if len(filled) else self._last_offset
         return filled
 

@@ -1,4 +1,4 @@
-"""Read times in text by a form of `strptime`, with months in any language, stated zones, and fractions that may be missing."""
+"""Read times in text by a form of `strptime`, with months in any language and stated zones."""
 
 import re
 from collections.abc import Mapping

@@ -38,7 +38,7 @@ _NAMED: Final[Mapping[str, float]] = {
     "NZDT": 13.0,
 }
 """Abbreviation of a time zone -> offset from UTC [h], without those of several zones, such as CST, IST and BST."""
-_OFFSET: Final = re.compile(r"(?:UTC|GMT)?\s*([+-−])?(\d{1,2})(?::?([0-5]\d))?(?::[0-5]\d)?", re.IGNORECASE)
+_OFFSET: Final = re.compile(r"(?:UTC|GMT)?\s*([+\-−])?(\d{1,2})(?::?([0-5]\d))?(?::[0-5]\d)?", re.IGNORECASE)
 
 
 @cache
