@@ -178,7 +178,7 @@ def _check_weeks(tables: Sequence[TableFile], columns: ColumnMap, span: tuple[fl
     ):
         return None
     days = [f"{datetime.fromtimestamp(each, UTC):%Y-%m-%d}" for each in (first, last, moved)]
-    remedy = f"if the count of GPS weeks started again, the last day is {days[2]}: set add_weeks = {ROLLOVER_WEEKS} in [time]"
+    remedy = f"if GPS weeks started again, it was {days[2]}: set add_weeks = {ROLLOVER_WEEKS} in [time]"
     return Check("clock against GPS weeks", f"rows from {days[0]} to {days[1]}", "from 2010 on", False, remedy)
 
 

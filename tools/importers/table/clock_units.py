@@ -18,7 +18,7 @@ LEAST_GROWTHS: Final = 3
 """Changes of an odometer from which a distance is known."""
 NEAR_TICK: Final = 0.1
 """Largest logarithm of the ratio of the distance in ticks to the right one."""
-FAR: Final = 1.5
+FAR: Final = 2.5
 """Logarithm of a ratio of distances from which the unit in a name is doubted."""
 USUAL_ACCELERATION: Final = 2.0
 """Acceleration that one of 100 steps of a drive has, about. [m/s^2]"""
@@ -47,7 +47,7 @@ def judge_unit(parts: Sequence[np.ndarray], named: str | None, units: Mapping[st
     """
     ratio, witness = find_ratio(parts)
     if ratio is not None:
-        exact = units.get("speed_kmh") is not None and (witness != "odometer" or units.get("odometer_km") is not None)
+        exact = named is None and all(units.get(field) is not None for field in ("speed_kmh", "odometer_km"))
         unit = find_nearest(ratio, [*UNITS, *TICKS] if exact else UNITS)
         distance = f"distance by speed agrees with {'the odometer' if witness == 'odometer' else 'positions'} in {unit}"
         if named is None or named == unit:
@@ -131,7 +131,7 @@ def _measure_fixes(rows: np.ndarray) -> Floats:
     north = np.radians(np.diff(latitude))
     east = np.radians(np.diff(longitude)) * np.cos(np.radians(latitude[1:]))
     distance = _RADIUS * np.hypot(north, east)
-    moves = (np.interp(at[1:], time, speed) > MOVING) & (distance < 5000.0) & (distance > 0.0)
+    moves = (np.interp(at[1:], time, speed) > MOVING) & (distance < 5000.0)
     beside = np.diff(np.interp(at, time, integral))
     return np.array([distance[moves].sum(), beside[moves].sum()])
 

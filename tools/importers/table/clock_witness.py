@@ -71,9 +71,11 @@ def judge_clock(
     is_fixed : bool
         Whether the clock must be this one, as a preset says.
     """
-    others = [each for each in others if each.is_absolute and not each.others and each.columns != first.columns]
+    others = [each for each in others if each.is_absolute and each.columns != first.columns]
     if first.others:
-        first = _order_day_and_month(first, others, names, blocks)
+        sure = [each for each in others if not each.others]
+        first = _order_day_and_month(first, sure, names, blocks)
+    others = [each._replace(form=form, others=()) for each in others for form in (each.form, *each.others)]
     first = _check_weeks(first, others, blocks)
     if first.has_zone:
         return first
@@ -270,7 +272,11 @@ def _prefer_by_clock(
 def _is_near(ahead: Floats) -> bool:
     """Return whether two clocks show the same days, perhaps in other zones."""
     known = ahead[np.isfinite(ahead)]
-    return len(known) >= LEAST_ROWS and bool(np.mean(np.abs(known) < LARGEST + DAY / 2) > 0.9)
+    if len(known) < LEAST_ROWS:
+        return False
+    rollover = ROLLOVER_WEEKS * SECONDS_PER_WEEK
+    known = known - round(float(np.median(known)) / rollover) * rollover
+    return bool(np.mean(np.abs(known) < LARGEST + DAY / 2) > 0.9)
 
 
 def _prefer_by_name(forms: list[str], times: Mapping[str, Floats], blocks: Blocks) -> Kept:

@@ -21,7 +21,7 @@ from tools.importers.table.row_messages import join_signals
 from tools.importers.table.row_reader import RowReader
 from tools.importers.table.sampling import Sampling, find_holds, sample_rows
 from tools.importers.table.skipped_files import SkippedFiles
-from tools.importers.table.table_file import TableFile
+from tools.importers.table.table_file import Block, TableFile
 from tools.importers.table.time_source import find_time_unit
 
 MOST_FILES: Final = 8
@@ -109,8 +109,8 @@ def guess_map(
     preset = preset or find_preset(names)
     if preset is not None and preset.extra_cells:
         tables = [table._replace(extra_cells=True) for table in tables]
-    faults = RowFaults()
-    blocks = _read_first_blocks(tables, skipped or SkippedFiles(), faults)
+    blocks, places = _read_first_blocks(tables, skipped or SkippedFiles())
+    faults = next((each for each in places if each.causes), RowFaults())
     if not blocks and faults.causes:
         raise ImportFileError(
             f"{tables[0].path}: none of its {faults.causes.total():,} rows can be read ({faults.explain()}; "
@@ -129,7 +129,7 @@ def guess_map(
             f"{tables[0].path}: no column looks like speed, charge or power; it has {listed}; write a map by hand, "
             "with the columns in [fields]"
         )
-    rows, sampling, time = _read_rows(sources, sources.time, blocks)
+    rows, sampling, time = _read_rows(sources, sources.time, blocks, places)
     known = {each.field: KnownUnit(each.unit, each.sign, each.reason) for each in sources.fields}
     units = guess_values(rows, known)
     fields = [
@@ -149,18 +149,23 @@ def guess_map(
     )
 
 
-def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles, faults: RowFaults) -> Blocks:
-    """Return the first rows of each file that has some."""
-    blocks = []
+def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles) -> tuple[Blocks, list[RowFaults]]:
+    """Return the first rows of each file that has some, and for these and other files where the rows stand."""
+    blocks: list[tuple[TableFile, Block]] = []
+    places: list[RowFaults] = []
+    others: list[RowFaults] = []
     for table in tables:
+        faults = RowFaults()
         with skipped.skip(table.path):
             found = (block for block in table.iterate_blocks(table.names, faults) if len(next(iter(block.values()))))
-            blocks += [(table, block) for block in islice(found, 1)]
-    return blocks
+            first = [(table, block) for block in islice(found, 1)]
+            blocks += first
+            (places if first else others).append(faults)
+    return blocks, [*places, *others]
 
 
 def _read_rows(
-    sources: Sources, time: GuessedTime, blocks: Blocks
+    sources: Sources, time: GuessedTime, blocks: Blocks, places: Sequence[RowFaults]
 ) -> tuple[np.ndarray, GuessedRows | None, GuessedTime]:
     """Return the rows as samples in the order of time, how rows become samples, and the clock with its unit."""
     car = VehicleSource(sources.vehicle, None, "", None, {}, NOMINAL_VOLTAGE)
@@ -176,7 +181,10 @@ def _read_rows(
     )
     reader = RowReader(provisional)
     needed = set(provisional.list_required_columns())
-    parts = [reader.convert(table, block) for table, block in blocks if needed <= block.keys()]
+    parts = []
+    for (table, block), place in zip(blocks, places, strict=False):
+        reader.faults.take_lines(place)
+        parts += [reader.convert(table, block)] if needed <= block.keys() else []
     if time.needs_origin:
         time = _place_counts(parts, scale, time, sources.fields)
     rows = np.concatenate(parts)

@@ -38,7 +38,8 @@ _OTHER_TIME_NAMES: Final = (
     r"|^(time|date ?time|date|time ?stamp) ?(utc|local|gmt)$"
     r"|^(t|uptime|millis(econds)?|ticks?|seconds|gps (week|tow|seconds)|i?tow|(gps )?time of week"
     r"|(gps )?week|week number)$"
-    r"|^(phone|server|host|pc|system|car|vehicle|logger|rel|relative|run|running|session|trip) ?time( (s|ms|us|min|h))?$"
+    r"|^(phone|server|host|pc|system|car|vehicle|logger|rel|relative|run|running|session|trip) ?time"
+    r"( (s|ms|us|min|h))?$"
     r"|^time since\b"
 )
 _SPEED_LETTERS: Final = r"^(v|gps|car|vehicle|obd)? ?(kmh|km/h|kph|kmph|mph)$|^v (m/s|mps)$"

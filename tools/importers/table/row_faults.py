@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from tools.importers.table.cells import is_grouped, is_value
 from tools.importers.table.guess_names import guess_name
 from tools.importers.table.text_stream import TextStream
@@ -25,8 +27,6 @@ OPEN_QUOTE: Final = "a quote that is opened and not closed, up to the next quote
 HEADER_AGAIN: Final = "the header again, as in joined files"
 LONGEST_EXAMPLE: Final = 60
 """Letters of a row that are shown."""
-MOST_NUMBERS: Final = 10_000
-"""Numbers of rows left out that are kept to find the lines of others."""
 
 
 class RowFaults:
@@ -40,8 +40,10 @@ class RowFaults:
         Cause -> file, line and text of its first row.
     notes : list of str
         What else a person should know of the files.
-    first_row : int or None
-        Number of the first row of the block that is read, blank lines not counted.
+    blank_lines : list of int
+        Blank lines of the file that is read.
+    numbers : (n,) int
+        Numbers of the rows of the block that is read, counted in the file without blank lines.
     wide : int
         Rows that cannot be divided into columns.
     """
@@ -50,32 +52,25 @@ class RowFaults:
         self.causes: Counter[str] = Counter()
         self.places: dict[str, str] = {}
         self.notes: list[str] = []
-        self.first_row: int | None = None
         self.wide = 0
-        self._blank: list[int] = []
-        self._numbers: list[int] = []
+        self.numbers = np.zeros(0, "i8")
+        self.blank_lines: list[int] = []
 
     def start_file(self, blank_lines: list[int]) -> None:
         """Begin a file, whose blank lines are noted while it is read."""
-        self._blank, self._numbers, self.first_row = blank_lines, [], None
+        self.blank_lines, self.numbers = blank_lines, np.zeros(0, "i8")
 
-    def leave_out(self, number: int | None) -> None:
-        """Note the number of a row that does not come in a block, blank lines not counted."""
-        if number is not None and len(self._numbers) < MOST_NUMBERS:
-            self._numbers.append(number)
+    def take_lines(self, other: "RowFaults") -> None:
+        """Take over where the rows of a block stand in their file."""
+        self.blank_lines, self.numbers = other.blank_lines, other.numbers
 
     def find_line(self, row: int) -> int | None:
         """Return the line of a row of the block that is read, None where it is not known."""
-        if self.first_row is None:
-            return None
-        number = self.first_row + row
-        for left_out in self._numbers:
-            number += left_out <= number
-        return self.count_blank(number)
+        return self.count_blank(int(self.numbers[row])) if row < len(self.numbers) else None
 
     def count_blank(self, number: int) -> int:
         """Return the line of a row whose number leaves out blank lines."""
-        for blank in self._blank:
+        for blank in self.blank_lines:
             number += blank <= number
         return number
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
@@ -141,7 +142,7 @@ class TableFile(NamedTuple):
         above = self.skip_lines + 1 + bool(self.units)
         with TextStream(self.path, self.encoding) as stream:
             faults.start_file(stream.blank_lines)
-            wrong = _WrongRows(self, faults)
+            wrong = _WrongRows(self, faults, above + 1)
             try:
                 batches = pacsv.open_csv(
                     pa.PythonFile(stream, mode="r"),
@@ -157,15 +158,8 @@ class TableFile(NamedTuple):
                         null_values=list(UNKNOWN),
                     ),
                 )
-                count = 0
                 for batch in batches:
-                    faults.first_row = above + 1 + count
-                    count += len(batch)
-                    yield batch
-                    if wrong.longer:
-                        faults.first_row = None
-                        yield self._cut_rows(wrong.longer, columns)
-                        wrong.longer.clear()
+                    yield wrong.merge(batch, columns)
                     wrong.refuse_header()
             except pa.ArrowInvalid as error:
                 wrong.refuse_header()
@@ -177,16 +171,8 @@ class TableFile(NamedTuple):
             finally:
                 faults.notes += stream.list_notes()
             if wrong.longer:
-                faults.first_row = None
-                yield self._cut_rows(wrong.longer, columns)
+                yield wrong.merge(pa.record_batch([pa.array([], pa.string())] * len(columns), names=columns), columns)
             wrong.refuse_header()
-
-    def _cut_rows(self, lines: list[str], columns: list[str]) -> Any:
-        """Return rows that are longer than the header, without the cells beyond it."""
-        rows = list(csv.reader(lines, delimiter=self.separator))
-        places = [self.names.index(name) for name in columns]
-        cells = [[None if row[place] in UNKNOWN else row[place] for row in rows] for place in places]
-        return pa.record_batch([pa.array(column, pa.string()) for column in cells], names=columns)
 
     def _read_parquet(self, columns: list[str], faults: RowFaults) -> Iterator[Any]:
         """Yield the record batches of a Parquet file."""
@@ -197,27 +183,61 @@ class TableFile(NamedTuple):
 
 
 class _WrongRows:
-    """Receive the rows of a CSV file that have another number of cells than its header."""
+    """Receive the rows of a CSV file that have another number of cells than its header, and keep what can be read."""
 
-    def __init__(self, table: TableFile, faults: RowFaults) -> None:
-        self.longer: list[str] = []
-        self._table, self._faults = table, faults
+    def __init__(self, table: TableFile, faults: RowFaults, first: int) -> None:
+        self.longer: list[tuple[float, str]] = []
+        self._table, self._faults, self._next = table, faults, first
+        self._left_out: list[int] = []
         self._header: tuple[int | None, str] | None = None
 
     def skip(self, row: Any) -> str:
         """Keep a row that is longer and may be so, and count any other by its cause."""
-        text = row.text
-        self._faults.leave_out(row.number)
-        if row.actual_columns > row.expected_columns and (self._table.extra_cells or self._ends_empty(row)):
-            self.longer.append(text)
+        text, table = row.text, self._table
+        self._left_out.append(row.number)
+        if row.actual_columns > row.expected_columns and (table.extra_cells or self._ends_empty(row)):
+            self.longer.append((row.number, text))
             return "skip"
-        line = self._faults.count_blank(row.number) if row.number is not None else None
-        if self._header is None and is_header(split_cells(text, self._table.separator), self._table.names):
+        line = self._faults.count_blank(row.number)
+        if self._header is None and is_header(split_cells(text, table.separator), table.names):
             self._header = line, text
-        cause = find_width_cause(text, self._table.names, self._table.separator)
-        lines = 1 + len(_LINE_END.findall(text)) if cause == OPEN_QUOTE else 1
-        self._faults.add_wide(cause, lines, self._table.path, line, text)
+        cause = find_width_cause(text, table.names, table.separator)
+        if cause == OPEN_QUOTE:
+            lines = _LINE_END.split(text)
+            whole = [
+                (row.number + at / len(lines), each)
+                for at, each in enumerate(lines)
+                if each.count('"') % 2 == 0 and len(split_cells(each, table.separator)) == row.expected_columns
+            ]
+            self.longer += whole
+            self._faults.add_wide(cause, len(lines) - len(whole), table.path, line, lines[0])
+        else:
+            self._faults.add_wide(cause, 1, table.path, line, text)
         return "skip"
+
+    def merge(self, batch: Any, columns: Sequence[str]) -> Any:
+        """Return rows together with the longer ones among them, without the cells beyond the header, in their order."""
+        span = np.arange(self._next, self._next + len(batch) + len(self._left_out))
+        numbers = np.setdiff1d(span, self._left_out)[: len(batch)]
+        last = int(numbers[-1]) if len(batch) else int(span[-1]) + 1 if len(span) else self._next
+        self._next = last + 1
+        self._left_out = [number for number in self._left_out if number > last]
+        self._faults.numbers = numbers
+        kept = [each for each in self.longer if each[0] <= last]
+        if not kept:
+            return batch
+        self.longer = [each for each in self.longer if each[0] > last]
+        rows = list(csv.reader([text for _, text in kept], delimiter=self._table.separator))
+        places = [self._table.names.index(name) for name in columns]
+        cells = [[None if row[place] in UNKNOWN else row[place] for row in rows] for place in places]
+        cut = [pa.array(column, pa.string()) for column in cells]
+        joined = [
+            pa.concat_arrays([each.cast(pa.string()), more]) for each, more in zip(batch.columns, cut, strict=True)
+        ]
+        of_all = np.concatenate((numbers, [number for number, _ in kept]))
+        order = np.argsort(of_all, kind="stable")
+        self._faults.numbers = of_all[order].astype("i8")
+        return pa.record_batch([each.take(pa.array(order)) for each in joined], names=list(columns))
 
     def refuse_header(self) -> None:
         """Refuse a file in which another header stands between the rows."""
