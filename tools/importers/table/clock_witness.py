@@ -79,6 +79,7 @@ def judge_clock(
     first = _check_weeks(first, others, blocks)
     if first.has_zone:
         return first
+    others = [_align(each, first, blocks) for each in others]
     if (stated := _find_offset_column(first, names, blocks)) is not None:
         return stated
     zoned = [each for each in others if each.has_zone or any(map(_UTC_NAME.search, each.columns))]
@@ -141,6 +142,13 @@ def _shift(first: GuessedTime, ahead: float, witness: str) -> GuessedTime | None
     return None
 
 
+def _align(other: GuessedTime, first: GuessedTime, blocks: Blocks) -> GuessedTime:
+    """Return another clock, moved by whole rollovers or to another zero where it is early by that."""
+    found = _compare(other, first, blocks)
+    moved = _shift(other, found.usual, f"column '{first.columns[0]}'") if found is not None else None
+    return moved or other
+
+
 def _find_offset_column(first: GuessedTime, names: Sequence[str], blocks: Blocks) -> GuessedTime | None:
     """Return a local clock with a column of offsets, None where there is none."""
     for name in names:
@@ -160,14 +168,10 @@ def _find_offset_column(first: GuessedTime, names: Sequence[str], blocks: Blocks
 def _take_zone(first: GuessedTime, other: GuessedTime, blocks: Blocks, *, is_fixed: bool) -> GuessedTime | None:
     """Return a local clock with the zone of another one, or that one where it is as good; None for neither."""
     found = _compare(first, other, blocks)
-    if found is None or abs(found.usual) > LARGEST + STEADY + ROLLOVER_WEEKS * SECONDS_PER_WEEK * 2:
-        return None
-    weeks = round(found.usual / (ROLLOVER_WEEKS * SECONDS_PER_WEEK)) * ROLLOVER_WEEKS
-    offset = found.usual - weeks * SECONDS_PER_WEEK
-    if abs(offset) > LARGEST + STEADY:
+    if found is None or abs(found.usual) > LARGEST + STEADY:
         return None
     name = other.columns[0]
-    if not is_fixed and not weeks and _is_as_good(other, first, blocks):
+    if not is_fixed and _is_as_good(other, first, blocks):
         words = f"it is in UTC, beside the local time in column '{first.columns[0]}'"
         return other._replace(has_zone=True, reason=f"{other.reason}; {words}")
     if (other.form is not None and "%Z" in other.form) or (
@@ -175,12 +179,12 @@ def _take_zone(first: GuessedTime, other: GuessedTime, blocks: Blocks, *, is_fix
     ):
         stated = first._replace(offset_column=name)
         again = _compare(stated, other, blocks)
-        if again is not None and abs(again.usual - weeks * SECONDS_PER_WEEK) < 4 * STEADY:
+        if again is not None and abs(again.usual) < 4 * STEADY:
             return stated._replace(
                 has_zone=True, reason=f"{first.reason}; offset from UTC as stated in column '{name}'"
             )
-    rounded = round(offset / QUARTER) * QUARTER
-    if found.is_steady and abs(offset - rounded) < STEADY:
+    rounded = round(found.usual / QUARTER) * QUARTER
+    if found.is_steady and abs(found.usual - rounded) < STEADY:
         words = f"zone by the difference to column '{name}', which is in UTC"
         return first._replace(zone=spell_offset(rounded), reason=f"{first.reason}; {words}")
     return None
@@ -229,9 +233,9 @@ def _assume_order(
     of_america = "%p" in forms[0] or any(re.search(r"mph|°F|degF|\(mi\)|miles|\(ft\)", name) for name in names)
     shown = [form for form in forms if form.index("%m") < form.index("%d")]
     if of_america and shown:
-        form, why = shown[0], "month first, as with miles and a clock of twelve hours"
+        form, why = shown[0], "month first is assumed, as with miles and a clock of twelve hours"
     else:
-        form, why = forms[0], "day first"
+        form, why = forms[0], "day first is assumed"
     other = next((each for each in (*forms, *times) if each != form), form)
     if re.search(r"%d\.%m\.|%d\. ?%m", form):
         return first._replace(
@@ -242,9 +246,9 @@ def _assume_order(
     days = [f"{datetime.fromtimestamp(float(times[each][at]), UTC):%Y-%m-%d}" for each in (form, other)]
     doubt = (
         f"ambiguous: the dates in column '{first.columns[0]}' may be {days[0]} or {days[1]}, and no row decides; "
-        f'{why} is assumed: where this is wrong, set format = "{other}" in [time]'
+        f'{why}: where this is wrong, set format = "{other}" in [time]'
     )
-    reason = f"{first.reason}; ambiguous: {why} is assumed, else format = '{other}'"
+    reason = f"{first.reason}; ambiguous: {why}, else format = '{other}'"
     return first._replace(form=form, others=(), reason=reason, doubts=(*first.doubts, doubt))
 
 

@@ -37,7 +37,7 @@ _OTHER_TIME_NAMES: Final = (
     r"^(local|gps|device|log|sample|record|event|utc) ?(time|date ?time)$"
     r"|^(time|date ?time|date|time ?stamp) ?(utc|local|gmt)$"
     r"|^(t|uptime|millis(econds)?|ticks?|seconds|gps (week|tow|seconds)|i?tow|(gps )?time of week"
-    r"|(gps )?week|week number)$"
+    r"|(gps )?week|week number|clock( time)?|time of day|tid|tidspunkt|dato|aika|cas|czas)$"
     r"|^(phone|server|host|pc|system|car|vehicle|logger|rel|relative|run|running|session|trip) ?time"
     r"( (s|ms|us|min|h))?$"
     r"|^time since\b"
@@ -154,8 +154,11 @@ def guess_name(name: str, unit: str | None = None) -> NamedColumn | None:
             return NamedColumn(name, role, _find_unit(role, bracketed, words))
     # a time in milliseconds, and so on, ends in its unit
     of_time = _TIME_UNITS.get(words[-1].lower()) if words else None
-    if of_time and re.search(_TIME_NAMES, " ".join(words[:-1]).lower()):
+    before = " ".join(words[:-1]).lower()
+    if of_time and re.search(_TIME_NAMES, before):
         return NamedColumn(name, TIME, of_time)
+    if of_time and re.search(_OTHER_TIME_NAMES, before):
+        return NamedColumn(name, OTHER_TIME, of_time)
     return None
 
 

@@ -36,6 +36,7 @@ LEAST_SHARE: Final = 0.9
 """Share of the cells that a form must read."""
 _TIME_OF_DAY: Final = r"\s*\d{1,2}:\d\d(:\d\d(\.\d+)?)?\s*"
 _TIME_OF_HALF_DAY: Final = _TIME_OF_DAY + r"([ap]m\s*)?"
+_DATE: Final = r"\s*(\d{1,4}[-/. ]+[\w.]{1,12}[-/. ]+\d{1,4}\.?|\d{8}|\d{4}-\d\d-\d\d[T ]00:00(:00)?(\.0+)?)\s*"
 _ISO_OFFSET: Final = r"\d[Tt ]\d.*(?:Z|[+-]\d\d:?(?:\d\d)?)$"
 TRIED: Final = 2000
 """Cells of each file that are tried."""
@@ -165,19 +166,18 @@ def _pair_weeks(names: Sequence[str], blocks: Blocks) -> list[tuple[str, ...]]:
 
 
 def _pair_date_and_time(names: Sequence[str], blocks: Blocks) -> list[tuple[str, ...]]:
-    """Return the first two columns as date and time of day, in the order in which they are so."""
-    for date, clock in (names[:2], names[:2][::-1]) if len(names) > 1 else ():
-        cells = collect_cells((clock,), blocks)
+    """Return the first column of dates and the first one of times of day."""
+    shares: dict[str, list[str]] = {_TIME_OF_HALF_DAY: [], _DATE: []}
+    for name in names:
+        cells = collect_cells((name,), blocks)
         if cells is None or not len(cells) or pa.types.is_timestamp(cells.type):
             continue
-        if (
-            pd.Series([str(cell) for cell in cells.to_pylist()])
-            .str.fullmatch(_TIME_OF_HALF_DAY, flags=re.IGNORECASE)
-            .mean()
-            > LEAST_SHARE
-        ):
-            return [(date, clock)]
-    return []
+        texts = pd.Series([str(cell) for cell in cells.to_pylist()])
+        for pattern, found in shares.items():
+            if texts.str.fullmatch(pattern, flags=re.IGNORECASE).mean() > LEAST_SHARE:
+                found.append(name)
+    clocks, dates = shares.values()
+    return [(dates[0], clocks[0])] if dates and clocks else []
 
 
 def collect_cells(columns: Sequence[str], blocks: Blocks) -> Any:

@@ -89,6 +89,13 @@ def test_zone_follows_from_the_difference_to_sparse_unix_time(tmp_path):
     assert 'zone = "+02:00"' in text
 
 
+def test_seconds_of_gps_beside_local_time_are_utc(tmp_path):
+    columns = {"date": LOCAL.strftime("%Y-%m-%d %H:%M:%S"), "gps_time_s": DRIVE["time"] - 315964800 + 18}
+    times, _, text = import_guessed(tmp_path / "a.csv", columns)
+    assert_true(times)
+    assert "seconds of GPS since 1980, as column 'date' shows" in text
+
+
 @pytest.mark.parametrize("other", ["phone_time", None])
 def test_weeks_of_a_rollover_are_added_where_another_clock_or_the_name_proves_them(tmp_path, other):
     early = (UTC - pd.Timedelta(weeks=1024)).strftime("%Y-%m-%d %H:%M:%SZ")
@@ -122,7 +129,7 @@ def test_month_is_assumed_first_beside_miles(tmp_path):
     pd.DataFrame({"time": UTC.strftime("%m/%d/%Y %H:%M:%S"), "speed (mph)": 30.0}).to_csv(path, index=False)
     times, printed, _ = import_files([path])
     assert_true(times)
-    assert "month first, as with miles and a clock of twelve hours is assumed" in printed
+    assert "month first is assumed, as with miles and a clock of twelve hours" in printed
 
 
 DAY_FIRST, MONTH_FIRST = "%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S"
