@@ -140,7 +140,7 @@ def _guess(kind: str, files: list[Path], options: TableImport, preset: Preset | 
     if line := describe_preset(guessed):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     console.print(make_guess_table(guessed))
-    lines = [describe_unread(guessed)]
+    lines = [describe_unread(guessed), *guessed.time.doubts]
     if options.out is None:  # an import says the rest itself
         lines += [*skipped.list_lines(len(files)), *describe_missing([each.field for each in guessed.fields])]
     for line in filter(None, lines):

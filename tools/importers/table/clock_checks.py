@@ -4,16 +4,23 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Final
 
+import numpy as np
+
 from core.errors import ImportFileError
 from tools.importers.table.agreement import Check, check_agreement
 from tools.importers.table.agreement_sums import CarSums
-from tools.importers.table.column_map import GUESSED_ORIGIN, ColumnMap
+from tools.importers.table.clock_units import FAR, find_nearest, find_ratio
+from tools.importers.table.clock_witness import DAY, EARLIEST, ROLLOVER_WEEKS
+from tools.importers.table.column_map import ColumnMap
 from tools.importers.table.row_reader import RowReader
+from tools.importers.table.row_times import SECONDS_PER_WEEK
 from tools.importers.table.table_file import TableFile
 from tools.importers.table.time_overlaps import Overlap
+from tools.importers.table.time_source import GUESSED_ORIGIN, find_time_unit
 
 CLOCK_TOLERANCE: Final = 300.0
 """Time by which a row may be later than the last change of its file. [s]"""
+UNIT: Final = "unit of the clock"
 OVERLAP: Final = "times of rows"
 """Name of the check that no time is covered twice."""
 _SPANS: Final = (
@@ -50,8 +57,46 @@ def refuse_overlap(reader: RowReader, columns: ColumnMap) -> None:
     )
 
 
+class ClockUnit:
+    """Measure, by the first rows, whether the distance by speed has the size of that by odometer or positions.
+
+    Parameters
+    ----------
+    columns : ColumnMap
+        The map.
+    """
+
+    def __init__(self, columns: ColumnMap) -> None:
+        self._unit = columns.time.unit_s
+        self._found: tuple[float | None, str] | None = None if columns.time.unit_s else (None, "")
+
+    def add(self, rows: np.ndarray) -> None:
+        """Add rows in the order of time; only the first ones count."""
+        if self._found is None:
+            self._found = find_ratio([rows])
+
+    def check(self) -> Check | None:
+        """Return the check of the unit, None where nothing shows it to be wrong."""
+        ratio, witness = self._found or (None, "")
+        if ratio is None or self._unit is None or abs(np.log(ratio)) < FAR:
+            return None
+        unit = find_nearest(ratio * self._unit)
+        if abs(np.log(ratio * self._unit / (find_time_unit(unit) or 1.0))) > FAR:
+            return None
+        what = "the odometer" if witness == "odometer" else "positions"
+        found = f"distance by speed is {1.0 / ratio:.3g} times that by {what}"
+        return Check(
+            UNIT, found, "as large", False, f"the clock probably counts in {unit}: set unit = '{unit}' in [time]"
+        )
+
+
 def list_checks(
-    tables: Sequence[TableFile], columns: ColumnMap, reader: RowReader, cars: list[CarSums], last: float
+    tables: Sequence[TableFile],
+    columns: ColumnMap,
+    reader: RowReader,
+    cars: list[CarSums],
+    span: tuple[float, float],
+    unit: Check | None = None,
 ) -> list[Check]:
     """Return all checks of an import; where times are covered twice, others that need their order are not judged.
 
@@ -65,15 +110,23 @@ def list_checks(
         Reader that has read them.
     cars : list of CarSums
         Sums of each car.
-    last : float
-        Time of the last row. [Unix s]
+    span : (float, float)
+        Times of the first and the last row. [Unix s]
+    unit : Check, optional
+        Check of the unit of the clock, which has failed.
     """
     checks = check_agreement(cars)
+    if unit is not None:
+        checks = [
+            _suspend(check, "the unit of the clock is wrong") if check.passed is False else check for check in checks
+        ]
+        checks.insert(0, unit)
     overlap = reader.spans.find_overlap()
     if overlap is not None:
-        checks = [_suspend(check) if check.passed is False else check for check in checks]
+        checks = [_suspend(check, "times are covered twice") if check.passed is False else check for check in checks]
         checks.insert(0, _check_overlap(overlap, reader))
-    return [*checks, _check_clock(tables, columns, last)]
+    weeks = _check_weeks(tables, columns, span)
+    return [*checks, *([weeks] if weeks else []), _check_clock(tables, columns, span[1])]
 
 
 def describe_span(seconds: float) -> str:
@@ -110,9 +163,24 @@ def _check_overlap(overlap: Overlap, reader: RowReader) -> Check:
     return Check(OVERLAP, _describe_overlap(overlap, reader), "each time once", False, remedy)
 
 
-def _suspend(check: Check) -> Check:
-    """Return a check that is not judged, because the rows may be in a wrong order."""
-    return check._replace(passed=None, found=f"{check.found}, not judged while times are covered twice", remedy="")
+def _suspend(check: Check, why: str) -> Check:
+    """Return a check that is not judged, because of what is wrong with the times of the rows."""
+    return check._replace(passed=None, found=f"{check.found}, not judged while {why}", remedy="")
+
+
+def _check_weeks(tables: Sequence[TableFile], columns: ColumnMap, span: tuple[float, float]) -> Check | None:
+    """Return a failed check where rows are so early that a count of GPS weeks may have started again, else None."""
+    first, last = span
+    moved = last + ROLLOVER_WEEKS * SECONDS_PER_WEEK
+    if (
+        columns.time.is_relative
+        or last >= EARLIEST
+        or moved > max(table.path.stat().st_mtime for table in tables) + DAY
+    ):
+        return None
+    days = [f"{datetime.fromtimestamp(each, UTC):%Y-%m-%d}" for each in (first, last, moved)]
+    remedy = f"if GPS weeks started again, it was {days[2]}: set add_weeks = {ROLLOVER_WEEKS} in [time]"
+    return Check("clock against GPS weeks", f"rows from {days[0]} to {days[1]}", "from 2010 on", False, remedy)
 
 
 def _check_clock(tables: Sequence[TableFile], columns: ColumnMap, last: float) -> Check:

@@ -23,13 +23,11 @@ from tools.importers.table.sampling import (
     Sampling,
     find_holds,
 )
+from tools.importers.table.time_source import MOST_WEEKS, SERIAL, TIME_UNITS, TimeSource, find_time_unit
 from tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
+from tools.importers.table.zone_offsets import find_offset, make_zone
 from tools.terminal.settings_file import explain_toml
 
-TIME_UNITS: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-"""Unit of a time in numbers -> seconds."""
-GUESSED_ORIGIN: Final = "2000-01-01T00:00:00"
-"""Time of the number 0 in a guessed map, which a person must correct."""
 NOMINAL_VOLTAGE: Final = 360.0
 """Voltage of a traction battery of which only the power is known. [V]"""
 LONGEST_MAP: Final = 1 << 20
@@ -55,6 +53,8 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
         "origin": str,
         "day_from_file_name": bool,
         "origin_from_file_name": str,
+        "offset_column": str,
+        "add_weeks": int,
     },
     "ride": {"column": str, "from_file_name": bool, "gap_s": (int, float)},
     "parked": {"column": str, "values": list},
@@ -88,41 +88,6 @@ class FileFormat(NamedTuple):
     encoding: str | None = None
     skip_lines: int = 0
     extra_cells: bool = False
-
-
-class TimeSource(NamedTuple):
-    """Describe the clock of a table.
-
-    Parameters
-    ----------
-    columns : tuple of str
-        Column of the time, or those of date and time of day, which are joined by a space.
-    unit_s : float, optional
-        Unit of a time in numbers; None for a time in text. [s]
-    form : str, optional
-        Format of a time in text as of `strptime`; None is ISO 8601.
-    zone : tzinfo
-        Time zone of a time without one.
-    origin : float
-        Unix time of the number 0. [s]
-    day_from_file_name : bool
-        Whether the table holds times of day, and the name of its file the day.
-    origin_form : str, optional
-        Form of the time of the number 0 in the name of the file, as of `strptime`.
-    """
-
-    columns: tuple[str, ...]
-    unit_s: float | None
-    form: str | None
-    zone: tzinfo
-    origin: float
-    day_from_file_name: bool = False
-    origin_form: str | None = None
-
-    @property
-    def is_relative(self) -> bool:
-        """Whether numbers count from a start that the map gives for all files alike."""
-        return self.unit_s is not None and self.origin != 0.0
 
 
 class VehicleSource(NamedTuple):
@@ -199,7 +164,8 @@ class ColumnMap(NamedTuple):
         """Return all columns that are read, each once."""
         names = self.list_required_columns() + [each.column for each in self.fields.values() if each.column is not None]
         names += [self.parked.column] if self.parked else []
-        return list(dict.fromkeys([*names, *(self.long or ())]))
+        offset = [self.time.offset_column] if self.time.offset_column else []
+        return list(dict.fromkeys([*names, *offset, *(self.long or ())]))
 
 
 def read_map(path: Path) -> ColumnMap:
@@ -330,9 +296,14 @@ class _MapReader:
         if not all(isinstance(name, str) for name in names) or len(names) > 2:
             raise self.refuse(("time", "column"), f"column is {columns!r}, must be one name, or those of date and time")
         unit = table.get("unit")
-        if unit is not None and unit not in TIME_UNITS:
+        if unit is not None and find_time_unit(unit) is None:
             raise self.refuse(
                 ("time", "unit"), f"unit is '{unit}', must be one of {', '.join(TIME_UNITS)}; text has none"
+            )
+        weeks = table.get("add_weeks", 0)
+        if abs(weeks) > MOST_WEEKS:
+            raise self.refuse(
+                ("time", "add_weeks"), f"add_weeks is {weeks}, must be at most {MOST_WEEKS}, such as 1024"
             )
         if unit is not None and "format" in table:
             raise self.refuse(("time", "format"), "a time has a unit or a format; leave one of them out")
@@ -342,8 +313,11 @@ class _MapReader:
             raise self.refuse(
                 ("time", "origin"), "a day comes from origin or from the file name; leave one of them out"
             )
-        seconds, zero = TIME_UNITS.get(unit) if unit else None, self.find_origin(zone)
-        return TimeSource(names, seconds, table.get("format"), zone, zero, of_name, form)
+        seconds, zero = find_time_unit(unit) if unit else None, self.find_origin(zone)
+        offsets = table.get("offset_column")
+        return TimeSource(
+            names, seconds, table.get("format"), zone, zero, of_name, form, offsets, weeks, unit == SERIAL
+        )
 
     def read_origin_form(self, table: Mapping[str, Any]) -> str | None:
         """Return the form of the time of the number 0 in the names of files."""
@@ -363,13 +337,17 @@ class _MapReader:
             raise self.refuse(where, f"'{form}' holds no day; write a form such as ride_%Y-%m-%d_%H%M%S")
         return form
 
-    def find_zone(self, name: str) -> ZoneInfo:
-        """Return the time zone of a name."""
+    def find_zone(self, name: str) -> tzinfo:
+        """Return the time zone of a name, or of an offset such as `+02:00`."""
+        offset = None if name in {"UTC", "GMT"} else find_offset(name)
+        if offset is not None and "/" not in name:
+            return make_zone(offset)
         try:
             return ZoneInfo(name)
         except (ZoneInfoNotFoundError, ValueError, OSError) as error:
             raise self.refuse(
-                ("time", "zone"), f"zone is '{name}', which is no time zone; write one such as Europe/Berlin or UTC"
+                ("time", "zone"),
+                f"zone is '{name}', which is no time zone; write one such as Europe/Berlin, +02:00 or UTC",
             ) from error
 
     def find_origin(self, zone: tzinfo) -> float:

@@ -12,7 +12,7 @@ from core.vehicles import load_catalogue
 from stream.mcap_writer import MOST_CHANNELS, McapSink
 from stream.recording_metadata import make_metadata
 from tools.importers.table.agreement_sums import AgreementSums
-from tools.importers.table.clock_checks import list_checks, refuse_overlap
+from tools.importers.table.clock_checks import ClockUnit, list_checks, refuse_overlap
 from tools.importers.table.column_map import ColumnMap
 from tools.importers.table.import_summary import ImportSummary, describe_missing
 from tools.importers.table.parked_rows import fill_parked
@@ -99,7 +99,7 @@ def convert_tables(
     skipped = skipped or SkippedFiles()
     opened = len(tables) + len(skipped.rows)
     reader, sums = RowReader(columns, skipped), AgreementSums()
-    messages = RowMessages(columns, reader)
+    messages, unit = RowMessages(columns, reader), ClockUnit(columns)
     try:
         with McapSink(out, metadata=make_metadata("import", settings=settings or {})) as sink:
             spread = _SpreadRows(reader)
@@ -108,6 +108,7 @@ def convert_tables(
                 if not messages.samples:  # sorting has read all files
                     refuse_overlap(reader, columns)
                 sums.add(rows)
+                unit.add(rows)
                 sink.put(messages.make(rows))
     except ImportFileError:
         out.unlink()
@@ -126,13 +127,14 @@ def convert_tables(
         rows=reader.rows,
         samples=messages.samples,
         hours=sum(car.sums["duration"] for car in cars) / 3600.0,
-        causes=reader.causes,
+        causes=reader.faults.causes,
+        places=reader.faults.places,
         cells=reader.cells,
         examples=reader.examples,
         decimal=tables[0].decimal,
-        notes=[*skipped.list_lines(opened), *notes, *_list_notes(tables, columns)],
+        notes=[*skipped.list_lines(opened), *reader.faults.notes, *notes, *_list_notes(tables, columns)],
         cars=cars,
-        checks=list_checks(tables, columns, reader, cars, sums.span[1]),
+        checks=list_checks(tables, columns, reader, cars, sums.span, unit.check()),
     )
 
 
@@ -168,7 +170,7 @@ class _SpreadRows:
         for place, rule in self.rules.items():
             cars.setdefault(rule.describe(), []).append(place)
         if lost := sum(self.left_out.values()):
-            self.reader.causes[LEFT_OUT] = lost
+            self.reader.faults.causes[LEFT_OUT] = lost
         return [
             f"{sum(self.counts.get(place, 0) for place in places):,} rows of {_name_cars(self.reader, places)} share "
             f"stamps with others ({words}; write finer times, or a time for each row, for exact ones)"

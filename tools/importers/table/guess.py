@@ -1,41 +1,44 @@
 """Guess a first map of a table from presets, names, units, ranges and physics, and say why."""
 
-from collections import Counter
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Final, NamedTuple
-from zoneinfo import ZoneInfo
 
 import numpy as np
 
 from core.errors import ImportFileError
+from tools.importers.table.cells import to_numbers
+from tools.importers.table.clock_units import judge_unit
 from tools.importers.table.column_map import (
     NOMINAL_VOLTAGE,
-    TIME_UNITS,
     ColumnMap,
     FileFormat,
     ParkedSource,
     RideSource,
-    TimeSource,
     VehicleSource,
 )
 from tools.importers.table.guess_rows import GuessedRows, guess_rows
-from tools.importers.table.guess_sources import Blocks, Sources, choose_sources
-from tools.importers.table.guess_time import GuessedTime
+from tools.importers.table.guess_sources import Source, Sources, choose_sources
+from tools.importers.table.guess_time import Blocks, GuessedTime
 from tools.importers.table.guess_values import KnownUnit, guess_values
 from tools.importers.table.presets import Preset, find_preset
+from tools.importers.table.row_faults import RowFaults
 from tools.importers.table.row_messages import join_signals
 from tools.importers.table.row_reader import RowReader
 from tools.importers.table.sampling import Sampling, find_holds, sample_rows
 from tools.importers.table.shared_stamps import spread_rows
 from tools.importers.table.skipped_files import SkippedFiles
-from tools.importers.table.table_file import TableFile
+from tools.importers.table.table_file import Block, TableFile
+from tools.importers.table.time_source import find_time_unit
 
 MOST_FILES: Final = 8
 """Files from whose first blocks a map is guessed."""
 APART: Final = 30 * 86400.0
 """Time between the starts of files with clocks that start at 0, for the guess. [s]"""
+COUNTS_FROM: Final = 1.7e9
+MOST_COUNTED: Final = 1e9
+"""Time of the number 0 of clocks that count from 0, and their span, before their unit is known. [s]"""
 
 
 class GuessedField(NamedTuple):
@@ -118,7 +121,13 @@ def guess_map(
     preset = preset or find_preset(names)
     if preset is not None and preset.extra_cells:
         tables = [table._replace(extra_cells=True) for table in tables]
-    blocks = _read_first_blocks(tables, skipped or SkippedFiles())
+    blocks, places = _read_first_blocks(tables, skipped or SkippedFiles())
+    faults = next((each for each in places if each.causes), RowFaults())
+    if not blocks and faults.causes:
+        raise ImportFileError(
+            f"{tables[0].path}: none of its {faults.causes.total():,} rows can be read ({faults.explain()}; "
+            f"{faults.explain_first()}); export the file again, or correct these rows"
+        )
     if not blocks:
         raise ImportFileError(f"{tables[0].path}: has a header and no rows; name another file")
     sources = choose_sources(names, blocks, preset)
@@ -133,7 +142,7 @@ def guess_map(
             "with the columns in [fields]"
         )
     on_change = preset is not None and preset.on_change
-    rows, sampling, vehicles = _read_rows(sources, sources.time, blocks, on_change)
+    rows, sampling, time, vehicles = _read_rows(sources, sources.time, blocks, places, on_change)
     known = {each.field: KnownUnit(each.unit, each.sign, each.reason) for each in sources.fields}
     units = guess_values(rows, known)
     unresolved = sampling.unresolved if sampling else {}
@@ -147,7 +156,7 @@ def guess_map(
     inverted = sorted({vehicles[place] for each in units.values() for place in each.other})
     is_per_file = sources.vehicle is None and len(tables) > 1 and sources.ride is not None
     return GuessedMap(
-        sources.time,
+        time,
         sources.vehicle,
         sources.ride,
         is_per_file,
@@ -161,25 +170,31 @@ def guess_map(
     )
 
 
-def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles) -> Blocks:
-    """Return the first rows of each file that has some."""
-    blocks = []
+def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles) -> tuple[Blocks, list[RowFaults]]:
+    """Return the first rows of each file that has some, and for these and other files where the rows stand."""
+    blocks: list[tuple[TableFile, Block]] = []
+    places: list[RowFaults] = []
+    others: list[RowFaults] = []
     for table in tables:
+        faults = RowFaults()
         with skipped.skip(table.path):
-            found = (block for block in table.iterate_blocks(table.names, Counter()) if len(next(iter(block.values()))))
-            blocks += [(table, block) for block in islice(found, 1)]
-    return blocks
+            found = (block for block in table.iterate_blocks(table.names, faults) if len(next(iter(block.values()))))
+            first = [(table, block) for block in islice(found, 1)]
+            blocks += first
+            (places if first else others).append(faults)
+    return blocks, [*places, *others]
 
 
 def _read_rows(
-    sources: Sources, time: GuessedTime, blocks: Blocks, on_change: bool
-) -> tuple[np.ndarray, GuessedRows | None, list[str]]:
-    """Return the rows as samples in the order of time, how rows become samples, and the names of the cars."""
+    sources: Sources, time: GuessedTime, blocks: Blocks, places: Sequence[RowFaults], on_change: bool
+) -> tuple[np.ndarray, GuessedRows | None, GuessedTime, list[str]]:
+    """Return the rows as samples in the order of time, how they become samples, the clock with its unit, and the cars."""
     car = VehicleSource(sources.vehicle, None, "", None, {}, NOMINAL_VOLTAGE)
+    scale = _find_scale(time, blocks) if time.needs_origin else 1.0
     provisional = ColumnMap(
         Path("guess"),
         FileFormat(),
-        _to_time_source(time),
+        time.to_source(scale, COUNTS_FROM) if time.needs_origin else time.to_source(),
         car,
         RideSource(),
         sources.long,
@@ -190,9 +205,12 @@ def _read_rows(
     )
     reader = RowReader(provisional)
     needed = set(provisional.list_required_columns())
-    parts = [reader.convert(table, block) for table, block in blocks if needed <= block.keys()]
-    for number, part in enumerate(parts):  # clocks that start at 0 follow each other, so that no files overlap
-        part["time"] += number * APART * time.needs_origin
+    parts = []
+    for (table, block), place in zip(blocks, places, strict=False):
+        reader.faults.take_lines(place)
+        parts += [reader.convert(table, block)] if needed <= block.keys() else []
+    if time.needs_origin:
+        time = _place_counts(parts, scale, time, sources.fields)
     rows = np.concatenate(parts)
     if not len(rows):
         table, found = blocks[0][0], reader.explain_causes(blocks[0][0].decimal)
@@ -214,11 +232,24 @@ def _read_rows(
         holds = find_holds(sampling.hold) | dict(sampling.holds)
         parts = list(sample_rows([rows], Sampling(sampling.period, holds, sampling.silence)))
         rows = np.concatenate(parts)
-    return rows, sampling, reader.vehicles
+    return rows, sampling, time, reader.vehicles
 
 
-def _to_time_source(time: GuessedTime) -> TimeSource:
-    """Return the clock for the provisional reading."""
-    unit = TIME_UNITS[time.unit] if time.unit else None
-    origin = 1.7e9 if time.needs_origin else 0.0
-    return TimeSource(time.columns, unit, time.form, ZoneInfo("UTC"), origin, time.day_from_file_name)
+def _find_scale(time: GuessedTime, blocks: Blocks) -> float:
+    """Return the unit with which a clock that counts from 0 stays within `MOST_COUNTED`. [s]"""
+    largest = 1.0
+    for table, block in blocks:
+        if time.columns[0] in block:
+            numbers = to_numbers(block[time.columns[0]], table.decimal)[0]
+            largest = max(largest, float(np.nanmax(np.abs(numbers), initial=0.0)))
+    return float(min(1.0, 10.0 ** np.floor(np.log10(MOST_COUNTED / largest))))
+
+
+def _place_counts(parts: list[np.ndarray], scale: float, time: GuessedTime, fields: Sequence[Source]) -> GuessedTime:
+    """Scale the times of a clock that counts from 0, let its files follow each other, and return its unit."""
+    for part in parts:
+        part["time"] = (part["time"] - COUNTS_FROM) / scale
+    unit, reason = judge_unit(parts, time.unit, {each.field: each.unit for each in fields})
+    for number, part in enumerate(parts):  # so that no files overlap
+        part["time"] = COUNTS_FROM + part["time"] * (find_time_unit(unit) or 1.0) + number * APART
+    return time._replace(unit=unit, reason=f"{time.reason}; {reason}")

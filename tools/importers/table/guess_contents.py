@@ -12,6 +12,8 @@ from core.batch import Floats
 from tools.importers.table.cells import to_numbers
 from tools.importers.table.guess_names import TIME, NamedColumn
 from tools.importers.table.table_file import Block, TableFile
+from tools.importers.table.text_times import parse_times
+from tools.importers.table.time_forms import list_forms
 from tools.importers.table.units import convertible
 
 Blocks = Sequence[tuple[TableFile, Block]]
@@ -24,6 +26,8 @@ HIGHEST_VOLTAGE: Final = 1500.0
 LARGEST_CURRENT: Final = 2000.0
 """Limit of a column `I`. [A]"""
 _ISO: Final = r"^\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d"
+_CLOCK: Final = r"\d.*\d\d?[:.hH-]\d\d"
+"""Cells among which dates with a time of day may be."""
 _BARE: Final = re.compile(
     r"^(V|U|I|[tT]emp(?:erature)?)[ _]*[\[(]?(V|A|(?:[dD]eg ?|°)?[cCfFK]|[cC]elsius|[fF]ahrenheit)?[\])]?$"
 )
@@ -39,7 +43,7 @@ class BareColumn(NamedTuple):
 
 
 def find_times(names: Sequence[str], blocks: Blocks) -> list[NamedColumn]:
-    """Return the columns that hold nothing but times in ISO 8601, or time stamps of Parquet, most of them different.
+    """Return the columns that hold nothing but times, in text or as time stamps of Parquet, most of them different.
 
     Parameters
     ----------
@@ -116,7 +120,12 @@ def _holds_times(cells: Any) -> bool:
         return True
     if not (pa.types.is_string(cells.type) or pa.types.is_large_string(cells.type)):
         return False
-    return bool(pc.all(pc.match_substring_regex(cells, _ISO)).as_py())
+    if pc.all(pc.match_substring_regex(cells, _ISO)).as_py():
+        return True
+    texts = pc.utf8_trim_whitespace(pc.cast(cells, pa.string()))
+    if not pc.all(pc.match_substring_regex(texts, _CLOCK)).as_py():
+        return False
+    return any(bool(np.all(~np.isnat(parse_times(texts, form).stamps))) for form in list_forms(texts.to_pylist()))
 
 
 def _is_voltage(values: Floats) -> bool:

@@ -38,6 +38,11 @@ _TIME_NAMES: Final = (
 _OTHER_TIME_NAMES: Final = (
     r"^(local|gps|device|log|sample|record|event|utc) ?(time|date ?time)$"
     r"|^(time|date ?time|date|time ?stamp) ?(utc|local|gmt)$"
+    r"|^(t|uptime|millis(econds)?|ticks?|seconds|gps (week|tow|seconds)|i?tow|(gps )?time of week"
+    r"|(gps )?week|week number|clock( time)?|time of day|tid|tidspunkt|dato|aika|cas|czas)$"
+    r"|^(phone|server|host|pc|system|car|vehicle|logger|rel|relative|run|running|session|trip) ?time"
+    r"( (s|ms|us|min|h))?$"
+    r"|^time since\b"
 )
 _SPEED_LETTERS: Final = r"^(v|gps|car|vehicle|obd)? ?(kmh|km/h|kph|kmph|mph)$|^v (m/s|mps)$"
 _BATTERY: Final = r"(bat|batt|battery|pack|hv|traction|hv (batt|battery))"
@@ -48,6 +53,16 @@ _AMBIENT: Final = (
 )
 _HVAC: Final = r"\b(hvac|climate|heating|heater|air ?con|air conditioning)\b.*\b(power|watts?)\b|\bhvac\b"
 _NO_STATE: Final = r"\b(power|rate|current|voltage|kwh|energy|time|mode|dcfc|type)\b"
+_TIME_UNITS: Final = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("ms", "msec", "millis", "millisecond", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "microsecond", "microseconds"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), "ns"),
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), "min"),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), "h"),
+    **dict.fromkeys(("d", "day", "days"), "d"),
+}
+"""Spelling of a unit of time -> its name in a map."""
 _RULES: Final = (
     (TIME, _TIME_NAMES, ""),
     (OTHER_TIME, _OTHER_TIME_NAMES, ""),
@@ -113,8 +128,15 @@ class NamedColumn(NamedTuple):
     unit: str | None
 
 
-def guess_name(name: str) -> NamedColumn | None:
+def guess_name(name: str, unit: str | None = None) -> NamedColumn | None:
     """Return the role of a column by its name; None where the name says nothing.
+
+    Parameters
+    ----------
+    name : str
+        The name.
+    unit : str, optional
+        Unit that the file states elsewhere, for a name without one.
 
     Examples
     --------
@@ -124,6 +146,7 @@ def guess_name(name: str) -> NamedColumn | None:
     ('A', None)
     """
     bare, bracketed = _take_brackets(name.partition("#")[0])
+    bracketed = bracketed or unit
     words = _split_words(bare)
     text = " ".join(words).lower()
     last = (bracketed or (words[-1] if words else "")).lower()
@@ -133,8 +156,12 @@ def guess_name(name: str) -> NamedColumn | None:
         if re.search(pattern, text) and not (unless and re.search(unless, text)):
             return NamedColumn(name, role, _find_unit(role, bracketed, words))
     # a time in milliseconds, and so on, ends in its unit
-    if words and re.search(_TIME_NAMES, " ".join(words[:-1]).lower()) and words[-1].lower() in {"s", "ms", "us", "ns"}:
-        return NamedColumn(name, TIME, words[-1].lower())
+    of_time = _TIME_UNITS.get(words[-1].lower()) if words else None
+    before = " ".join(words[:-1]).lower()
+    if of_time and re.search(_TIME_NAMES, before):
+        return NamedColumn(name, TIME, of_time)
+    if of_time and re.search(_OTHER_TIME_NAMES, before):
+        return NamedColumn(name, OTHER_TIME, of_time)
     return None
 
 
@@ -167,7 +194,8 @@ def _split_words(name: str) -> list[str]:
 def _find_unit(role: str, bracketed: str | None, words: list[str]) -> str | None:
     """Return the unit that a name gives."""
     if role in {TIME, OTHER_TIME}:
-        return bracketed if bracketed in {"s", "ms", "us", "ns", "min", "h"} else None
+        last = bracketed or (words[-1] if len(words) > 1 else "")
+        return _TIME_UNITS.get(last.lower())
     if role not in FIELD_UNITS:
         return None
     if bracketed and convertible(bracketed, role):

@@ -3,9 +3,12 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from core.errors import ImportFileError
+from tools.importers.table.clock_witness import judge_clock
 from tools.importers.table.column_map import FieldSource
 from tools.importers.table.guess_contents import choose_bare, find_times
 from tools.importers.table.guess_names import (
@@ -20,12 +23,10 @@ from tools.importers.table.guess_names import (
     guess_name,
 )
 from tools.importers.table.guess_state import find_charging, find_parked
-from tools.importers.table.guess_time import GuessedTime, guess_time
-from tools.importers.table.presets import Preset
-from tools.importers.table.table_file import Block, TableFile
+from tools.importers.table.guess_time import LEAST_SHARE, Blocks, GuessedTime, collect_cells, find_origin, list_clocks
+from tools.importers.table.presets import Preset, PresetTime
+from tools.importers.table.text_times import parse_times
 from tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
-
-Blocks = Sequence[tuple[TableFile, Block]]
 
 
 class Source(NamedTuple):
@@ -88,7 +89,8 @@ def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) 
         The export that the tables are.
     """
     by_name = preset is None or preset.rest
-    named = [found for name in names if (found := guess_name(name)) is not None]
+    units = {name: unit for table, _ in blocks for name, unit in zip(table.names, table.units, strict=False) if unit}
+    named = [found for name in names if (found := guess_name(name, units.get(name))) is not None]
     roles: dict[str, list[NamedColumn]] = {}
     for each in named:
         roles.setdefault(each.role, []).append(each)
@@ -106,7 +108,7 @@ def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) 
     parked = _find_parked(preset, names, states, blocks)
     if parked is not None and "charging" not in {each.field for each in fields}:
         fields += _find_charging(parked[0], blocks)
-    time = (_find_time_of_preset(preset, blocks) if preset else None) or _guess_clock(names, roles, blocks)
+    time = _choose_clock(names, roles, preset, blocks)
     vehicle, ride = (
         _find_filled([*given, *(each.name for each in roles.get(role, ()) if by_name or role == VEHICLE)], blocks)
         for role, given in ((VEHICLE, preset.vehicle if preset else ()), (RIDE, preset.ride if preset else ()))
@@ -120,12 +122,28 @@ def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) 
     return Sources(time, vehicle, ride, long, fields, left_out, parked)
 
 
-def _guess_clock(names: Sequence[str], roles: Mapping[str, list[NamedColumn]], blocks: Blocks) -> GuessedTime | None:
-    """Return the clock: of columns called so, else of those with other names of times, or with cells that are times."""
+def _choose_clock(
+    names: Sequence[str], roles: Mapping[str, list[NamedColumn]], preset: Preset | None, blocks: Blocks
+) -> GuessedTime | None:
+    """Return the clock: that of a preset, else of columns called so, or with cells that are times."""
+    given = _find_time_of_preset(preset, blocks) if preset else None
     named = [*roles.get(TIME, ()), *roles.get(OTHER_TIME, ())]
     by_cells = [each for each in find_times(names, blocks) if each.name not in {one.name for one in named}]
     candidates = [*named, *by_cells]
-    return guess_time(candidates, blocks) if candidates else None
+    try:
+        clocks = list_clocks(candidates, blocks) if candidates else []
+    except ImportFileError:
+        if given is None:
+            raise
+        clocks = []
+    if given is not None:
+        return judge_clock(given, clocks, names, blocks, is_fixed=True) if given.is_absolute else given
+    if absolute := [clock for clock in clocks if clock.is_absolute]:
+        return judge_clock(absolute[0], absolute[1:], names, blocks)
+    if not clocks:
+        return None
+    found = min(clocks, key=lambda each: each.day_from_file_name)
+    return find_origin(found, [table.path for table, _ in blocks]) if found.needs_origin else found
 
 
 def _find_parked(
@@ -159,14 +177,22 @@ def _find_time_of_preset(preset: Preset, blocks: Blocks) -> GuessedTime | None:
         if not count_known(time.column, blocks):
             continue
         found = GuessedTime((time.column,), time.unit, time.form, True, False, f"preset {preset.name}")
-        if time.unit is None and time.form is None:
-            column = NamedColumn(time.column, TIME, None)
-            found = guess_time([column], blocks)
+        if (time.unit is None and time.form is None) or _reads_little(time, blocks):
+            (found,) = list_clocks([NamedColumn(time.column, TIME, None)], blocks)
         return found._replace(
             has_zone=time.zone == "UTC" or (found.has_zone and time.form is None and not time.day_from_file_name),
             day_from_file_name=time.day_from_file_name,
         )
     return None
+
+
+def _reads_little(time: PresetTime, blocks: Blocks) -> bool:
+    """Return whether the format of a preset reads hardly any of the dates that a table holds."""
+    if time.form is None or time.day_from_file_name:
+        return False
+    cells = collect_cells((time.column,), blocks)
+    texts = pc.utf8_trim_whitespace(pc.cast(cells, pa.string()))
+    return bool(np.mean(~np.isnat(parse_times(texts, time.form).stamps)) < LEAST_SHARE)
 
 
 def _choose_of_preset(preset: Preset, names: Sequence[str], words: Sequence[str], blocks: Blocks) -> list[Source]:

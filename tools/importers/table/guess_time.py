@@ -2,30 +2,46 @@
 
 import re
 from collections.abc import Sequence
-from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from core.batch import Floats
 from core.errors import ImportFileError
 from tools.importers.table.guess_names import NamedColumn
+from tools.importers.table.month_names import describe_doubt
 from tools.importers.table.name_times import guess_name_form
 from tools.importers.table.table_file import Block, TableFile
+from tools.importers.table.text_times import parse_times, to_unix
+from tools.importers.table.time_forms import list_forms
+from tools.importers.table.time_source import SERIAL, TimeSource, find_time_unit
 
-EPOCH_UNITS: Final = (("s", 1e8, 1e10), ("ms", 1e11, 1e13), ("us", 1e14, 1e16), ("ns", 1e17, 1e19))
-"""Unit of Unix time, and the numbers that it has from 1973 to 2286."""
-_DATES: Final = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%Y/%m/%d", "%d.%m.%y", "%m/%d/%y", "%Y%m%d")
-_CLOCKS: Final = (" %H:%M:%S", " %H:%M:%S.%f", " %H:%M", " %I:%M:%S %p", " %I:%M %p", ", %H:%M:%S")
-FORMATS: Final = tuple(date + clock for date, clock in product(_DATES, _CLOCKS))
-"""Formats of text that are tried after ISO 8601."""
+EPOCH_UNITS: Final = ("s", "ms", "us", "ns")
+"""Units of Unix time."""
+FIRST_EPOCH: Final = 946684800.0
+LAST_EPOCH: Final = 4102444800.0
+"""1 January 2000 and 2100, between which Unix times lie. [s]"""
+LONGEST_STEP: Final = 3600.0
+"""Usual time between two rows above which numbers are no Unix time in a unit. [s]"""
+SERIALS: Final = (36526.0, 73050.0)
+"""The same days in a spreadsheet."""
+GPS_ZERO: Final = "1980-01-05T23:59:42+00:00"
+"""Time of the number 0 of GPS weeks, less the 18 leap seconds that UTC lags behind since 2017."""
+LEAST_SHARE: Final = 0.9
+"""Share of the cells that a form must read."""
 _TIME_OF_DAY: Final = r"\s*\d{1,2}:\d\d(:\d\d(\.\d+)?)?\s*"
 _TIME_OF_HALF_DAY: Final = _TIME_OF_DAY + r"([ap]m\s*)?"
+_DATE: Final = r"\s*(\d{1,4}[-/. ]+[\w.]{1,12}[-/. ]+\d{1,4}\.?|\d{8}|\d{4}-\d\d-\d\d[T ]00:00(:00)?(\.0+)?)\s*"
+_ISO_OFFSET: Final = r"\d[Tt ]\d.*(?:Z|[+-]\d\d:?(?:\d\d)?)$"
 TRIED: Final = 2000
-"""Cells that are tried."""
+"""Cells of each file that are tried."""
+
+Blocks = Sequence[tuple[TableFile, Block]]
 
 
 class GuessedTime(NamedTuple):
@@ -49,6 +65,12 @@ class GuessedTime(NamedTuple):
         Whether the table holds times of day, and the name of its file the day.
     origin_form : str, optional
         Form of the start of the clock in the names of the files.
+    others : tuple of str
+        Other formats that read the text as well.
+    origin, zone, offset_column, add_weeks
+        What the map says of them, None or 0 where it says nothing.
+    doubts : tuple of str
+        What a person should check.
     """
 
     columns: tuple[str, ...]
@@ -59,10 +81,38 @@ class GuessedTime(NamedTuple):
     reason: str
     day_from_file_name: bool = False
     origin_form: str | None = None
+    others: tuple[str, ...] = ()
+    origin: str | None = None
+    zone: str | None = None
+    offset_column: str | None = None
+    add_weeks: int = 0
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def is_absolute(self) -> bool:
+        """Whether the cells alone state a date and a time."""
+        return not (self.needs_origin or self.day_from_file_name)
+
+    def to_source(self, unit: float | None = None, origin: float | None = None) -> TimeSource:
+        """Return the clock to read the first rows with, in UTC where no zone is stated."""
+        seconds = unit or (find_time_unit(self.unit) if self.unit else None)
+        zero = pd.Timestamp(self.origin).timestamp() if self.origin else 0.0
+        return TimeSource(
+            self.columns,
+            seconds,
+            self.form,
+            ZoneInfo("UTC"),
+            zero if origin is None else origin,
+            self.day_from_file_name,
+            None,
+            self.offset_column,
+            self.add_weeks,
+            self.unit == SERIAL,
+        )
 
 
-def guess_time(candidates: Sequence[NamedColumn], blocks: Sequence[tuple[TableFile, Block]]) -> GuessedTime:
-    """Return how a table writes its time.
+def list_clocks(candidates: Sequence[NamedColumn], blocks: Blocks) -> list[GuessedTime]:
+    """Return the clocks that can be read, in the order of their columns.
 
     Parameters
     ----------
@@ -79,42 +129,23 @@ def guess_time(candidates: Sequence[NamedColumn], blocks: Sequence[tuple[TableFi
     names = [each.name for each in candidates]
     units = {each.name: each.unit for each in candidates}
     path, example = blocks[0][0].path, ""
-    less: list[GuessedTime] = []
-    for columns in [*_pair_date_and_time(names, blocks), *((name,) for name in names)]:
-        cells = _collect(columns, blocks)
+    found = []
+    for columns in [*_pair_weeks(names, blocks), *_pair_date_and_time(names, blocks), *((name,) for name in names)]:
+        cells = collect_cells(columns, blocks)
         if cells is None or not len(cells):
             continue
-        found = _read(columns, cells, units.get(columns[0]))
-        if found is not None and not (found.day_from_file_name or found.needs_origin):
-            return found
-        less += [found] if found else []
+        if (clock := _read(columns, cells, units.get(columns[-1]))) is not None:
+            found.append(clock)
         example = str(cells[0].as_py())
-    if less:
-        found = min(less, key=lambda each: each.day_from_file_name)
-        return _find_origin(found, [table.path for table, _ in blocks]) if found.needs_origin else found
-    raise ImportFileError(
-        f"{path}: column '{names[0]}' holds {example[:40]!r}, which is no time in a known form; "
-        "write a map by hand with a format in [time]"
-    )
+    if not found:
+        raise ImportFileError(
+            f"{path}: column '{names[0]}' holds {example[:40]!r}, which is no time in a known form; "
+            "write a map by hand with a format in [time]"
+        )
+    return found
 
 
-def _pair_date_and_time(names: Sequence[str], blocks: Sequence[tuple[TableFile, Block]]) -> list[tuple[str, ...]]:
-    """Return the first two columns as date and time of day, in the order in which they are so."""
-    for date, clock in (names[:2], names[:2][::-1]) if len(names) > 1 else ():
-        cells = _collect((clock,), blocks)
-        if cells is None or not len(cells) or pa.types.is_timestamp(cells.type):
-            continue
-        if (
-            pd.Series([str(cell) for cell in cells.to_pylist()])
-            .str.fullmatch(_TIME_OF_HALF_DAY, flags=re.IGNORECASE)
-            .mean()
-            > 0.9
-        ):
-            return [(date, clock)]
-    return []
-
-
-def _find_origin(found: GuessedTime, paths: Sequence[Path]) -> GuessedTime:
+def find_origin(found: GuessedTime, paths: Sequence[Path]) -> GuessedTime:
     """Return a clock that starts at 0 with the form of its start in the names of the files, where they have it."""
     form = guess_name_form(paths)
     if form is None:
@@ -122,15 +153,51 @@ def _find_origin(found: GuessedTime, paths: Sequence[Path]) -> GuessedTime:
     return found._replace(reason="numbers from a start that the name of the file holds", origin_form=form)
 
 
-def _collect(columns: Sequence[str], blocks: Sequence[tuple[TableFile, Block]]) -> Any:
-    """Return the first cells of a time, joined by a space where there are two columns."""
+def _pair_weeks(names: Sequence[str], blocks: Blocks) -> list[tuple[str, ...]]:
+    """Return the columns of GPS weeks and of the time in the week."""
+    week = [name for name in names if re.search(r"week", name, re.IGNORECASE)]
+    of_week = [name for name in names if re.search(r"tow|time ?of ?week", name.replace("_", " "), re.IGNORECASE)]
+    weeks = [name for name in week if name not in of_week]
+    if not weeks or not of_week:
+        return []
+    cells = collect_cells((weeks[0],), blocks)
+    numbers = pd.to_numeric(pd.Series(cells.to_pylist() if cells is not None else []), errors="coerce")
+    return [(weeks[0], of_week[0])] if len(numbers) and numbers.between(1, 4096).mean() > LEAST_SHARE else []
+
+
+def _pair_date_and_time(names: Sequence[str], blocks: Blocks) -> list[tuple[str, ...]]:
+    """Return the first column of dates and the first one of times of day."""
+    shares: dict[str, list[str]] = {_TIME_OF_HALF_DAY: [], _DATE: []}
+    for name in names:
+        cells = collect_cells((name,), blocks)
+        if cells is None or not len(cells) or pa.types.is_timestamp(cells.type):
+            continue
+        texts = pd.Series([str(cell) for cell in cells.to_pylist()])
+        for pattern, found in shares.items():
+            if texts.str.fullmatch(pattern, flags=re.IGNORECASE).mean() > LEAST_SHARE:
+                found.append(name)
+    clocks, dates = shares.values()
+    return [(dates[0], clocks[0])] if dates and clocks else []
+
+
+def collect_cells(columns: Sequence[str], blocks: Blocks) -> Any:
+    """Return cells of a time from all files, joined by a space where there are two columns; None where none has it."""
+    parts = []
     for _, block in blocks:
-        if all(name in block for name in columns):
-            if len(columns) == 1:
-                return block[columns[0]].drop_null().slice(0, TRIED)
+        if not all(name in block for name in columns):
+            continue
+        if len(columns) == 1:
+            cells = block[columns[0]].drop_null()
+        else:
             texts = [pc.utf8_trim_whitespace(pc.cast(block[name], pa.string())) for name in columns]
-            return pc.binary_join_element_wise(*texts, " ").drop_null().slice(0, TRIED)
-    return None
+            cells = pc.binary_join_element_wise(*texts, " ").drop_null()
+        if len(cells) > TRIED:
+            cells = cells.take(pa.array(np.linspace(0, len(cells) - 1, TRIED).astype("i8")))
+        parts.append(cells)
+    if not parts:
+        return None
+    same = {part.type for part in parts}
+    return pa.concat_arrays(parts if len(same) == 1 else [pc.cast(part, pa.string()) for part in parts])
 
 
 def _read(columns: tuple[str, ...], cells: Any, unit: str | None) -> GuessedTime | None:
@@ -141,21 +208,51 @@ def _read(columns: tuple[str, ...], cells: Any, unit: str | None) -> GuessedTime
             columns, None, None, zone is not None, False, f"Parquet time stamps{f' in {zone}' if zone else ''}"
         )
     texts = pd.Series([str(cell) for cell in cells.to_pylist()])
-    if texts.str.fullmatch(_TIME_OF_DAY).mean() > 0.9:
+    if texts.str.fullmatch(_TIME_OF_DAY).mean() > LEAST_SHARE:
         return _read_times_of_day(columns, texts)
+    if len(columns) > 1 and "week" in columns[0].lower():
+        of_week = pd.to_numeric(texts.str.split().str[-1], errors="coerce")
+        unit = "ms" if of_week.max() > 604800.0 else "s"
+        reason = "GPS weeks and the time in the week, with 18 leap seconds"
+        return GuessedTime(columns, unit, None, True, False, reason, origin=GPS_ZERO)
+    arrow = pa.array([text.strip() for text in texts], pa.string())
     numbers = pd.to_numeric(texts.str.replace(",", ".", regex=False), errors="coerce")
-    if numbers.notna().mean() > 0.9:
-        return _read_numbers(columns, numbers.dropna().to_numpy(), unit)
-    if pd.to_datetime(texts, format="ISO8601", errors="coerce", utc=True).notna().mean() > 0.9:
-        has_zone = bool(texts.str.contains(r"\d[Tt ]\d.*(?:Z|[+-]\d\d:?(?:\d\d)?)$", regex=True).mean() > 0.9)
+    if numbers.notna().mean() > LEAST_SHARE:
+        return _read_numbers(columns, numbers.dropna().to_numpy(), unit, arrow)
+    if pd.to_datetime(texts, format="ISO8601", errors="coerce", utc=True).notna().mean() > LEAST_SHARE:
+        has_zone = bool(texts.str.contains(_ISO_OFFSET, regex=True).mean() > LEAST_SHARE)
         return GuessedTime(columns, None, None, has_zone, False, "ISO 8601" + (" with offset" if has_zone else ""))
-    fitting = [form for form in FORMATS if pd.to_datetime(texts, format=form, errors="coerce").notna().mean() > 0.9]
-    if not fitting:
+    return _read_text(columns, arrow)
+
+
+def _read_text(columns: tuple[str, ...], texts: pa.Array) -> GuessedTime | None:
+    """Return the forms of times in text, None where they have none."""
+    forms = list_forms(texts.to_pylist())
+    parsed = {form: parse_times(texts, form) for form in forms}
+    shares = {form: float(np.mean(~np.isnat(parsed[form].stamps))) for form in forms}
+    best = max(shares.values(), default=0.0)
+    if best <= LEAST_SHARE:
         return None
-    best = min(fitting, key=lambda form: _measure_span(texts, form))
-    others = [form for form in fitting if form[:2] != best[:2]]
-    doubt = f", not {others[0]}, by the shorter span of time" if others else ""
-    return GuessedTime(columns, None, best, False, False, f"the text has this format{doubt}")
+    fitting = [form for form, share in shares.items() if share == best]
+    form = fitting[0]
+    stated = float(np.mean(np.isfinite(parsed[form].offsets)))
+    words = "the text has this format" + (" and states its offset" if stated > LEAST_SHARE else "")
+    doubts: list[str] = []
+    if "%b" in form:
+        words += ", months by their names"
+        names = dict.fromkeys(re.findall(r"[^\W\d_]+", " ".join(texts.to_pylist()[:: max(1, len(texts) // 50)])))
+        doubts = [f"'{name}' in column '{columns[0]}' is {doubt}" for name in names if (doubt := describe_doubt(name))]
+        doubts = [f"{each}; where the second is meant, write months as numbers" for each in doubts]
+    return GuessedTime(
+        columns,
+        None,
+        form,
+        stated > LEAST_SHARE,
+        False,
+        "; ".join([words, *doubts]),
+        others=tuple(fitting[1:]),
+        doubts=tuple(doubts),
+    )
 
 
 def _read_times_of_day(columns: tuple[str, ...], texts: "pd.Series[str]") -> GuessedTime:
@@ -166,19 +263,32 @@ def _read_times_of_day(columns: tuple[str, ...], texts: "pd.Series[str]") -> Gue
     return GuessedTime(columns, None, form, False, False, reason, day_from_file_name=True)
 
 
-def _read_numbers(columns: tuple[str, ...], numbers: Any, unit: str | None) -> GuessedTime | None:
+def _read_numbers(columns: tuple[str, ...], numbers: Floats, unit: str | None, texts: pa.Array) -> GuessedTime | None:
     """Return the unit of times in numbers."""
     if len(columns) > 1:
         return None
-    middle = float(np.median(numbers))
-    for epoch, low, high in EPOCH_UNITS:
-        if low <= middle < high:
+    if float(np.median(numbers)) > 1e9 and (compact := _read_text(columns, texts)) and _is_recent(compact, texts):
+        return compact._replace(reason="digits of year, month, day and time of day")
+    low, middle, high = np.percentile(numbers, [1, 50, 99]).tolist()
+    step = _find_step(numbers)
+    for epoch in EPOCH_UNITS:
+        seconds = find_time_unit(epoch) or 1.0
+        if low * seconds >= FIRST_EPOCH and high * seconds < LAST_EPOCH and step * seconds <= LONGEST_STEP:
             return GuessedTime(columns, epoch, None, True, False, f"numbers near {middle:.4g} are Unix time in {epoch}")
+    if low >= SERIALS[0] and high < SERIALS[1] and 0.0 < step * 86400.0 <= LONGEST_STEP and np.any(numbers % 1.0):
+        reason = f"numbers near {middle:.6g} with fractions are days of a spreadsheet, in local time"
+        return GuessedTime(columns, SERIAL, None, False, False, reason)
     reason = "the numbers are too small for Unix time, so they count from a start that the file does not state"
-    return GuessedTime(columns, unit or "s", None, False, True, reason)
+    return GuessedTime(columns, unit, None, False, True, reason)
 
 
-def _measure_span(texts: "pd.Series[str]", form: str) -> float:
-    """Return the time from the first to the last text, read in a format. [s]"""
-    parsed = pd.to_datetime(texts, format=form, errors="coerce").dropna()
-    return float((parsed.max() - parsed.min()).total_seconds())
+def _is_recent(clock: GuessedTime, texts: pa.Array) -> bool:
+    """Return whether nearly all times of a clock lie from 2000 to 2100."""
+    times = to_unix(parse_times(texts, clock.form).stamps)
+    return bool(np.mean((times >= FIRST_EPOCH) & (times < LAST_EPOCH)) > LEAST_SHARE)
+
+
+def _find_step(numbers: Floats) -> float:
+    """Return the usual difference between two different numbers that follow each other."""
+    steps = np.abs(np.diff(numbers))
+    return float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0

@@ -27,6 +27,8 @@ class ImportSummary(NamedTuple):
         Time between rows that lie close together. [h]
     causes : Counter of str
         Rows that could not be read, by cause.
+    places : mapping of str to str
+        Place of the first row of each cause.
     cells : Counter of str
         Cells that hold no number, by column.
     examples : mapping of str to str
@@ -47,6 +49,7 @@ class ImportSummary(NamedTuple):
     samples: int
     hours: float
     causes: Counter[str]
+    places: Mapping[str, str]
     cells: Counter[str]
     examples: Mapping[str, str]
     decimal: str
@@ -93,7 +96,8 @@ def list_lines(summary: ImportSummary) -> list[tuple[str, str]]:
     )
     lines = [(first, "")]
     for cause, count in summary.causes.most_common():
-        lines.append((f"left out: {count:,} rows with {cause}", "yellow"))
+        place = f"; {summary.places[cause]}" if cause in summary.places else ""
+        lines.append((f"left out: {count:,} row{'s' * (count != 1)} with {cause}{place}", "yellow"))
     for column, count in summary.cells.most_common():
         text = summary.examples[column]
         remedy = suggest_decimal(text, summary.decimal)

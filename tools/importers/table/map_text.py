@@ -6,9 +6,10 @@ from typing import Final
 from rich.table import Table
 from rich.text import Text
 
-from tools.importers.table.column_map import GUESSED_ORIGIN
 from tools.importers.table.guess import GuessedField, GuessedMap
+from tools.importers.table.guess_time import GuessedTime
 from tools.importers.table.table_file import TableFile
+from tools.importers.table.time_source import GUESSED_ORIGIN
 from tools.importers.table.units import FIELD_UNITS, POWER
 from tools.terminal.rich_table import Column, make_table
 
@@ -90,7 +91,7 @@ def describe_preset(guessed: GuessedMap) -> str:
     """Return a line that says which preset fits, empty where none does."""
     if guessed.preset is None:
         return ""
-    edit = f"; correct {guessed.preset.edit}" if guessed.preset.edit else ""
+    edit = f"; correct {edits}" if (edits := _list_edits(guessed)) else ""
     return f"preset {guessed.preset.name}: the columns are those of {guessed.preset.title}{edit}"
 
 
@@ -103,7 +104,14 @@ def _write_head(guessed: GuessedMap) -> list[str]:
         f"# Map of {about.title} (preset {about.name}). Check it, then import with it.",
         f"# Form: {about.source}.",
     ]
-    return [*lines, *([f"# Correct {about.edit}."] if about.edit else []), ""]
+    return [*lines, *([f"# Correct {edits}."] if (edits := _list_edits(guessed)) else []), ""]
+
+
+def _list_edits(guessed: GuessedMap) -> str:
+    """Return what a person must correct in the map of a preset; a zone that was found is right."""
+    edit = guessed.preset.edit if guessed.preset else ""
+    is_known = guessed.time.offset_column is not None or guessed.time.zone is not None
+    return "" if is_known and edit.startswith("zone in [time]:") else edit
 
 
 def _add(table: Table, *cells: str) -> None:
@@ -114,7 +122,7 @@ def _add(table: Table, *cells: str) -> None:
 def _describe_zone(guessed: GuessedMap) -> str:
     """Return what is assumed of the time zone."""
     time = guessed.time
-    is_known = time.has_zone or (time.needs_origin and time.origin_form is None)
+    is_known = time.has_zone or time.zone is not None or (time.needs_origin and time.origin_form is None)
     return "" if is_known else "; zone not stated, UTC assumed"
 
 
@@ -168,9 +176,23 @@ def _write_time(guessed: GuessedMap) -> list[str]:
         lines.append('zone = "UTC"   # of the time in the file name: correct it where it is local time')
     elif time.needs_origin:
         lines += [f'origin = "{GUESSED_ORIGIN}"   # time of the number 0: correct it', 'zone = "UTC"']
+    elif time.zone:
+        lines.append(f"zone = {_quote(time.zone)}")
     elif not time.has_zone:
         lines.append('zone = "UTC"   # the file does not state it: correct it where it is local time')
-    return [*lines, ""]
+    return [*lines, *_write_corrections(time), ""]
+
+
+def _write_corrections(time: GuessedTime) -> list[str]:
+    """Return the keys of a clock that other witnesses correct."""
+    lines = []
+    if time.add_weeks:
+        lines.append(f"add_weeks = {time.add_weeks}   # the count of GPS weeks started again")
+    if time.offset_column:
+        lines.append(f"offset_column = {_quote(time.offset_column)}   # states the offset of the local times from UTC")
+    if time.origin:
+        lines.append(f"origin = {_quote(time.origin)}   # time of the number 0")
+    return lines
 
 
 def _write_ride(guessed: GuessedMap) -> list[str]:

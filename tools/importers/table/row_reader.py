@@ -12,13 +12,15 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
+from core.errors import ImportFileError
 from core.wire.messages import LONGEST_TEXT, join_chunks
 from tools.importers.table.cells import suggest_decimal, to_bools, to_numbers
 from tools.importers.table.column_map import ColumnMap, FieldSource
+from tools.importers.table.row_faults import HEADER_AGAIN, RowFaults, is_header
 from tools.importers.table.row_times import TimeReader
 from tools.importers.table.shared_stamps import StampStatistics
 from tools.importers.table.skipped_files import SkippedFiles
-from tools.importers.table.table_file import WRONG_WIDTH, Block, TableFile
+from tools.importers.table.table_file import Block, TableFile, describe_header
 from tools.importers.table.time_overlaps import TimeSpans
 from tools.importers.table.units import POWER
 
@@ -35,6 +37,10 @@ FIRST_TIME: Final = 946684800.0
 LAST_TIME: Final = 4102444800.0
 """1 January 2100. [Unix s]"""
 
+MOST_HEADERS: Final = 1000
+"""Rows of a block without a readable time that are compared with a header."""
+_OF_TIME: Final = (UNREADABLE_TIME, AMBIGUOUS_TIME, IMPLAUSIBLE_TIME, HEADER_AGAIN)
+"""Causes that the text of the time shows."""
 TRUE: Final = frozenset({"true", "1", "1.0", "yes", "y", "on", "t", "charging", "ja", "oui"})
 FALSE: Final = frozenset({"false", "0", "0.0", "no", "n", "off", "f", "done", "stopped", "disconnected", "nein", "non"})
 _WHOLE: Final = re.compile(r"^(\d+)\.0$")
@@ -59,7 +65,7 @@ class RowReader:
         Names of vehicles and rides; rows hold their places in these lists.
     rows : int
         Rows in the files so far.
-    causes : Counter of str
+    faults : RowFaults
         Rows that cannot be read, by cause.
     cells : Counter of (str, str)
         Cells that hold no number where one belongs, by column and first such text; their rows are kept.
@@ -74,7 +80,7 @@ class RowReader:
         self.vehicles: list[str] = []
         self.rides: list[str] = []
         self.rows = 0
-        self.causes: Counter[str] = Counter()
+        self.faults = RowFaults()
         self.cells: Counter[str] = Counter()
         self.examples: dict[str, str] = {}
         self.dtype = np.dtype(
@@ -87,16 +93,16 @@ class RowReader:
     def read(self, tables: Sequence[TableFile]) -> Iterator[np.ndarray]:
         """Yield rows as structured arrays, one per block of a file, in the order of the files."""
         for table in tables:
-            before = self.rows
+            before, of_width = self.rows, self.faults.wide
             with self.skipped.skip(table.path):
-                for block in table.iterate_blocks(self.map.list_columns(), self.causes):
+                for block in table.iterate_blocks(self.map.list_columns(), self.faults):
                     rows = self.convert(table, block)
                     self.spans.add(str(table.path), rows)
                     self.stamps.add(rows)
                     yield rows
+            self.rows += self.faults.wide - of_width
             if table.path in self.skipped.rows:
                 self.skipped.rows[table.path] = self.rows - before
-        self.rows += self.causes[WRONG_WIDTH]
 
     def explain_causes(self, decimal: str) -> str:
         """Return why rows cannot be read, and the remedy where the decimal mark is wrong.
@@ -106,11 +112,14 @@ class RowReader:
         decimal : str
             Decimal mark with which the file was read.
         """
-        found = ", ".join(f"{count:,} with {cause}" for cause, count in self.causes.most_common()) or "no rows"
+        found = self.faults.explain() or "no rows"
         wrong = next(
             ((text, each) for text in self.examples.values() if (each := suggest_decimal(text, decimal))), None
         )
-        return f"{found}, such as {wrong[0]!r}{wrong[1]}" if wrong else found
+        if wrong:
+            return f"{found}, such as {wrong[0]!r}{wrong[1]}"
+        first = self.faults.explain_first()
+        return f"{found}; {first}" if first else found
 
     def convert(self, table: TableFile, block: Block) -> np.ndarray:
         """Return the readable rows of a block."""
@@ -120,13 +129,13 @@ class RowReader:
         keep = np.ones(count, bool)
         rows["vehicle"] = vehicles = self._read_vehicles(block, table, count)
         rows["time"] = self._read_time(table, block, vehicles, keep)
-        self._drop(keep, vehicles < 0, NO_VEHICLE)
+        self._drop(table, block, keep, vehicles < 0, NO_VEHICLE)
         rows["ride"] = self._read_rides(table, block, count)
         has_value = np.zeros(count, bool)
         for name, source in self.map.fields.items():
             rows[name] = self._read_field(table, block, name, source, count)
             has_value |= np.isfinite(rows[name])
-        self._drop(keep, ~has_value, NO_VALUE)
+        self._drop(table, block, keep, ~has_value, NO_VALUE)
         self._invert(rows)
         self._stop_parked(block, rows)
         return rows[keep]
@@ -150,22 +159,41 @@ class RowReader:
         places = pc.fill_null(coded.indices, len(words)).to_numpy(zero_copy_only=False)
         rows["speed_kmh"][parked[places] & np.isnan(rows["speed_kmh"])] = 0.0
 
-    def _drop(self, keep: Bools, wrong: Bools, cause: str) -> None:
+    def _drop(self, table: TableFile, block: Block, keep: Bools, wrong: Bools, cause: str) -> None:
         """Mark rows as unreadable, each under its first cause."""
         newly = keep & wrong
         if number := int(newly.sum()):
-            self.causes[cause] += number
+            row = int(np.argmax(newly))
+            cell = block[self.map.time.columns[0]][row].as_py() if cause not in self.faults.causes else None
+            text = str(cell) if cell is not None and cause in _OF_TIME else ""
+            self.faults.add(cause, number, table.path, self.faults.find_line(row), text)
             keep &= ~wrong
 
     def _read_time(self, table: TableFile, block: Block, vehicles: Ints, keep: Bools) -> Floats:
         """Return the Unix time of each row. [s]"""
         found = self._times.read(table, block, vehicles)
-        self._drop(keep, found.missing, NO_TIME)
-        self._drop(keep, found.unclear, AMBIGUOUS_TIME)
-        self._drop(keep, ~np.isfinite(found.times), UNREADABLE_TIME)
+        self._drop(table, block, keep, found.missing, NO_TIME)
+        self._drop(table, block, keep, found.unclear, AMBIGUOUS_TIME)
+        unreadable = keep & ~np.isfinite(found.times)
+        if unreadable.any():
+            self._drop(table, block, keep, self._find_headers(table, block, unreadable), HEADER_AGAIN)
+        self._drop(table, block, keep, ~np.isfinite(found.times), UNREADABLE_TIME)
         with np.errstate(invalid="ignore"):
-            self._drop(keep, (found.times < FIRST_TIME) | (found.times >= LAST_TIME), IMPLAUSIBLE_TIME)
+            implausible = (found.times < FIRST_TIME) | (found.times >= LAST_TIME)
+            self._drop(table, block, keep, implausible, IMPLAUSIBLE_TIME)
         return found.times
+
+    def _find_headers(self, table: TableFile, block: Block, unreadable: Bools) -> Bools:
+        """Return which rows are the header again, and refuse a file with another header between its rows."""
+        again = np.zeros(len(unreadable), bool)
+        named = [(name.rpartition("#")[0] if "#" in name else name, cells) for name, cells in block.items()]
+        for row in np.flatnonzero(unreadable)[:MOST_HEADERS].tolist():
+            cells = [str(cells[row].as_py() or "") for _, cells in named]
+            if all(cell.strip() == name for cell, (name, _) in zip(cells, named, strict=True)):
+                again[row] = True
+            elif is_header(cells, table.names):
+                raise ImportFileError(describe_header(table.path, self.faults.find_line(row), ", ".join(cells)))
+        return again
 
     def _read_vehicles(self, block: Block, table: TableFile, count: int) -> Ints:
         """Return the place of each row's vehicle in `vehicles`, -1 where it has none."""
@@ -212,7 +240,11 @@ class RowReader:
             cells = pc.if_else(chosen, cells, pa.scalar(None, cells.type))
         if name in {"latitude_deg", "longitude_deg"}:
             cells = _to_degrees(cells, table.decimal)
-        read = _to_flags(cells, source.true) if name == "charging" else to_numbers(cells, table.decimal)
+        read = (
+            _to_flags(cells, source.true)
+            if name == "charging"
+            else to_numbers(cells, table.decimal, has_thousands=column in table.grouped)
+        )
         values, wrong = read
         if len(wrong):
             label = source.signal or column

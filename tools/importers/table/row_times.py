@@ -11,13 +11,17 @@ import pyarrow.compute as pc
 from core.batch import Floats, Ints
 from core.columns import SECONDS_PER_DAY
 from tools.importers.table.cells import Bools, to_bools, to_numbers
-from tools.importers.table.column_map import TimeSource
 from tools.importers.table.name_times import find_day, find_origin
+from tools.importers.table.offset_column import read_offsets
 from tools.importers.table.table_file import Block, TableFile
+from tools.importers.table.text_times import parse_times, to_unix
+from tools.importers.table.time_source import TimeSource
 
 NEIGHBOUR: Final = 600.0
 """Longest time from a row of the repeated hour to the row beside it that shows which of both hours it is. [s]"""
-_OFFSET: Final = r"(Z|[+-]\d\d:?(\d\d)?)$"
+SECONDS_PER_WEEK: Final = 7 * SECONDS_PER_DAY
+EXCEL_ZERO: Final = np.datetime64("1899-12-30", "us")
+"""Day 0 of a spreadsheet, for all days after February 1900."""
 
 
 class RowTimes(NamedTuple):
@@ -51,6 +55,7 @@ class TimeReader:
         self._last: dict[int, float] = {}
         self._days = 0
         self._last_of_file = np.nan
+        self._last_offset = np.nan
 
     def read(self, table: TableFile, block: Block, vehicles: Ints) -> RowTimes:
         """Return the times of the rows of a block.
@@ -65,21 +70,37 @@ class TimeReader:
             Place of each row's vehicle.
         """
         if self._path != table.path:
-            self._path, self._last, self._days, self._last_of_file = table.path, {}, 0, np.nan
+            self._path, self._last, self._days = table.path, {}, 0
+            self._last_of_file = self._last_offset = np.nan
         cells = [block[name] for name in self.source.columns]
         missing: Bools = np.logical_or.reduce([to_bools(pc.is_null(each)) for each in cells])
         day = find_day(table.path) if self.source.day_from_file_name else None
         unclear = np.zeros(len(missing), bool)
         if self.source.unit_s is not None:
-            numbers, _ = to_numbers(cells[0], table.decimal)
-            times = self._find_zero(table.path, day) + numbers * self.source.unit_s
+            times, unclear = self._count(table, cells, vehicles, day)
         elif pa.types.is_timestamp(cells[0].type):
             times, unclear = self._localize(cells[0].to_pandas(), vehicles)
         else:
             texts = [pc.utf8_trim_whitespace(pc.cast(each, pa.string())) for each in cells]
             joined = texts[0] if len(texts) == 1 else pc.binary_join_element_wise(*texts, " ")
-            times, unclear = self._parse(joined, vehicles, day)
+            times, unclear = self._parse(joined, vehicles, day, block)
+        times = times + self.source.add_weeks * SECONDS_PER_WEEK
         return RowTimes(times if day is None else self._add_days(times), missing, unclear)
+
+    def _count(self, table: TableFile, cells: list[Any], vehicles: Ints, day: str | None) -> tuple[Floats, Bools]:
+        """Return the Unix times of numbers [s], and which of them are unclear."""
+        numbers = [to_numbers(each, table.decimal)[0] for each in cells]
+        unit = self.source.unit_s or 1.0
+        if self.source.is_serial:
+            valid = np.isfinite(numbers[0]) & (np.abs(numbers[0]) < 1e6)
+            millis = np.round(np.where(valid, numbers[0], 0.0) * SECONDS_PER_DAY * 1e3).astype("i8")
+            stamps = EXCEL_ZERO + millis.astype("timedelta64[ms]")
+            stamps[~valid] = np.datetime64("NaT")
+            return self._localize(pd.Series(stamps), vehicles)
+        times = self._find_zero(table.path, day) + numbers[-1] * unit
+        if len(numbers) > 1:
+            times = times + numbers[0] * SECONDS_PER_WEEK
+        return times, np.zeros(len(times), bool)
 
     def _find_zero(self, path: Path, day: str | None) -> float:
         """Return the Unix time of the number 0 in a file. [s]"""
@@ -87,29 +108,35 @@ class TimeReader:
             return find_origin(path, self.source.origin_form, self.source.zone)
         return self.source.origin if day is None else pd.Timestamp(day, tz=self.source.zone).timestamp()
 
-    def _parse(self, texts: pa.Array, vehicles: Ints, day: str | None) -> tuple[Floats, Bools]:
+    def _parse(self, texts: pa.Array, vehicles: Ints, day: str | None, block: Block) -> tuple[Floats, Bools]:
         """Return the Unix times of texts [s], NaN where unreadable, and which of them are unclear."""
-        series: Any = texts.to_pandas()
-        form = self.source.form or "ISO8601"
-        with_offset = to_bools(pc.fill_null(pc.match_substring_regex(texts, _OFFSET), False))
-        if self.source.form is None:  # a date alone ends like an offset
-            with_offset &= to_bools(pc.fill_null(pc.greater(pc.utf8_length(texts), 10), False))
+        form = self.source.form
         if day is not None:
-            series = day + " " + series
-            form = form if self.source.form is None else f"%Y-%m-%d {form}"
-        times, unclear = np.full(len(series), np.nan), np.zeros(len(series), bool)
-        if with_offset.any():
-            parsed = pd.to_datetime(series[with_offset], format=form, errors="coerce", utc=True)
-            times[with_offset] = _to_seconds(parsed.dt.tz_localize(None))
-        if not with_offset.all():
-            plain = pd.to_datetime(series[~with_offset], format=form, errors="coerce")
-            times[~with_offset], unclear[~with_offset] = self._localize(plain, vehicles[~with_offset])
+            texts = pc.binary_join_element_wise(pa.scalar(day), texts, " ")
+            form = None if form is None else f"%Y-%m-%d {form}"
+        parsed = parse_times(texts, form)
+        offsets = parsed.offsets
+        stated = block.get(self.source.offset_column or "")
+        if stated is not None:
+            found = self._fill(read_offsets(stated, parsed.stamps))
+            offsets = np.where(np.isnan(offsets), found, offsets)
+        times, unclear = to_unix(parsed.stamps) - offsets, np.zeros(len(offsets), bool)
+        plain = np.isnan(offsets)
+        if plain.any():
+            times[plain], unclear[plain] = self._localize(pd.Series(parsed.stamps[plain]), vehicles[plain])
         return times, unclear
+
+    def _fill(self, offsets: Floats) -> Floats:
+        """Return the offsets of rows, with unknown ones as in the row before, or in the next one at the start."""
+        known = pd.Series(offsets)
+        filled = np.asarray(known.ffill().fillna(self._last_offset).bfill(), "f8")
+        self._last_offset = float(filled[-1]) if len(filled) else self._last_offset
+        return filled
 
     def _localize(self, stamps: Any, vehicles: Ints) -> tuple[Floats, Bools]:
         """Return the Unix times of dates [s], and which of them are unclear."""
         if stamps.dt.tz is not None:
-            return _to_seconds(stamps.dt.tz_convert("UTC").dt.tz_localize(None)), np.zeros(len(stamps), bool)
+            return to_unix(stamps.dt.tz_convert("UTC").dt.tz_localize(None)), np.zeros(len(stamps), bool)
         times = self._to_unix(stamps, "NaT")
         unclear: Bools = np.isnan(times) & stamps.notna().to_numpy()
         if unclear.any():
@@ -124,7 +151,7 @@ class TimeReader:
     def _to_unix(self, stamps: Any, ambiguous: Any) -> Floats:
         """Return the Unix times of local times, NaN where they are skipped, or repeated and not decided. [s]"""
         local = stamps.dt.tz_localize(self.source.zone, ambiguous=ambiguous, nonexistent="NaT")
-        return _to_seconds(local.dt.tz_convert("UTC").dt.tz_localize(None))
+        return to_unix(local.dt.tz_convert("UTC").dt.tz_localize(None))
 
     def _place_repeated(self, times: Floats, both: Floats, vehicles: Ints, unclear: Bools) -> Bools:
         """Set the times of rows in the repeated hour by the rows beside them, and return which remain unclear."""
@@ -152,9 +179,3 @@ class TimeReader:
         times = times.copy()
         times[known] += days * SECONDS_PER_DAY
         return times
-
-
-def _to_seconds(stamps: Any) -> Floats:
-    """Return dates in UTC as Unix times, NaN where unknown. [s]"""
-    values = stamps.to_numpy().astype("datetime64[us]")
-    return np.where(np.isnat(values), np.nan, values.astype("i8") / 1e6)

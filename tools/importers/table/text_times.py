@@ -1,0 +1,199 @@
+"""Read times in text by a form of `strptime`, with months in any language and stated zones."""
+
+import re
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from core.batch import Floats
+from tools.importers.table.month_names import find_month
+from tools.importers.table.zone_offsets import find_offset
+
+Stamps = NDArray[np.datetime64]
+
+_GROUPS: Final[Mapping[str, str]] = {
+    "Y": r"\d{4}",
+    "y": r"\d{2}",
+    "m": r"\d{1,2}",
+    "d": r"\d{1,2}",
+    "b": r"\p{L}+\.?",
+    "H": r"\d{1,2}",
+    "I": r"\d{1,2}",
+    "M": r"\d{1,2}",
+    "S": r"\d{1,2}",
+    "f": r"\d{1,9}",
+    "p": r"[AaPp]\.?\s?[Mm]\.?|上午|下午|午前|午後|오전|오후",
+    "z": r"(?:UTC|GMT)?[+-]\d{1,2}(?::?\d\d)?|[A-Z]{1,5}",
+}
+"""Directive -> the text that it stands for, as RE2 reads it."""
+_SAME: Final = {"B": "b", "Z": "z"}
+_ORDINAL: Final = r"(?:st|nd|rd|th|er|º|ª)?"
+_AFTERNOON: Final = ("p", "下", "午後", "오후")
+_ISO_OFFSET: Final = r"\d[Tt ]\d.*(?:Z|[+-]\d\d:?(?:\d\d)?)$"
+
+
+class ParsedTimes(NamedTuple):
+    """Hold times that were read from texts.
+
+    Parameters
+    ----------
+    stamps : (n,) datetime64
+        Date and time as the text writes it, NaT where it cannot be read.
+    offsets : (n,) float64
+        Offset from UTC that the text states, NaN where it states none. [s]
+    """
+
+    stamps: Stamps
+    offsets: Floats
+
+    def to_utc(self) -> Floats:
+        """Return Unix times, with those without an offset read as UTC. [s]"""
+        return to_unix(self.stamps) - np.nan_to_num(self.offsets)
+
+
+def to_unix(stamps: Any) -> Floats:
+    """Return dates as Unix times, as if they were UTC, NaN where unknown. [s]"""
+    values = np.asarray(stamps).astype("datetime64[us]")
+    return np.where(np.isnat(values), np.nan, values.astype("i8") / 1e6)
+
+
+def parse_times(texts: pa.Array, form: str | None) -> ParsedTimes:
+    """Return the times of texts.
+
+    Parameters
+    ----------
+    texts : (n,) array of str
+        Texts without blanks at their ends.
+    form : str, optional
+        Form as of `strptime`; None is ISO 8601.
+    """
+    pattern = None if form is None else _compile(form)
+    if pattern is None:
+        return _parse_by_pandas(texts, form)
+    plain = pc.replace_substring_regex(texts, r"[\x{00a0}\x{202f}]", " ")
+    if form is not None and "(" not in form and "z" in pattern.groups:  # the name of a zone beside its offset
+        plain = pc.replace_substring_regex(plain, r"\s*\([^)]*\)$", "")
+    found = pc.extract_regex(plain, pattern.text)
+    parts = {name: pc.struct_field(found, name) for name in pattern.groups}
+    return ParsedTimes(_assemble(parts, len(texts)), _read_offsets(parts.get("z"), len(texts)))
+
+
+class _Pattern(NamedTuple):
+    """Hold a form as a pattern, and the directives that it holds."""
+
+    text: str
+    groups: tuple[str, ...]
+
+
+@cache
+def _compile(form: str) -> _Pattern | None:
+    """Return the pattern of a form, None where it holds a directive that only pandas reads, or one twice."""
+    parts = re.split(r"%(.)", form)
+    groups: list[str] = []
+    text = r"^\s*"
+    for at, part in enumerate(parts):
+        if at % 2 == 0:
+            text += "".join(_escape(letter) for letter in re.sub(r"\s+", " ", part))
+        elif part in {"a", "A"}:
+            text += r"\p{L}+\.?"
+        elif part == "%":
+            text += "%"
+        else:
+            name = _SAME.get(part, part)
+            if name not in _GROUPS or name in groups:
+                return None
+            groups.append(name)
+            if name == "f" and text.endswith((r"\.", ",")):  # programs leave out a fraction of zero
+                mark, text = text[-1], text.removesuffix(r"\.").removesuffix(",")
+                text += rf"(?:[{mark}](?P<f>{_GROUPS[name]}))?"
+            else:
+                text += f"(?P<{name}>{_GROUPS[name]}){_ORDINAL if name == 'd' else ''}"
+    return _Pattern(text + r"\s*$", tuple(groups)) if groups else None
+
+
+def _escape(letter: str) -> str:
+    """Return a letter of a form as RE2 reads it; months may be followed by a point."""
+    if letter == " ":
+        return r"\s+"
+    return letter if letter.isalnum() or letter in "_," or ord(letter) > 127 else f"\\{letter}"
+
+
+def _parse_by_pandas(texts: pa.Array, form: str | None) -> ParsedTimes:
+    """Return the times of texts in ISO 8601, or in a form with rare directives."""
+    series: Any = texts.to_pandas()
+    stamps, offsets = np.full(len(series), "NaT", "datetime64[us]"), np.full(len(series), np.nan)
+    if not len(series):
+        return ParsedTimes(stamps, offsets)
+    zoned = pc.match_substring_regex(texts, _ISO_OFFSET) if form is None else pa.array([_is_zoned(form)] * len(series))
+    with_offset = np.asarray(pc.fill_null(zoned, False).to_numpy(zero_copy_only=False), bool)
+    for chosen, is_utc in ((with_offset, True), (~with_offset, False)):
+        if chosen.any():
+            parsed = pd.to_datetime(series[chosen], format=form or "ISO8601", errors="coerce", utc=is_utc)
+            plain = parsed.dt.tz_localize(None) if is_utc else parsed
+            stamps[chosen] = plain.to_numpy().astype("datetime64[us]")
+    offsets[with_offset] = 0.0
+    return ParsedTimes(stamps, offsets)
+
+
+def _is_zoned(form: str) -> bool:
+    """Return whether a form holds a zone."""
+    return "%z" in form or "%Z" in form
+
+
+def _assemble(parts: Mapping[str, Any], count: int) -> Stamps:
+    """Return the date and time that the parts of texts give."""
+
+    def take(name: str, usual: float) -> Floats:
+        if name not in parts:
+            return np.full(count, usual)
+        cells = pc.if_else(pc.equal(parts[name], ""), None, parts[name])
+        return np.asarray(pc.cast(cells, pa.float64()).to_numpy(zero_copy_only=False), "f8")
+
+    year, month, day = take("Y", 1900.0), take("m", 1.0), take("d", 1.0)
+    if "y" in parts:
+        short = take("y", 0.0)
+        year = short + np.where(short < 69, 2000.0, 1900.0)
+    if "b" in parts:
+        month = _look_up(parts["b"], find_month)
+    hour, minute, second = take("H", 0.0), take("M", 0.0), take("S", 0.0)
+    if "I" in parts:
+        hour = take("I", 0.0)
+        valid = (hour >= 1) & (hour <= 12)
+        hour = np.where(valid, hour % 12 + 12 * _look_up(parts["p"], _is_afternoon), np.nan) if "p" in parts else hour
+    micros = np.zeros(count)
+    if "f" in parts:
+        padded = pc.utf8_slice_codeunits(pc.utf8_rpad(parts["f"], 6, "0"), 0, 6)
+        micros = np.asarray(pc.cast(padded, pa.float64()).to_numpy(zero_copy_only=False), "f8")
+    fits = (month >= 1) & (month <= 12) & (day >= 1) & (hour < 24) & (minute < 60) & (second < 61) & np.isfinite(year)
+    months = (np.where(fits, (year - 1970) * 12 + month - 1, 0)).astype("i8").astype("datetime64[M]")
+    days = months.astype("datetime64[D]") + np.where(fits, day - 1, 0).astype("i8")
+    fits &= days.astype("datetime64[M]") == months
+    rest = np.where(fits, ((hour * 60 + minute) * 60 + second) * 1e6 + micros, 0.0)
+    stamps: Stamps = days.astype("datetime64[us]") + np.nan_to_num(rest).astype("i8")
+    stamps[~fits | np.isnan(rest)] = np.datetime64("NaT")
+    return stamps
+
+
+def _is_afternoon(text: str) -> float:
+    """Return 1 for a word that means after noon, else 0."""
+    return float(text.strip().lower().startswith(_AFTERNOON))
+
+
+def _read_offsets(cells: Any, count: int) -> Floats:
+    """Return the offsets that texts state, NaN where they state none of one meaning. [s]"""
+    return np.full(count, np.nan) if cells is None else _look_up(cells, find_offset)
+
+
+def _look_up(cells: Any, find: Any) -> Floats:
+    """Return what a function makes of each text, NaN where it is None."""
+    coded = pc.dictionary_encode(cells)
+    found = [find(word) if word is not None else None for word in coded.dictionary.to_pylist()]
+    values = np.array([np.nan if each is None else float(each) for each in found] + [np.nan])
+    known: Floats = values[pc.fill_null(coded.indices, len(found)).to_numpy(zero_copy_only=False)]
+    return known
