@@ -188,7 +188,7 @@ def _read_first_blocks(tables: Sequence[TableFile], skipped: SkippedFiles) -> tu
 def _read_rows(
     sources: Sources, time: GuessedTime, blocks: Blocks, places: Sequence[RowFaults], on_change: bool
 ) -> tuple[np.ndarray, GuessedRows | None, GuessedTime, list[str]]:
-    """Return the rows as samples in the order of time, how they become samples, the clock with its unit, and the cars."""
+    """Return the rows as samples in the order of time, how they become samples, the clock, and the cars."""
     car = VehicleSource(sources.vehicle, None, "", None, {}, NOMINAL_VOLTAGE)
     scale = _find_scale(time, blocks) if time.needs_origin else 1.0
     provisional = ColumnMap(
