@@ -3,7 +3,8 @@
 Each step is a module of its own:
 
 1. `dataset` and `noise` collect the windows and their measurement noise.
-2. `projection` removes what the model could explain if it were refitted.
+2. `projection` removes what the model could explain if it were refitted; `episodes` finds hours of a few dates that no
+   effect explains, which the further steps leave out.
 3. `candidates`, `evidence` and `ranking` test every effect of the library and rank it on held-out days.
 4. `forward_selection` selects the best effects beside each other; `siblings` finds cars that deviate or change.
 5. `residual_structure` and `free_form` search the remaining residual without the library.
@@ -27,6 +28,7 @@ from core.diagnose.add.refit import CoefficientEstimate
 from core.diagnose.add.terms import describe_coefficient
 from core.diagnose.candidates import build_candidates
 from core.diagnose.dataset import Windows, gather_windows
+from core.diagnose.episodes import find_episodes
 from core.diagnose.error_location.locate import locate_error
 from core.diagnose.error_steps import compute_steps
 from core.diagnose.evidence import ClusterSums
@@ -103,10 +105,11 @@ def diagnose(
     Returns
     -------
     dict
-        `model`, `data` (`held_out` states which dates were not used), `error`, `error_location`, `slices`, `missing`
-        (best first, each beside the others), `candidates`, `verdict`, `causes` and `credible_set` (before any effect is
-        selected), `further` and `further_credible_set` (beside the selected effects), `structure_remains`, `structure`,
-        `suggestion`, `suggestion_file`, `steps`, `profiles`, `deviations` and `cars` (see
+        `model`, `data` (`held_out` states which dates were not used), `episodes` (hours of a few dates in which the
+        power is off, see `core.diagnose.episodes`; what follows is beside them), `error`, `error_location`, `slices`,
+        `missing` (best first, each beside the others), `candidates`, `verdict`, `causes` and `credible_set` (before any
+        effect is selected), `further` and `further_credible_set` (beside the selected effects), `structure_remains`,
+        `structure`, `suggestion`, `suggestion_file`, `steps`, `profiles`, `deviations` and `cars` (see
         `core.diagnose.siblings.deviations`). The values are plain Python values; an unknown number is NaN or None.
 
     Raises
@@ -144,7 +147,9 @@ def _diagnose(
 ) -> dict[str, Any]:
     """Return the result of `diagnose` for windows."""
     base, candidates = BaseProjection(seen, model), build_candidates(seen, model, without)
-    report(0.02, "locating the error")
+    report(0.02, "comparing dates")
+    episodes, base = find_episodes(base, candidates)
+    report(0.03, "locating the error")
     location = locate_error(seen, base)
     clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]
     selection = ForwardSelection(base, candidates, clusters, SelectionSettings(least_gain, MAX_EFFECTS, seed))
@@ -154,7 +159,8 @@ def _diagnose(
     local: dict[str, list[dict[str, Any]]] = {"deviations": [], "cars": []}
     if places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES:
         report(0.6, "comparing cars with each other and with their past")
-        known = np.column_stack([np.empty((len(seen.measured), 0)), *(named.column for named in selection.selected)])
+        taken = [each.column for each in episodes] + [named.column for named in selection.selected]
+        known = np.column_stack([np.empty((len(seen.measured), 0)), *taken])
         local = diagnose_deviations(selection.base, model, known, without, groups)
     base = selection.base
     missing = selection.list_missing_effects()
@@ -165,6 +171,9 @@ def _diagnose(
     floor = compute_noise_floor(compute_noise_variance(seen.rides))
     verdict = missing[0].selected.effect if missing else None
     report(0.9, "searching for slices")
+    error = seen.by_ride(seen.predicted - seen.measured)
+    for each in episodes:
+        error[seen.ride[each.rows]] = np.nan  # such rides would be a slice of their own
     return {
         "model": {
             "name": model.name,
@@ -173,9 +182,10 @@ def _diagnose(
             "implausible": describe_implausible(model),
         },
         "data": _describe_data(seen),
+        "episodes": [each.to_json() for each in episodes],
         "error": _describe_error(seen, base, floor),
         "error_location": location.to_json(),
-        "slices": find_slices(seen.rides, seen.by_ride(seen.predicted - seen.measured), seed=seed),
+        "slices": find_slices(seen.rides, error, seed=seed),
         "missing": [
             _describe_missing(finding, selection) | {"partial_residual": compute_partial_residual(selection, finding)}
             for finding in missing

@@ -114,6 +114,17 @@ class BaseProjection:
             base._weigh()  # noqa: SLF001
         return base
 
+    def allow_for(self, columns: Floats) -> "BaseProjection":
+        """Return the projection off further columns, which cars of a model share, given as energies. [kWh per unit]"""
+        base = copy(self)
+        base._shared = np.column_stack([self._shared, columns])  # noqa: SLF001
+        base._weigh()  # noqa: SLF001
+        return base
+
+    def get_variance_parts(self) -> Floats:
+        """Return the parts of the variance of each window, as `build_variance_parts` does, (n, 4). [kWh^2]"""
+        return self._variance_parts
+
     def _correlation(self, standardised: Floats) -> float:
         """Return the correlation of the windows of a ride."""
         square = standardised**2

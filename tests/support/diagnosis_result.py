@@ -104,6 +104,7 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
             "resolution": "voltage and current, in windows of about 60 s", "left_out": {"too_short": 12},
             "held_out": {"dates": ["2018-01-17", "2018-01-22"], "rides": 140, "final": True, "in_history": False},
         },
+        "episodes": [],
         "error": {
             "mae_kwh": 0.062, "relative": 0.09, "bias_kwh": -0.012, "mae_refitted_kwh": 0.055,
             "noise_floor_kwh": 0.037,
@@ -152,6 +153,16 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
         "further_credible_set": ["none", "not in the library"],
         "deviations": [make_deviation()],
         "cars": [make_ranked_car("taxi-005", 0.031), make_ranked_car("taxi-002", -0.01)],
+    } | changes  # fmt: skip
+
+
+def make_episode(**changes: Any) -> dict[str, Any]:
+    """Return the entry of an episode of three cars on two dates."""
+    return {
+        "dates": ["2018-01-17", "2018-03-02"], "hours_utc": [16, 19], "whole_dates": False, "car": None,
+        "cars": ["taxi-001", "taxi-003", "taxi-005"], "cars_driving": 4, "windows": 120,
+        "rides": ["taxi-003#7", "taxi-001#9", "taxi-005#9"], "power_kw": 6.02, "power_ci95_kw": [5.66, 6.38],
+        "share": 0.414, "chance": 2e-9,
     } | changes  # fmt: skip
 
 

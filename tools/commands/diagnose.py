@@ -277,12 +277,16 @@ def insert_commands(
 ) -> None:
     """Insert into the entry of each missing effect and deviation that a term can hold the command that adds it.
 
-    `commands` holds this command, and the one that runs the model with the effect as a shadow.
+    `commands` holds this command, and the one that runs the model with the effect as a shadow. The command of an
+    episode shows the ride with the largest part of it.
     """
     stem = model if model in BUILT_IN_MODELS else str(Path(model).with_suffix(""))
     own = [word for path in effect_files for word in ("--effects", str(path))]
     own += [word for path in vehicle_files for word in ("--vehicles", str(path))]
     own += word_settings(settings or Settings())
+    for episode in result.get("episodes") or ():
+        words = ["socast", "compare", *map(str, data), "--model", model, "--ride", str(episode["rides"][0])]
+        episode["command"] = shlex.join([*words, *own])
     deviations = [entry for entry in result.get("deviations") or () if entry["columns"]]
     for entry in [*(result.get("missing") or ()), *deviations]:
         name, scopes = parse_term(entry)

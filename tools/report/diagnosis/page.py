@@ -14,7 +14,7 @@ from rich.text import Text
 
 from core.diagnose.deviation_words import find_leading_deviation
 from core.evaluate.paper.results import to_json_values
-from tools.report.diagnosis import deviations, figures, sentences, tables
+from tools.report.diagnosis import deviations, episodes, figures, sentences, tables
 from tools.report.diagnosis.cause_figures import draw_causes
 from tools.report.diagnosis.deviation_figures import draw_deviations
 from tools.report.diagnosis.location_figure import draw_location
@@ -62,6 +62,9 @@ def show(result: Any, console: Console, *, suggested: str | None = None) -> None
     print_heading(f"Diagnosis of {model.get('name')}, version {model.get('version')}", console)
     print_lines(sentences.describe_verdict(values), console, strong=True)
     print_lines(sentences.describe_data(values), console)
+    if lines := episodes.describe_episodes(values):
+        print_heading("Episodes", console)
+        print_lines(lines, console)
     print_heading("Error", console)
     print_lines(sentences.describe_error(values), console)
     slices = tables.tabulate_slices(values)
@@ -90,6 +93,7 @@ def print_step(result: Any, step: int, console: Console) -> None:
     """Print the result of one step of the automatic loop in a few lines."""
     values = to_json_values(result)
     print_heading(f"Step {step}", console)
+    print_lines(episodes.describe_leading_episode(values), console)
     first = next((m for m in values.get("missing") or () if m.get("effect") == values.get("verdict")), None)
     if first is None:
         found = find_leading_deviation([one for one in values.get("deviations") or () if one.get("columns")])
@@ -213,6 +217,12 @@ def build_sections(result: Result, suggested: str | None = None) -> list[Section
         for line in sentences.describe_rivals(one)
     ]
     sections = [
+        Section(
+            "episodes",
+            "Episodes",
+            _end_sentences([line for line in episodes.describe_episodes(result) if not line.startswith(COMMAND)]),
+            [episodes.tabulate_episodes(result)],
+        ),
         Section("causes", "Probable causes", " ".join(sentences.describe_competition(result)), []),
         Section("error", "Error", " ".join(sentences.describe_error(result)), [tables.tabulate_errors(result)]),
         Section("slices", "Where the model fails", "", [tables.tabulate_slices(result)]),

@@ -8,6 +8,7 @@ from core.diagnose.deviation_words import find_leading_deviation
 from core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN
 from tools.report.cells import format_count, format_percent
 from tools.report.diagnosis.deviations import advise_test, describe_finding
+from tools.report.diagnosis.episodes import advise_looking, describe_leading_episode
 from tools.report.evaluation.data_tables import MEASURED_BY
 from tools.report.evaluation.result import Result, get_mapping, get_number
 
@@ -107,7 +108,8 @@ def describe_error(result: Result) -> list[str]:
     ]
     if refitted is not None:
         how = "With the same terms refitted to these rides for each car, and any smooth curve of temperature"
-        lines.append(f"{how}, it would be {format_energy(refitted)} (in sample).")
+        episodes = " and with a constant power in each episode" if result.get("episodes") else ""
+        lines.append(f"{how}{episodes}, it would be {format_energy(refitted)} (in sample).")
     if implausible := get_mapping(result, "model").get("implausible"):
         lines.append(f"NOT plausible in this model: {'; '.join(map(str, implausible))}.")
     if is_noise_overestimated(result):
@@ -223,13 +225,15 @@ def describe_verdict(result: Result) -> list[str]:
 
     Notes
     -----
-    A car, a group or all cars that changed come first where no effect is missing in all cars at all times. Those whose
-    interval of the size contains zero are left out.
+    An episode comes before everything else, because it may be an event that no model should explain. A car, a group or
+    all cars that changed come next where no effect is missing in all cars at all times. Those whose interval of the
+    size contains zero are left out.
     """
     found = find_leading_deviation(result.get("deviations"))
     finding = [] if found is None else describe_finding(found)
     causes = _describe_common_causes(result, everywhere=bool(finding))
-    return [*causes, *finding] if result.get("verdict") else [*finding, *causes]
+    episode = describe_leading_episode(result)
+    return [*episode, *causes, *finding] if result.get("verdict") else [*episode, *finding, *causes]
 
 
 def _describe_common_causes(result: Result, *, everywhere: bool) -> list[str]:
@@ -369,6 +373,11 @@ def find_recommended(result: Result) -> str | None:
 
 def describe_next_step(result: Result) -> list[str]:
     """Return what to do next, with the command where there is one."""
+    return [*advise_looking(result), *_advise_on_causes(result)]
+
+
+def _advise_on_causes(result: Result) -> list[str]:
+    """Return what to do about causes and changes, with the command where there is one."""
     chosen, found = result.get("verdict"), find_leading_deviation(result.get("deviations"))
     testing = [] if found is None else advise_test(found, then="Then" if chosen else "")
     if not chosen:

@@ -1,0 +1,158 @@
+"""Describe episodes, hours of a few dates in which the power is off, in sentences and in a table."""
+
+from collections.abc import Mapping
+from datetime import date
+from typing import Any, Final
+
+from core.formatting import format_minus
+from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
+from tools.report.evaluation.result import Result, get_mapping, get_number
+
+MOST_DATES: Final = 6
+"""Number of dates above which only their number, the first and the last one are written out."""
+LEAST_CHANCE: Final = 0.001
+"""Probability below which a report gives only this bound. [1]"""
+NOTE: Final = (
+    "Power: mean power of the windows beyond what the model and every effect of the library explain, with a 95 % "
+    "interval. Share: of the squared error of rides after refitting. Chance: probability that a diagnosis without any "
+    "episode reports one as clear. Dates and hours are UTC."
+)
+
+
+def describe_leading_episode(result: Result) -> list[str]:
+    """Return the sentence with which a report begins where hours of a few dates hold much of the error."""
+    found = result.get("episodes") or ()
+    if not found:
+        return []
+    more = f" {len(found) - 1} further: see Episodes." if len(found) > 1 else ""
+    return [
+        f"{_word_share(found[0])}: {_word_power(found[0])}{_word_car(found[0])}. Look at {_these(found)} first.{more}"
+    ]
+
+
+def describe_episodes(result: Result) -> list[str]:
+    """Return each episode with its dates, size and cars, what it may be, and the command that shows its worst ride."""
+    lines = []
+    for one in result.get("episodes") or ():
+        rides = one.get("rides") or ()
+        cars = f"{format_count(len(one.get('cars') or ()))} of {format_count(one.get('cars_driving'))}"
+        lines.append(
+            f"{_list_dates(one)}, {_word_hours(one)}: {_word_power(one)} in {cars} cars that drove then, "
+            f"{format_count(len(rides))} rides; {format_percent(one.get('share'))} of the squared error of rides. "
+            f"Chance shows an episode as clear in {_word_chance(one)} of diagnoses."
+        )
+        lines.append(f"- {_suggest_cause(one, result)}")
+        lines += [f"- the ride with the largest part of it is {rides[0]}"] if rides else []
+        lines += [str(one["command"])] if one.get("command") else []
+    if lines:
+        lines.append("What follows leaves the power of these hours out, so that no effect is named for it.")
+    return lines
+
+
+def advise_looking(result: Result) -> list[str]:
+    """Return what to do about the first episode, with the command where there is one."""
+    found = result.get("episodes") or ()
+    if not found:
+        return []
+    line = (
+        f"First look at the recordings of {_list_dates(found[0])}, {_word_hours(found[0])}: leave these rides out if a "
+        "logger is wrong, or explain them by an effect of your own."
+    )
+    return [line, str(found[0]["command"])] if found[0].get("command") else [line]
+
+
+def tabulate_episodes(result: Result) -> ReportTable:
+    """Return the episodes, the clearest first."""
+    rows = tuple(
+        Row(
+            _list_dates(one),
+            (
+                Cell(_word_hours(one)),
+                Cell(_word_power(one)),
+                Cell(format_percent(one.get("share"))),
+                Cell(", ".join(map(str, one.get("cars") or ())) or UNKNOWN),
+                Cell(format_count(len(one.get("rides") or ()))),
+                Cell(_word_chance(one)),
+            ),
+        )
+        for one in result.get("episodes") or ()
+    )
+    return ReportTable("Episodes", "dates", ("hours", "power", "share", "cars", "rides", "chance"), rows, (NOTE,))
+
+
+def _word_share(one: Mapping[str, Any]) -> str:
+    """Return where which share of the error is concentrated."""
+    share = format_percent(one.get("share"), 0)
+    dates = one.get("dates") or ()
+    on = _format_date(str(dates[0])) if len(dates) == 1 else f"{len(dates)} dates"
+    return f"{share} of the squared error is concentrated on {on}, {_word_hours(one)}"
+
+
+def _word_power(one: Mapping[str, Any]) -> str:
+    """Return the power with its interval.
+
+    >>> _word_power({"power_kw": 6.02, "power_ci95_kw": [5.66, 6.38]})
+    '+6.0 kW (95 % interval 5.7 to 6.4)'
+    """
+    power, limits = get_number(one.get("power_kw")), list(one.get("power_ci95_kw") or [None, None])
+    low, high = get_number(limits[0]), get_number(limits[1])
+    if power is None:
+        return UNKNOWN
+    interval = "" if low is None or high is None else f" (95 % interval {low:.1f} to {high:.1f})"
+    return format_minus(f"{power:+.1f} kW{interval}")
+
+
+def _word_hours(one: Mapping[str, Any]) -> str:
+    """Return the hours of an episode.
+
+    >>> _word_hours({"hours_utc": [22, 2]}), _word_hours({"hours_utc": [6, 21], "whole_dates": True})
+    ('22 to 2 h UTC', 'all hours')
+    """
+    first, last = one.get("hours_utc") or (0, 0)
+    return "all hours" if one.get("whole_dates") else f"{first} to {last} h UTC"
+
+
+def _word_car(one: Mapping[str, Any]) -> str:
+    return f", in {one['car']} alone" if one.get("car") else ""
+
+
+def _word_chance(one: Mapping[str, Any]) -> str:
+    """Return the probability of so clear an episode by chance, or its bound."""
+    chance = get_number(one.get("chance"))
+    if chance is None:
+        return UNKNOWN
+    return f"less than {format_percent(LEAST_CHANCE)}" if chance < LEAST_CHANCE else f"{format_percent(chance)}"
+
+
+def _these(found: Any) -> str:
+    return "this date" if len(found[0].get("dates") or ()) == 1 else "these dates"
+
+
+def _list_dates(one: Mapping[str, Any]) -> str:
+    """Return the dates in words.
+
+    >>> _list_dates({"dates": ["2018-11-01", "2018-11-22"]})
+    '1 November 2018 and 22 November 2018'
+    """
+    dates = [_format_date(str(each)) for each in one.get("dates") or ()]
+    if len(dates) > MOST_DATES:
+        return f"{len(dates)} dates from {dates[0]} to {dates[-1]}"
+    return " and ".join(part for part in (", ".join(dates[:-1]), *dates[-1:]) if part)
+
+
+def _format_date(day: str) -> str:
+    """Return an ISO date in words."""
+    when = date.fromisoformat(day)
+    return f"{when.day} {when:%B %Y}"
+
+
+def _suggest_cause(one: Mapping[str, Any], result: Result) -> str:
+    """Return what an episode may be, by the cars that it concerns."""
+    car, vehicles = one.get("car"), get_number(get_mapping(result, "data").get("vehicles"))
+    if car and vehicles == 1:
+        return "these data are of one car, so that weather, a load or its logger are not distinguishable"
+    if car and one.get("cars_driving") == 1:
+        return f"no other car shows the same: look at {car} first, its logger or a load of its own"
+    if car:
+        return f"others drove then without it: this is a matter of {car}, such as its logger or a load of its own"
+    return "several cars show it: weather that no column describes, their roads, or what their loggers have in common"
