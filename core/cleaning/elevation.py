@@ -89,6 +89,14 @@ def refer_to_map(state: Any, row: Any) -> None:
 
 
 @njit(cache=False)
+def climb_step(state: Any, row: Any, dt: float, settings: Any) -> None:
+    """Fill in the climb of a row whose distance is known, and the readings that tables smooth."""
+    elevation, spread = combine_elevation(state, row, dt)
+    row.climb = update_climb(state, elevation, spread, row.distance, settings)
+    row.elevation_fix, row.ground, row.ground_variance = row.raw_elevation, row.map_elevation, row.map_variance
+
+
+@njit(cache=False)
 def update_climb(state: Any, elevation: float, spread: float, distance: float, settings: Any) -> float:
     """Return the climb of the step after smoothing and backlash, negative downhill. [m]"""
     if isnan(elevation):

@@ -1,10 +1,9 @@
 """The one sequential kernel: everything that depends on an earlier row of the same lane.
 
 The kernel is causal: the output of a row depends on that row and on the state of its lane. Any chunking of the input
-therefore gives bitwise the same output. Its parts are the files `clock.py`, `motion.py`, `elevation.py`, `meters.py`,
-`repetition.py`, `segmentation.py` and `fleet_clock.py`, each with the fields of the state that it keeps. This file
-composes them. Between two rows, a ride may end by a message of dispatch, or because the other cars show that its car
-is silent.
+therefore gives bitwise the same output. Its parts are the files in `_PARTS`, each with the fields of the state that it
+keeps. This file composes them. Between two rows, a ride may end by a message of dispatch, or because the other cars
+show that its car is silent.
 
 In all of them `state` is the record of the lane (`STATE`), `row` the record of the sample, whose raw values are named
 `raw_*`, and `settings` the record of the operator's settings.
@@ -19,7 +18,18 @@ from numpy.typing import NDArray
 
 from core import batch, columns
 from core.batch import Batch, Floats, Ints, grown, take_lanes
-from core.cleaning import clock, elevation, fleet_clock, meters, motion, quality, repetition, segmentation
+from core.cleaning import (
+    clock,
+    elevation,
+    fix_motion,
+    fleet_clock,
+    meters,
+    motion,
+    position_filter,
+    quality,
+    repetition,
+    segmentation,
+)
 from core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
 from core.cleaning.fleet_clock import FLEET_CLOCK, RIDE_END, new_fleet_clock
 from core.cleaning.quality import Quality
@@ -28,16 +38,18 @@ from core.columns import TELEMETRY
 from core.compiled_cache import watch_sources
 from core.settings import Settings
 
-_OWN_FIELDS: Final = (
-    "battery_temperature",
-    "occupants",
+_PARTS: Final = (
+    *(clock, motion, position_filter, fix_motion, elevation, segmentation),
+    *(fleet_clock, meters, repetition),
 )
+_OWN_FIELDS: Final = ("battery_temperature", "occupants")
 _UNKNOWN_AT_FIRST: Final = {
     **segmentation.UNKNOWN_AT_FIRST,
     **dict.fromkeys(("seq", "latitude", "longitude", "pending_latitude", "pending_longitude"), nan),
     **dict.fromkeys(
         ("heading", "heading_latitude", "heading_longitude", "odometer", "speed", "acceleration", "ring"), nan
     ),
+    **dict.fromkeys(position_filter.UNKNOWN_AT_FIRST, nan),
     **dict.fromkeys(("elevation", "level", "offset_variance", *meters.UNKNOWN_AT_FIRST), nan),
     **dict.fromkeys(("battery_temperature", "occupants"), nan),
 }
@@ -45,10 +57,7 @@ _UNKNOWN_AT_FIRST: Final = {
 
 def _dtype() -> np.dtype[np.void]:
     """Return the layout of a lane's state: one stretch of memory, so that a sample touches few cache lines."""
-    parts = (
-        *(*clock.FIELDS, *motion.FIELDS, *elevation.FIELDS, *segmentation.FIELDS),
-        *(*fleet_clock.FIELDS, *meters.FIELDS, *repetition.FIELDS, *_OWN_FIELDS),
-    )
+    parts = (*(field for part in _PARTS for field in part.FIELDS), *_OWN_FIELDS)
     return np.dtype([(part, "f8") if isinstance(part, str) else (part[0], "f8", (part[1],)) for part in parts])
 
 
@@ -123,6 +132,9 @@ class Clean(NamedTuple):
         As reported with the sample, NaN where not. [K], [W], [A]
     code : (n,) float64
         Code of the ride's name, see `core.wire.rides.RideNames`.
+    fix_sd : (n,) float64
+        Standard deviation of a fix where fixes alone show the motion, NaN elsewhere. [m] There, tables have the motion
+        of `core.cleaning.position_smoother`.
     """
 
     lane: Ints
@@ -168,6 +180,7 @@ class Clean(NamedTuple):
     hvac: Floats
     current: Floats
     code: Floats
+    fix_sd: Floats
 
 
 _INPUTS: Final = (
@@ -410,7 +423,7 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
     row.quality += bits
     row.lane = row.raw_lane
     if dt == clock.UNUSED:
-        row.speed = state.smooth
+        row.speed, row.fix_sd = state.smooth, nan
     else:
         use_row(state, row, dt, settings)
         state.fix_latitude, state.fix_longitude = row.raw_latitude, row.raw_longitude
@@ -437,7 +450,11 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
 @njit(cache=False)
 def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Update the lane by a row that stands for `dt` seconds, and fill in the row."""
-    motion.move_car(state, row, dt, settings)
+    if fix_motion.has_only_fixes(state, row):
+        fix_motion.move_by_fixes(state, row, dt, settings)
+    else:
+        motion.move_car(state, row, dt, settings)
+        row.fix_sd = nan
     meters.integrate_power(state, row, dt, settings)
     changed = meters.update_soc(state, row, dt)
     if not isnan(row.raw_battery_temperature):
@@ -479,6 +496,4 @@ def begins_stop(state: Any) -> bool:
     return False
 
 
-watch_sources(
-    clean_rows, batch, clock, columns, elevation, fleet_clock, meters, motion, quality, repetition, segmentation
-)
+watch_sources(clean_rows, batch, columns, quality, *_PARTS)

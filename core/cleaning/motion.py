@@ -23,7 +23,7 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning.elevation import combine_elevation, update_climb
+from core.cleaning.elevation import climb_step
 from core.cleaning.quality import Quality
 from core.columns import EARTH_RADIUS, KMH
 
@@ -359,6 +359,4 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     state.acceleration = row.acceleration if known else nan
     if not isnan(state.pending_latitude):
         row.map_elevation = nan
-    elevation, spread = combine_elevation(state, row, dt)
-    row.climb = update_climb(state, elevation, spread, row.distance, settings)
-    row.elevation_fix, row.ground, row.ground_variance = row.raw_elevation, row.map_elevation, row.map_variance
+    climb_step(state, row, dt, settings)
