@@ -14,6 +14,7 @@ keeps the causal motion.
 filterpy is imported when the first ride of such a car is smoothed, because its import takes two seconds.
 """
 
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -38,14 +39,18 @@ FASTEST: Final = 85.0
 """Speed beyond which two fixes belong to two parts: more than the highest speed limit that may be set. [m/s]"""
 LONGEST_CURVE: Final = 60.0
 """Longest step on which the path is a curve; on a longer one it is straight, since speeds do not last so long. [s]"""
+BEND: Final = 0.2
+"""Share of the excess of a curve over its chord that is driven, on steps of 10 s and more. [1]"""
 TRAIL: Final = 5.0
 """Time after the last fix for which the car goes on as it did. [s]"""
 HOLE: Final = 12.0
 """Least time between two fixes that is a hole in a quick sequence of fixes. [s]"""
 SPARSE: Final = 3.5
 """The same in median times between fixes."""
-OFF: Final = 2.5
+OFF: Final = 1.0
 """Distance from the place of a stop beyond which a fix at its end belongs to the drive. [standard deviations]"""
+PASSES: Final = 2
+"""Number of times that the place and the ends of a stop are found."""
 MOST_CHANGE: Final = 0.25
 """Largest change of the distance of a ride; beyond it something is wrong with the fixes. [1]"""
 LEAST_CHANGE: Final = 200.0
@@ -101,7 +106,7 @@ def _smooth_ride(clean: Clean, ride: Ints) -> None:
     north, east = _find_places(clean.latitude[ride], clean.longitude[ride])
     is_new = np.r_[True, (np.diff(north) != 0.0) | (np.diff(east) != 0.0)]
     time = np.cumsum(dt)
-    still, is_new = _find_stands(clean, ride, time, north, east, is_new)
+    still = _find_stands(clean, ride, time, north, east, is_new)
     path = np.full((len(ride), 4), np.nan)
     fixes = np.flatnonzero(is_new)
     way = np.hypot(np.diff(north[fixes]), np.diff(east[fixes]))
@@ -125,29 +130,30 @@ def _find_places(latitude: Floats, longitude: Floats) -> tuple[Floats, Floats]:
 
 def _find_stands(
     clean: Clean, ride: Ints, time: Floats, north: Floats, east: Floats, is_new: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return where the car stands, and which rows have a new fix, without those of a stop that was a hole.
+) -> NDArray[np.bool_]:
+    """Return where the car stands.
 
-    The causal filter notes the end of a stop late: fixes at its end that lie beyond the scatter belong to the drive. A
+    The causal filter notes the ends of a stop late: fixes at its ends that lie beyond the scatter belong to the drive. A
     stop whose fix stays the same until one follows that no car can have reached from rest is a receiver without
     reception.
     """
-    still = clean.stopped[ride] == 1.0
-    edges = np.flatnonzero(np.diff(np.r_[False, still, False].astype(np.int8)))
+    stopped = clean.stopped[ride] == 1.0
+    still = np.zeros(len(ride), np.bool_)
+    edges = np.flatnonzero(np.diff(np.r_[False, stopped, False].astype(np.int8)))
     for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        fixes = begin + np.flatnonzero(is_new[begin:end])
-        fixes = np.append(fixes, begin) if len(fixes) == 0 else fixes
-        at_north, at_east = np.median(north[fixes]), np.median(east[fixes])
-        off = np.hypot(north - at_north, east - at_east)
-        scatter = max(LEAST_SCATTER, float(np.median(clean.fix_sd[ride[begin:end]])), float(np.median(off[fixes])))
-        last = end
-        while last > begin and off[last - 1] > OFF * scatter:
-            last -= 1
-        still[last:end] = False
-        if last == end < len(off) and not is_new[begin + 1 : end].any():
+        first, last = begin, end
+        for _ in range(PASSES):
+            inside = slice(first, last)
+            off = np.hypot(north - np.median(north[inside]), east - np.median(east[inside]))
+            scatter = max(LEAST_SCATTER, float(np.median(clean.fix_sd[ride[inside]])), float(np.median(off[inside])))
+            near = begin + np.flatnonzero(off[begin:end] <= OFF * scatter)
+            first, last = int(near[0]), int(near[-1]) + 1
+        still[first:last] = True
+        if last == end < len(ride) and not is_new[begin + 1 : end].any():
             lag = time[end] - time[end - 1]
-            still[begin:end] = off[end] <= 0.5 * motion.HARDEST * lag * lag + motion.SLACK
-    return still, is_new
+            way = np.hypot(north[end] - north[end - 1], east[end] - east[end - 1])
+            still[first:last] = way <= 0.5 * motion.HARDEST * lag * lag + motion.SLACK
+    return still
 
 
 def smooth_path(
@@ -201,6 +207,7 @@ def make_filter(north: float, east: float, noise: float) -> Any:
     return kalman
 
 
+@lru_cache(maxsize=1000)
 def describe_step(dt: float) -> tuple[Floats, Floats]:
     """Return the transition and the process noise of a step. [s]"""
     from filterpy.common import Q_discrete_white_noise  # noqa: PLC0415 - as above
@@ -264,7 +271,8 @@ def find_lengths(dt: Floats, way: Floats, before: Floats, after: Floats) -> Floa
     """
     middle = 1.5 * way / dt[:, None] - 0.25 * (before + after)
     curve = dt / 6.0 * sum(k * np.hypot(v[:, 0], v[:, 1]) for k, v in ((1.0, before), (4.0, middle), (1.0, after)))
-    return np.where(dt > LONGEST_CURVE, np.hypot(way[:, 0], way[:, 1]), curve)
+    chord = np.hypot(way[:, 0], way[:, 1])
+    return chord + np.where(dt > LONGEST_CURVE, 0.0, np.where(dt < 6.0, 1.0, BEND)) * (curve - chord)
 
 
 def _find_scale(odometer: Floats, distance: Floats) -> float:
