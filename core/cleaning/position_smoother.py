@@ -37,10 +37,10 @@ from core.columns import EARTH_RADIUS
 
 FASTEST: Final = 85.0
 """Speed beyond which two fixes belong to two parts: more than the highest speed limit that may be set. [m/s]"""
-LONGEST_CURVE: Final = 60.0
+LONGEST_CURVE: Final = 6.0
 """Longest step on which the path is a curve; on a longer one it is straight, since speeds do not last so long. [s]"""
-BEND: Final = 0.2
-"""Share of the excess of a curve over its chord that is driven, on steps of 10 s and more. [1]"""
+SURGE: Final = 1.2
+"""Largest ratio of the speed at the end of such a straight step to the mean speeds on both sides. [1]"""
 TRAIL: Final = 5.0
 """Time after the last fix for which the car goes on as it did. [s]"""
 HOLE: Final = 12.0
@@ -49,6 +49,8 @@ SPARSE: Final = 3.5
 """The same in median times between fixes."""
 OFF: Final = 1.0
 """Distance from the place of a stop beyond which a fix at its end belongs to the drive. [standard deviations]"""
+HOLDS: Final = 1.5
+"""Ratio of the time between new fixes to that between rows from which the receiver holds its fixes. [1]"""
 PASSES: Final = 2
 """Number of times that the place and the ends of a stop are found."""
 MOST_CHANGE: Final = 0.25
@@ -106,7 +108,8 @@ def _smooth_ride(clean: Clean, ride: Ints) -> None:
     north, east = _find_places(clean.latitude[ride], clean.longitude[ride])
     is_new = np.r_[True, (np.diff(north) != 0.0) | (np.diff(east) != 0.0)]
     time = np.cumsum(dt)
-    still = _find_stands(clean, ride, time, north, east, is_new)
+    is_lost, is_fix = _find_losses(time, north, east, is_new)
+    still = _find_stands(clean, ride, north, east) & ~is_lost
     path = np.full((len(ride), 4), np.nan)
     fixes = np.flatnonzero(is_new)
     way = np.hypot(np.diff(north[fixes]), np.diff(east[fixes]))
@@ -117,8 +120,8 @@ def _smooth_ride(clean: Clean, ride: Ints) -> None:
         last = min(last, int(ends[0])) if len(ends) else last
         span = slice(int(part[0]), max(last, int(part[-1]) + 1))
         noise = np.maximum(clean.fix_sd[ride][span], LEAST_NOISE)
-        path[span] = smooth_path(dt[span], north[span], east[span], noise, is_new[span], still[span])
-    _fill_motion(clean, ride, time, path, still, is_new)
+        path[span] = smooth_path(dt[span], north[span], east[span], noise, is_fix[span], still[span])
+    _fill_motion(clean, ride, time, path, still, is_fix)
 
 
 def _find_places(latitude: Floats, longitude: Floats) -> tuple[Floats, Floats]:
@@ -128,14 +131,30 @@ def _find_places(latitude: Floats, longitude: Floats) -> tuple[Floats, Floats]:
     return EARTH_RADIUS * (latitude - latitude[0]), EARTH_RADIUS * np.cos(middle) * east
 
 
-def _find_stands(
-    clean: Clean, ride: Ints, time: Floats, north: Floats, east: Floats, is_new: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _find_losses(
+    time: Floats, north: Floats, east: Floats, is_new: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the rows without reception, and the rows whose fix is a measurement.
+
+    A fix that stays the same until one follows that no car can have reached from rest is none. Otherwise it shows that
+    the car stands, unless the receiver holds its fixes for several rows.
+    """
+    fixes = np.append(np.flatnonzero(is_new), len(time))
+    is_lost = np.zeros(len(time), np.bool_)
+    for begin, end in zip(fixes[:-1].tolist(), fixes[1:].tolist(), strict=True):
+        if begin + 1 < end < len(time):
+            lag = time[end] - time[end - 1]
+            way = np.hypot(north[end] - north[end - 1], east[end] - east[end - 1])
+            is_lost[begin + 1 : end] = way > 0.5 * motion.HARDEST * lag * lag + motion.SLACK
+    steps = np.diff(time)
+    holds = len(fixes) > 2 and np.median(np.diff(time[fixes[:-1]])) > HOLDS * np.median(steps[steps > 0.0])
+    return is_lost, is_new if holds else ~is_lost
+
+
+def _find_stands(clean: Clean, ride: Ints, north: Floats, east: Floats) -> NDArray[np.bool_]:
     """Return where the car stands.
 
-    The causal filter notes the ends of a stop late: fixes at its ends that lie beyond the scatter belong to the drive. A
-    stop whose fix stays the same until one follows that no car can have reached from rest is a receiver without
-    reception.
+    The causal filter notes the ends of a stop late: fixes at its ends that lie beyond the scatter belong to the drive.
     """
     stopped = clean.stopped[ride] == 1.0
     still = np.zeros(len(ride), np.bool_)
@@ -149,10 +168,6 @@ def _find_stands(
             near = begin + np.flatnonzero(off[begin:end] <= OFF * scatter)
             first, last = int(near[0]), int(near[-1]) + 1
         still[first:last] = True
-        if last == end < len(ride) and not is_new[begin + 1 : end].any():
-            lag = time[end] - time[end - 1]
-            way = np.hypot(north[end] - north[end - 1], east[end] - east[end - 1])
-            still[first:last] = way <= 0.5 * motion.HARDEST * lag * lag + motion.SLACK
     return still
 
 
@@ -227,7 +242,7 @@ def take_fix_softly(kalman: Any, fix: Floats, variance: float) -> None:
 
 
 def _fill_motion(
-    clean: Clean, ride: Ints, time: Floats, path: Floats, still: NDArray[np.bool_], is_new: NDArray[np.bool_]
+    clean: Clean, ride: Ints, time: Floats, path: Floats, still: NDArray[np.bool_], is_fix: NDArray[np.bool_]
 ) -> None:
     """Fill in the columns of motion by a smoothed path, where it is known at both ends of a step."""
     dt = clean.dt[ride]
@@ -238,6 +253,7 @@ def _fill_motion(
     distance = np.zeros(len(ride))
     distance[at] = find_lengths(dt[at], np.diff(path[:, ::2], axis=0)[at - 1], rates[at - 1], rates[at])
     distance[at[still[at] & still[at - 1]]] = 0.0
+    speed = _limit_surges(speed, distance, dt)
     scale = _find_scale(clean.odometer[ride], distance)
     causal, whole = clean.distance[ride][at].sum(), scale * distance[at].sum()
     if abs(whole - causal) > max(MOST_CHANGE * causal, LEAST_CHANGE):
@@ -254,7 +270,7 @@ def _fill_motion(
     clean.turn_rate[rows] = np.where(np.isnan(turn), 0.0, turn / dt[at])
     clean.heading[rows] = np.where(np.isnan(heading), clean.heading[rows], heading)
     _fill_stops(clean, ride, speed, known)
-    _mark_holes(clean, ride, time, is_new | still, known)
+    _mark_holes(clean, ride, time, is_fix | still, known)
 
 
 def find_lengths(dt: Floats, way: Floats, before: Floats, after: Floats) -> Floats:
@@ -272,7 +288,15 @@ def find_lengths(dt: Floats, way: Floats, before: Floats, after: Floats) -> Floa
     middle = 1.5 * way / dt[:, None] - 0.25 * (before + after)
     curve = dt / 6.0 * sum(k * np.hypot(v[:, 0], v[:, 1]) for k, v in ((1.0, before), (4.0, middle), (1.0, after)))
     chord = np.hypot(way[:, 0], way[:, 1])
-    return chord + np.where(dt > LONGEST_CURVE, 0.0, np.where(dt < 6.0, 1.0, BEND)) * (curve - chord)
+    return np.where(dt > LONGEST_CURVE, chord, curve)
+
+
+def _limit_surges(speed: Floats, distance: Floats, dt: Floats) -> Floats:
+    """Return speeds limited by the mean speeds of the steps on both sides, where one of them is long. [m/s]"""
+    mean = np.divide(distance, dt, out=np.zeros(len(dt)), where=dt > 0.0)
+    most = SURGE * np.maximum(mean, np.r_[mean[1:], mean[-1]])
+    is_long = np.maximum(dt, np.r_[dt[1:], dt[-1]]) > LONGEST_CURVE
+    return np.where(is_long, np.fmin(speed, most), speed)
 
 
 def _find_scale(odometer: Floats, distance: Floats) -> float:
