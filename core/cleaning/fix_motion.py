@@ -32,6 +32,8 @@ NEAR_STEPS: Final = 5.0
 """Distance from the last change of the odometer up to which fixes may drift. [changes]"""
 NEAR_CHANGE: Final = 500.0
 """The same for an odometer with small changes. Beyond both, the odometer is stuck. [m]"""
+FEW_TICKS: Final = 2.0
+"""Number of changes from which the odometer is a witness."""
 MOST_MISSING: Final = 0.25
 """Largest share that fixes without a hole miss of the distance; beyond it, the odometer has another unit. [1]"""
 
@@ -156,6 +158,8 @@ def move_by_fixes(state: Any, row: Any, dt: float, settings: Any) -> None:
     if is_bridge and row.distance > 0.0:
         row.quality += 0 if dt > hole and dt <= 1.5 * state.period else motion.BRIDGED
         row.speed = max(motion.BRIDGING, row.speed, row.distance / max(age, settings.period))
+    elif row.distance > 0.0 and age > position_filter.SPARSE and state.odometer_ticks < FEW_TICKS:
+        row.quality += motion.BRIDGED
     elif row.distance > 0.0 and row.speed * age < 0.5 * row.distance:  # it leaves the place where it stood
         row.speed = row.distance / max(age, settings.period)
     row.speed = min(settings.speed_limit, row.speed)

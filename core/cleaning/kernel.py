@@ -50,7 +50,7 @@ _UNKNOWN_AT_FIRST: Final = {
         ("heading", "heading_latitude", "heading_longitude", "odometer", "speed", "acceleration", "ring"), nan
     ),
     **dict.fromkeys(position_filter.UNKNOWN_AT_FIRST, nan),
-    **dict.fromkeys(("elevation", "level", "offset_variance", *meters.UNKNOWN_AT_FIRST), nan),
+    **dict.fromkeys((*elevation.UNKNOWN_AT_FIRST, *meters.UNKNOWN_AT_FIRST), nan),
     **dict.fromkeys(("battery_temperature", "occupants"), nan),
 }
 

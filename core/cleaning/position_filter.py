@@ -137,6 +137,8 @@ LEAP_SCATTER: Final = 6.0
 """The same in standard deviations of the scatter."""
 CLEAR: Final = 3.0
 """Length of a step whose direction is that of the car. [standard deviations]"""
+SPARSE: Final = 20.0
+"""Time between two fixes above which the distance is not known to 3 %, unless by an odometer. [s]"""
 HOME_TIME: Final = 600.0
 """Time for which the place before a leap is kept. [s]"""
 

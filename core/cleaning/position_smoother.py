@@ -29,6 +29,7 @@ from core.cleaning.position_filter import (
     GATE,
     LEAST_NOISE,
     LEAST_SCATTER,
+    SPARSE,
     STILL_SPEED,
     find_acceleration_variance,
 )
@@ -45,7 +46,7 @@ TRAIL: Final = 5.0
 """Time after the last fix for which the car goes on as it did. [s]"""
 HOLE: Final = 12.0
 """Least time between two fixes that is a hole in a quick sequence of fixes. [s]"""
-SPARSE: Final = 3.5
+HOLE_STEPS: Final = 3.5
 """The same in median times between fixes."""
 OFF: Final = 1.0
 """Distance from the place of a stop beyond which a fix at its end belongs to the drive. [standard deviations]"""
@@ -254,7 +255,7 @@ def _fill_motion(
     distance[at] = find_lengths(dt[at], np.diff(path[:, ::2], axis=0)[at - 1], rates[at - 1], rates[at])
     distance[at[still[at] & still[at - 1]]] = 0.0
     speed = _limit_surges(speed, distance, dt)
-    scale = _find_scale(clean.odometer[ride], distance)
+    scale, by_odometer = _find_scale(clean.odometer[ride], distance)
     causal, whole = clean.distance[ride][at].sum(), scale * distance[at].sum()
     if abs(whole - causal) > max(MOST_CHANGE * causal, LEAST_CHANGE):
         return
@@ -270,7 +271,7 @@ def _fill_motion(
     clean.turn_rate[rows] = np.where(np.isnan(turn), 0.0, turn / dt[at])
     clean.heading[rows] = np.where(np.isnan(heading), clean.heading[rows], heading)
     _fill_stops(clean, ride, speed, known)
-    _mark_holes(clean, ride, time, is_fix | still, known)
+    _mark_holes(clean, ride, time, is_fix | still, known, by_odometer)
 
 
 def find_lengths(dt: Floats, way: Floats, before: Floats, after: Floats) -> Floats:
@@ -299,17 +300,17 @@ def _limit_surges(speed: Floats, distance: Floats, dt: Floats) -> Floats:
     return np.where(is_long, np.fmin(speed, most), speed)
 
 
-def _find_scale(odometer: Floats, distance: Floats) -> float:
-    """Return the factor by which the distances of a ride agree with its odometer within one of its steps. [1]"""
+def _find_scale(odometer: Floats, distance: Floats) -> tuple[float, bool]:
+    """Return the factor by which distances agree with the odometer within a step [1], and whether it measures them."""
     changes = np.flatnonzero(np.diff(odometer) > 0.0) + 1
     if len(changes) < 2 or np.isnan(odometer[changes[0] :]).any() or (np.diff(odometer[changes[0] :]) < 0.0).any():
-        return 1.0
+        return 1.0, False
     step = float(np.diff(odometer)[changes - 1].min())
     driven = float(odometer[changes[-1]] - odometer[changes[0]])
     along = float(distance[changes[0] + 1 : changes[-1] + 1].sum())
     if driven < MANY_STEPS * step or along <= 0.0:
-        return 1.0
-    return min(max(along, driven - step), driven + step) / along
+        return 1.0, False
+    return min(max(along, driven - step), driven + step) / along, True
 
 
 def _fill_neighbours(clean: Clean, rows: Ints, rise: Floats, follows: NDArray[np.bool_]) -> None:
@@ -336,13 +337,16 @@ def _fill_stops(clean: Clean, ride: Ints, speed: Floats, known: NDArray[np.bool_
             stands = bool(clean.stopped[ride[i]])
 
 
-def _mark_holes(clean: Clean, ride: Ints, time: Floats, measured: NDArray[np.bool_], known: NDArray[np.bool_]) -> None:
+def _mark_holes(
+    clean: Clean, ride: Ints, time: Floats, measured: NDArray[np.bool_], known: NDArray[np.bool_], by_odometer: bool
+) -> None:
     """Mark the rows of long times without a fix as bridged."""
     at = np.flatnonzero(measured)
     if len(at) < 2:
         return
     gaps = np.diff(time[at])
-    holes = np.flatnonzero(gaps > max(HOLE, SPARSE * float(np.median(gaps))))
+    least = max(HOLE, HOLE_STEPS * float(np.median(gaps)))
+    holes = np.flatnonzero(gaps > (least if by_odometer else min(least, SPARSE)))
     for begin, end in zip(at[holes].tolist(), at[holes + 1].tolist(), strict=True):
         rows = ride[begin + 1 : end + 1][known[begin + 1 : end + 1]]
         clean.quality[rows] |= int(Quality.BRIDGED)
