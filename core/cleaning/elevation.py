@@ -12,6 +12,10 @@ Outside the map the elevation is z - o, so that a car that leaves the map climbs
 after a few fixes. A car that has never been on a map has its fixes alone. At its first fix on a map, the elevation so
 far is shifted by the offset, so that the change of reference is no climb.
 
+A fix from which the road would be steeper than any is not used. The slope is measured from a fix at least `BASE` back,
+so that many small steps make no cliff. Where fixes stay at another level over that distance, the reference of the
+receiver has changed: the elevation follows, and the change is no climb.
+
 The elevation is smoothed over distance, so that a standing car climbs nothing. It then passes a backlash (a play
 operator, Brokate and Sprekels, Hysteresis and Phase Transitions, Springer 1996, DOI 10.1007/978-1-4612-4048-8), so that
 noise of a few metres makes no hills. Smoothing length L and slack suit fixes alone; they are reduced in proportion to
@@ -21,17 +25,37 @@ their height (for L of 80 m, 99 % for 3.6 km and 89 % for 1 km), and each turn o
 slack. The climb that the filter has not passed on when a ride ends is missing from the ride.
 """
 
-from math import isnan, sqrt
+from math import isnan, nan, sqrt
 from typing import Any, Final
 
 from numba import njit
+
+from core.cleaning.quality import Quality
 
 FIELDS: Final = (
     "elevation",  # smoothed [m]
     "level",  # after the backlash [m]
     "elevation_offset",  # of the car's fixes to the map [m]
     "offset_variance",  # NaN until the car has been on a map [m^2]
+    "base_height",  # fix from which slopes are measured [m]
+    "base_run",  # distance since then [m]
+    "steep_height",  # first of the fixes that were too steep, NaN without one [m]
+    "steep_run",  # distance since then [m]
 )
+UNKNOWN_AT_FIRST: Final = ("elevation", "level", "offset_variance", "base_height", "steep_height")
+"""Fields of a new lane that are NaN."""
+SLOPE_REJECTED: Final = int(Quality.SLOPE_REJECTED)
+
+STEEPEST: Final = 0.3
+"""Steepest slope of a road over `BASE`. [1]
+
+Baldwin Street, Dunedin, the steepest street (Guinness World Records, 2020), has 35 % at one place and 20 % on average
+over its 350 m; the passes of the Alps have up to 30 % over some hundred metres.
+"""
+BASE: Final = 150.0
+"""Distance over which a slope is measured. [m]"""
+SURE: Final = 15.0
+"""Difference of two fixes on level road that is no slope: three times the error of a poor receiver. [m]"""
 
 FIX_SD: Final = 2.0
 """Standard deviation of fixes for which the defaults of `elevation_length` and `elevation_slack` were chosen. [m]"""
@@ -45,6 +69,13 @@ GATE: Final = 5.0
 """Deviation beyond which a fix is not used. [standard deviations]"""
 DOUBT: Final = 0.01
 """Share of the square of such a deviation that is added to the variance of the offset. [1]"""
+
+
+ROAD: Final = 0
+STEEP: Final = 1
+STILL_STEEP: Final = 2
+NEW_LEVEL: Final = 3
+"""Whether a road leads to a fix, it is the first of a level to which none does, a later one, or that level lasts."""
 
 
 @njit(cache=False)
@@ -86,6 +117,51 @@ def refer_to_map(state: Any, row: Any) -> None:
         state.elevation_offset = reported - row.map_elevation
         state.elevation -= state.elevation_offset
         state.level -= state.elevation_offset
+
+
+@njit(cache=False)
+def climb_step(state: Any, row: Any, dt: float, settings: Any) -> None:
+    """Fill in the climb of a row whose distance is known, and the readings that tables smooth."""
+    row.elevation_fix, row.ground, row.ground_variance = row.raw_elevation, row.map_elevation, row.map_variance
+    check_slope(state, row)
+    elevation, spread = combine_elevation(state, row, dt)
+    row.climb = update_climb(state, elevation, spread, row.distance, settings)
+
+
+@njit(cache=False)
+def weigh_slope(state: Any, fix: float) -> tuple[int, float]:
+    """Return whether a road leads to a fix [m], and for a new level its height above the base [m]."""
+    if isnan(state.base_height):
+        state.base_height, state.base_run = fix, 0.0
+    rise = fix - state.base_height
+    outcome = ROAD
+    if abs(rise) > STEEPEST * state.base_run + SURE:
+        if isnan(state.steep_height) or abs(fix - state.steep_height) > STEEPEST * state.steep_run + SURE:
+            state.steep_height, state.steep_run = fix, 0.0
+            return STEEP, 0.0
+        if state.steep_run < BASE:
+            return STILL_STEEP, 0.0
+        outcome = NEW_LEVEL
+    state.steep_height = nan
+    if outcome == NEW_LEVEL or state.base_run >= BASE:
+        state.base_height, state.base_run = fix, 0.0
+    return outcome, rise
+
+
+@njit(cache=False)
+def check_slope(state: Any, row: Any) -> None:
+    """Reject the fix of a row to which no road leads; shift the elevation to a new level."""
+    state.base_run += row.distance
+    state.steep_run += row.distance
+    if isnan(row.raw_elevation):
+        return
+    outcome, rise = weigh_slope(state, row.raw_elevation)
+    if outcome in (STEEP, STILL_STEEP):
+        row.raw_elevation = nan
+        row.quality = float(int(row.quality) | SLOPE_REJECTED)
+    elif outcome == NEW_LEVEL and isnan(state.offset_variance):
+        state.elevation += rise
+        state.level += rise
 
 
 @njit(cache=False)

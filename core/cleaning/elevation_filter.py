@@ -29,6 +29,7 @@ import numpy as np
 from numba import njit
 
 from core.batch import Floats
+from core.cleaning.elevation import STEEPEST
 
 LENGTH: Final = 300.0
 """Length over which the slope of a road returns to level. [m]
@@ -44,8 +45,6 @@ GATE: Final = 6.0
 """Largest difference between a fix and its prediction. [standard deviations]"""
 MOST_REJECTED: Final = 3
 """Number of fixes in succession that may contradict the filter; one more, and it was wrong since the first."""
-STEEPEST: Final = 0.35
-"""Largest slope of a street: that of Baldwin Street, Dunedin. [1]"""
 SURE: Final = 3.0
 """Difference beyond the steepest slope from which the reference of fixes has changed. [standard deviations]"""
 GROUND_LENGTH: Final = 90.0

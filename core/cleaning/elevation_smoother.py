@@ -4,6 +4,8 @@
 correlation time of the errors of fixes, that have the greatest likelihood, under a prior that matters for short rides
 only.
 
+Fixes to which no road leads are not used, as in `core.cleaning.elevation`.
+
 On a map, the offset of the fixes of a ride is the median of their differences from the map. Its variance is added to
 that of the map.
 """
@@ -16,7 +18,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from core.batch import Ints
-from core.cleaning import elevation_filter
+from core.cleaning import elevation, elevation_filter
+from core.cleaning.clean_columns import Clean
+from core.cleaning.elevation import NEW_LEVEL, STEEP, STILL_STEEP, weigh_slope
 from core.cleaning.elevation_filter import (
     ESTIMATE,
     UNIT_NOISE,
@@ -25,7 +29,6 @@ from core.cleaning.elevation_filter import (
     filter_ride,
     smooth_back,
 )
-from core.cleaning.kernel import Clean
 from core.compiled_cache import watch_sources
 
 LONGEST_PIECE: Final = 50_000
@@ -49,6 +52,8 @@ ROUGHNESS_SPREAD: Final = 2.0
 SD_SPREAD: Final = 2.0
 TIME_SPREAD: Final = 1.5
 """Standard deviations of the prior, in steps of the grids."""
+SLOPE: Final = np.dtype([(name, "f8") for name in ("base_height", "base_run", "steep_height", "steep_run")])
+"""State of `weigh_slope`."""
 MOST_STEPS: Final = 8
 """Largest number of steps from the usual value on each grid."""
 SWEEPS: Final = 3
@@ -147,6 +152,7 @@ def smooth_rides(steps: Any, edges: Any, unit: Any, heights: Any, climbs: Any) -
             continue
         offset, variance = find_offset(fix, ground)
         distance, time = steps[0, begin:end], steps[1, begin:end]
+        fix = reject_slopes(distance, fix)
         ride = RideSteps(distance, time, fix - offset, ground, steps[4, begin:end] + variance)
         noise = find_noise(ride, unit)
         predicted, updated = np.zeros(end - begin, ESTIMATE), np.zeros(end - begin, ESTIMATE)
@@ -159,6 +165,26 @@ def smooth_rides(steps: Any, edges: Any, unit: Any, heights: Any, climbs: Any) -
                 climbs[begin + j] = describe_step(distance[j])[0] * updated[j].slope
             else:
                 climbs[begin + j] = updated[j].height - updated[j - 1].height
+
+
+@njit(cache=True)
+def reject_slopes(distance: Any, fix: Any) -> Any:
+    """Return fixes [m] without those to which no road leads; those of a level that lasts are kept."""
+    slope, kept, first = np.zeros(1, SLOPE)[0], fix.copy(), 0
+    slope.base_height = slope.steep_height = nan
+    for i in range(len(fix)):
+        slope.base_run += distance[i]
+        slope.steep_run += distance[i]
+        if isnan(fix[i]):
+            continue
+        outcome = weigh_slope(slope, fix[i])[0]
+        if outcome == STEEP:
+            first = i
+        if outcome in (STEEP, STILL_STEEP):
+            kept[i] = nan
+        elif outcome == NEW_LEVEL:
+            kept[first:i] = fix[first:i]
+    return kept
 
 
 @njit(cache=True)
@@ -231,4 +257,4 @@ def find_difference(fix: Any) -> float:
 
 
 for _function in (smooth_rides, find_noise):
-    watch_sources(_function, elevation_filter)
+    watch_sources(_function, elevation_filter, elevation)

@@ -1,17 +1,16 @@
 """The one sequential kernel: everything that depends on an earlier row of the same lane.
 
 The kernel is causal: the output of a row depends on that row and on the state of its lane. Any chunking of the input
-therefore gives bitwise the same output. Its parts are the files `clock.py`, `motion.py`, `speed_noise.py`,
-`elevation.py`, `meters.py`, `repetition.py`, `segmentation.py` and `fleet_clock.py`, each with the fields of the state
-that it keeps. This file composes them. Between two rows, a ride may end by a message of dispatch, or because the other
-cars show that its car is silent.
+therefore gives bitwise the same output. Its parts are the files in `_PARTS`, each with the fields of the state that it
+keeps. This file composes them. Between two rows, a ride may end by a message of dispatch, or because the other cars
+show that its car is silent.
 
 In all of them `state` is the record of the lane (`STATE`), `row` the record of the sample, whose raw values are named
 `raw_*`, and `settings` the record of the operator's settings.
 """
 
 from math import isnan, nan
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
@@ -22,9 +21,11 @@ from core.batch import Batch, Floats, Ints, grown, take_lanes
 from core.cleaning import (
     clock,
     elevation,
+    fix_motion,
     fleet_clock,
     meters,
     motion,
+    position_filter,
     power_sign,
     quality,
     repetition,
@@ -34,6 +35,7 @@ from core.cleaning import (
     speed_witness,
     sphere,
 )
+from core.cleaning.clean_columns import Clean
 from core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
 from core.cleaning.fleet_clock import FLEET_CLOCK, RIDE_END, new_fleet_clock
 from core.cleaning.quality import Quality
@@ -42,29 +44,26 @@ from core.columns import TELEMETRY
 from core.compiled_cache import watch_sources
 from core.settings import Settings
 
-_OWN_FIELDS: Final = (
-    "battery_temperature",
-    "occupants",
+_PARTS: Final = (
+    *(clock, motion, position_filter, fix_motion, elevation, segmentation),
+    *(fleet_clock, meters, power_sign, repetition, speed_noise, speed_witness),
 )
+_OWN_FIELDS: Final = ("battery_temperature", "occupants")
 _UNKNOWN_AT_FIRST: Final = {
     **segmentation.UNKNOWN_AT_FIRST,
     **dict.fromkeys(("seq", "latitude", "longitude", "pending_latitude", "pending_longitude"), nan),
     **dict.fromkeys(
         ("heading", "heading_latitude", "heading_longitude", "odometer", "speed", "acceleration", "ring"), nan
     ),
-    **dict.fromkeys(("elevation", "level", "offset_variance", *meters.UNKNOWN_AT_FIRST), nan),
-    **dict.fromkeys((*speed_noise.UNKNOWN_AT_FIRST, *speed_witness.UNKNOWN_AT_FIRST), nan),
+    **dict.fromkeys((*position_filter.UNKNOWN_AT_FIRST, *speed_noise.UNKNOWN_AT_FIRST), nan),
+    **dict.fromkeys((*elevation.UNKNOWN_AT_FIRST, *meters.UNKNOWN_AT_FIRST, *speed_witness.UNKNOWN_AT_FIRST), nan),
     **dict.fromkeys(("battery_temperature", "occupants"), nan),
 }
 
 
 def _dtype() -> np.dtype[np.void]:
     """Return the layout of a lane's state: one stretch of memory, so that a sample touches few cache lines."""
-    parts = (
-        *(*clock.FIELDS, *motion.FIELDS, *elevation.FIELDS, *segmentation.FIELDS),
-        *(*fleet_clock.FIELDS, *meters.FIELDS, *power_sign.FIELDS, *repetition.FIELDS),
-        *(*speed_noise.FIELDS, *speed_witness.FIELDS, *_OWN_FIELDS),
-    )
+    parts = (*(field for part in _PARTS for field in part.FIELDS), *_OWN_FIELDS)
     return np.dtype([(part, "f8") if isinstance(part, str) else (part[0], "f8", (part[1],)) for part in parts])
 
 
@@ -78,128 +77,6 @@ def new_lane_state(lanes: int) -> NDArray[np.void]:
     for name, value in _UNKNOWN_AT_FIRST.items():
         state[name] = value
     return state
-
-
-class Clean(NamedTuple):
-    """Hold cleaned telemetry: equally long columns, one row per sample.
-
-    Rejected samples contribute zero time and zero distance.
-
-    Parameters
-    ----------
-    lane : (n,) int64
-        Lane of the vehicle.
-    ride : (n,) int64
-        Ordinal of the ride in its lane, -1 outside rides.
-    window : (n,) int64
-        Ordinal of the window in its lane.
-    quality : (n,) int64
-        Bits of `core.cleaning.quality.Quality`.
-    due : (n,) bool
-        Whether a forecast is due at this sample.
-    time : (n,) float64
-        Repaired Unix time. [s]
-    dt, travel : (n,) float64
-        Time that the row stands for, and time in which its distance was driven. [s]
-    distance, climb : (n,) float64
-        Distance driven in the step, and change of elevation. [m] `climb` is causal here; `core.totals.deferred_rows`
-        replaces it, and `elevation`, by the two-sided estimate.
-    causal_climb : (n,) float64
-        Change of elevation in the step from fixes up to this row only. [m]
-    speed, acceleration : (n,) float64
-        Over the step, of the reported speed or of its moving average. [m/s], [m/s^2]
-    acceleration_spread : (n,) float64
-        Standard deviation of the acceleration within the step; 0 where unknown. [m/s^2]
-    wide_speed, wide_acceleration : (n,) float64
-        Over the step and the one before, or over the step where that is unknown. [m/s], [m/s^2]
-    latitude, longitude, heading, turn_rate : (n,) float64
-        Of the last accepted fix. [rad], the last one [rad/s]
-    elevation : (n,) float64
-        Smoothed elevation. [m]
-    elevation_fix : (n,) float64
-        Elevation by a new fix; NaN where there is none, or where the receiver repeats the last fix. [m]
-    ground, ground_variance : (n,) float64
-        Elevation of the map under the fix [m], NaN where it is unknown or the receiver repeats the last fix; variance
-        of its error [m^2].
-    power : (n,) float64
-        Power drawn from the battery at the sample, by voltage times current; NaN where not measured. [W]
-    energy, metered : (n,) float64
-        Energy drawn from the battery in the step, by voltage times current [J], and the time for which it is known [s].
-    energy_variance : (n,) float64
-        Variance of that energy, because the power between two samples is unknown. [J^2]
-    elapsed, parked, since_charge : (n,) float64
-        Time since the ride began, time parked before the ride, time since the car last charged. [s]
-    lost : (n,) float64
-        Where a ride begins or ends: time before the row that no sample covers. [s]
-    mistimed : (n,) float64
-        Time by which earlier steps turn out to be wrong with this row. [s]
-    unseen : (n,) float64
-        Time for which a bridged distance was driven beyond the time that passed. [s]
-    disputed : (n,) float64
-        Distance that was counted, and that fixes or odometer dispute with this row. [m]
-    path, path_run : (n,) float64
-        Where a section between two fixes ends: distance of the fixes, and distance counted between them. [m]
-    stop, stopped : (n,) float64
-        1 where a stop begins; 1 while the car stands.
-    soc, soc_step, odometer, battery_temperature, occupants : (n,) float64
-        As last reported. [1], [1], [m], [K], [1]
-    ambient, hvac, current : (n,) float64
-        As reported with the sample, NaN where not. [K], [W], [A]
-    speed_scale : (n,) float64
-        Factor by which the reported speed was multiplied, 0 for a factor of 1. [1]
-    code : (n,) float64
-        Code of the ride's name, see `core.wire.rides.RideNames`.
-    """
-
-    lane: Ints
-    ride: Ints
-    window: Ints
-    quality: Ints
-    due: NDArray[np.bool_]
-    time: Floats
-    dt: Floats
-    travel: Floats
-    distance: Floats
-    climb: Floats
-    causal_climb: Floats
-    speed: Floats
-    acceleration: Floats
-    acceleration_spread: Floats
-    wide_speed: Floats
-    wide_acceleration: Floats
-    latitude: Floats
-    longitude: Floats
-    heading: Floats
-    turn_rate: Floats
-    elevation: Floats
-    elevation_fix: Floats
-    ground: Floats
-    ground_variance: Floats
-    power: Floats
-    energy: Floats
-    metered: Floats
-    energy_variance: Floats
-    elapsed: Floats
-    parked: Floats
-    since_charge: Floats
-    lost: Floats
-    mistimed: Floats
-    unseen: Floats
-    disputed: Floats
-    path: Floats
-    path_run: Floats
-    stop: Floats
-    stopped: Floats
-    soc: Floats
-    soc_step: Floats
-    odometer: Floats
-    battery_temperature: Floats
-    ambient: Floats
-    occupants: Floats
-    hvac: Floats
-    current: Floats
-    speed_scale: Floats
-    code: Floats
 
 
 _INPUTS: Final = (
@@ -448,7 +325,7 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
     row.quality += bits
     row.lane = row.raw_lane
     if dt == clock.UNUSED:
-        row.speed = state.smooth
+        row.speed, row.fix_sd = state.smooth, nan
     else:
         use_row(state, row, dt, settings)
         repetition.keep_accepted(state, row)
@@ -476,7 +353,11 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
 @njit(cache=False)
 def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Update the lane by a row that stands for `dt` seconds, and fill in the row."""
-    motion.move_car(state, row, dt, settings)
+    if fix_motion.has_only_fixes(state, row):
+        fix_motion.move_by_fixes(state, row, dt, settings)
+    else:
+        motion.move_car(state, row, dt, settings)
+        row.fix_sd = nan
     meters.integrate_power(state, row, dt, settings)
     power_sign.observe_acceleration(state, row, dt)
     changed = meters.update_soc(state, row, dt)
@@ -522,8 +403,4 @@ def begins_stop(state: Any) -> bool:
     return False
 
 
-watch_sources(
-    clean_rows,
-    *(batch, clock, columns, elevation, fleet_clock, meters, motion, power_sign, quality, repetition, segmentation),
-    *(shared_stamps, speed_noise, speed_witness, sphere),
-)
+watch_sources(clean_rows, batch, columns, quality, shared_stamps, sphere, *_PARTS)

@@ -24,7 +24,7 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning.elevation import combine_elevation, update_climb
+from core.cleaning.elevation import climb_step
 from core.cleaning.quality import Quality
 from core.cleaning.speed_noise import (
     SPEED_NOISY,
@@ -367,34 +367,54 @@ def add_held_distance(state: Any, held: float) -> float:
 
 
 @njit(cache=False)
-def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
-    """Advance the motion of the car by a sample; fill in the columns of motion and the climb."""
-    hole = find_hole(state, settings)
-    gap = dt > hole
-    unseen_since = state.missed_time + dt
-    speed, missed, row.disputed = weigh_speed(state, row, accept_speed(state, row, settings), dt, gap, settings)
-    speed, held = repair_speed(state, row, speed, dt, hole)
-    state.fix_age += dt
-    state.odometer_age += dt
+def add_shortfalls(state: Any, row: Any, dt: float, missed: float, since_missed: float, settings: Any) -> Any:
+    """Return the distance that the speed did not show, that by the odometer in it, its time, and the speed by fixes."""
     age = max(state.fix_age, dt)
-    fixed = not (isnan(row.raw_latitude) or isnan(state.latitude))
-    distance = integrate_speed(state, speed, dt, fixed, fixed or not isnan(state.odometer), gap, settings.period)
-    distance += add_held_distance(state, max(-distance, held))
     shortfall, derived = evaluate_fix(state, row, dt, settings)
-    if isnan(speed) and derived <= settings.speed_limit:
-        speed = derived
-        state.rough = ROUGH_WINDOW
     state.odometer_distance += shortfall
     since = state.odometer_age
     most = settings.speed_limit * min(since, LONGEST_BRIDGE) + settings.tunnel_limit
     owed = find_odometer_shortfall(state, row.raw_odometer, most)
     if owed > 0.0:
         state.fix_distance += owed
-        shortfall += owed
         age = since if isnan(state.latitude) else max(age, since)
     if missed > 0.0:
-        shortfall += missed
-        age = max(age, unseen_since)
+        age = max(age, since_missed)
+    return shortfall + owed + missed, owed, age, derived
+
+
+@njit(cache=False)
+def finish_motion(state: Any, row: Any, before: float, dt: float, known: bool) -> None:
+    """Fill in the accelerations of a step from its speeds, its distance and its time."""
+    if known and row.speed > MOVING:
+        state.cruise += (row.speed - state.cruise) * min(1.0, dt / CRUISE_TIME)
+    run = row.speed * row.travel
+    rise = 0.5 * (state.smooth * state.smooth - before * before)
+    row.acceleration = rise / run if run > 0.0 else 0.0
+    join_last_step(state, row, run, rise, known)
+    state.section_distance += row.distance
+    change = row.acceleration - state.acceleration
+    row.acceleration_spread = SPREAD_PER_CHANGE * abs(change) if known and not isnan(change) else 0.0
+    state.acceleration = row.acceleration if known else nan
+
+
+@njit(cache=False)
+def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
+    """Advance the motion of the car by a sample; fill in the columns of motion and the climb."""
+    hole = find_hole(state, settings)
+    gap = dt > hole
+    since_missed = state.missed_time + dt
+    speed, missed, row.disputed = weigh_speed(state, row, accept_speed(state, row, settings), dt, gap, settings)
+    speed, held = repair_speed(state, row, speed, dt, hole)
+    state.fix_age += dt
+    state.odometer_age += dt
+    fixed = not (isnan(row.raw_latitude) or isnan(state.latitude))
+    distance = integrate_speed(state, speed, dt, fixed, fixed or not isnan(state.odometer), gap, settings.period)
+    distance += add_held_distance(state, max(-distance, held))
+    shortfall, owed, age, derived = add_shortfalls(state, row, dt, missed, since_missed, settings)
+    if isnan(speed) and derived <= settings.speed_limit:
+        speed = derived
+        state.rough = ROUGH_WINDOW
     row.turn_rate = 0.0 if isnan(state.latitude) else update_heading(state, state.latitude, state.longitude, dt)
     before = state.smooth
     if not isnan(speed):
@@ -412,18 +432,7 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
         row.travel = row.distance / row.speed if row.speed > 0.0 else 0.0
     elif derived > 0.0 and state.has_speed == 0.0:
         row.travel = age if age <= hole else min(age, row.distance / row.speed)
-    if known and row.speed > MOVING:
-        state.cruise += (row.speed - state.cruise) * min(1.0, dt / CRUISE_TIME)
-    run = row.speed * row.travel
-    rise = 0.5 * (state.smooth * state.smooth - before * before)
-    row.acceleration = rise / run if run > 0.0 else 0.0
-    join_last_step(state, row, run, rise, known)
-    state.section_distance += row.distance
-    change = row.acceleration - state.acceleration
-    row.acceleration_spread = SPREAD_PER_CHANGE * abs(change) if known and not isnan(change) else 0.0
-    state.acceleration = row.acceleration if known else nan
+    finish_motion(state, row, before, dt, known)
     if not isnan(state.pending_latitude):
         row.map_elevation = nan
-    elevation, spread = combine_elevation(state, row, dt)
-    row.climb = update_climb(state, elevation, spread, row.distance, settings)
-    row.elevation_fix, row.ground, row.ground_variance = row.raw_elevation, row.map_elevation, row.map_variance
+    climb_step(state, row, dt, settings)

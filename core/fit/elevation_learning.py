@@ -28,8 +28,8 @@ from scipy.sparse.linalg import LinearOperator, cg
 from threadpoolctl import threadpool_limits
 
 from core.batch import Batch, Floats, Ints
+from core.cleaning.clean_columns import Clean
 from core.cleaning.elevation_map import CORNERS, ElevationPlaces, number_nodes
-from core.cleaning.kernel import Clean
 from core.cleaning.quality import Quality
 from core.columns import EARTH_RADIUS, SECONDS_PER_DAY, TELEMETRY
 from core.errors import RecordingError

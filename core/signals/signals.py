@@ -23,7 +23,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from core.batch import Floats, Ints
-from core.cleaning.kernel import Clean
+from core.cleaning.clean_columns import Clean
 from core.cleaning.quality import Quality
 from core.columns import GRAVITY, SIGNALS, STANDARD_AIR_DENSITY, ZERO_CELSIUS
 from core.signals.sun import sine_of_elevation

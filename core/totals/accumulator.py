@@ -14,8 +14,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from core.batch import NO_RIDE, Floats, Ints, grown, take_lanes
+from core.cleaning.clean_columns import Clean
 from core.cleaning.fleet_clock import RIDE_END
-from core.cleaning.kernel import Clean
 from core.cleaning.quality import CAUSES
 from core.columns import KMH, SPEED_BIN_KMH, SPEED_BINS
 from core.totals.display_record import create_unknown_yields

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
-from core.cleaning.kernel import Clean
+from core.cleaning.clean_columns import Clean
 from core.cleaning.quality import Quality
 from core.signals.signals import Signals
 from core.signals.weather import Sky

@@ -1,7 +1,8 @@
 """Rows that wait until their ride has ended, so that tables can use estimates from both sides of each sample.
 
 A live forecast uses the past only. A table may use the whole ride: `DeferredRows` keeps the rows of open rides, and
-releases the rows of closed rides with the elevation that `core.cleaning.elevation_smoother` estimates.
+releases the rows of closed rides with the elevation that `core.cleaning.elevation_smoother` estimates. Rides of cars
+without a speed also receive the motion that `core.cleaning.position_smoother` estimates.
 
 Rows are released at fixed numbers of rows since the start, never at the end of a batch. The released rows, their order
 and the totals made of them are therefore the same for any division of the input.
@@ -18,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
+from core.cleaning.clean_columns import Clean
 from core.cleaning.elevation_smoother import LONGEST_PIECE, number_rows, smooth_elevation
 from core.cleaning.fleet_clock import RIDE_END
-from core.cleaning.kernel import Clean
+from core.cleaning.position_smoother import smooth_motion
 from core.signals.weather import Sky
 from core.totals.accumulator import NO_ENDS, Sums
 from core.totals.clean_rows import CleanRows
@@ -163,7 +165,8 @@ class DeferredRows:
         size = len(Clean._fields)
         clean = Clean(*table[:size])
         clean = clean._replace(**{name: getattr(clean, name).astype(np.int64) for name in WHOLE})
-        clean = smooth_elevation(clean._replace(due=np.zeros(table.shape[1], np.bool_)), self.longest)
+        clean = smooth_motion(clean._replace(due=np.zeros(table.shape[1], np.bool_)), self.longest)
+        clean = smooth_elevation(clean, self.longest)
         kind, place = table[-2:].astype(np.int64)
         ends, self._ends = self._ends, NO_ENDS
         ends["row"] = np.searchsorted(place, ends["place"], side="right")

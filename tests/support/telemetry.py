@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from core.batch import Batch, Lanes
-from core.cleaning.kernel import Clean, Cleaner
+from core.cleaning.clean_columns import Clean
+from core.cleaning.kernel import Cleaner
 from core.cleaning.quality import Quality
 from core.columns import EARTH_RADIUS
 from core.pipeline import Pipeline

@@ -46,7 +46,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-HEAVY = {"joblib", "mcap", "numba", "pandas", "pint", "plotly", "scipy", "sklearn", "zenoh"}
+HEAVY = {"filterpy", "joblib", "mcap", "numba", "pandas", "pint", "plotly", "scipy", "sklearn", "zenoh"}
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ HEAVY = {"joblib", "mcap", "numba", "pandas", "pint", "plotly", "scipy", "sklear
     [
         (["--help", "--version"], {*HEAVY, "numpy", "rich"}),
         (["effects list"], HEAVY),
-        (["live --help", "tables --help", "fit --help"], {"joblib", "plotly", "scipy.stats", "sklearn"}),
+        (["live --help", "tables --help", "fit --help"], {"filterpy", "joblib", "plotly", "scipy.stats", "sklearn"}),
     ],
 )
 def test_commands_import_no_package_that_they_do_not_need(calls, not_imported):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.cleaning.kernel import Clean
+from core.cleaning.clean_columns import Clean
 from core.cleaning.quality import Quality
 from core.settings import Settings
 from tests.support.telemetry import PERIOD, START, cleaned, count, drive, joined, picked, without

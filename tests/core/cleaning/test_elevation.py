@@ -5,11 +5,13 @@ import pytest
 
 from core.batch import Lanes
 from core.cleaning.elevation_map import ElevationMap, ElevationRaster
+from core.cleaning.elevation_smoother import smooth_elevation
 from core.cleaning.kernel import Cleaner
+from core.cleaning.quality import Quality
 from core.pipeline import Pipeline
 from core.settings import Settings
 from tests.support.ground import hills, hilly_drive
-from tests.support.telemetry import PLACE, decoded, joined, ran, telemetry, without
+from tests.support.telemetry import PLACE, count, decoded, drive, joined, ran, telemetry, without
 
 
 def map_of_hills(sd=0.2, reach=12_000.0):
@@ -169,3 +171,34 @@ def test_lanes_have_offsets_of_their_own():
     batch = decoded([message for pair in zip(one, other, strict=True) for message in pair])
     cleaner.clean(batch, len(lanes))
     np.testing.assert_allclose(cleaner.state["elevation_offset"][:2], [0.0, 20.0], atol=1.5)
+
+
+def cliff(slope, length=650.0, in_tunnel=True):
+    """Return a level drive whose elevation rises by a slope over a stretch, which may be a tunnel."""
+    columns = drive(400, speed=10.0)
+    run = np.clip(columns["metres"] - 3000.0, 0.0, length)
+    columns["elevation_m"] = 500.0 + slope * run
+    if in_tunnel:
+        inside = (run > 0.0) & (run < length)
+        for name in ("latitude_deg", "longitude_deg", "elevation_m"):
+            columns[name] = np.where(inside, np.nan, columns[name])
+    return columns | {"truth": columns["metres"]}
+
+
+@pytest.mark.parametrize("in_tunnel", [True, False], ids=["tunnel", "fixes"])
+@pytest.mark.parametrize("slope", [0.45, -0.45, 2.0])
+def test_slope_that_no_road_has_is_no_climb(slope, in_tunnel):
+    result = clean(cliff(slope, in_tunnel=in_tunnel))
+    for rows in (result, smooth_elevation(result)):
+        assert np.abs(rows.climb).sum() < 35.0
+        assert rows.elevation[-1] == pytest.approx(500.0 + 650.0 * slope, abs=1.0)
+    assert count(result, Quality.SLOPE_REJECTED) >= 5
+
+
+@pytest.mark.parametrize("in_tunnel", [True, False], ids=["tunnel", "fixes"])
+@pytest.mark.parametrize("slope", [0.08, -0.15, 0.25])
+def test_steep_road_keeps_its_climb(slope, in_tunnel):
+    result = clean(cliff(slope, in_tunnel=in_tunnel))
+    for rows in (result, smooth_elevation(result)):
+        assert rows.climb.sum() == pytest.approx(650.0 * slope, rel=0.04)
+    assert count(result, Quality.SLOPE_REJECTED) == 0

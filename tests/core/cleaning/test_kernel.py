@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.batch import Batch, Lanes
-from core.cleaning.kernel import Clean, Cleaner
+from core.cleaning.clean_columns import Clean
+from core.cleaning.kernel import Cleaner
 from core.cleaning.quality import Quality
 from core.columns import TELEMETRY
 from core.settings import Settings

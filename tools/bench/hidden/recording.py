@@ -17,8 +17,9 @@ import pandas as pd
 
 from core import effects
 from core.batch import Batch, Floats, Ints, Lanes
+from core.cleaning.clean_columns import Clean
 from core.cleaning.elevation_smoother import smooth_elevation
-from core.cleaning.kernel import Clean, Cleaner
+from core.cleaning.kernel import Cleaner
 from core.columns import JOULES_PER_KWH
 from core.effects import Effect
 from core.models import EXTENDED_PHYSICAL

@@ -1,6 +1,6 @@
 """Describe episodes, hours of a few dates in which the power is off, in sentences and in a table."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import date
 from typing import Any, Final
 
@@ -94,7 +94,8 @@ def _word_power(one: Mapping[str, Any]) -> str:
     >>> _word_power({"power_kw": 6.02, "power_ci95_kw": [5.66, 6.38]})
     '+6.0 kW (95 % interval 5.7 to 6.4)'
     """
-    power, limits = get_number(one.get("power_kw")), list(one.get("power_ci95_kw") or [None, None])
+    power = get_number(one.get("power_kw"))
+    limits: Sequence[Any] = one.get("power_ci95_kw") or (None, None)
     low, high = get_number(limits[0]), get_number(limits[1])
     if power is None:
         return UNKNOWN
