@@ -1,6 +1,6 @@
 """Describe episodes, hours of a few dates in which the power is off, in sentences and in a table."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import date
 from typing import Any, Final
 
@@ -95,7 +95,7 @@ def _word_power(one: Mapping[str, Any]) -> str:
     '+6.0 kW (95 % interval 5.7 to 6.4)'
     """
     power = get_number(one.get("power_kw"))
-    limits: Sequence[Any] = one.get("power_ci95_kw") or (None, None)
+    limits = list[Any](one.get("power_ci95_kw") or (None, None))
     low, high = get_number(limits[0]), get_number(limits[1])
     if power is None:
         return UNKNOWN
