@@ -379,7 +379,8 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
             state.soc = nan
     elif int(row.quality) & clock.PAUSED:  # nothing tells whether the clock was set
         row.mistimed += dt
-    if begins or (rode and state.riding == 0.0):
+    # a car that stood before a gap had ended its ride's driving: no sample of it is missing
+    if begins or (rode and state.riding == 0.0 and state.stand <= dt):
         row.lost = find_uncovered_time(state, int(row.quality), dt, settings)
     segmentation.update_window(state, dt, begins, state.has_power == 1.0 or changed, settings)
     row.due = 1.0 if segmentation.is_forecast_due(state, state.soc, dt, begins, settings) else 0.0

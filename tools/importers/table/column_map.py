@@ -63,14 +63,7 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
     "fields": {},
 }
 """Table of a map -> its keys and their types."""
-_FIELD_KEYS: Final = {
-    "column": str,
-    "signal": str,
-    "unit": str,
-    "sign": int,
-    "true": list,
-    "hold_s": (int, float),
-}
+_FIELD_KEYS: Final = {"column": str, "signal": str, "unit": str, "sign": int, "true": list, "hold_s": (int, float)}
 _TYPE_WORDS: Final = {
     str: "text in quotes",
     bool: "true or false",
