@@ -258,7 +258,7 @@ def test_vehicle_model_left_out_of_training_changes_new_vehicle_errors_only(ride
         f"{MODELS[1]}: not tested as a new vehicle model, for want of rides to test or of others to train on",
         f"basic_physical: {HILLS_OF_BUILT_IN}",
     ]
-    assert result["about"]["notes"] == []
+    assert result["about"]["notes"] == [f"basic_physical: {HILLS_OF_BUILT_IN}"]
 
 
 def test_failing_recipe_is_left_out_with_note(rides):
