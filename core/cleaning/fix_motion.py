@@ -1,9 +1,10 @@
 """Speed, distance and heading of a car that never sends a speed, causally, by its fixes and its odometer.
 
 `core.cleaning.position_filter` follows the fixes, and the odometer is the second witness. Over the changes of the
-odometer, the distance by the fixes is compared with that of the odometer; a shortfall beyond a change and the error of
-fixes is added once. Where the fixes show more than twice the smallest change while the odometer stays, and the car is
-still near the place of its last change, they drift and count nothing.
+odometer, the distance by the fixes is compared with that of the odometer. A shortfall beyond a change and the error of
+fixes is added once, and an excess beyond both is taken from what follows. Where the fixes show more than twice the
+smallest change while the odometer stays, and the car is still near the place of its last change, they drift and count
+nothing.
 
 A row without a new fix covers no distance. The distance of a fix is driven over the time distance / speed and not over
 its step, as a bridged one is in `core.cleaning.motion`.
@@ -22,6 +23,8 @@ from core.cleaning.sphere import compute_chord, wrap_angle
 FIELDS: Final = (
     "odometer_step",  # smallest change of the odometer, 0 before the second [m]
     "odometer_shortfall",  # distance by the odometer less that by the fixes, over all changes [m]
+    "odometer_driven",  # recent distance by the odometer while fixes had no hole [m]
+    "odometer_followed",  # and by the fixes [m]
     "odometer_latitude",  # place of its last change [rad]
     "odometer_longitude",
 )
@@ -35,6 +38,8 @@ NEAR_CHANGE: Final = 500.0
 """The same for an odometer with small changes. Beyond both, the odometer is stuck. [m]"""
 FEW_TICKS: Final = 2.0
 """Number of changes from which the odometer is a witness."""
+UNIT_DISTANCE: Final = 5_000.0
+"""Distance over which odometer and fixes are compared. [m]"""
 MOST_MISSING: Final = 0.25
 """Largest share that fixes without a hole miss of the distance; beyond it, the odometer has another unit. [1]"""
 
@@ -72,10 +77,19 @@ def weigh_odometer(state: Any, row: Any, distance: float, settings: Any) -> tupl
         state.odometer_step = driven if state.odometer_step == 0.0 else min(driven, state.odometer_step)
         most = state.odometer_step + motion.SLACK
         total = state.odometer_shortfall + driven - counted
-        has_other_unit = state.odometer_hole == 0.0 and driven - counted > MOST_MISSING * driven + state.odometer_step
-        if total > most and not has_other_unit:
+        if state.odometer_hole == 0.0:
+            keep = max(0.0, 1.0 - driven / UNIT_DISTANCE)
+            state.odometer_driven = keep * state.odometer_driven + driven
+            state.odometer_followed = keep * state.odometer_followed + counted
+        excess = abs(state.odometer_driven - state.odometer_followed)
+        has_other_unit = excess > MOST_MISSING * state.odometer_driven + state.odometer_step
+        if has_other_unit:
+            total = max(-most, min(most, total))
+        elif total > most:
             missing, total = total, 0.0
-        state.odometer_shortfall = max(-most, min(most, total))
+        elif total < -most:  # which takes effect in the distance up to the next change
+            state.path_owed = max(state.path_owed, -total - most)
+        state.odometer_shortfall = total
     state.odometer_ticks += 1.0
     begin_odometer(state, odometer)
     return distance, missing
@@ -145,8 +159,8 @@ def move_by_fixes(state: Any, row: Any, dt: float, settings: Any) -> None:
     distance, become = position_filter.follow_fixes(state, row, dt, settings)
     mark_fix(state, row, become, distance, max(dt, settings.period), settings)
     distance, missing = weigh_odometer(state, row, distance, settings)
-    if missing > 0.0:
-        age = max(age, dt)
+    if missing > 0.0 and become in (position_filter.MISSING, position_filter.FAR, position_filter.REPEATED):
+        state.path_owed += missing
     row.turn_rate = update_course(state, dt)
     before = state.smooth
     is_new = become not in (position_filter.MISSING, position_filter.FAR, position_filter.HELD)

@@ -67,7 +67,7 @@ FIELDS: Final = (
     "path_from_north",  # place up to which the distance is counted, while the car stands [m]
     "path_from_east",
     "path_away",  # length of the path since a fix was beyond the scatter there, 0 without one [m]
-    "path_owed",  # distance that was counted too much [m]
+    "path_owed",  # distance that was counted too much, or before the fix [m]
     "far_latitude",  # a fix out of reach that is not confirmed [rad]
     "far_longitude",
     "far_age",  # time since it was received [s]
@@ -82,8 +82,11 @@ FIELDS: Final = (
 UNKNOWN_AT_FIRST: Final = ("path_latitude", "path_longitude", "far_latitude", "home_latitude")
 """Fields of a new lane that are NaN."""
 
-ACCELERATION: Final = 1.0
-"""Standard deviation of the acceleration within a step. [m/s^2]"""
+ACCELERATION: Final = 0.7
+"""Standard deviation of the acceleration within a step. [m/s^2]
+
+Chosen on simulated town drives: 1 loses less at corners (1 % of the distance for fixes of 15 m), 0.5 has less noise of
+kinetic energy."""
 PERSISTENCE: Final = 4.0
 """Time for which an acceleration lasts; over longer steps accelerations average out. [s]"""
 FIRST_SPEED: Final = 10.0
@@ -427,8 +430,10 @@ def take_fix(state: Any, north: float, east: float, way: float, patience: float)
         from_east = state.path_from_east if was_still else state.path_east
         restart_path(state, north, east)
         state.path_to_north, state.path_to_east = (north - from_north) / age, (east - from_east) / age
-        distance, become = hypot(north - from_north, east - from_east), BRIDGED_PATH
-        state.path_speed = distance / age
+        way = hypot(north - from_north, east - from_east)
+        state.path_speed = way / age
+        distance, become = max(0.0, way - state.path_owed), BRIDGED_PATH
+        state.path_owed = 0.0
     else:
         course = hypot(state.path_to_north, state.path_to_east)
         if state.path_still == 0.0 and way > max(0.5 * course, 2.0) * age:

@@ -115,11 +115,11 @@ def _smooth_ride(clean: Clean, ride: Ints) -> None:
     fixes = np.flatnonzero(is_new)
     way = np.hypot(np.diff(north[fixes]), np.diff(east[fixes]))
     leaps = np.flatnonzero(way > FASTEST * np.diff(time[fixes]) + motion.SLACK)
-    for part in np.split(fixes, leaps + 1):
-        last = int(np.searchsorted(time, time[part[-1]] + TRAIL, side="right"))
-        ends = fixes[fixes > part[-1]]
-        last = min(last, int(ends[0])) if len(ends) else last
-        span = slice(int(part[0]), max(last, int(part[-1]) + 1))
+    begins = fixes[np.r_[0, leaps + 1]]
+    measured = np.flatnonzero(is_fix | still)
+    for begin, end in zip(begins.tolist(), [*begins[1:].tolist(), len(ride)], strict=True):
+        latest = measured[measured < end][-1]
+        span = slice(begin, min(end, int(np.searchsorted(time, time[latest] + TRAIL, side="right"))))
         noise = np.maximum(clean.fix_sd[ride][span], LEAST_NOISE)
         path[span] = smooth_path(dt[span], north[span], east[span], noise, is_fix[span], still[span])
     _fill_motion(clean, ride, time, path, still, is_fix)

@@ -88,7 +88,7 @@ def test_parked_car_hardly_moves(period, sd, time):
     columns = picked(columns, slice(-int(1800 / 1.0), None, int(period)))
     columns["seq"] = np.arange(len(columns["time_s"]))
     rows, _ = clean(with_noise(columns, sd, time, rows=slice(20, None)), period)
-    assert rows.distance.sum() < 400.0
+    assert rows.distance.sum() < 600.0  # of up to 84 km between the fixes
     assert count(rows, Quality.POSITION_DRIFT) > 0.1 * len(rows.dt)
     assert np.mean(rows.stopped) > 0.95
 
