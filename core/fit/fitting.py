@@ -354,9 +354,7 @@ class _Fitting:
                 empty.append(i)
         return empty
 
-    def _make_prior(
-        self, group: _GroupFit, moments: Moments, free: Solution
-    ) -> tuple[Floats, Floats, tuple[str, ...]]:
+    def _make_prior(self, group: _GroupFit, moments: Moments, free: Solution) -> tuple[Floats, Floats, tuple[str, ...]]:
         """Return the weights, the targets and the names of the coefficients that the rides do not determine."""
         size = self._measure_columns(moments)
         weight, toward, held = np.zeros(len(size) - 1), np.zeros(len(size) - 1), []
