@@ -36,6 +36,7 @@ from core.cleaning.quality import Quality
 from core.columns import KMH
 
 FIELDS: Final = (
+    "leap",  # last speed that is held back, NaN without one [m/s]
     "noise",  # deviation of calm driving that the reported speed owes to noise, 0 where none is shown [m/s]
     "noise_steps",  # number of steps that the estimate has seen, up to its memory
     "noise_dt",  # time of the last step [s]
@@ -44,7 +45,6 @@ FIELDS: Final = (
     "alternation",  # running mean of the normalised products of two successive ones [1]
     "calm_curve",  # running quantile of their absolute values [m/s]
     "repeats",  # running share of steps without a change of speed [1]
-    "leap",  # last speed that is held back, NaN without one [m/s]
     "leap_limit",  # change of speed beyond which it was held back [m/s]
     "leap_time",  # time of the held rows [s]
     "leap_distance",  # distance that they have more if the leap is confirmed, negative for a fall [m]
@@ -82,6 +82,8 @@ WIDTH: Final = 1.4
 
 Chosen so that the energy of speeding up is right: with it, the noise that remains adds as much as the average hides.
 """
+WIDER: Final = 0.35
+"""How much wider it is where all is noise, and an average hides little. [1]"""
 STILL_MEAN: Final = 0.9
 STILL_SAMPLE: Final = 3.0
 """Mean of the last speeds, and largest one, that noise alone makes of a standing car. [standard deviations]
@@ -120,14 +122,15 @@ def observe_noise(state: Any, speed: float, dt: float, restart: bool) -> None:
     size = abs(curve)
     if n == 1.0:
         state.calm_curve = size
+    recent = 1.0 / n
     gain = max(QUANTILE_GAIN, 4.0 / (n + 4.0))
     state.calm_curve *= 1.0 + gain * (QUANTILE if size > state.calm_curve else QUANTILE - 1.0)
     state.calm_curve = max(1e-3, state.calm_curve)
-    state.repeats += ((1.0 if change == 0.0 else 0.0) - state.repeats) / n
+    state.repeats += ((1.0 if change == 0.0 else 0.0) - state.repeats) * recent
     both = curve * curve + last * last
     if both > 0.0:  # false for NaN too
-        state.alternation += (2.0 * curve * last / both - state.alternation) / n
-    if n < MEMORY or int(state.place) % 8 == 0:
+        state.alternation += (2.0 * curve * last / both - state.alternation) * recent
+    if int(state.place) % 8 == 0:
         state.noise = estimate_speed_noise(state, dt)
 
 
@@ -140,7 +143,7 @@ def estimate_speed_noise(state: Any, dt: float) -> float:
     if sure <= 0.0 or state.repeats > MOST_REPEATS or dt > LONGEST_STEP:
         return 0.0
     share = min(1.0, sure) * min(1.0, excess / max(0.2, clean - WHITE))
-    noise = share * state.calm_curve / CALM_PER_NOISE
+    noise = share * (1.0 + WIDER * share**6) * state.calm_curve / CALM_PER_NOISE
     return noise if noise >= LEAST_NOISE else 0.0
 
 
@@ -207,14 +210,16 @@ def hold_leap(state: Any, speed: float, dt: float, limit: float, longest: float)
     bits : int
         Quality bits.
     """
-    before, leap, waited, missed = state.speed, state.leap, state.leap_time, state.leap_distance
-    state.leap = nan
+    before, leap = state.speed, state.leap
     change = speed - before
+    if isnan(leap) and not abs(change) > limit:  # nearly always
+        return speed, 0.0, 0
+    state.leap = nan
+    waited, missed = state.leap_time, state.leap_distance
     if isnan(change) or dt > longest:
         return speed, 0.0, 0
     if isnan(leap):
-        continues = abs(change - state.acceleration * dt) < 1.5 * abs(state.acceleration) * dt
-        if abs(change) <= limit or continues:
+        if abs(change - state.acceleration * dt) < 1.5 * abs(state.acceleration) * dt:  # it continues
             return speed, 0.0, 0
         state.leap_limit, leap, missed, waited = limit, before, 0.0, 0.0
     else:

@@ -62,7 +62,7 @@ def test_car_of_unknown_model_is_measured_and_its_missing_prediction_counted():
 
 
 def test_setting_outside_its_limits_is_named():
-    with pytest.raises(SettingsError, match=r"window is 99, but must be from 1 to 8"):
+    with pytest.raises(SettingsError, match=r"window is 99, but must be from 0 to 8"):
         Pipeline(settings=Settings(window=99))
 
 
