@@ -57,6 +57,8 @@ TAIL: Final = 0.9
 """Quantile from which the tails of rides are estimated, low enough for an episode not to matter."""
 FREEDOMS: Final = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)
 """Degrees of freedom that describe the tails of rides. [1]"""
+LEAST_FREEDOM: Final = 3.0
+"""Degrees of freedom below which the variance of Student's t is not computed. [1]"""
 PRIOR: Final = 10.0
 """Number of rides or vehicle-days by which the variance of a car is drawn to that of all cars."""
 LEAST_RIDES: Final = 3
@@ -323,7 +325,7 @@ class _HourlyPower:
         return np.asarray(rows if best.car < 0 else rows & (self.window_car == best.car))
 
     def measure_error(self, best: _Best) -> float:
-        """Return the standard error of the mean power of a set of dates. [kW]"""
+        """Return the standard error of the mean power of a set of dates, with the tails of rides. [kW]"""
         span = np.array([best.first]), np.array([best.last])
         mean, precision = self._average_rides(*span)
         inside = np.isin(self.shift_date, best.dates) & (precision[0] > 0.0)
@@ -332,7 +334,8 @@ class _HourlyPower:
             information = (1.0 / (self.of_date + self.of_shift[inside] + 1.0 / precision[0, inside])).sum()
         else:
             information = (1.0 / self._average_shifts(mean, precision)[1][0, best.dates]).sum()
-        return float(1.0 / np.sqrt(information))
+        freedom = max(self.freedom, LEAST_FREEDOM)
+        return float(np.sqrt(freedom / (freedom - 2.0) / information))
 
 
 def _find_quiet_hour(middle: Floats, duration: Floats) -> int:
@@ -438,13 +441,14 @@ def _describe(
     single = best.car >= 0 or of_car[alone] / of_car.sum() > ALONE
     of_ride = np.abs(np.bincount(windows.ride[rows], energy[rows], len(windows.rides)))
     worst = np.argsort(-of_ride, kind="stable")[: len(np.unique(windows.ride[rows]))]
-    start = HOURS * hours.days[np.sort(best.dates)] + hours.begin + best.first
+    first, last = int(hours.hour[rows].min()), int(hours.hour[rows].max()) + 1  # the span may reach beyond the drives
+    start = HOURS * hours.days[np.sort(best.dates)] + hours.begin + first
     others = np.isin(hours.window_date, best.dates) & (np.isin(windows.vehicle, driving))
     return Episode(
         rows=rows,
         column=_make_column(base, rows),
         dates=tuple(datetime.fromtimestamp(3600.0 * float(at), UTC).date().isoformat() for at in start),
-        hours=((hours.begin + best.first) % HOURS, (hours.begin + best.last) % HOURS),
+        hours=((hours.begin + first) % HOURS, (hours.begin + last) % HOURS),
         whole=bool(rows.sum() == others.sum()),
         car=str(hours.cars[alone]) if single else None,
         cars=tuple(str(hours.cars[car]) for car in off),
