@@ -42,6 +42,8 @@ from core.fit.ride_blocks import get_names, get_numbers
 
 LEVEL: Final = 0.01
 """Probability that a diagnosis without any episode reports one. [1]"""
+SUSPECT: Final = 1.0
+"""Probability of an episode by chance, by the bound of Bonferroni, below which it is judged beside fits without it."""
 LEAST_SHARE: Final = 0.02
 """Share of the squared error of rides that an episode must hold to be reported."""
 MOST_EPISODES: Final = 3
@@ -148,20 +150,34 @@ def find_episodes(base: BaseProjection, candidates: Candidates) -> tuple[list[Ep
     """
     found: list[Episode] = []
     while len(found) < MOST_EPISODES:
-        left = base.residual - base.project_out(_fit_library(base, candidates))[:, 0]
-        hours = _HourlyPower(base, base.convert_to_energy(left))
+        known = _fit_library(base, candidates)
+        hours = _HourlyPower(base, base.convert_to_energy(base.residual - base.project_out(known)[:, 0]))
         best = hours.find_best()
-        if best is None or best.log_chance > np.log(LEVEL):
+        if best is None or best.log_chance > np.log(SUSPECT):
             break
-        rows = hours.select(best)
-        fair = base.reweight(_make_column(base, rows))  # its windows are no outliers
-        beside = fair.allow_for(_make_column(base, rows))
-        episode = _describe(fair, beside, hours, best, rows, _fit_library(beside, candidates))
+        fair, beside, known = _refit_beside(base, candidates, hours.select(best))
+        if best.log_chance > np.log(LEVEL):  # it may bend the fits so much that it hides itself
+            hours = _HourlyPower(fair, fair.convert_to_energy(fair.residual - fair.project_out(known)[:, 0]))
+            best = hours.find_best()
+            if best is None or best.log_chance > np.log(LEVEL):
+                break
+            fair, beside, known = _refit_beside(base, candidates, hours.select(best))
+        episode = _describe(fair, beside, hours, best, known)
         if episode.share < LEAST_SHARE:
             break
         found.append(episode)
         base = beside
     return found, base
+
+
+def _refit_beside(
+    base: BaseProjection, candidates: Candidates, rows: NDArray[np.bool_]
+) -> tuple[BaseProjection, BaseProjection, Floats]:
+    """Return projections with weights beside the power of some windows, and off it, and the energy of the library."""
+    column = _make_column(base, rows)
+    fair = base.reweight(column)
+    beside = fair.allow_for(column)
+    return fair, beside, _fit_library(beside, candidates)
 
 
 def _make_column(base: BaseProjection, rows: NDArray[np.bool_]) -> Floats:
@@ -420,11 +436,10 @@ def _describe(
     beside: BaseProjection,
     hours: _HourlyPower,
     best: _Best,
-    rows: NDArray[np.bool_],
     known: Floats,
 ) -> Episode:
     """Return an episode with its size, its share of the squared error, and its cars."""
-    windows = base.windows
+    windows, rows = base.windows, hours.select(best)
     left, after = (each.residual - each.project_out(known)[:, 0] for each in (base, beside))
     column = base.project_out(_make_column(base, rows))[:, 0]
     power = float(column @ left / (column @ column))
