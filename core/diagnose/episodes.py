@@ -42,6 +42,8 @@ from core.fit.ride_blocks import get_names, get_numbers
 
 LEVEL: Final = 0.01
 """Probability that a diagnosis without any episode reports one. [1]"""
+SUSPECT: Final = 1.0
+"""Probability of an episode by chance, by the bound of Bonferroni, below which it is judged beside fits without it."""
 LEAST_SHARE: Final = 0.02
 """Share of the squared error of rides that an episode must hold to be reported."""
 MOST_EPISODES: Final = 3
@@ -57,6 +59,8 @@ TAIL: Final = 0.9
 """Quantile from which the tails of rides are estimated, low enough for an episode not to matter."""
 FREEDOMS: Final = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)
 """Degrees of freedom that describe the tails of rides. [1]"""
+LEAST_FREEDOM: Final = 3.0
+"""Degrees of freedom below which the variance of Student's t is not computed. [1]"""
 PRIOR: Final = 10.0
 """Number of rides or vehicle-days by which the variance of a car is drawn to that of all cars."""
 LEAST_RIDES: Final = 3
@@ -146,20 +150,34 @@ def find_episodes(base: BaseProjection, candidates: Candidates) -> tuple[list[Ep
     """
     found: list[Episode] = []
     while len(found) < MOST_EPISODES:
-        left = base.residual - base.project_out(_fit_library(base, candidates))[:, 0]
-        hours = _HourlyPower(base, base.convert_to_energy(left))
+        known = _fit_library(base, candidates)
+        hours = _HourlyPower(base, base.convert_to_energy(base.residual - base.project_out(known)[:, 0]))
         best = hours.find_best()
-        if best is None or best.log_chance > np.log(LEVEL):
+        if best is None or best.log_chance > np.log(SUSPECT):
             break
-        rows = hours.select(best)
-        fair = base.reweight(_make_column(base, rows))  # its windows are no outliers
-        beside = fair.allow_for(_make_column(base, rows))
-        episode = _describe(fair, beside, hours, best, rows, _fit_library(beside, candidates))
+        fair, beside, known = _refit_beside(base, candidates, hours.select(best))
+        if best.log_chance > np.log(LEVEL):  # it may bend the fits so much that it hides itself
+            hours = _HourlyPower(fair, fair.convert_to_energy(fair.residual - fair.project_out(known)[:, 0]))
+            best = hours.find_best()
+            if best is None or best.log_chance > np.log(LEVEL):
+                break
+            fair, beside, known = _refit_beside(base, candidates, hours.select(best))
+        episode = _describe(fair, beside, hours, best, known)
         if episode.share < LEAST_SHARE:
             break
         found.append(episode)
         base = beside
     return found, base
+
+
+def _refit_beside(
+    base: BaseProjection, candidates: Candidates, rows: NDArray[np.bool_]
+) -> tuple[BaseProjection, BaseProjection, Floats]:
+    """Return projections with weights beside the power of some windows, and off it, and the energy of the library."""
+    column = _make_column(base, rows)
+    fair = base.reweight(column)
+    beside = fair.allow_for(column)
+    return fair, beside, _fit_library(beside, candidates)
 
 
 def _make_column(base: BaseProjection, rows: NDArray[np.bool_]) -> Floats:
@@ -323,7 +341,7 @@ class _HourlyPower:
         return np.asarray(rows if best.car < 0 else rows & (self.window_car == best.car))
 
     def measure_error(self, best: _Best) -> float:
-        """Return the standard error of the mean power of a set of dates. [kW]"""
+        """Return the standard error of the mean power of a set of dates, with the tails of rides. [kW]"""
         span = np.array([best.first]), np.array([best.last])
         mean, precision = self._average_rides(*span)
         inside = np.isin(self.shift_date, best.dates) & (precision[0] > 0.0)
@@ -332,7 +350,8 @@ class _HourlyPower:
             information = (1.0 / (self.of_date + self.of_shift[inside] + 1.0 / precision[0, inside])).sum()
         else:
             information = (1.0 / self._average_shifts(mean, precision)[1][0, best.dates]).sum()
-        return float(1.0 / np.sqrt(information))
+        freedom = max(self.freedom, LEAST_FREEDOM)
+        return float(np.sqrt(freedom / (freedom - 2.0) / information))
 
 
 def _find_quiet_hour(middle: Floats, duration: Floats) -> int:
@@ -417,11 +436,10 @@ def _describe(
     beside: BaseProjection,
     hours: _HourlyPower,
     best: _Best,
-    rows: NDArray[np.bool_],
     known: Floats,
 ) -> Episode:
     """Return an episode with its size, its share of the squared error, and its cars."""
-    windows = base.windows
+    windows, rows = base.windows, hours.select(best)
     left, after = (each.residual - each.project_out(known)[:, 0] for each in (base, beside))
     column = base.project_out(_make_column(base, rows))[:, 0]
     power = float(column @ left / (column @ column))
@@ -438,13 +456,14 @@ def _describe(
     single = best.car >= 0 or of_car[alone] / of_car.sum() > ALONE
     of_ride = np.abs(np.bincount(windows.ride[rows], energy[rows], len(windows.rides)))
     worst = np.argsort(-of_ride, kind="stable")[: len(np.unique(windows.ride[rows]))]
-    start = HOURS * hours.days[np.sort(best.dates)] + hours.begin + best.first
+    first, last = int(hours.hour[rows].min()), int(hours.hour[rows].max()) + 1  # the span may reach beyond the drives
+    start = HOURS * hours.days[np.sort(best.dates)] + hours.begin + first
     others = np.isin(hours.window_date, best.dates) & (np.isin(windows.vehicle, driving))
     return Episode(
         rows=rows,
         column=_make_column(base, rows),
         dates=tuple(datetime.fromtimestamp(3600.0 * float(at), UTC).date().isoformat() for at in start),
-        hours=((hours.begin + best.first) % HOURS, (hours.begin + best.last) % HOURS),
+        hours=((hours.begin + first) % HOURS, (hours.begin + last) % HOURS),
         whole=bool(rows.sum() == others.sum()),
         car=str(hours.cars[alone]) if single else None,
         cars=tuple(str(hours.cars[car]) for car in off),

@@ -25,9 +25,8 @@ def describe_leading_episode(result: Result) -> list[str]:
     if not found:
         return []
     more = f" {len(found) - 1} further: see Episodes." if len(found) > 1 else ""
-    return [
-        f"{_word_share(found[0])}: {_word_power(found[0])}{_word_car(found[0])}. Look at {_these(found)} first.{more}"
-    ]
+    what = f"{_word_share(found[0])}: {_word_power(found[0])}{_word_car(found[0])}"
+    return [f"{what}. Look at {_these(found)} before you add an effect.{more}"]
 
 
 def describe_episodes(result: Result) -> list[str]:
@@ -83,7 +82,7 @@ def tabulate_episodes(result: Result) -> ReportTable:
 def _word_share(one: Mapping[str, Any]) -> str:
     """Return where which share of the error is concentrated."""
     share = format_percent(one.get("share"), 0)
-    dates = one.get("dates") or ()
+    dates = list(one.get("dates") or [""])
     on = _format_date(str(dates[0])) if len(dates) == 1 else f"{len(dates)} dates"
     return f"{share} of the squared error is concentrated on {on}, {_word_hours(one)}"
 
@@ -94,9 +93,14 @@ def _word_power(one: Mapping[str, Any]) -> str:
     >>> _word_power({"power_kw": 6.02, "power_ci95_kw": [5.66, 6.38]})
     '+6.0 kW (95 % interval 5.7 to 6.4)'
     """
+<<<<<<< HEAD
     power = get_number(one.get("power_kw"))
     limits = list[Any](one.get("power_ci95_kw") or (None, None))
     low, high = get_number(limits[0]), get_number(limits[1])
+=======
+    power, limits = get_number(one.get("power_kw")), one.get("power_ci95_kw") or ()
+    low, high = [get_number(each) for each in limits] if len(limits) == 2 else [None, None]
+>>>>>>> 0ad59fe5a2a8abbc8a169c603a31d1b896e7638e
     if power is None:
         return UNKNOWN
     interval = "" if low is None or high is None else f" (95 % interval {low:.1f} to {high:.1f})"
@@ -109,7 +113,7 @@ def _word_hours(one: Mapping[str, Any]) -> str:
     >>> _word_hours({"hours_utc": [22, 2]}), _word_hours({"hours_utc": [6, 21], "whole_dates": True})
     ('22 to 2 h UTC', 'all hours')
     """
-    first, last = one.get("hours_utc") or (0, 0)
+    first, last = one.get("hours_utc") or [UNKNOWN, UNKNOWN]
     return "all hours" if one.get("whole_dates") else f"{first} to {last} h UTC"
 
 
@@ -143,6 +147,8 @@ def _list_dates(one: Mapping[str, Any]) -> str:
 
 def _format_date(day: str) -> str:
     """Return an ISO date in words."""
+    if not day:
+        return UNKNOWN
     when = date.fromisoformat(day)
     return f"{when.day} {when:%B %Y}"
 
