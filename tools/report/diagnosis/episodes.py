@@ -93,14 +93,8 @@ def _word_power(one: Mapping[str, Any]) -> str:
     >>> _word_power({"power_kw": 6.02, "power_ci95_kw": [5.66, 6.38]})
     '+6.0 kW (95 % interval 5.7 to 6.4)'
     """
-<<<<<<< HEAD
-    power = get_number(one.get("power_kw"))
-    limits = list[Any](one.get("power_ci95_kw") or (None, None))
-    low, high = get_number(limits[0]), get_number(limits[1])
-=======
     power, limits = get_number(one.get("power_kw")), one.get("power_ci95_kw") or ()
     low, high = [get_number(each) for each in limits] if len(limits) == 2 else [None, None]
->>>>>>> 0ad59fe5a2a8abbc8a169c603a31d1b896e7638e
     if power is None:
         return UNKNOWN
     interval = "" if low is None or high is None else f" (95 % interval {low:.1f} to {high:.1f})"
