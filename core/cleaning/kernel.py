@@ -369,9 +369,11 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     row.dt, row.mistimed = dt, state.mistimed
     rode = state.riding == 1.0
     charging = row.raw_charging == 1.0 or bool(int(row.quality) & meters.CHARGING_INFERRED)
-    begins = segmentation.update_ride(state, row.raw_ride, dt, state.standing == 0.0, charging, settings)
+    moving = state.standing == 0.0 or (state.riding == 1.0 and motion.is_blind(state, row))
+    begins = segmentation.update_ride(state, row.raw_ride, dt, moving, charging, settings)
     if begins:  # the step ended before the ride and is not part of it
         row.dt = row.travel = row.distance = row.climb = row.energy = row.energy_variance = row.metered = row.stop = 0.0
+        state.section_distance = 0.0
         row.acceleration_spread = row.mistimed = row.unseen = row.disputed = row.path = row.path_run = 0.0
         row.quality = float(int(row.quality) & ~NOT_OF_RIDE)
         meters.begin_stillness(state, 0.0)

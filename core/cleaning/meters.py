@@ -197,14 +197,18 @@ def update_soc(state: Any, row: Any, dt: float) -> bool:
     state.still_distance += row.distance
     state.still_energy += row.energy
     state.still_unmetered += dt - row.metered
-    if dt > LONGEST_STILLNESS:
-        state.slept = 1.0
     if row.raw_charging == 1.0 or dt > LONGEST_STILLNESS:
         begin_stillness(state, 0.0)
     if isnan(row.raw_soc):
         row.quality += SOC_MISSING if state.has_soc == 1.0 else 0
         return False
     state.has_soc = 1.0
+    if state.soc_age > LONGEST_STILLNESS:  # whatever changed meanwhile, the car was asleep
+        state.slept = 1.0
+        before, state.soc = state.soc, row.raw_soc
+        state.soc_age = 0.0
+        begin_stillness(state, 0.0)
+        return bool(abs(state.soc - before) > 1e-6)
     state.soc_age = 0.0
     before, state.soc = state.soc, row.raw_soc
     change = row.raw_soc - before

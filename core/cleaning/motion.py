@@ -73,6 +73,7 @@ FIELDS: Final = (
     "has_speed",  # 1 once the car has sent a speed
     "has_fix",  # 1 once the car has sent a fix
     "standing",  # 1 while the car stands
+    "lost_at_speed",  # 1 where the last fix came at speed, and no speed has been reported since
     "cruise",  # mean speed of the last minute of driving [m/s]
 )
 
@@ -120,6 +121,8 @@ MOVING: Final = 1.5
 """Speed above which the car moves. [m/s]"""
 LONGEST_BRIDGE: Final = 86_400.0
 """Longest time for which an odometer bridges a hole. A faulty clock would otherwise allow any distance. [s]"""
+LOST_SPEED: Final = 8.0
+"""Speed at which no car is about to park. [m/s]"""
 COMPRESSED: Final = 1.5
 """Ratio of the speed of a bridge to the limit from which its logger lost time; less is noise of fixes. [1]"""
 CRUISE_TIME: Final = 60.0
@@ -278,6 +281,16 @@ def find_bridge_speed(state: Any, row: Any, age: float, settings: Any) -> float:
 
 
 @njit(cache=False)
+def is_blind(state: Any, row: Any) -> bool:
+    """Return whether a standstill is that of a receiver in a tunnel: the fix was lost at speed, and the speed with it."""
+    if not isnan(row.raw_latitude):
+        state.lost_at_speed = 1.0 if state.smooth > LOST_SPEED else 0.0
+    elif row.raw_speed > CRAWL:
+        state.lost_at_speed = 0.0
+    return bool(isnan(row.raw_latitude) and state.lost_at_speed == 1.0)
+
+
+@njit(cache=False)
 def find_hole(state: Any, settings: Any) -> float:
     """Return the longest step that is not a hole in the speed; a logger without a period is silent at one speed. [s]"""
     return HOLE * settings.period if state.has_period == 1.0 else 1.5 * state.period
@@ -407,6 +420,7 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     speed, missed, row.disputed = weigh_speed(state, row, accept_speed(state, row, settings), dt, gap, settings)
     speed, held = repair_speed(state, row, speed, dt, hole)
     state.fix_age += dt
+    state.fix_still += dt if speed == 0.0 else 0.0
     state.odometer_age += dt
     fixed = not (isnan(row.raw_latitude) or isnan(state.latitude))
     distance = integrate_speed(state, speed, dt, fixed, fixed or not isnan(state.odometer), gap, settings.period)

@@ -119,7 +119,7 @@ def weigh_speed(state: Any, row: Any, speed: float, dt: float, gap: bool, settin
         Distance that was counted, and that the witnesses dispute. [m]
     """
     advance_sections(state, speed, dt, gap)
-    missed, disputed = take_fix(state, row, settings)
+    missed, disputed = take_fix(state, row, dt, settings)
     more, too_much = take_odometer(state, row.raw_odometer)
     missed, disputed = missed + more, disputed + too_much
     factor = find_unit(state)
@@ -154,12 +154,14 @@ def advance_sections(state: Any, speed: float, dt: float, gap: bool) -> None:
 
 
 @njit(cache=False)
-def take_fix(state: Any, row: Any, settings: Any) -> tuple[float, float]:
+def take_fix(state: Any, row: Any, dt: float, settings: Any) -> tuple[float, float]:
     """Close a section at a fix that is far enough; return the distance that the speed missed or showed too much."""
     if isnan(row.raw_latitude) or isnan(row.raw_longitude):
         return 0.0, 0.0
     chord = compute_chord(state.section_latitude, state.section_longitude, row.raw_latitude, row.raw_longitude)
-    if not chord <= settings.speed_limit * state.section_age + SLACK:  # a leap, or no section is open
+    step = compute_chord(state.fix_latitude, state.fix_longitude, row.raw_latitude, row.raw_longitude)
+    leaps = step > settings.speed_limit * dt + SLACK
+    if leaps or not chord <= settings.speed_limit * state.section_age + SLACK:  # or no section is open
         open_section(state, row)
         if isnan(state.agreed_latitude):
             agree(state, row)
