@@ -13,6 +13,7 @@ property of rides, cars or days in general. The search compares the same hours o
        p = Φ(-Z) C(n, k) · 2 · (hours · places · largest k),
 
    the bound of Bonferroni over all sets of dates. Spans overlap, so that they count as so many as there are hours.
+   The span of the clearest set is then the one whose one power fits these dates best.
 
 The day begins at the hour with the least driving, so that an evening is not cut at midnight UTC.
 
@@ -319,7 +320,17 @@ class _HourlyPower:
                 if best is None or log_chance < best.log_chance:
                     span = at + row
                     best = _Best(car, int(starts[span]), int(ends[span]), dates[chosen], log_chance)
-        return best
+        return None if best is None else self._fit_span(best, starts, ends)
+
+    def _fit_span(self, best: _Best, starts: Ints, ends: Ints) -> _Best:
+        """Return a set of dates with the span whose one power fits its hours best, as scores level off with size."""
+        rides = np.isin(self.date, best.dates) & ((self.car == best.car) | (best.car < 0))
+        enough = (self._precision[rides][:, ends] > self._precision[rides][:, starts]).sum(axis=0) >= LEAST_RIDES
+        precision, score = self._precision[rides].sum(axis=0), self._score[rides].sum(axis=0)
+        size = precision[ends] - precision[starts]
+        gain = np.divide((score[ends] - score[starts]) ** 2, size, out=np.zeros_like(size), where=size > 0.0)
+        at = int(np.argmax(np.where(enough & (starts < best.last) & (ends > best.first), gain, -1.0)))
+        return best._replace(first=int(starts[at]), last=int(ends[at]))
 
     def _list_places(self, first: Ints, last: Ints) -> Iterator[tuple[int, Ints, Floats, Floats, Ints]]:
         """Yield all cars and each car with enough dates: its code, dates, and mean, variance and rides by span."""
