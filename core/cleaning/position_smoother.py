@@ -199,7 +199,7 @@ def smooth_path(
         North, its rate, east, its rate. [m], [m/s], [m], [m/s]
     """
     kalman, noise_of_rest = make_filter(north[0], east[0], noise[0]), STILL_SPEED**2 * np.eye(2)
-    steps = [describe_step(step) for step in dt.tolist()]
+    steps = [describe_motion(step) for step in dt.tolist()]
     means, covariances = np.empty((len(dt), 4)), np.empty((len(dt), 4, 4))
     for i, (transition, process) in enumerate(steps):
         if i > 0:
@@ -224,7 +224,7 @@ def make_filter(north: float, east: float, noise: float) -> Any:
 
 
 @lru_cache(maxsize=1000)
-def describe_step(dt: float) -> tuple[Floats, Floats]:
+def describe_motion(dt: float) -> tuple[Floats, Floats]:
     """Return the transition and the process noise of a step. [s]"""
     from filterpy.common import Q_discrete_white_noise  # noqa: PLC0415 - as above
 
