@@ -8,9 +8,9 @@ Between fixes that are far apart in time, curves are longer than roads, so that 
 follow from the path, so that distance, speed and kinetic energy agree.
 
 A hole without fixes is bridged in the same way, and marked. Fixes that no car can have connected, as after a leap,
-divide a ride into parts; what lies between them keeps its causal motion. The odometer is a witness: where a ride has many of
-its steps, the distances are scaled so that their sum is within one step. A ride whose sum is far from the causal one
-keeps the causal motion.
+divide a ride into parts; what lies between them keeps its causal motion. The odometer is a witness: where a ride has
+many of its steps, the distances are scaled so that their sum is within one step. A ride whose sum is far from the
+causal one keeps the causal motion.
 
 filterpy is imported when the first ride of such a car is smoothed, because its import takes two seconds.
 """
@@ -255,7 +255,7 @@ def _fill_motion(
     distance = np.zeros(len(ride))
     distance[at] = find_lengths(dt[at], np.diff(path[:, ::2], axis=0)[at - 1], rates[at - 1], rates[at])
     distance[at[still[at] & still[at - 1]]] = 0.0
-    _straighten(distance, speed, time, path, np.flatnonzero(is_fix | still))
+    _straighten(distance, speed, time, path, np.flatnonzero(is_fix | still), still)
     speed = _limit_surges(speed, distance, dt)
     scale, by_odometer = _find_scale(clean.odometer[ride], distance)
     causal, whole = clean.distance[ride][at].sum(), scale * distance[at].sum()
@@ -294,10 +294,12 @@ def find_lengths(dt: Floats, way: Floats, before: Floats, after: Floats) -> Floa
     return np.where(dt > LONGEST_CURVE, chord, curve)
 
 
-def _straighten(distance: Floats, speed: Floats, time: Floats, path: Floats, measured: Ints) -> None:
-    """Shorten the curves between two fixes that are many rows and a long time apart to their chords, in place."""
+def _straighten(
+    distance: Floats, speed: Floats, time: Floats, path: Floats, measured: Ints, still: NDArray[np.bool_]
+) -> None:
+    """Shorten the curves between two fixes of a moving car that are a long time apart to their chords, in place."""
     for begin, end in zip(measured[:-1].tolist(), measured[1:].tolist(), strict=True):
-        if end - begin < 2 or time[end] - time[begin] <= HOLE:
+        if end - begin < 2 or time[end] - time[begin] <= HOLE or still[begin] or still[end]:
             continue
         rows, along = slice(begin + 1, end + 1), float(distance[begin + 1 : end + 1].sum())
         chord = float(np.hypot(*(path[end, ::2] - path[begin, ::2])))
