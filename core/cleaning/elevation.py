@@ -133,15 +133,14 @@ def weigh_slope(state: Any, fix: float) -> tuple[int, float]:
     """Return whether a road leads to a fix [m], and for a new level its height above the base [m]."""
     if isnan(state.base_height):
         state.base_height, state.base_run = fix, 0.0
-    rise = fix - state.base_height
-    outcome = ROAD
-    if abs(rise) > STEEPEST * state.base_run + SURE:
-        if isnan(state.steep_height) or abs(fix - state.steep_height) > STEEPEST * state.steep_run + SURE:
-            state.steep_height, state.steep_run = fix, 0.0
-            return STEEP, 0.0
+    rise, outcome = fix - state.base_height, ROAD
+    if not isnan(state.steep_height) and abs(fix - state.steep_height) <= STEEPEST * state.steep_run + SURE:
         if state.steep_run < BASE:
             return STILL_STEEP, 0.0
         outcome = NEW_LEVEL
+    elif abs(rise) > STEEPEST * state.base_run + SURE:
+        state.steep_height, state.steep_run = fix, 0.0
+        return STEEP, 0.0
     state.steep_height = nan
     if outcome == NEW_LEVEL or state.base_run >= BASE:
         state.base_height, state.base_run = fix, 0.0

@@ -256,5 +256,5 @@ def find_difference(fix: Any) -> float:
     return max(ROUNDING, np.median(differences[:count])) if count > 0 else ROUNDING
 
 
-for _function in (smooth_rides, find_noise):
+for _function in (smooth_rides, find_noise, reject_slopes):
     watch_sources(_function, elevation_filter, elevation)

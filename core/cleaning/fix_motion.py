@@ -69,30 +69,36 @@ def weigh_odometer(state: Any, row: Any, distance: float, settings: Any) -> tupl
             row.quality = float(int(row.quality) | POSITION_DRIFT)
         state.odometer_distance -= distance
         return 0.0, 0.0
-    driven, counted = odometer - state.odometer, state.odometer_distance
-    since = min(state.odometer_age, motion.LONGEST_BRIDGE)
-    is_possible = driven <= settings.speed_limit * since + settings.tunnel_limit
-    missing = 0.0
-    if is_possible and state.odometer_ticks >= 1.0:
-        state.odometer_step = driven if state.odometer_step == 0.0 else min(driven, state.odometer_step)
-        most = state.odometer_step + motion.SLACK
-        total = state.odometer_shortfall + driven - counted
-        if state.odometer_hole == 0.0:
-            keep = max(0.0, 1.0 - driven / UNIT_DISTANCE)
-            state.odometer_driven = keep * state.odometer_driven + driven
-            state.odometer_followed = keep * state.odometer_followed + counted
-        excess = abs(state.odometer_driven - state.odometer_followed)
-        has_other_unit = excess > MOST_MISSING * state.odometer_driven + state.odometer_step
-        if has_other_unit:
-            total = max(-most, min(most, total))
-        elif total > most:
-            missing, total = total, 0.0
-        elif total < -most:  # which takes effect in the distance up to the next change
-            state.path_owed = max(state.path_owed, -total - most)
-        state.odometer_shortfall = total
+    missing = compare_change(state, odometer - state.odometer, settings)
     state.odometer_ticks += 1.0
     begin_odometer(state, odometer)
     return distance, missing
+
+
+@njit(cache=False)
+def compare_change(state: Any, driven: float, settings: Any) -> float:
+    """Return the distance that fixes have missed, over a change of the odometer and those before. [m]"""
+    counted, since = state.odometer_distance, min(state.odometer_age, motion.LONGEST_BRIDGE)
+    if driven > settings.speed_limit * since + settings.tunnel_limit or state.odometer_ticks < 1.0:
+        return 0.0
+    state.odometer_step = driven if state.odometer_step == 0.0 else min(driven, state.odometer_step)
+    most = state.odometer_step + motion.SLACK
+    total = state.odometer_shortfall + driven - counted
+    if state.odometer_hole == 0.0:
+        keep = max(0.0, 1.0 - driven / UNIT_DISTANCE)
+        state.odometer_driven = keep * state.odometer_driven + driven
+        state.odometer_followed = keep * state.odometer_followed + counted
+    excess = abs(state.odometer_driven - state.odometer_followed)
+    if excess > MOST_MISSING * state.odometer_driven + state.odometer_step:  # it has another unit
+        state.odometer_shortfall = max(-most, min(most, total))
+        return 0.0
+    if total > most:
+        state.odometer_shortfall = 0.0
+        return float(total)
+    state.odometer_shortfall = total
+    if total < -most:  # which takes effect in the distance up to the next change
+        state.path_owed = max(state.path_owed, -total - most)
+    return 0.0
 
 
 @njit(cache=False)

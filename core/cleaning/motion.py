@@ -282,7 +282,7 @@ def find_bridge_speed(state: Any, row: Any, age: float, settings: Any) -> float:
 
 @njit(cache=False)
 def is_blind(state: Any, row: Any) -> bool:
-    """Return whether a standstill is that of a receiver in a tunnel: the fix was lost at speed, and the speed with it."""
+    """Return whether a standstill is that of a receiver in a tunnel: fix and speed were lost at once, at speed."""
     if not isnan(row.raw_latitude):
         state.lost_at_speed = 1.0 if state.smooth > LOST_SPEED else 0.0
     elif row.raw_speed > CRAWL:

@@ -3,13 +3,14 @@
 filterpy's Kalman filter runs over the fixes of a ride, and its Rauch-Tung-Striebel smoother runs back (AIAA J. 3 (1965)
 1445, DOI 10.2514/3.3166). The matrices are those of the compiled filter in `core.cleaning.position_filter`, which also
 states the noise of each fix, and where the car stands: there a velocity of zero is measured as well. The smoothed path
-between two rows is the cubic curve through their positions with their velocities, and its length is the distance. Speed
-and acceleration follow from it, so that distance, speed and kinetic energy agree.
+between two rows is the cubic curve through their positions with their velocities, and its length is the distance.
+Between fixes that are far apart in time, curves are longer than roads, so that it is the chord. Speed and acceleration
+follow from the path, so that distance, speed and kinetic energy agree.
 
-A hole without fixes is bridged by that curve, and marked. Fixes that no car can have connected, as after a leap, divide
-a ride into parts; what lies between them keeps its causal motion. The odometer is a witness: where a ride has many of
-its steps, the distances are scaled so that their sum is within one step. A ride whose sum is far from the causal one
-keeps the causal motion.
+A hole without fixes is bridged in the same way, and marked. Fixes that no car can have connected, as after a leap,
+divide a ride into parts; what lies between them keeps its causal motion. The odometer is a witness: where a ride has
+many of its steps, the distances are scaled so that their sum is within one step. A ride whose sum is far from the
+causal one keeps the causal motion.
 
 filterpy is imported when the first ride of such a car is smoothed, because its import takes two seconds.
 """
@@ -45,7 +46,7 @@ SURGE: Final = 1.2
 TRAIL: Final = 5.0
 """Time after the last fix for which the car goes on as it did. [s]"""
 HOLE: Final = 12.0
-"""Least time between two fixes that is a hole in a quick sequence of fixes. [s]"""
+"""Least time between two fixes that is a hole in a quick sequence of fixes, and over which the path is straight. [s]"""
 HOLE_STEPS: Final = 3.5
 """The same in median times between fixes."""
 OFF: Final = 1.0
@@ -199,7 +200,7 @@ def smooth_path(
         North, its rate, east, its rate. [m], [m/s], [m], [m/s]
     """
     kalman, noise_of_rest = make_filter(north[0], east[0], noise[0]), STILL_SPEED**2 * np.eye(2)
-    steps = [describe_step(step) for step in dt.tolist()]
+    steps = [describe_motion(step) for step in dt.tolist()]
     means, covariances = np.empty((len(dt), 4)), np.empty((len(dt), 4, 4))
     for i, (transition, process) in enumerate(steps):
         if i > 0:
@@ -224,7 +225,7 @@ def make_filter(north: float, east: float, noise: float) -> Any:
 
 
 @lru_cache(maxsize=1000)
-def describe_step(dt: float) -> tuple[Floats, Floats]:
+def describe_motion(dt: float) -> tuple[Floats, Floats]:
     """Return the transition and the process noise of a step. [s]"""
     from filterpy.common import Q_discrete_white_noise  # noqa: PLC0415 - as above
 
@@ -254,6 +255,7 @@ def _fill_motion(
     distance = np.zeros(len(ride))
     distance[at] = find_lengths(dt[at], np.diff(path[:, ::2], axis=0)[at - 1], rates[at - 1], rates[at])
     distance[at[still[at] & still[at - 1]]] = 0.0
+    _straighten(distance, speed, time, path, np.flatnonzero(is_fix | still), still)
     speed = _limit_surges(speed, distance, dt)
     scale, by_odometer = _find_scale(clean.odometer[ride], distance)
     causal, whole = clean.distance[ride][at].sum(), scale * distance[at].sum()
@@ -290,6 +292,20 @@ def find_lengths(dt: Floats, way: Floats, before: Floats, after: Floats) -> Floa
     curve = dt / 6.0 * sum(k * np.hypot(v[:, 0], v[:, 1]) for k, v in ((1.0, before), (4.0, middle), (1.0, after)))
     chord = np.hypot(way[:, 0], way[:, 1])
     return np.where(dt > LONGEST_CURVE, chord, curve)
+
+
+def _straighten(
+    distance: Floats, speed: Floats, time: Floats, path: Floats, measured: Ints, still: NDArray[np.bool_]
+) -> None:
+    """Shorten the curves between two fixes of a moving car that are a long time apart to their chords, in place."""
+    for begin, end in zip(measured[:-1].tolist(), measured[1:].tolist(), strict=True):
+        if end - begin < 2 or time[end] - time[begin] <= HOLE or still[begin] or still[end]:
+            continue
+        rows, along = slice(begin + 1, end + 1), float(distance[begin + 1 : end + 1].sum())
+        chord = float(np.hypot(*(path[end, ::2] - path[begin, ::2])))
+        if along > chord:
+            distance[rows] *= chord / along
+            speed[begin + 1 : end] *= chord / along
 
 
 def _limit_surges(speed: Floats, distance: Floats, dt: Floats) -> Floats:

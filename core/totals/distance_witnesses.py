@@ -18,6 +18,8 @@ STALE: Final = 300.0
 """Distance that a car drives between two reports of its odometer. [m]"""
 SHORTER: Final = 0.08
 """Share by which the distance may be shorter than the sum of its sections between fixes, by their noise. [1]"""
+FIRST_FIXES: Final = 100.0
+"""Distance by which the first fixes of a ride may wander, before the receiver is sure of its place. [m]"""
 LONGER: Final = 0.25
 """Share by which the distance may be longer, by the bends of the road within sections. [1]"""
 LEAST_PATH: Final = 1000.0
@@ -78,4 +80,4 @@ def _compare_fixes(totals: Totals) -> tuple[Floats, NDArray[np.bool_]]:
     path, run = totals.amount("path"), totals.amount("path_run")
     known = (path > LEAST_PATH) & (run > LEAST_PART * totals.amount("distance"))
     ratio = np.log(np.divide(run, path, out=np.full(len(path), np.nan), where=known))
-    return ratio, known & ((run < (1.0 - SHORTER) * path) | (run > (1.0 + LONGER) * path))
+    return ratio, known & ((run < (1.0 - SHORTER) * path - FIRST_FIXES) | (run > (1.0 + LONGER) * path + FIRST_FIXES))

@@ -410,7 +410,7 @@ def test_crossing_the_date_line_is_no_jump():
     assert base["longitude_deg"].min() < 0 < base["longitude_deg"].max()
     clean = cleaned(without(base, "speed_kmh"))
     assert count(clean, Quality.POSITION_JUMP) == 0
-    assert clean.distance.sum() == pytest.approx(base["metres"][-1], rel=1e-3)
+    assert clean.distance.sum() == pytest.approx(base["metres"][-1], rel=5e-3)
     assert np.degrees(clean.heading[-1]) == pytest.approx(90, abs=0.5)
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from core.cleaning import position_filter
 from core.cleaning.kernel import STATE, Cleaner, new_lane_state
-from core.cleaning.position_smoother import OF_FIX, describe_step, make_filter
+from core.cleaning.position_smoother import OF_FIX, describe_motion, make_filter
 from core.cleaning.quality import Quality
 from core.settings import Settings
 from tests.support.telemetry import Columns, count, decoded, picked, telemetry, without
@@ -37,7 +37,7 @@ def test_filter_equals_filterpy_step_by_step(seed):
     kalman = make_filter(0.0, 0.0, 4.0)
     for dt, sd in zip(rng.choice([0.4, 1.0, 3.0, 30.0], 50), rng.uniform(1.0, 20.0, 50), strict=True):
         fix = kalman.x[::2] + rng.normal(0.0, 30.0, 2)
-        transition, process = describe_step(dt)
+        transition, process = describe_motion(dt)
         kalman.predict(F=transition, Q=process)
         kalman.update(fix, R=sd**2 * np.eye(2), H=OF_FIX)
         position_filter.predict_path.py_func(state, dt)
