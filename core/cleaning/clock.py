@@ -13,8 +13,10 @@ it follow a drifting clock, and outliers are clipped. A stamp equal to that of t
 Remaining error, for a period of 3 s and Gaussian errors of the stamps with standard deviation s:
 
 - With a counter and s up to 1 s, the error is 0.19 s rms and at most 0.9 s. The duration of a drive is right to 0.6 s.
-  A clock that is set costs no time: two samples continue on the old clock, then the new clock is used. A silence that
-  the counter does not count is treated as a clock that was set.
+  A clock that is set costs no time: two samples continue on the old clock, then the new clock is used.
+- A stamp that leaps ahead of a counter that continues is that of a clock that was set, or of a logger that slept. The
+  car decides: if it demonstrably drove on, the clock was set; if it stands or is elsewhere, the logger paused. Where
+  neither is known, more than ten minutes are a pause. The next sample must confirm it, so that it costs one sample.
 - Without a counter, the same holds for s up to 0.5 s. For s of 1 s the error is 0.5 s rms. One sample in 40 is then
   off by a period until later samples correct it (its `dt` is zero or double), and a duration is right to 3 s. If
   samples are also lost, the error is 1.2 s rms.
