@@ -158,5 +158,10 @@ FAULTS: Final[dict[Quality, LoggerFault]] = {
         "the energy by the first change of the state of charge",
         "read the value anew before the first sample after sleep",
     ),
+    Quality.CLOCK_ROLLOVER: LoggerFault(
+        "clock 1024 weeks early",
+        "nothing: 1024 weeks were added",
+        "update the GPS receiver, whose week number has rolled over",
+    ),
 }
 """Each quality bit in plain words."""

@@ -90,6 +90,21 @@ def describe_faults(faults: Mapping[str, Mapping[str, int]]) -> list[str]:
     return [f"{_name_cars(cars)}: {explain_fault(name)}" for name, cars in sorted(faults.items())]
 
 
+def list_facts(faults: Mapping[str, Mapping[str, int]]) -> dict[str, list[str]]:
+    """Return what is wrong with the logger of each car, by car.
+
+    Parameters
+    ----------
+    faults : mapping of str to mapping of str to int
+        As of `describe_faults`.
+    """
+    facts: dict[str, list[str]] = {}
+    for name, cars in sorted(faults.items()):
+        for car in cars:
+            facts.setdefault(car, []).append(explain_fault(name))
+    return facts
+
+
 def explain_fault(name: str) -> str:
     """Return what is wrong with a logger, and how to mend it, by the name of the fault."""
     if name.startswith(SPEED_UNIT):

@@ -4,6 +4,7 @@ import pandas as pd
 
 from core.pipeline import Pipeline
 from core.settings import Settings
+from core.totals.logger_faults import list_facts
 from core.totals.run_counters import CarCounters
 from stream.elevation_files import open_elevation
 from tools.commands.tables import tabulate
@@ -42,7 +43,8 @@ def check(
     rides: list[pd.DataFrame] = []
     tabulate(sources, pipeline, lambda ended, _: rides.append(ended[list(RIDE_COLUMNS)]))
     names = pipeline.lanes.names
-    cars = report_cars(names, *counters.list_cars(len(names)), pd.concat(rides, ignore_index=True))
+    facts = list_facts(pipeline.quality()["logger_faults"])
+    cars = report_cars(names, *counters.list_cars(len(names)), pd.concat(rides, ignore_index=True), facts)
     cars = [car for car in cars if car.samples]
     undecodable = dict(sorted(pipeline.quality()["undecodable"].items()))
     step = choose_next_step(cars)
