@@ -36,6 +36,7 @@ FIELDS: Final = (
     "still_energy",  # energy by voltage times current since then [J]
     "still_unmetered",  # time since then for which that energy is unknown [s]
     "still_known",  # 1 if these four count from a change, 0 if from the beginning of the ride or of charging
+    "stood",  # time for which the car has stood [s]
     "slept",  # 1 from a pause until the state of charge changes
 )
 UNKNOWN_AT_FIRST: Final = ("power", "current", "soc", "soc_step", "raw_power")
@@ -123,6 +124,7 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
     what it was, so its power is held.
     """
     power = row.raw_voltage * row.raw_current
+    state.stood = state.stood + dt if state.standing == 1.0 else 0.0
     if isnan(power):
         row.quality += POWER_MISSING if state.has_power == 1.0 else 0
     elif state.sign < 0.0:
@@ -147,7 +149,7 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
 def charges_unsaid(state: Any, row: Any, power: float) -> bool:
     """Return whether a standing car takes power without saying that it charges."""
     least = METER_LAG if state.sign > 0.0 else UNPROVEN
-    stands = state.standing == 1.0 and state.stand >= least
+    stands = state.standing == 1.0 and state.stood >= least
     return bool(stands and power < -CHARGING_POWER and row.raw_charging != 1.0)
 
 

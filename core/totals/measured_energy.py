@@ -372,8 +372,8 @@ def list_energy_faults(totals: Totals, cars: Cars) -> tuple[tuple[str, NDArray[n
     unknown = np.isnan(cars.capacity[totals.at_last("kind").astype(np.int64)])
     return (
         ("contradictory_energy", totals.display["contradicted"] > 0.0),
-        ("power_frozen", by_power & (totals.quality[:, CAUSES.index("power_frozen")] > 0.0)),
         ("power_missing", by_power & (_metered_share(totals) < TRAINING_SHARE)),
+        ("power_frozen", by_power & (totals.quality[:, CAUSES.index("power_frozen")] > 0.0)),
         ("no_measured_energy", unmeasured),
         ("soc_jump", reported & jumped),
         ("soc_frozen", reported & frozen),
