@@ -10,7 +10,8 @@ change, and all its fixes measure one height. A bridged tunnel is one long step.
 
 A fix is the height plus an error. The errors of two fixes that lie the time t apart have the correlation
 r = exp(-t / T). The filter therefore measures z - r z', where z' is the fix before, because the error of that
-difference is white (Bryson and Henrikson, J. Spacecraft 5 (1968) 662, DOI 10.2514/3.29327).
+difference is white (Bryson and Henrikson, J. Spacecraft 5 (1968) 662, DOI 10.2514/3.29327). The slope between both must
+be that of now, so that fixes more than `LENGTH` apart count as unrelated.
 
 Where a map knows the ground, its elevation is a second reading, with the variance that the map states. Its error is
 correlated over the distance `GROUND_LENGTH` in the same way, so that many fixes over one node of a coarse map count as
@@ -149,10 +150,20 @@ def filter_ride(
                 i, estimates[0], rejected = first_rejected, saved, 0
                 forget_slope(now, min(now.since_fix, now.since_ground))
                 store(predicted, i, now)
+                forget_stand(ride, i, now, predicted, updated)
                 take_row(now, ride.fix[i], ride, i, noise, inf)
         store(updated, i, now)
         i += 1
     return cost
+
+
+@njit(cache=False)
+def forget_stand(ride: Any, i: int, now: Any, predicted: Any, updated: Any) -> None:
+    """Store an estimate whose slope was forgotten at row `i` back to the step that led to where the car stands."""
+    while i > 0 and ride.distance[i] <= 0.0 and now.since_fix > 0.0:
+        i -= 1
+        store(predicted, i, now)
+        store(updated, i, now)
 
 
 @njit(cache=False)
@@ -183,7 +194,7 @@ def take_row(
             now.last_ground, now.since_ground = ground, 0.0
     if not isnan(fix):
         related = 0.0
-        if now.time_since_fix > 0.0 and not isnan(now.last_fix):
+        if now.time_since_fix > 0.0 and now.since_fix <= LENGTH and not isnan(now.last_fix):
             related = exp(-now.time_since_fix / correlation_time)
         loss, used = take_reading(now, fix, now.last_fix, related, now.since_fix, sd * sd, gate)
         cost += loss
@@ -249,9 +260,12 @@ def begin_segment(now: Any) -> None:
 
 @njit(cache=False)
 def forget_slope(now: Any, distance: float) -> None:
-    """Let the slope be unknown, over a distance back from the present place. [m]"""
+    """Let the slope be unknown, over a distance back from the present place. [m]
+
+    Over a tunnel that is longer than slopes last, the slope at its end says nothing of the height gained in it.
+    """
     now.var_height += STEEP * STEEP * distance * distance
-    now.covariance += STEEP * STEEP * distance
+    now.covariance += exp(-distance / LENGTH) * STEEP * STEEP * distance
     now.var_slope += STEEP * STEEP
 
 

@@ -66,7 +66,8 @@ def run_filterpy(distance, time, fix, noise):
     values, readings, variances, last, run, age = [], [], [], None, 0.0, 0.0
     for d, t, z in zip(distance, time, fix, strict=True):
         run, age = run + d, age + t
-        related = 0.0 if last is None or age == 0.0 else np.exp(-age / correlation_time)
+        is_near = last is not None and age > 0.0 and run <= LENGTH
+        related = np.exp(-age / correlation_time) if is_near else 0.0
         values.append(None if np.isnan(z) else z - related * (last or 0.0))
         readings.append(np.array([[1.0 - related, related * run]]))
         variances.append(np.array([[sd**2 * (1.0 - related**2)]]))
@@ -388,3 +389,16 @@ def test_late_sample_within_a_tunnel_makes_its_frozen_fix_no_new_one():
 def test_repeated_fix_of_a_standing_car_counts_once():
     columns = picked(drive(50, speed=0.0, elevation_m=40.0), slice(None))
     assert np.isfinite(cleaned(columns).elevation_fix).sum() == 1
+
+
+@pytest.mark.parametrize("stands", [False, True], ids=["moving", "standing"])
+@pytest.mark.parametrize("slope", [0.05, 0.1, -0.1, 0.2])
+def test_tunnel_up_a_hill_between_level_roads_keeps_its_climb(slope, stands):
+    speed = np.full(500, 10.0)
+    speed[239:260] = 0.0 if stands else 10.0
+    columns = drive(500, speed=speed)
+    run = np.clip(columns["metres"] - 6000.0, 0.0, 1200.0)
+    columns["elevation_m"] = np.where((run > 0.0) & (run < 1200.0), np.nan, 500.0 + np.round(slope * run))
+    clean = smooth_elevation(cleaned(columns))
+    assert clean.climb.sum() == pytest.approx(1200.0 * slope, rel=0.05)
+    np.testing.assert_allclose(clean.elevation[:195], 500.0, atol=3.0)
