@@ -82,7 +82,8 @@ WIDTH: Final = 1.4
 """Half width of the interval of a mean. [standard deviations]
 
 Chosen so that the noise that remains adds as much energy of speeding up as the average hides, on the drives named at
-`LEAP` with white noise of 0.5 to 3 km/h added. It is a compromise: too wide for the Tesla, too narrow for smooth drives.
+`LEAP_RATE` with white noise of 0.5 to 3 km/h added. It is a compromise: too wide for one car, and too narrow for very
+smooth drives.
 """
 WIDER: Final = 0.35
 """How much wider it is where all is noise, and an average hides little. [1]"""
@@ -97,8 +98,9 @@ LEAP: Final = 10.0 * KMH
 LEAP_RATE: Final = 5.5 * KMH
 """Change of speed, at any time and per second, that drivers do not undo in the next step. [m/s], [m/s^2]
 
-Chosen above the largest changes that 229 real drives and 46 test cycles undo: 8, 17, 26, 33 and 56 km/h in the next
-step for samples every 1, 2, 3, 5 and 10 s, and 12, 22, 26, 37 and 63 km/h in the one after it; Steinstraeter et al., DOI 10.21227/6jr9-5235; Oh et al., arXiv:1905.02081; Yuan et al., DOI
+Chosen above the largest changes that 229 real drives and 46 test cycles undo in the next step: 8, 17, 26, 33 and
+56 km/h for samples every 1, 2, 3, 5 and 10 s. In the step after it they undo up to 12, 22, 26, 37 and 63 km/h.
+Steinstraeter et al., DOI 10.21227/6jr9-5235; Oh et al., arXiv:1905.02081; Yuan et al., DOI
 10.1016/j.patter.2024.100950."""
 LARGEST_LEAP: Final = 57.0 * KMH
 """The same at most. [m/s]"""
