@@ -68,7 +68,7 @@ REPEAT_MEMORY: Final = 100.0
 """Number of samples in the running share of those that repeat the current."""
 LEAST_REPEATS: Final = 0.3
 """Share of repetitions of a current that is assumed of any car: a coarse meter at a steady speed. [1]"""
-LEAST_SPEED_CHANGE: Final = 18.0 * KMH
+LEAST_SPEED_CHANGE: Final = 54.0 * KMH
 """Sum of changes of speed without which a current may stay the same for any time. [m/s]"""
 LEAST_CHANCE: Final = -16.0
 """Logarithm of the chance of a run of repetitions below which the current is frozen: one in ten million."""

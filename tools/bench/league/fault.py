@@ -15,10 +15,13 @@ from tools.bench.league.loggers import Car, Log
 VALUES, SAMPLES, CLOCK, ORDER = range(4)
 """Stages in which faults act: on values, on which samples there are, on stamps, on the order of arrival."""
 CAUSES: Final = {
-    "clock": ("gap", "clock", "time", "stamp", "counter", "sequence", "pause", "too_long", "too_short", "missing"),
-    "speed": ("speed", "distance", "odometer"),
-    "position": ("position", "fix", "distance", "speed", "slope"),
-    "odometer": ("odometer", "distance"),
+    "clock": (
+        *("gap", "clock", "time", "stamp", "counter", "sequence", "pause", "too_long", "too_short", "missing"),
+        *("distance", "speed"),
+    ),
+    "speed": ("speed", "distance", "odometer", "bridge", "too_long"),
+    "position": ("position", "fix", "distance", "speed", "slope", "bridge"),
+    "odometer": ("odometer", "distance", "speed"),
     "current": ("current", "power", "energy", "meter", "contradictory"),
     "charge": ("soc", "charg", "energy", "capacity", "contradictory", "too_long"),
 }
