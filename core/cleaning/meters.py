@@ -36,6 +36,7 @@ FIELDS: Final = (
     "still_energy",  # energy by voltage times current since then [J]
     "still_unmetered",  # time since then for which that energy is unknown [s]
     "still_known",  # 1 if these four count from a change, 0 if from the beginning of the ride or of charging
+    "plugged",  # number of successive samples in which the standing car took power
     "stood",  # time for which the car has stood [s]
     "slept",  # 1 from a pause until the state of charge changes
 )
@@ -150,7 +151,8 @@ def charges_unsaid(state: Any, row: Any, power: float) -> bool:
     """Return whether a standing car takes power without saying that it charges."""
     least = METER_LAG if state.sign > 0.0 else UNPROVEN
     stands = state.standing == 1.0 and state.stood >= least
-    return bool(stands and power < -CHARGING_POWER and row.raw_charging != 1.0)
+    state.plugged = state.plugged + 1.0 if stands and power < -CHARGING_POWER else 0.0
+    return bool(state.plugged > 1.0 and row.raw_charging != 1.0)
 
 
 @njit(cache=False)

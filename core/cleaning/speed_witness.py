@@ -31,6 +31,7 @@ FIELDS: Final = (
     "section_run",  # distance by the speed since then [m]
     "section_hole",  # 1 if the speed was unknown since then
     "section_distance",  # distance that was counted since then [m]
+    "frozen_run",  # distance by the speed since the fix last changed [m]
     "fix_near",  # distance by fixes in the last sections, the older the less [m]
     "run_near",  # distance by the speed in them [m]
     "fix_far",  # the same with a longer memory
@@ -118,7 +119,7 @@ def weigh_speed(state: Any, row: Any, speed: float, dt: float, gap: bool, settin
     disputed : float
         Distance that was counted, and that the witnesses dispute. [m]
     """
-    advance_sections(state, speed, dt, gap)
+    advance_sections(state, row, speed, dt, gap)
     missed, disputed = take_fix(state, row, dt, settings)
     more, too_much = take_odometer(state, row.raw_odometer)
     missed, disputed = missed + more, disputed + too_much
@@ -138,11 +139,13 @@ def weigh_speed(state: Any, row: Any, speed: float, dt: float, gap: bool, settin
 
 
 @njit(cache=False)
-def advance_sections(state: Any, speed: float, dt: float, gap: bool) -> None:
+def advance_sections(state: Any, row: Any, speed: float, dt: float, gap: bool) -> None:
     """Extend the open sections by the distance of a step."""
     unknown = gap or isnan(speed) or isnan(state.reported)
     run = 0.0 if unknown else 0.5 * (speed + state.reported) * dt
     state.reported = speed
+    is_same = row.raw_latitude == state.fix_latitude and row.raw_longitude == state.fix_longitude
+    state.frozen_run = state.frozen_run + run if is_same else 0.0
     state.section_age += dt
     state.section_run += run
     state.tick_run += run
@@ -166,7 +169,9 @@ def take_fix(state: Any, row: Any, dt: float, settings: Any) -> tuple[float, flo
         if isnan(state.agreed_latitude):
             agree(state, row)
         return 0.0, 0.0
-    circles = chord < SCATTER and state.section_run > CIRCLING and not is_at(state, row)
+    if state.frozen_run > SECTION:  # a frozen receiver is no witness
+        open_section(state, row)
+    circles = chord < SCATTER and state.section_run > CIRCLING and not has_odometer_moved(state)
     if chord < SECTION and not circles:
         return 0.0, 0.0
     state.tick_chord += chord
@@ -217,9 +222,9 @@ def agree(state: Any, row: Any) -> None:
 
 
 @njit(cache=False)
-def is_at(state: Any, row: Any) -> bool:
-    """Return whether a fix is exactly the one at which the section began: the receiver may be frozen."""
-    return bool(row.raw_latitude == state.section_latitude and row.raw_longitude == state.section_longitude)
+def has_odometer_moved(state: Any) -> bool:
+    """Return whether the odometer has moved with the speed lately."""
+    return bool(state.ticks > 1.0 and state.tick_run < 0.5 * CIRCLING)
 
 
 @njit(cache=False)
