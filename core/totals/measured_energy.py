@@ -34,7 +34,7 @@ RIDE_SD: Final = 0.02
 Estimated: the public BMW i3, its curve taken off, has 0.02 (DOI 10.21227/6jr9-5235)."""
 METERED_SHARE: Final = 0.5
 """Least share of the duration for which V·I must be known. [1]"""
-TRAINING_SHARE: Final = 0.85
+TRAINING_SHARE: Final = 0.8
 """The same for a ride that is fit for training. [1]"""
 HEAVY: Final = 3500.0
 """Mass of a car whose own is unknown: the heaviest of its licence class in Europe. [kg]"""

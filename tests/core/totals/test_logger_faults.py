@@ -71,12 +71,9 @@ def test_charging_without_a_flag_ends_the_ride_and_costs_it_nothing(power, wait)
 
 
 def test_named_ride_with_charging_in_it_is_unfit():
-    first, second = metered(seed=1), metered(seed=2)
-    second["latitude_deg"] += first["latitude_deg"][-1] - second["latitude_deg"][0]
-    columns = joined(first, second)
-    columns["time_s"] = columns["time_s"][0] + PERIOD * np.arange(2 * N)
-    columns["seq"] = np.arange(2 * N)
-    columns["speed_kmh"][N - 20 : N + 20] = 0.0
+    speed = np.concatenate([drive(N, seed=seed)["speed_kmh"] for seed in (1, 2)]) / 3.6
+    speed[N - 20 : N + 20] = 0.0
+    columns = metered(2 * N, speed=speed)
     columns["battery_current_a"][N - 10 : N + 15] = -20.0
     rides, _ = table(columns)
     assert rides["unfit_reason"].tolist() == ["charged"]
