@@ -1,10 +1,11 @@
-"""Renew the outputs in the tutorial: run `python -m tests.support.renew_tutorial`, then read `git diff docs`.
+"""Renew the outputs in a page: run `python -m tests.support.renew_tutorial [PAGE]`, then read `git diff docs`.
 
-It runs the commands of `docs/missing-effect.md` in order in a temporary folder and writes their output into the
-page. Elisions (`...`) stay in place where only numbers changed. Where words changed, the page gets the whole output,
+It runs the commands of the page, by default `docs/missing-effect.md`, in order in a temporary folder and writes their
+output into the page. Elisions (`...`) stay in place where only numbers changed. Where words changed, the page gets the whole output,
 to be shortened by hand. Numbers in the text between the outputs are not renewed.
 """
 
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -21,7 +22,8 @@ from tests.support.documented_commands import (
 
 def main() -> None:
     """Renew the page."""
-    page = PAGE.read_text(encoding="utf-8")
+    path = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else PAGE
+    page = path.read_text(encoding="utf-8")
     with TemporaryDirectory() as name:
         folder = prepare_folder(Path(name))
 
@@ -37,8 +39,8 @@ def main() -> None:
                 parts.append("\n".join([f"$ {each.command}", *(printed if lines is None else lines)]))
             return "```console\n" + "\n".join(parts) + "\n```"
 
-        PAGE.write_text(BLOCK.sub(lambda block: renewed(block[0]), page), encoding="utf-8")
-    print(f"{PAGE.name}: {len(list(documented_commands(page)))} commands")
+        path.write_text(BLOCK.sub(lambda block: renewed(block[0]), page), encoding="utf-8")
+    print(f"{path.name}: {len(list(documented_commands(page)))} commands")
 
 
 if __name__ == "__main__":
