@@ -435,7 +435,7 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
         bits |= shared_stamps.note_shared(state) if stamp == state.stamp else 0
         return advance_without_stamp(state, seq, counted if 1.0 <= counted <= BELIEVED else 1.0, bits)
     if shared_stamps.ends_group(state, stamp - state.stamp, counted):
-        return end_group(state, stamp, seq, counted)
+        return end_shared_group(state, stamp, seq, counted)
     shared_stamps.note_new_stamp(state)
     return advance_by_stamp(state, stamp, seq, elapsed, counted, bits, drove)
 
@@ -453,7 +453,7 @@ def advance_without_stamp(state: Any, seq: float, count: float, bits: int) -> tu
 
 
 @njit(cache=False)
-def end_group(state: Any, stamp: float, seq: float, counted: float) -> tuple[float, int]:
+def end_shared_group(state: Any, stamp: float, seq: float, counted: float) -> tuple[float, int]:
     """Advance the clock to the first sample with a new stamp, of a logger whose samples share stamps."""
     has_counter = 1.0 <= counted <= BELIEVED
     dt, bits = shared_stamps.end_group(state, stamp, counted if has_counter else 1.0, has_counter)

@@ -120,7 +120,7 @@ def weigh_speed(state: Any, row: Any, speed: float, dt: float, gap: bool, settin
         Distance that was counted, and that the witnesses dispute. [m]
     """
     advance_sections(state, row, speed, dt, gap)
-    missed, disputed = take_fix(state, row, dt, settings)
+    missed, disputed = close_section(state, row, dt, settings)
     more, too_much = take_odometer(state, row.raw_odometer)
     missed, disputed = missed + more, disputed + too_much
     factor = find_unit(state)
@@ -157,7 +157,7 @@ def advance_sections(state: Any, row: Any, speed: float, dt: float, gap: bool) -
 
 
 @njit(cache=False)
-def take_fix(state: Any, row: Any, dt: float, settings: Any) -> tuple[float, float]:
+def close_section(state: Any, row: Any, dt: float, settings: Any) -> tuple[float, float]:
     """Close a section at a fix that is far enough; return the distance that the speed missed or showed too much."""
     if isnan(row.raw_latitude) or isnan(row.raw_longitude):
         return 0.0, 0.0

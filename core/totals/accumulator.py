@@ -28,19 +28,14 @@ AMOUNTS: Final = (
     "distance",  # [m]
     "gained",  # sum of climbs [m]
     "lost",  # sum of descents [m]
-    "gained_causal",  # the same from fixes up to each sample only [m]
-    "lost_causal",
-    "energy",  # by voltage times current [J]
-    "metered",  # time for which that energy is known [s]
+    *("gained_causal", "lost_causal"),  # the same from fixes up to each sample only [m]
+    *("energy", "metered"),  # by voltage times current [J], and the time for which it is known [s]
     "energy_variance",  # of that energy [J^2]
     "ambient",  # integral over time [K s]
-    "wind",  # integral of the wind speed [m]
-    "wind_north",  # integral of its component from north [m]
-    "wind_east",  # integral of its component from east [m]
+    *("wind", "wind_north", "wind_east"),  # integrals of the wind speed and its components from north and east [m]
     "wind_known",  # time for which the wind is known [s]
     "precipitation",  # [m]
-    "hvac",  # measured energy of heating and air conditioning [J]
-    "hvac_known",  # time for which that is known [s]
+    *("hvac", "hvac_known"),  # measured energy of heating and air conditioning [J], and the time it is known [s]
     "stops",
     "unresolved_braking",  # part of the braking energy that is estimated from the spread of the acceleration [J]
     "samples",
@@ -49,8 +44,7 @@ AMOUNTS: Final = (
     "bridged",  # distance of steps whose distance was bridged [m]
     "unseen",  # time for which bridged distances were driven beyond the time that passed [s]
     "disputed",  # distance that was counted, and that fixes or odometer dispute [m]
-    "path",  # distance between fixes that end sections [m]
-    "path_run",  # distance that was counted in these sections [m]
+    *("path", "path_run"),  # distance between fixes that end sections, and distance that was counted in these [m]
     "mistimed",  # time by which steps turned out to be wrong later in the ride [s]
     "soc_faults",  # samples at which the state of charge is frozen, stale or jumps
 )

@@ -1,8 +1,8 @@
 """Renew the outputs in a page: run `python -m tests.support.renew_tutorial [PAGE]`, then read `git diff docs`.
 
 It runs the commands of the page, by default `docs/missing-effect.md`, in order in a temporary folder and writes their
-output into the page. Elisions (`...`) stay in place where only numbers changed. Where words changed, the page gets the whole output,
-to be shortened by hand. Numbers in the text between the outputs are not renewed.
+output into the page. Elisions (`...`) stay in place where only numbers changed. Where words changed, the page gets the
+whole output, to be shortened by hand. Numbers in the text between the outputs are not renewed.
 """
 
 import sys

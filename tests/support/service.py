@@ -30,6 +30,7 @@ FULL = ServiceSnapshot(
     active_vehicles=1,
     rides=2,
     unfit_rides={"too_short": 1},
+    faulty_loggers={"current_inverted": 1},
     unpredicted_rides={"unknown_model": 1},
     refused_forecasts={"not_finite": 1},
     answered=3,
