@@ -420,7 +420,6 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     speed, missed, row.disputed = weigh_speed(state, row, accept_speed(state, row, settings), dt, gap, settings)
     speed, held = repair_speed(state, row, speed, dt, hole)
     state.fix_age += dt
-    state.fix_still += dt if speed == 0.0 else 0.0
     state.odometer_age += dt
     fixed = not (isnan(row.raw_latitude) or isnan(state.latitude))
     distance = integrate_speed(state, speed, dt, fixed, fixed or not isnan(state.odometer), gap, settings.period)

@@ -331,6 +331,8 @@ def _find_scale(odometer: Floats, distance: Floats) -> tuple[float, bool]:
 
 def _fill_neighbours(clean: Clean, rows: Ints, rise: Floats, follows: NDArray[np.bool_]) -> None:
     """Fill in what depends on the step before, where a row follows another one whose motion is smoothed."""
+    if not len(rows):
+        return
     run, travel = clean.distance[rows], clean.travel[rows]
     last = np.r_[0, np.arange(len(rows) - 1)]
     both, time = run + run[last] * follows, travel + travel[last] * follows

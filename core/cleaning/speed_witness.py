@@ -161,6 +161,9 @@ def close_section(state: Any, row: Any, dt: float, settings: Any) -> tuple[float
     """Close a section at a fix that is far enough; return the distance that the speed missed or showed too much."""
     if isnan(row.raw_latitude) or isnan(row.raw_longitude):
         return 0.0, 0.0
+    if state.frozen_run > 0.0:  # a frozen receiver is no witness, nor is the way to where it wakes
+        state.section_latitude = nan if state.frozen_run > SECTION else state.section_latitude
+        return 0.0, 0.0
     chord = compute_chord(state.section_latitude, state.section_longitude, row.raw_latitude, row.raw_longitude)
     step = compute_chord(state.fix_latitude, state.fix_longitude, row.raw_latitude, row.raw_longitude)
     leaps = step > settings.speed_limit * dt + SLACK
@@ -169,8 +172,6 @@ def close_section(state: Any, row: Any, dt: float, settings: Any) -> tuple[float
         if isnan(state.agreed_latitude):
             agree(state, row)
         return 0.0, 0.0
-    if state.frozen_run > SECTION:  # a frozen receiver is no witness
-        open_section(state, row)
     circles = chord < SCATTER and state.section_run > CIRCLING and not has_odometer_moved(state)
     if chord < SECTION and not circles:
         return 0.0, 0.0

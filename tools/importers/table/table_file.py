@@ -290,8 +290,8 @@ def open_table(path: Path, kind: str, form: FileFormat) -> TableFile:
         if head.lstrip().startswith(start):
             raise ImportFileError(f"{path}: is {words}; save it as CSV and import that")
     encoding = form.encoding or find_encoding(head)
-    text = _read_head(path, encoding)
-    if len(re.sub(_CONTROLS, "", text)) < len(text) * (1 - MOST_CONTROLS) or _is_binary(head, encoding):
+    text = "" if _is_binary(head, encoding) else _read_head(path, encoding)
+    if not text or len(re.sub(_CONTROLS, "", text)) < len(text) * (1 - MOST_CONTROLS):
         raise ImportFileError(f"{path}: is no text file; leave it out, or save the table as CSV")
     lines = _LINE_END.split(text)
     skipped = form.skip_lines or find_header(lines)
@@ -331,10 +331,12 @@ def _read_head(path: Path, encoding: str) -> str:
 
 
 def _is_binary(head: bytes, encoding: str) -> bool:
-    """Return whether a file holds NUL bytes other than in long rows, as a loss of power leaves them."""
+    """Return whether a file holds control bytes, except NUL in long rows, as a loss of power leaves them."""
     if encoding.lower().replace("_", "-").startswith(("utf-16", "utf-32")):
         return False
-    return head.count(0) - sum(map(len, re.findall(rb"\0{8,}", head))) > MOST_CONTROLS * len(head)
+    lost = sum(map(len, re.findall(rb"\0{8,}", head)))
+    controls = len(re.findall(rb"[\x00-\x08\x0e-\x19\x1c-\x1f]", head))
+    return controls - lost > MOST_CONTROLS * len(head)
 
 
 def list_tables(paths: Sequence[Path], kind: str) -> list[Path]:
