@@ -107,6 +107,8 @@ LARGEST_LEAP: Final = 57.0 * KMH
 LONG_RISE: Final = 1.25
 LONG_FALL: Final = 2.0
 """Rise and fall that are held back for two samples; a fall may be a stop, which must not come late. [leaps]"""
+STANDING: Final = 0.5
+"""Speed below which a car stands. [m/s]"""
 
 
 @njit(cache=False)
@@ -221,7 +223,8 @@ def hold_leap(state: Any, speed: float, dt: float, limit: float, longest: float)
     state.leap = nan
     waited, missed = state.leap_time, state.leap_distance
     if isnan(change) or dt > longest:
-        return speed, 0.0, 0
+        stopped = isnan(speed) and leap < STANDING  # the car has stopped and fallen silent
+        return (leap if stopped else speed), 0.0, 0
     if isnan(leap):
         if abs(change - state.acceleration * dt) < 1.5 * abs(state.acceleration) * dt:  # it continues
             return speed, 0.0, 0
