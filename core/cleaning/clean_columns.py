@@ -67,6 +67,10 @@ class Clean(NamedTuple):
         Distance that was counted, and that fixes or odometer dispute with this row. [m]
     path, path_run : (n,) float64
         Where a section between two fixes ends: distance of the fixes, and distance counted between them. [m]
+    straight, straight_run : (n,) float64
+        The same where the road is straight.
+    ticked, ticked_run : (n,) float64
+        Where the odometer changes: by how much, and distance counted since it changed before. [m]
     stop, stopped : (n,) float64
         1 where a stop begins; 1 while the car stands.
     soc, soc_step, odometer, battery_temperature, occupants : (n,) float64
@@ -119,6 +123,10 @@ class Clean(NamedTuple):
     disputed: Floats
     path: Floats
     path_run: Floats
+    straight: Floats
+    straight_run: Floats
+    ticked: Floats
+    ticked_run: Floats
     stop: Floats
     stopped: Floats
     soc: Floats

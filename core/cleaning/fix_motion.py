@@ -70,6 +70,9 @@ def weigh_odometer(state: Any, row: Any, distance: float, settings: Any) -> tupl
         state.odometer_distance -= distance
         return 0.0, 0.0
     missing = compare_change(state, odometer - state.odometer, settings)
+    if not isnan(state.tick_distance):
+        row.ticked, row.ticked_run = odometer - state.odometer, state.tick_distance
+    state.tick_distance = 0.0
     state.odometer_ticks += 1.0
     begin_odometer(state, odometer)
     return distance, missing
@@ -193,4 +196,5 @@ def move_by_fixes(state: Any, row: Any, dt: float, settings: Any) -> None:
     motion.join_last_step(state, row, run, rise, False)
     row.acceleration_spread, state.acceleration = 0.0, nan
     row.fix_sd = state.path_noise**0.5
+    state.tick_distance += row.distance
     climb_step(state, row, dt, settings)

@@ -125,7 +125,7 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
     what it was, so its power is held.
     """
     power = row.raw_voltage * row.raw_current
-    state.stood = state.stood + dt if state.standing == 1.0 else 0.0
+    state.stood = state.stood + dt if state.standing == 1.0 and state.blind == 0.0 else 0.0
     if isnan(power):
         row.quality += POWER_MISSING if state.has_power == 1.0 else 0
     elif state.sign < 0.0:
@@ -149,7 +149,8 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
 @njit(cache=False)
 def charges_unsaid(state: Any, row: Any, power: float) -> bool:
     """Return whether a standing car takes power without saying that it charges."""
-    least = METER_LAG if state.sign > 0.0 else UNPROVEN
+    is_seen = state.has_fix == 0.0 or not isnan(row.raw_latitude)
+    least = METER_LAG if state.sign > 0.0 and is_seen else UNPROVEN
     stands = state.standing == 1.0 and state.stood >= least
     state.plugged = state.plugged + 1.0 if stands and power < -CHARGING_POWER else 0.0
     return bool(state.plugged > 1.0 and row.raw_charging != 1.0)

@@ -74,6 +74,7 @@ FIELDS: Final = (
     "has_fix",  # 1 once the car has sent a fix
     "standing",  # 1 while the car stands
     "lost_at_speed",  # 1 where the last fix came at speed, and no speed has been reported since
+    "blind",  # 1 where a standstill is that of a receiver in a tunnel
     "cruise",  # mean speed of the last minute of driving [m/s]
 )
 
@@ -123,6 +124,10 @@ LONGEST_BRIDGE: Final = 86_400.0
 """Longest time for which an odometer bridges a hole. A faulty clock would otherwise allow any distance. [s]"""
 LOST_SPEED: Final = 8.0
 """Speed at which no car is about to park. [m/s]"""
+DRIVING_POWER: Final = 10_000.0
+"""Power that a car takes only while it drives; heaters take 7 kW at most. [W]"""
+DRIVING_CHANGE: Final = 2500.0
+"""Change of the power between two samples that is one of driving, or of a heater that is switched. [W]"""
 COMPRESSED: Final = 1.5
 """Ratio of the speed of a bridge to the limit from which its logger lost time; less is noise of fixes. [1]"""
 CRUISE_TIME: Final = 60.0
@@ -282,12 +287,18 @@ def find_bridge_speed(state: Any, row: Any, age: float, settings: Any) -> float:
 
 @njit(cache=False)
 def is_blind(state: Any, row: Any) -> bool:
-    """Return whether a standstill is that of a receiver in a tunnel: fix and speed were lost at once, at speed."""
+    """Return whether a standstill is that of a receiver in a tunnel, and not of the car.
+
+    Either fix and speed were lost at once, at speed, or the car has no fix and takes power as only a driving car does.
+    """
     if not isnan(row.raw_latitude):
         state.lost_at_speed = 1.0 if state.smooth > LOST_SPEED else 0.0
-    elif row.raw_speed > CRAWL:
+        return False
+    if row.raw_speed > CRAWL:
         state.lost_at_speed = 0.0
-    return bool(isnan(row.raw_latitude) and state.lost_at_speed == 1.0)
+    power = row.raw_voltage * row.raw_current
+    drives = abs(power - state.power) > DRIVING_CHANGE or power > DRIVING_POWER
+    return bool(state.lost_at_speed == 1.0 or (state.has_fix == 1.0 and drives))
 
 
 @njit(cache=False)
@@ -406,6 +417,7 @@ def finish_motion(state: Any, row: Any, before: float, dt: float, known: bool) -
     row.acceleration = rise / run if run > 0.0 else 0.0
     join_last_step(state, row, run, rise, known)
     state.section_distance += row.distance
+    state.tick_distance += row.distance
     change = row.acceleration - state.acceleration
     row.acceleration_spread = SPREAD_PER_CHANGE * abs(change) if known and not isnan(change) else 0.0
     state.acceleration = row.acceleration if known else nan

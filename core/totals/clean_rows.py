@@ -1,7 +1,7 @@
 """Rows between cleaning and totals: samples with their weather and car, and the sums that they add to."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,11 @@ from core.signals.weather import Sky
 from core.totals.accumulator import AMOUNTS, NO_ENDS, Accumulator, Sums
 from core.vehicles.fleet import Cars
 
+WITNESSES: Final = (
+    *("mistimed", "unseen", "disputed"),
+    *("path", "path_run", "straight", "straight_run", "ticked", "ticked_run"),
+)
+"""Columns of a row that are summed as they are, to tell whether a ride is right."""
 PowerOfEffect = tuple[str, Callable[[Signals], Floats]]
 """Whether an effect acts over `distance` or over `time`, and its power per unit of its coefficient. [W]"""
 
@@ -106,7 +111,7 @@ def compute_amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> F
     row = dict(zip(AMOUNTS, table, strict=False))
     row["samples"][:] = 1.0
     row["duration"][:], row["distance"][:], row["stops"][:] = dt, clean.distance, clean.stop
-    for name in ("mistimed", "unseen", "disputed", "path", "path_run"):
+    for name in WITNESSES:
         row[name][:] = getattr(clean, name)
     row["energy"][:], row["metered"][:], row["energy_variance"][:] = clean.energy, clean.metered, clean.energy_variance
     for climb, gained, lost in ((clean.climb, "gained", "lost"), (clean.causal_climb, "gained_causal", "lost_causal")):
