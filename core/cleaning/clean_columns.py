@@ -71,6 +71,8 @@ class Clean(NamedTuple):
         The same where the road is straight.
     ticked, ticked_run : (n,) float64
         Where the odometer changes: by how much, and distance counted since it changed before. [m]
+    slow, slow_run : (n,) float64
+        Of a long step of a slow logger: distance by the speeds at its ends, and distance that was counted. [m]
     stop, stopped : (n,) float64
         1 where a stop begins; 1 while the car stands.
     soc, soc_step, odometer, battery_temperature, occupants : (n,) float64
@@ -127,6 +129,8 @@ class Clean(NamedTuple):
     straight_run: Floats
     ticked: Floats
     ticked_run: Floats
+    slow: Floats
+    slow_run: Floats
     stop: Floats
     stopped: Floats
     soc: Floats

@@ -359,6 +359,7 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
         motion.move_car(state, row, dt, settings)
         row.fix_sd = nan
     state.blind = 1.0 if state.riding == 1.0 and motion.is_blind(state, row) else 0.0
+    meters.observe_stand(state, row, dt)
     meters.integrate_power(state, row, dt, settings)
     power_sign.observe_acceleration(state, row, dt)
     changed = meters.update_soc(state, row, dt)
@@ -370,13 +371,14 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     row.dt, row.mistimed = dt, state.mistimed
     rode = state.riding == 1.0
     charging = row.raw_charging == 1.0 or bool(int(row.quality) & meters.CHARGING_INFERRED)
-    moving = state.standing == 0.0 or state.blind == 1.0 or (state.riding == 1.0 and state.speed_stuck * row.distance > 0.0)
+    follows = state.riding == 1.0 and state.speed_stuck * row.distance > 0.0
+    moving = state.standing == 0.0 or state.blind == 1.0 or follows
     begins = segmentation.update_ride(state, row.raw_ride, dt, moving, charging, settings)
     if begins:  # the step ended before the ride and is not part of it
         row.dt = row.travel = row.distance = row.climb = row.energy = row.energy_variance = row.metered = row.stop = 0.0
         state.section_distance = 0.0
         row.acceleration_spread = row.mistimed = row.unseen = row.disputed = row.path = row.path_run = 0.0
-        row.straight = row.straight_run = row.ticked = row.ticked_run = 0.0
+        row.straight = row.straight_run = row.ticked = row.ticked_run = row.slow = row.slow_run = 0.0
         state.tick_distance = nan
         row.quality = float(int(row.quality) & ~NOT_OF_RIDE)
         meters.begin_stillness(state, 0.0)

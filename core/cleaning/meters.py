@@ -16,6 +16,7 @@ from numba import njit
 
 from core.cleaning.power_sign import observe_charge
 from core.cleaning.quality import Quality
+from core.cleaning.sphere import compute_chord
 from core.columns import KMH
 
 FIELDS: Final = (
@@ -38,9 +39,11 @@ FIELDS: Final = (
     "still_known",  # 1 if these four count from a change, 0 if from the beginning of the ride or of charging
     "plugged",  # number of successive samples in which the standing car took power
     "stood",  # time for which the car has stood [s]
+    "stood_latitude",  # fix at which that began [rad], NaN without one
+    "stood_longitude",
     "slept",  # 1 from a pause until the state of charge changes
 )
-UNKNOWN_AT_FIRST: Final = ("power", "current", "soc", "soc_step", "raw_power")
+UNKNOWN_AT_FIRST: Final = ("power", "current", "soc", "soc_step", "raw_power", "stood_latitude", "stood_longitude")
 """Fields of a new lane that are NaN."""
 
 SOC_MISSING: Final = int(Quality.SOC_MISSING)
@@ -110,7 +113,11 @@ CHARGING_POWER: Final = 500.0
 
 Estimated: the weakest chargers deliver 1.2 kW, and a current meter with an offset of 1 A at 400 V shows 0.4 kW."""
 UNPROVEN: Final = 60.0
-"""The same time for a car whose current may have the wrong sign, so that its stops are not taken for charging. [s]"""
+"""The same time for a car whose current may have the wrong sign, or that has no fix. [s]
+
+Its stops, and a speed that is stuck at zero, are not taken for charging."""
+ELSEWHERE: Final = 150.0
+"""Distance of a fix from that at which the car stopped by which it does not stand; parked receivers drift less. [m]"""
 METER_LAG: Final = 4.0
 """Time after which a stopped car recovers no more braking energy, with the lag of its meter. [s]"""
 
@@ -125,7 +132,6 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
     what it was, so its power is held.
     """
     power = row.raw_voltage * row.raw_current
-    state.stood = state.stood + dt if state.standing == 1.0 and state.blind == 0.0 else 0.0
     if isnan(power):
         row.quality += POWER_MISSING if state.has_power == 1.0 else 0
     elif state.sign < 0.0:
@@ -147,10 +153,23 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
 
 
 @njit(cache=False)
+def observe_stand(state: Any, row: Any, dt: float) -> None:
+    """Count the time for which the car stands; it has not stood if it is elsewhere by its fixes."""
+    left = compute_chord(state.stood_latitude, state.stood_longitude, row.raw_latitude, row.raw_longitude) > ELSEWHERE
+    if left and state.standing == 1.0:
+        state.blind = 1.0
+    if state.standing == 0.0 or state.blind == 1.0:
+        state.stood, state.stood_latitude = 0.0, nan
+        return
+    state.stood += dt
+    if isnan(state.stood_latitude):
+        state.stood_latitude, state.stood_longitude = row.raw_latitude, row.raw_longitude
+
+
+@njit(cache=False)
 def charges_unsaid(state: Any, row: Any, power: float) -> bool:
     """Return whether a standing car takes power without saying that it charges."""
-    is_seen = state.has_fix == 0.0 or not isnan(row.raw_latitude)
-    least = METER_LAG if state.sign > 0.0 and is_seen else UNPROVEN
+    least = METER_LAG if state.sign > 0.0 and not isnan(row.raw_latitude) else UNPROVEN
     stands = state.standing == 1.0 and state.stood >= least
     state.plugged = state.plugged + 1.0 if stands and power < -CHARGING_POWER else 0.0
     return bool(state.plugged > 1.0 and row.raw_charging != 1.0)

@@ -88,7 +88,7 @@ BRIDGED: Final = int(Quality.BRIDGED)
 NEAR: Final = 5.0
 """Distance below which two fixes are the same place. [m]"""
 WANDER: Final = 20.0
-"""The same where only the fixes show whether the car moves. [m]"""
+"""The same where only the fixes show how far the car moves. [m]"""
 SLACK: Final = 50.0
 """Largest error of the distance of two fixes. [m]"""
 TURN: Final = 15.0
@@ -206,7 +206,7 @@ def evaluate_fix(state: Any, row: Any, dt: float, settings: Any) -> tuple[float,
         return 0.0, nan
     step = max(dt, settings.period)
     distance = compute_chord(state.latitude, state.longitude, latitude, longitude)
-    if distance < (NEAR if state.has_speed == 1.0 else WANDER):
+    if distance < (NEAR if state.fix_hole == 0.0 else WANDER):
         state.pending_latitude = nan
         frozen = latitude == state.latitude and longitude == state.longitude and state.smooth > MOVING
         row.quality += POSITION_FROZEN if frozen else 0
@@ -445,6 +445,9 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     if not isnan(speed):
         update_smooth_speed(state, row, speed, dt, gap or state.speed_age > hole, settings)
     known = not (isnan(speed) or isnan(state.speed) or gap or shortfall > 0.0)
+    if gap and dt <= 1.5 * state.period:
+        by_ends = 0.5 * (speed + state.speed) * dt
+        row.slow, row.slow_run = (0.0, 0.0) if isnan(by_ends) else (by_ends, distance + shortfall)
     state.speed = speed
     row.speed = 0.5 * (before + state.smooth)
     row.distance = distance + shortfall

@@ -179,10 +179,7 @@ def advance_sections(state: Any, row: Any, speed: float, dt: float, gap: bool) -
 @njit(cache=False)
 def close_section(state: Any, row: Any, dt: float, settings: Any) -> tuple[float, float]:
     """Close a section at a fix that is far enough; return the distance that the speed missed or showed too much."""
-    if isnan(row.raw_latitude) or isnan(row.raw_longitude):
-        return 0.0, 0.0
-    if state.frozen_run > 0.0:  # a frozen receiver is no witness, nor is the way to where it wakes
-        state.section_latitude = nan if state.frozen_run > SECTION else state.section_latitude
+    if isnan(row.raw_latitude) or isnan(row.raw_longitude) or is_frozen(state):
         return 0.0, 0.0
     chord = compute_chord(state.section_latitude, state.section_longitude, row.raw_latitude, row.raw_longitude)
     step = compute_chord(state.fix_latitude, state.fix_longitude, row.raw_latitude, row.raw_longitude)
@@ -214,6 +211,14 @@ def close_section(state: Any, row: Any, dt: float, settings: Any) -> tuple[float
     missed = compare_section(state, row, chord, run)
     contradicted = dt < DENSE and state.speed_stuck == 0.0 and missed == 0.0
     return missed, (find_disputed(chord, path, run) if contradicted else 0.0)
+
+
+@njit(cache=False)
+def is_frozen(state: Any) -> bool:
+    """Return whether the receiver is frozen; it is no witness then, nor is the way to where it wakes."""
+    if state.frozen_run > SECTION:
+        state.section_latitude = nan
+    return bool(state.frozen_run > 0.0)
 
 
 @njit(cache=False)

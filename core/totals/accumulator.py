@@ -44,7 +44,8 @@ AMOUNTS: Final = (
     "bridged",  # distance of steps whose distance was bridged [m]
     "unseen",  # time for which bridged distances were driven beyond the time that passed [s]
     "disputed",  # distance that was counted, and that fixes or odometer dispute [m]
-    *("path", "path_run", "straight", "straight_run", "ticked", "ticked_run"),  # see `core.cleaning.clean_columns` [m]
+    *("path", "path_run", "straight", "straight_run"),  # see `core.cleaning.clean_columns` [m]
+    *("ticked", "ticked_run", "slow", "slow_run"),  # the same [m]
     "mistimed",  # time by which steps turned out to be wrong later in the ride [s]
     "soc_faults",  # samples at which the state of charge is frozen, stale or jumps
 )

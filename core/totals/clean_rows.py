@@ -16,7 +16,7 @@ from core.vehicles.fleet import Cars
 
 WITNESSES: Final = (
     *("mistimed", "unseen", "disputed"),
-    *("path", "path_run", "straight", "straight_run", "ticked", "ticked_run"),
+    *("path", "path_run", "straight", "straight_run", "ticked", "ticked_run", "slow", "slow_run"),
 )
 """Columns of a row that are summed as they are, to tell whether a ride is right."""
 PowerOfEffect = tuple[str, Callable[[Signals], Floats]]

@@ -28,6 +28,10 @@ STRAIGHT_SLACK: Final = 60.0
 """Distance that this may be off in addition. [m]"""
 LEAST_STRAIGHT: Final = 1500.0
 """Distance of straight road from which its fixes are a witness. [m]"""
+SLOW_OFF: Final = 0.12
+"""Largest deviation of the distance of a slow logger from that by its speeds. [1]"""
+SLOW_STEPS: Final = 3.0
+"""The same in addition, in distances between two samples."""
 SHORTER: Final = 0.08
 """Share by which the distance may be shorter than the sum of its sections between fixes, by their noise. [1]"""
 FIRST_FIXES: Final = 100.0
@@ -64,7 +68,8 @@ def find_contradicted_distance(totals: Totals) -> NDArray[np.bool_]:
         between = odometer - fixes  # of the fixes over the odometer
         apart = (between > OFF + HINT) | (between < -LONGER)
     contradicted = (by_odometer | by_fixes) & ~apart | (by_odometer & by_fixes)
-    return np.asarray(contradicted | (totals.amount("disputed") > MOST_DISPUTED * distance + FIRST_FIXES))
+    disputed = totals.amount("disputed") > MOST_DISPUTED * distance + FIRST_FIXES
+    return np.asarray(contradicted | disputed | _contradicts_speeds(totals))
 
 
 def _find_ratio(totals: Totals, witness: str, run: str, least: float) -> Floats:
@@ -76,9 +81,21 @@ def _find_ratio(totals: Totals, witness: str, run: str, least: float) -> Floats:
 
 def _compare_odometer(totals: Totals) -> NDArray[np.bool_]:
     """Return where the odometer clearly contradicts the distance."""
-    ticked, run, samples = totals.amount("ticked"), totals.amount("ticked_run"), totals.amount("samples")
-    step = np.divide(totals.amount("distance"), samples, out=np.zeros(len(samples)), where=samples > 0.0)
-    return np.asarray((ticked > LEAST_TICKED) & (np.abs(run - ticked) > OFF * ticked + SLACK + LATE * step))
+    ticked, run = totals.amount("ticked"), totals.amount("ticked_run")
+    most = OFF * ticked + SLACK + LATE * _find_step(totals)
+    return np.asarray((ticked > LEAST_TICKED) & (np.abs(run - ticked) > most))
+
+
+def _contradicts_speeds(totals: Totals) -> NDArray[np.bool_]:
+    """Return where odometer or fixes of a slow logger show another distance than its speeds by far."""
+    slow, run = totals.amount("slow"), totals.amount("slow_run")
+    return np.asarray(np.abs(slow - run) > SLOW_OFF * slow + SLOW_STEPS * _find_step(totals))
+
+
+def _find_step(totals: Totals) -> Floats:
+    """Return the mean distance between two samples. [m]"""
+    samples = totals.amount("samples")
+    return np.divide(totals.amount("distance"), samples, out=np.zeros(len(samples)), where=samples > 0.0)
 
 
 def _compare_fixes(totals: Totals) -> NDArray[np.bool_]:
