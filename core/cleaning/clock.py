@@ -96,6 +96,10 @@ AGREE_BACK: Final = 10
 """The same for stamps from the past without a counter, as they may be late samples."""
 AGREE_LATE: Final = 20
 """The same for samples whose counter is from the past too: a minute of the nominal period."""
+AGREE_SLOW: Final = 5.0
+"""Number of samples that are enough for a slow logger, which loses minutes until then."""
+AGREE_TIME: Final = 60.0
+"""Time from which a logger is slow in this respect. [s]"""
 HISTORY: Final = 1200.0
 """Number of samples before the end of a hole in the counter that may be sent late: an hour of the nominal period."""
 FIRST_MEMORY: Final = 2.0
@@ -242,6 +246,14 @@ def correct_clock(state: Any, error: float, count: float) -> float:
 
 
 @njit(cache=False)
+def has_other_period(state: Any, stamp: float, count: float, error: float) -> bool:
+    """Return whether the period is still unknown, and explains the error of a stamp by the interval before it."""
+    interval = stamp - state.stamp
+    is_new = state.memory < SETTLED_MEMORY and count >= 1.0 and abs(error) < 20.0 * state.period
+    return is_new and interval > 0.0 and abs(interval - count * state.period) > 0.5 * state.period
+
+
+@njit(cache=False)
 def follow_stamp(state: Any, stamp: float, count: float) -> tuple[float, int]:
     """Advance the clock by `count` periods, corrected by the stamp; return the time that passed and quality bits."""
     predicted = state.time + count * state.period
@@ -250,9 +262,7 @@ def follow_stamp(state: Any, stamp: float, count: float) -> tuple[float, int]:
     if isnan(stamp):
         moved = predicted
         bits |= REPAIRED_TIME
-    elif abs(error) <= state.period or (
-        state.memory < SETTLED_MEMORY and count >= 1.0 and abs(error) < 20.0 * state.period
-    ):
+    elif abs(error) <= state.period or has_other_period(state, stamp, count, error):
         moved = max(state.time, predicted + correct_clock(state, error, count))
         state.misfits = 0.0
     else:
@@ -284,6 +294,12 @@ def extends_late_run(state: Any, stamp: float, seq: float, counted: float) -> bo
 
 
 @njit(cache=False)
+def find_agreement(state: Any, most: float) -> float:
+    """Return the number of samples from the past after which the clock counts as set back."""
+    return max(AGREE_SLOW, min(most, AGREE_TIME / max(state.period, 1.0)))
+
+
+@njit(cache=False)
 def reject_or_reset(state: Any, stamp: float, seq: float, count: float, counted: float) -> tuple[float, int]:
     """Reject a stray sample, or set the clock back where enough samples from the past agree."""
     if count > 0.0:
@@ -293,7 +309,7 @@ def reject_or_reset(state: Any, stamp: float, seq: float, count: float, counted:
     state.late_run = 0.0 if fills_hole else state.late_run + 1.0 if in_order else 1.0
     state.late_stamp = stamp
     state.late_seq = seq
-    if state.late_run < (AGREE_BACK if counted == 0.0 else AGREE_LATE):
+    if state.late_run < find_agreement(state, AGREE_BACK if counted == 0.0 else AGREE_LATE):
         return UNUSED, LATE
     dt = state.late_run * state.period if state.has_period == 1.0 else 0.0
     state.late_run = state.misfits = state.hole_start = state.hole_end = 0.0
@@ -355,7 +371,9 @@ def is_pause(state: Any, elapsed: float, counted: float, drove: float) -> bool:
     `drove` is what speed and fixes say, see `core.cleaning.repetition.drove_on`.
     """
     leap = (elapsed - counted) * state.period
-    if drove > 0.0 or counted > AGREE_BACK or leap < max(SHORTEST_PAUSE, AGREE_LATE * state.period):
+    if drove > 0.0 or counted > AGREE_BACK:
+        return False
+    if leap < min(max(SHORTEST_PAUSE, AGREE_LATE * state.period), LONGEST_CLOCK_STEP):
         return False
     return drove < 0.0 or leap > LONGEST_CLOCK_STEP
 

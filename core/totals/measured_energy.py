@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.batch import Floats, Ints
-from core.cleaning.meters import COARSEST_SOC, CORRELATION_TIME, FROZEN_SOC
+from core.cleaning.meters import COARSEST_SOC, CORRELATION_TIME, FROZEN_SOC, POWER_SPREAD
 from core.cleaning.quality import CAUSES
 from core.columns import GRAVITY, JOULES_PER_KWH
 from core.totals.accumulator import Totals
@@ -40,8 +40,6 @@ HEAVY: Final = 3500.0
 """Mass of a car whose own is unknown: the heaviest of its licence class in Europe. [kg]"""
 FASTEST: Final = 10.0
 """Speed with which a ride may begin, as loggers cut the first seconds off. [m/s]"""
-UNSEEN_POWER: Final = 0.5
-"""Relative standard uncertainty of the mean power over a time without measurement. [1]"""
 LEAST_CONSUMPTION: Final = 0.0017
 """Least energy that a car takes per distance on level road, over its capacity. [1/km]
 
@@ -53,10 +51,6 @@ LARGEST_BATTERY: Final = BOUNDS["nominal_capacity_kwh"][1]
 
 SLOW: Final = 7.5
 """Mean time between two samples above which a logger is slow. [s]"""
-POWER_SPREAD: Final = 14e3
-"""Standard deviation of the power of a car while it drives. [W]
-
-Median of 31 drives of a BMW i3; they have 6 to 28 kW (DOI 10.21227/6jr9-5235)."""
 EXPECTED_STEPS: Final = 4.0
 """Number of steps that the expected variance of the energy by V·I of a slow logger counts for. [1]"""
 
@@ -99,15 +93,14 @@ def measure_by_power(totals: Totals) -> tuple[Floats, Floats]:
     Notes
     -----
     The mean power of the measured time fills the time without a measurement (gaps, missing values, a frozen current).
-    Four terms add up in quadrature: the gain of the meter, the power between samples, the unmeasured time, and ends
+    Three terms add up in quadrature: the gain of the meter, the power between samples and where it is unknown, and ends
     lost in gaps. A slow logger has few steps, so its variance is averaged with the expected one.
     """
     energy = totals.amount("energy") / JOULES_PER_KWH
     share = _metered_share(totals)
     whole = np.divide(energy, share, out=np.full(len(energy), np.nan), where=share >= METERED_SHARE)
     sampled = np.sqrt(_estimate_variance(totals)) / JOULES_PER_KWH
-    unseen = UNSEEN_POWER * np.abs(whole) * (1.0 - share)
-    return whole, np.sqrt((METER_GAIN * whole) ** 2 + sampled**2 + unseen**2 + _cut(totals, whole) ** 2)
+    return whole, np.sqrt((METER_GAIN * whole) ** 2 + sampled**2 + _cut(totals, whole) ** 2)
 
 
 def _metered_share(totals: Totals) -> Floats:

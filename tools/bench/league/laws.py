@@ -10,11 +10,14 @@ A ride is right within 3 % of distance and energy and 5 % of duration, beyond wh
   odometer, as far as the faults leave them.
 - Energy by the state of charge, or of a logger that samples every `SLOW` or more, is right within `SDS` of its own
   standard uncertainty too. That of a fast logger by voltage and current is then `vague`.
-- The ride begins when the drive did, by the logger's clock or truly. If the clock is days wrong, a bit says so.
+- The ride begins when the drive did, by the logger's clock, with weeks that it lost, or truly. If the clock is days
+  wrong, a bit says so.
+- Where silence cuts a drive, each part that is fit is held against what the car truly did in its time.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -26,6 +29,7 @@ from core.settings import Settings
 from tools.bench.league.drives import JOULES
 from tools.bench.league.fault import CAUSES, Fault, find_spoiled
 from tools.bench.league.loggers import FIRST_LABEL, Log
+from tools.bench.league.parts import are_right, find_stamps
 
 DISTANCE, ENERGY, DURATION = 0.03, 0.03, 0.05
 """Tolerances. [1]"""
@@ -45,6 +49,8 @@ NO_FAULTS: Final = ("ambient_filled", "ambient_assumed")
 """Quality bits that mark no fault of a logger."""
 CLOCK_BITS: Final = ("repaired_time", "clock_step")
 """Quality bits that tell of a wrong clock."""
+OF_PARTS: Final = " of parts"
+"""Ends the reason of a drive that is cut."""
 AMOUNTS: Final = ("distance_km", "energy_kwh", "duration_s")
 QUALITY: Final = tuple(f"quality_{cause}" for cause in quality.CAUSES)
 COLUMNS: Final = (
@@ -161,11 +167,11 @@ def _find_sampling_errors(log: Log, rows: Ints, spoiled: set[str]) -> tuple[floa
 
 
 def find_starts(log: Log) -> list[tuple[float, float]]:
-    """Return the true time of the first sample of each drive, and the stamp that it has; NaN without samples."""
-    starts = []
+    """Return the true time of the first sample of each drive, and its stamp; NaN without samples."""
+    starts, stamps = [], find_stamps(log)
     for number in range(len(log.car.track.drives)):
         rows = np.flatnonzero(log.drive == number)[:1]
-        starts.append((float(log.true[rows[0]]), float(log.columns["time_s"][rows[0]])) if len(rows) else (np.nan,) * 2)
+        starts.append((float(log.true[rows[0]]), float(stamps[rows[0]])) if len(rows) else (np.nan,) * 2)
     return starts
 
 
@@ -181,11 +187,14 @@ def judge(
     first = np.round(rides["battery_temperature_c"].to_numpy() - FIRST_LABEL)
     last = np.round(rides["occupants"].to_numpy() - 1.0)
     names, out = tuple(each.name for each in faults), list[Verdict]()
+    measure_sampling = partial(_find_sampling_errors, log, spoiled=find_spoiled(faults))
     for drive, (truth, start) in enumerate(zip(truths, starts, strict=True)):
         if truth:
             of_drive = (first <= drive) & (drive <= last)
             found = _describe(rides[of_drive], merged=(first != last)[of_drive])
             word, why = _judge_drive(rides[of_drive], found, truth, start, log.car.period, faults)
+            if why.endswith(OF_PARTS) and "start" not in why and are_right(log, rides[of_drive], measure_sampling):
+                word, why = REPAIRED, ""
             spans = {name: (span.low, span.high) for name, span in truth.items()}
             out.append(Verdict(number, drive, names, word, why, found, spans))
     return out
@@ -236,7 +245,7 @@ def _judge_drive(
     elif abs(found["start_s"] - start[0]) > DAYS and not any(bit in found["bits"] for bit in CLOCK_BITS):
         misses["date"] = found["start_s"] - start[0]
     if misses:
-        return WRONG, "+".join(misses) + (" of parts" if len(rides) > 1 else "")
+        return WRONG, "+".join(misses) + (OF_PARTS if len(rides) > 1 else "")
     if is_vague and not by_sd and _find_misses(found, truth):
         return VAGUE, "energy"
     return (REPAIRED if found["bits"] else RIGHT), ""
