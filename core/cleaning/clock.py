@@ -28,7 +28,8 @@ Remaining error, for a period of 3 s and Gaussian errors of the stamps with stan
   days costs no sample. In 400 streams with one sample that claimed a power cycle and was years ahead, or whose counter
   was too low, at most 3 samples had a wrong time.
 - Samples from the past are marked late and have no other effect. If a stream remains in the past, its clock was set
-  back, or the sample before was wild: it is believed after 20 samples in order with a counter, after 10 without one.
+  back, or the sample before was wild: it is believed after 20 samples in order with a counter, after 10 without one,
+  and after 5 of a logger that samples every 12 s or more.
 - Samples of an outage may come from a cache, after newer ones. With a counter, they are late however many there are:
   they fill the newest hole of 20 samples or more in the counter, and belong to the last 1,200 samples before its end.
   A clock set back into such a hole is believed 20 samples after it leaves the hole, at most an hour later. More samples
@@ -53,7 +54,8 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning import shared_stamps
+from core.cleaning import late_samples, shared_stamps
+from core.cleaning.late_samples import AGREE_BACK, AGREE_LATE, LEAP, is_stray, remember_hole
 from core.cleaning.quality import Quality
 from core.columns import SECONDS_PER_DAY
 
@@ -73,12 +75,7 @@ FIELDS: Final = (
     "latest",  # the latest of them [s]
     "misfit",  # error of the last misfitting stamp [s]
     "misfits",  # number of successive misfitting stamps that agree
-    "late_stamp",  # stamp of the last rejected sample [s]
-    "late_seq",  # counter of the last rejected sample
-    "late_run",  # number of successive rejected samples that are in order among themselves
-    "leap_stamp",  # stamp of the last sample that leapt far ahead [s]
-    "hole_start",  # counter of the last sample before the newest long hole in the counter
-    "hole_end",  # counter of the first sample after it
+    *late_samples.FIELDS,
     *shared_stamps.FIELDS,
 )
 
@@ -92,16 +89,6 @@ PAUSED: Final = int(Quality.PAUSE)
 
 AGREE: Final = 3
 """Number of agreeing stamps after which a clock whose counter continues counts as set."""
-AGREE_BACK: Final = 10
-"""The same for stamps from the past without a counter, as they may be late samples."""
-AGREE_LATE: Final = 20
-"""The same for samples whose counter is from the past too: a minute of the nominal period."""
-AGREE_SLOW: Final = 5.0
-"""Number of samples that are enough for a slow logger, which loses minutes until then."""
-AGREE_TIME: Final = 60.0
-"""Time from which a logger is slow in this respect. [s]"""
-HISTORY: Final = 1200.0
-"""Number of samples before the end of a hole in the counter that may be sent late: an hour of the nominal period."""
 FIRST_MEMORY: Final = 2.0
 """Memory of the filter at its first sample. [samples]"""
 SETTLED_MEMORY: Final = 10.0
@@ -118,10 +105,8 @@ SIGMA: Final = 1.4826
 """Ratio of the standard deviation of a Gaussian to the median of its absolute value."""
 BELIEVED: Final = 100.0
 """Longest leap of the counter that is accepted without a stamp. [samples]"""
-LEAP: Final = 200.0
-"""Longest gap that is accepted without confirmation by a second stamp. [periods]"""
 PAUSE: Final = 400.0 * SECONDS_PER_DAY
-"""The same for the first sample after a power cycle, whose counter is low. [s]"""
+"""Longest gap before the first sample after a power cycle, whose counter is low. [s]"""
 IRREGULAR_MEMORY: Final = 50.0
 """Number of intervals in the running share of those that are twice what the counter says."""
 MOST_IRREGULAR: Final = 0.15
@@ -284,32 +269,15 @@ def follow_stamp(state: Any, stamp: float, count: float) -> tuple[float, int]:
 
 
 @njit(cache=False)
-def extends_late_run(state: Any, stamp: float, seq: float, counted: float) -> bool:
-    """Return whether a sample from the past follows the rejected sample before it."""
-    since = stamp - state.late_stamp
-    if counted == 0.0:
-        return 0.0 < since <= 2.0 * state.period
-    ahead = seq - state.late_seq
-    return 1.0 <= ahead <= AGREE_BACK and abs(since - ahead * state.period) <= 2.0 * state.period
-
-
-@njit(cache=False)
-def find_agreement(state: Any, most: float) -> float:
-    """Return the number of samples from the past after which the clock counts as set back."""
-    return max(AGREE_SLOW, min(most, AGREE_TIME / max(state.period, 1.0)))
-
-
-@njit(cache=False)
 def reject_or_reset(state: Any, stamp: float, seq: float, count: float, counted: float) -> tuple[float, int]:
     """Reject a stray sample, or set the clock back where enough samples from the past agree."""
     if count > 0.0:
         return UNUSED, REPAIRED_TIME
-    fills_hole = counted < 0.0 and state.hole_start < seq < state.hole_end <= seq + HISTORY
-    in_order = extends_late_run(state, stamp, seq, counted)
-    state.late_run = 0.0 if fills_hole else state.late_run + 1.0 if in_order else 1.0
+    in_order = late_samples.extends_late_run(state, stamp, seq, counted)
+    state.late_run = 0.0 if late_samples.fills_hole(state, seq, counted) else state.late_run + 1.0 if in_order else 1.0
     state.late_stamp = stamp
     state.late_seq = seq
-    if state.late_run < find_agreement(state, AGREE_BACK if counted == 0.0 else AGREE_LATE):
+    if state.late_run < late_samples.find_agreement(state, counted):
         return UNUSED, LATE
     dt = state.late_run * state.period if state.has_period == 1.0 else 0.0
     state.late_run = state.misfits = state.hole_start = state.hole_end = 0.0
@@ -345,37 +313,17 @@ def count_periods_by_stamp(state: Any, elapsed: float) -> float:
 
 
 @njit(cache=False)
-def is_stray(state: Any, stamp: float, count: float, limit: float) -> bool:
-    """Return whether a sample is from the past, or leaps further ahead of all samples before it than the limit."""
-    if count <= limit:
-        return count < 0.0
-    follows = 0.0 < stamp - state.leap_stamp <= LEAP * state.period
-    state.leap_stamp = stamp
-    return not follows
-
-
-@njit(cache=False)
-def remember_hole(state: Any, seq: float, counted: float) -> None:
-    """Remember which samples may still come late, if a minute of them or more is missing before this one."""
-    if counted > AGREE_LATE:
-        state.hole_start = state.seq
-        state.hole_end = seq
-    elif counted < 0.0:
-        state.hole_start = state.hole_end = 0.0
-
-
-@njit(cache=False)
 def is_pause(state: Any, elapsed: float, counted: float, drove: float) -> bool:
     """Return whether a logger whose counter continues has paused, and its clock was not set.
 
-    `drove` is what speed and fixes say, see `core.cleaning.repetition.drove_on`.
+    `drove` is what speed and fixes say, see `core.cleaning.repetition.drove_on`. The sample that confirms a pause comes
+    after the car has driven on.
     """
     leap = (elapsed - counted) * state.period
-    if drove > 0.0 or counted > AGREE_BACK:
+    if counted > AGREE_BACK or leap < min(max(SHORTEST_PAUSE, AGREE_LATE * state.period), LONGEST_CLOCK_STEP):
         return False
-    if leap < min(max(SHORTEST_PAUSE, AGREE_LATE * state.period), LONGEST_CLOCK_STEP):
-        return False
-    return drove < 0.0 or leap > LONGEST_CLOCK_STEP
+    confirms = 0.0 < state.time + elapsed * state.period - state.leap_stamp <= AGREE * state.period
+    return confirms or drove < 0.0 or (drove == 0.0 and leap > LONGEST_CLOCK_STEP)
 
 
 @njit(cache=False)

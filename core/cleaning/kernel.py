@@ -23,6 +23,7 @@ from core.cleaning import (
     elevation,
     fix_motion,
     fleet_clock,
+    late_samples,
     meters,
     motion,
     position_filter,
@@ -411,4 +412,4 @@ def begins_stop(state: Any) -> bool:
     return False
 
 
-watch_sources(clean_rows, batch, columns, quality, shared_stamps, sphere, *_PARTS)
+watch_sources(clean_rows, batch, columns, late_samples, quality, shared_stamps, sphere, *_PARTS)

@@ -91,6 +91,8 @@ WANDER: Final = 20.0
 """The same where only the fixes show how far the car moves. [m]"""
 SLACK: Final = 50.0
 """Largest error of the distance of two fixes. [m]"""
+UNSEEN_SPEED: Final = 10.0
+"""Speed of a car between two samples of a slow logger, beyond twice the largest that it shows. [m/s]"""
 TURN: Final = 15.0
 """Shortest base over which a heading is measured. [m]"""
 BLIND: Final = 200.0
@@ -185,6 +187,15 @@ def is_confirmed(state: Any, latitude: float, longitude: float, dt: float, step:
 
 
 @njit(cache=False)
+def find_fix_limit(state: Any, row: Any, dt: float, settings: Any) -> float:
+    """Return the largest speed between two fixes; the speeds of a slow logger leave room for less. [m/s]"""
+    usual = max(row.raw_speed, state.smooth, state.cruise)
+    if dt <= HOLE * settings.period or isnan(row.raw_speed) or state.speed_stuck == 1.0 or dt > 1.5 * state.period:
+        return float(settings.speed_limit)
+    return float(min(settings.speed_limit, 2.0 * usual + UNSEEN_SPEED))
+
+
+@njit(cache=False)
 def evaluate_fix(state: Any, row: Any, dt: float, settings: Any) -> tuple[float, float]:
     """Check a fix, accept or hold it back, and set its quality bits.
 
@@ -212,7 +223,7 @@ def evaluate_fix(state: Any, row: Any, dt: float, settings: Any) -> tuple[float,
         row.quality += POSITION_FROZEN if frozen else 0
         return 0.0, (0.0 if state.fix_age > 2.0 * settings.period else nan)
     row.quality += POSITION_JUMP if distance > settings.speed_limit * step + SLACK else 0
-    if distance > settings.speed_limit * max(state.fix_age, step) + SLACK and not is_confirmed(
+    if distance > find_fix_limit(state, row, dt, settings) * max(state.fix_age, step) + SLACK and not is_confirmed(
         state, latitude, longitude, dt, step, settings
     ):
         return 0.0, nan

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from core import columns
 from core.batch import Batch, Floats, Ints, grown
-from core.cleaning import clock, fleet_clock, kernel, quality, repetition, segmentation, shared_stamps
+from core.cleaning import clock, fleet_clock, kernel, late_samples, quality, repetition, segmentation, shared_stamps
 from core.cleaning.fleet_clock import RIDE_END, new_fleet_clock
 from core.columns import TELEMETRY
 from core.compiled_cache import watch_sources
@@ -159,4 +159,6 @@ def find_silences(
     return count
 
 
-watch_sources(find_silences, clock, columns, fleet_clock, quality, repetition, segmentation, shared_stamps)
+watch_sources(
+    find_silences, clock, columns, fleet_clock, late_samples, quality, repetition, segmentation, shared_stamps
+)
