@@ -1,0 +1,72 @@
+"""Samples that come late, and samples that leap ahead: which of them wait for others that agree with them."""
+
+from typing import Any, Final
+
+from numba import njit
+
+FIELDS: Final = (
+    "late_stamp",  # stamp of the last rejected sample [s]
+    "late_seq",  # counter of the last rejected sample
+    "late_run",  # number of successive rejected samples that are in order among themselves
+    "leap_stamp",  # stamp of the last sample that leapt far ahead [s]
+    "hole_start",  # counter of the last sample before the newest long hole in the counter
+    "hole_end",  # counter of the first sample after it
+)
+
+AGREE_BACK: Final = 10
+"""Number of stamps from the past, without a counter, after which the clock counts as set back."""
+AGREE_LATE: Final = 20
+"""The same for samples whose counter is from the past too: a minute of the nominal period."""
+AGREE_SLOW: Final = 5.0
+"""The same for a slow logger without a counter, which loses minutes until then."""
+AGREE_TIME: Final = 60.0
+"""Time of `AGREE_BACK` samples from which a logger is slow. [s]"""
+HISTORY: Final = 1200.0
+"""Number of samples before the end of a hole in the counter that may be sent late: an hour of the nominal period."""
+LEAP: Final = 200.0
+"""Longest gap that is accepted without confirmation by a second stamp. [periods]"""
+
+
+@njit(cache=False)
+def find_agreement(state: Any, counted: float) -> float:
+    """Return the number of samples from the past after which the clock counts as set back."""
+    if counted != 0.0:
+        return AGREE_LATE
+    is_slow = state.has_period == 1.0 and AGREE_BACK * state.period > AGREE_TIME
+    return max(AGREE_SLOW, AGREE_TIME / state.period) if is_slow else AGREE_BACK
+
+
+@njit(cache=False)
+def extends_late_run(state: Any, stamp: float, seq: float, counted: float) -> bool:
+    """Return whether a sample from the past follows the rejected sample before it."""
+    since = stamp - state.late_stamp
+    if counted == 0.0:
+        return 0.0 < since <= 2.0 * state.period
+    ahead = seq - state.late_seq
+    return 1.0 <= ahead <= AGREE_BACK and abs(since - ahead * state.period) <= 2.0 * state.period
+
+
+@njit(cache=False)
+def is_stray(state: Any, stamp: float, count: float, limit: float) -> bool:
+    """Return whether a sample is from the past, or leaps further ahead of all samples before it than the limit."""
+    if count <= limit:
+        return count < 0.0
+    follows = 0.0 < stamp - state.leap_stamp <= LEAP * state.period
+    state.leap_stamp = stamp
+    return not follows
+
+
+@njit(cache=False)
+def remember_hole(state: Any, seq: float, counted: float) -> None:
+    """Remember which samples may still come late, if a minute of them or more is missing before this one."""
+    if counted > AGREE_LATE:
+        state.hole_start = state.seq
+        state.hole_end = seq
+    elif counted < 0.0:
+        state.hole_start = state.hole_end = 0.0
+
+
+@njit(cache=False)
+def fills_hole(state: Any, seq: float, counted: float) -> bool:
+    """Return whether a sample from the past belongs to the newest long hole in the counter."""
+    return counted < 0.0 and state.hole_start < seq < state.hole_end <= seq + HISTORY

@@ -1,0 +1,53 @@
+"""Hold each part of a drive that was cut against what the car truly did in its time."""
+
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from core.batch import Floats
+from core.cleaning import clock
+from tools.bench.league.drives import JOULES
+from tools.bench.league.loggers import Log
+
+SHARE: Final = 0.03
+"""Tolerance of distance and energy. [1]"""
+SDS: Final = 3.0
+"""Tolerance of energy. [own standard uncertainties]"""
+
+
+def find_stamps(log: Log) -> Floats:
+    """Return the stamps of samples, with the weeks that a receiver has lost, (n,). [s]"""
+    stamps = log.columns["time_s"]
+    return np.where(stamps < clock.FIRST_LOGGER, stamps + clock.ROLLOVER, stamps)
+
+
+def are_right(log: Log, rides: pd.DataFrame, sampling: Any) -> bool:
+    """Return whether every ride that is fit is right in its own time.
+
+    Parameters
+    ----------
+    log : Log
+        Samples of the car. The first sample of a ride is that whose stamp is nearest to its beginning.
+    rides : DataFrame
+        Rides of the car, as in the ride table.
+    sampling : callable
+        Function of rows of the log that returns the errors of distance [m] and energy [J] that no cleaning can avoid.
+    """
+    stamps, track = find_stamps(log), log.car.track
+    for ride in rides[rides["fit_for_training"]].itertuples():
+        at = int(np.nanargmin(np.abs(stamps - ride.start_s)))
+        if abs(stamps[at] - ride.start_s) > log.car.period:
+            return False
+        first = float(log.true[at])
+        last = first + float(ride.duration_s)
+        rows = np.flatnonzero((log.true >= first - 0.5 * log.car.period) & (log.true <= last + 0.5 * log.car.period))
+        distance_error, energy_error = sampling(rows[np.argsort(log.true[rows])])
+        distance = 1e-3 * float(track.at("distance", last) - track.at("distance", first))
+        energy = float(track.at("energy", last) - track.at("energy", first)) / JOULES
+        energy_slack = max(SHARE * abs(energy) + energy_error / JOULES, SDS * float(ride.energy_sd_kwh))
+        if abs(ride.distance_km - distance) > SHARE * distance + 1e-3 * distance_error:
+            return False
+        if abs(ride.energy_kwh - energy) > energy_slack:
+            return False
+    return True
