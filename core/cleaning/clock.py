@@ -64,7 +64,7 @@ FIELDS: Final = (
     "time",  # repaired time of the last accepted sample [s]
     "nominal",  # period that the car announced, or else that of the settings; 0 for a logger without one [s]
     "has_period",  # 0 for a logger that sends a sample when a value has changed, else 1
-    "irregular",  # running share of the intervals between stamps that are twice what the counter says, or more [1]
+    "irregular",  # running share of the intervals between stamps that contradict the counter [1]
     "period",  # estimated time between samples [s]
     "stamp",  # stamp of the last accepted sample [s]
     "seq",  # counter of the last accepted sample
@@ -107,8 +107,10 @@ BELIEVED: Final = 100.0
 """Longest leap of the counter that is accepted without a stamp. [samples]"""
 PAUSE: Final = 400.0 * SECONDS_PER_DAY
 """Longest gap before the first sample after a power cycle, whose counter is low. [s]"""
+IRREGULAR: Final = 2.5
+"""Ratio of an interval between stamps to what the counter says from which they contradict; whole seconds show 2. [1]"""
 IRREGULAR_MEMORY: Final = 50.0
-"""Number of intervals in the running share of those that are twice what the counter says."""
+"""Number of intervals in the running share of those that contradict the counter."""
 MOST_IRREGULAR: Final = 0.15
 """Largest such share of a logger with a period. [1]"""
 LONGEST_SILENCE: Final = 60.0
@@ -202,7 +204,7 @@ def find_irregular(state: Any, stamp: float, count: float) -> None:
     if interval <= 0.0:
         state.irregular = 0.0
     elif not isnan(count):
-        contradicts = 2.0 * state.interval < interval / count <= LONGEST_SILENCE
+        contradicts = IRREGULAR * state.interval < interval / count <= LONGEST_SILENCE
         state.irregular += ((1.0 if contradicts else 0.0) - state.irregular) / IRREGULAR_MEMORY
     if state.irregular > MOST_IRREGULAR:
         state.has_period = 0.0
@@ -392,8 +394,9 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
     counter = not isnan(seq) and not isnan(state.seq)
     counted = seq - state.seq if counter else 0.0
     elapsed = (stamp - state.time) / state.period
-    if is_repeat(state, stamp, seq, elapsed, same):
-        return UNUSED, DUPLICATE
+    is_late = -AGREE_BACK <= counted < 0.0 and shared_stamps.is_shared(state)
+    if is_late or is_repeat(state, stamp, seq, elapsed, same):
+        return UNUSED, LATE if is_late else DUPLICATE
     if state.has_period == 0.0:
         return take_stamp(state, stamp, seq, counted)
     bits = SEQUENCE if counter and counted == 0.0 else 0
@@ -448,8 +451,10 @@ def advance_by_stamp(
         counts = counted > 0.0 and bits == 0
         slipped = abs(count - 1.0) == 1.0 and not counts
         observe_interval(state, stamp, state.shared + (count if counts else 1.0), slipped)
-        find_irregular(state, stamp, count if counts else nan)
+        find_irregular(state, stamp, state.shared + count if counts else nan)
     dt, more = restart_clock(state, stamp) if anew else follow_stamp(state, stamp, count)
+    if dt > shared_stamps.LONGEST_GROUP:
+        state.unphased = 1.0
     state.samples += 1.0
     state.stamp, state.seq, state.shared = stamp, seq, 0.0
     return dt, bits | more

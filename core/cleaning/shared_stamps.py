@@ -20,6 +20,7 @@ FIELDS: Final = (
     "shared_time",  # time that the last groups took, the oldest with the least weight [s]
     "shared_count",  # number of periods in them, weighted alike; 0 before the first whole group
     "part_group",  # number of periods in the group before the first whole one
+    "unphased",  # 1 from a pause to the end of the first group after it
     "mistimed",  # time by which earlier steps turn out too long or too short with this sample [s]
 )
 
@@ -98,6 +99,10 @@ def end_group(state: Any, stamp: float, count: float, has_counter: bool) -> tupl
     Without a counter, the clock follows a deviation of more than a period at once: samples of the group are missing.
     """
     note_new_stamp(state)
+    if state.unphased == 1.0 and state.shared_count > 0.0:  # the group lacks its beginning, and its stamp is too early
+        state.unphased = state.shared = 0.0
+        state.time = stamp
+        return count * state.period, STAMP_SHARED
     learn_period(state, stamp - state.stamp, state.shared + count)
     state.shared = 0.0
     step = count * state.period
