@@ -64,7 +64,7 @@ FIELDS: Final = (
     "time",  # repaired time of the last accepted sample [s]
     "nominal",  # period that the car announced, or else that of the settings; 0 for a logger without one [s]
     "has_period",  # 0 for a logger that sends a sample when a value has changed, else 1
-    "irregular",  # running share of the intervals between stamps that contradict the counter [1]
+    "irregular",  # running share of the intervals between stamps that are twice what the counter says, or more [1]
     "period",  # estimated time between samples [s]
     "stamp",  # stamp of the last accepted sample [s]
     "seq",  # counter of the last accepted sample
@@ -107,10 +107,8 @@ BELIEVED: Final = 100.0
 """Longest leap of the counter that is accepted without a stamp. [samples]"""
 PAUSE: Final = 400.0 * SECONDS_PER_DAY
 """Longest gap before the first sample after a power cycle, whose counter is low. [s]"""
-IRREGULAR: Final = 2.5
-"""Ratio of an interval between stamps to what the counter says from which they contradict; whole seconds show 2. [1]"""
 IRREGULAR_MEMORY: Final = 50.0
-"""Number of intervals in the running share of those that contradict the counter."""
+"""Number of intervals in the running share of those that are twice what the counter says."""
 MOST_IRREGULAR: Final = 0.15
 """Largest such share of a logger with a period. [1]"""
 LONGEST_SILENCE: Final = 60.0
@@ -204,7 +202,7 @@ def find_irregular(state: Any, stamp: float, count: float) -> None:
     if interval <= 0.0:
         state.irregular = 0.0
     elif not isnan(count):
-        contradicts = IRREGULAR * state.interval < interval / count <= LONGEST_SILENCE
+        contradicts = 2.0 * state.interval < interval / count <= LONGEST_SILENCE
         state.irregular += ((1.0 if contradicts else 0.0) - state.irregular) / IRREGULAR_MEMORY
     if state.irregular > MOST_IRREGULAR:
         state.has_period = 0.0
@@ -413,6 +411,7 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
 def advance_without_stamp(state: Any, seq: float, count: float, bits: int) -> tuple[float, int]:
     """Advance the clock by a sample whose stamp carries no information: it is missing, or that of the sample before."""
     state.late_run = 0.0
+    state.irregular = max(0.0, state.irregular - 1.0 / IRREGULAR_MEMORY)  # whole seconds make intervals of 0 and of 2
     remember_hole(state, seq, count if bits == 0 else 0.0)
     dt, more = follow_stamp(state, nan, count)
     state.samples += 1.0
