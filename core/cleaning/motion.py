@@ -99,6 +99,12 @@ BLIND: Final = 200.0
 """Largest distance by which fixes lag behind the wheels. [m]"""
 NULL_ISLAND: Final = 1e-4
 """Half-width of the square around 0/0 in which a fix is not valid. [rad]"""
+WINDING: Final = 0.33
+"""Share of the distance by two speeds beyond that by two fixes that a slow logger has driven. [1]
+
+The road winds, so that fixes show too little: in a city 9 % for samples every 60 s, 3 % for every 15 s. Two speeds show
+as much as the road on average, and twice as much or nothing now and then. Chosen on 114 drives of a Nissan Leaf
+(arXiv:1905.02081), whose bias is within 1.3 % with it for 10 to 60 s."""
 LONGEST_HOLD: Final = 20.0
 """Longest time for which a speed is held or interpolated. [periods]"""
 HOLE: Final = 3.5
@@ -435,6 +441,16 @@ def finish_motion(state: Any, row: Any, before: float, dt: float, known: bool) -
 
 
 @njit(cache=False)
+def compare_ends(state: Any, row: Any, by_ends: float, run: float) -> float:
+    """Compare the step of a slow logger with the speeds at its ends; return the distance that the fixes cut off."""
+    if isnan(by_ends):
+        return 0.0
+    cut = WINDING * (by_ends - run) if isnan(state.odometer) and 0.0 < run < by_ends else 0.0
+    row.slow, row.slow_run = by_ends, run + cut
+    return cut
+
+
+@njit(cache=False)
 def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Advance the motion of the car by a sample; fill in the columns of motion and the climb."""
     hole = find_hole(state, settings)
@@ -457,8 +473,7 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
         update_smooth_speed(state, row, speed, dt, gap or state.speed_age > hole, settings)
     known = not (isnan(speed) or isnan(state.speed) or gap or shortfall > 0.0)
     if gap and dt <= 1.5 * state.period:
-        by_ends = 0.5 * (speed + state.speed) * dt
-        row.slow, row.slow_run = (0.0, 0.0) if isnan(by_ends) else (by_ends, distance + shortfall)
+        shortfall += compare_ends(state, row, 0.5 * (speed + state.speed) * dt, distance + shortfall)
     state.speed = speed
     row.speed = 0.5 * (before + state.smooth)
     row.distance = distance + shortfall
