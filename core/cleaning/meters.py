@@ -9,7 +9,7 @@ exactly zero while the car drives. The state of charge is frozen where it stays 
 quanta by V·I. It jumps where it changes by more than the car can have used, or by much more than V·I measured.
 """
 
-from math import exp, isnan, log, nan, tanh
+from math import exp, floor, isnan, log, nan, tanh
 from typing import Any, Final
 
 from numba import njit
@@ -42,7 +42,7 @@ FIELDS: Final = (
     "stood",  # time for which the car has stood [s]
     "stood_latitude",  # fix at which that began [rad], NaN without one
     "stood_longitude",
-    "slept",  # 1 from a pause until the state of charge changes
+    "slept",  # 1 at a pause, falling to 0 over `AWAKE` of driving, or at a stale change of the state of charge
 )
 UNKNOWN_AT_FIRST: Final = ("power", "current", "soc", "soc_step", "raw_power", "stood_latitude", "stood_longitude")
 """Fields of a new lane that are NaN."""
@@ -76,6 +76,8 @@ LATEST_CHANGE: Final = 6.0
 
 Chosen so that the errors of simulated rides are within their standard uncertainties."""
 
+AWAKE: Final = 2000.0
+"""Distance after a pause from which the state of charge is no longer that from before it. [m]"""
 FROZEN_TIME: Final = 30.0
 """Time for which an unchanged current is normal: loggers refresh it every second to every few seconds. [s]"""
 REPEAT_MEMORY: Final = 100.0
@@ -90,7 +92,7 @@ FROZEN_SPEED_CHANGE: Final = 108.0 * KMH
 """Sum of changes of speed during which the current of a car cannot stay the same to the last digit. [m/s]
 
 Estimated: one and a half stops from town speed. Each change by 36 km/h takes or returns 60 kJ of a car of 1.2 t, which
-is five quanta of a coarse meter (1 A at 400 V) over `FROZEN_TIME`."""
+is five quanta of a coarse meter (1 A at 400 V) over `FROZEN_TIME`. Half of it is enough where the meter is finer."""
 ZERO_DISTANCE: Final = 300.0
 """Distance over which a driving car cannot draw exactly nothing. [m]
 
@@ -117,7 +119,7 @@ USUAL_RATE: Final = 0.025 / 1000.0
 
 Estimated: 0.6 kWh/km of 24 kWh, four times the consumption of a Leaf, or twice that of a Twizy with 6 kWh in winter."""
 STALE_QUANTA: Final = 1.5
-"""Number of quanta by which the first change after a pause may exceed what the car has used since. [1]"""
+"""Number of quanta by which a change soon after a pause may exceed what the car has used since. [1]"""
 CHARGING_POWER: Final = 500.0
 """Least power into the battery of a standing car by which it charges. [W]
 
@@ -227,7 +229,9 @@ def is_power_frozen(state: Any, row: Any, dt: float) -> bool:
     state.current_age += dt
     state.speed_varied += abs(row.acceleration) * dt
     state.zero_distance += row.distance if row.raw_current == 0.0 else 0.0
-    varied = state.current_age > FROZEN_TIME and state.speed_varied > FROZEN_SPEED_CHANGE
+    is_coarse = row.raw_current == floor(row.raw_current)
+    least = FROZEN_SPEED_CHANGE if is_coarse else 0.5 * FROZEN_SPEED_CHANGE
+    varied = state.current_age > FROZEN_TIME and state.speed_varied > least
     return varied or state.zero_distance > ZERO_DISTANCE
 
 
@@ -240,6 +244,7 @@ def update_soc(state: Any, row: Any, dt: float) -> bool:
     state.soc_age += dt
     state.still_time += dt
     state.still_distance += row.distance
+    state.slept = max(0.0, state.slept - row.distance / AWAKE)
     state.still_energy += row.energy
     state.still_unmetered += dt - row.metered
     if row.raw_charging == 1.0 or dt > LONGEST_STILLNESS:
@@ -265,7 +270,7 @@ def update_soc(state: Any, row: Any, dt: float) -> bool:
         jumped = not stale and is_soc_jump(state, change, row.raw_capacity)
         row.quality += SOC_STALE if stale else SOC_JUMP if jumped else 0
         observe_charge(state, -change, row.raw_capacity, state.slept == 0.0)
-        state.slept = 0.0
+        state.slept = 0.0 if stale else state.slept
         if not abs(change) >= state.soc_step:
             state.soc_step = abs(change)
     if changed or isnan(before):
@@ -282,7 +287,7 @@ def begin_stillness(state: Any, known: float) -> None:
 
 @njit(cache=False)
 def is_soc_stale(state: Any, change: float) -> bool:
-    """Return whether the first change after a pause is larger than what the car has used since it drives."""
+    """Return whether a change soon after a pause is larger than what the car has used since the one before."""
     if state.slept == 0.0 or isnan(change):
         return False
     quantum = COARSEST_SOC if isnan(state.soc_step) else min(state.soc_step, COARSEST_SOC)

@@ -326,7 +326,7 @@ def find_hole(state: Any, settings: Any) -> float:
 
 @njit(cache=False)
 def integrate_speed(
-    state: Any, speed: float, dt: float, fixed: bool, witnessed: bool, gap: bool, period: float
+    state: Any, speed: float, dt: float, fixed: bool, witnessed: bool, gap: bool, settings: Any
 ) -> float:
     """Return the distance of a step from the speed alone, and note a hole in the speed. [m]
 
@@ -338,11 +338,10 @@ def integrate_speed(
     if gap and witnessed:
         distance = 0.0
     elif isnan(speed):
-        held = not fixed and state.speed_age <= (HOLE if witnessed else LONGEST_HOLD) * period
+        held = not fixed and state.speed_age <= (HOLE if witnessed else LONGEST_HOLD) * settings.period
         distance = state.smooth * dt if held else 0.0
     else:
-        longest = max(LONGEST_HOLD * period, 1.5 * state.period)
-        distance = (speed if isnan(state.speed) else 0.5 * (state.speed + speed)) * min(dt, longest)
+        distance = (speed if isnan(state.speed) else 0.5 * (state.speed + speed)) * min(dt, settings.gap_time)
     state.fix_distance += distance
     state.odometer_distance += distance
     return distance
@@ -461,7 +460,7 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     state.fix_age += dt
     state.odometer_age += dt
     fixed = not (isnan(row.raw_latitude) or isnan(state.latitude))
-    distance = integrate_speed(state, speed, dt, fixed, fixed or not isnan(state.odometer), gap, settings.period)
+    distance = integrate_speed(state, speed, dt, fixed, fixed or not isnan(state.odometer), gap, settings)
     distance += add_held_distance(state, max(-distance, held))
     shortfall, owed, age, derived = add_shortfalls(state, row, dt, missed, since_missed, settings)
     if isnan(speed) and derived <= settings.speed_limit:
