@@ -18,6 +18,7 @@ from numba import njit
 from core.cleaning import motion, position_filter
 from core.cleaning.elevation import climb_step
 from core.cleaning.quality import Quality
+from core.cleaning.speed_witness import count_distance
 from core.cleaning.sphere import compute_chord, wrap_angle
 
 FIELDS: Final = (
@@ -70,9 +71,8 @@ def weigh_odometer(state: Any, row: Any, distance: float, settings: Any) -> tupl
         state.odometer_distance -= distance
         return 0.0, 0.0
     missing = compare_change(state, odometer - state.odometer, settings)
-    if not isnan(state.tick_distance):
-        row.ticked, row.ticked_run = odometer - state.odometer, state.tick_distance
-    state.tick_distance = 0.0
+    row.ticked = 0.0 if isnan(state.tick_distance) else odometer - state.odometer
+    state.tick_read = 1.0
     state.odometer_ticks += 1.0
     begin_odometer(state, odometer)
     return distance, missing
@@ -196,5 +196,5 @@ def move_by_fixes(state: Any, row: Any, dt: float, settings: Any) -> None:
     motion.join_last_step(state, row, run, rise, False)
     row.acceleration_spread, state.acceleration = 0.0, nan
     row.fix_sd = state.path_noise**0.5
-    state.tick_distance += row.distance
+    count_distance(state, row)
     climb_step(state, row, dt, settings)

@@ -377,10 +377,9 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     begins = segmentation.update_ride(state, row.raw_ride, dt, moving, charging, settings)
     if begins:  # the step ended before the ride and is not part of it
         row.dt = row.travel = row.distance = row.climb = row.energy = row.energy_variance = row.metered = row.stop = 0.0
-        state.section_distance = 0.0
         row.acceleration_spread = row.mistimed = row.unseen = row.disputed = row.path = row.path_run = 0.0
         row.straight = row.straight_run = row.ticked = row.ticked_run = row.slow = row.slow_run = 0.0
-        state.tick_distance = nan
+        state.section_distance = state.tick_distance = nan
         row.quality = float(int(row.quality) & ~NOT_OF_RIDE)
         meters.begin_stillness(state, 0.0)
         if state.soc_age > STALE:

@@ -32,7 +32,7 @@ FIELDS: Final = (
     "section_run",  # distance by the speed since then [m]
     "section_path",  # distance by fixes from sample to sample since then [m]
     "section_hole",  # 1 if the speed was unknown since then
-    "section_distance",  # distance that was counted since then [m]
+    "section_distance",  # distance that was counted since then, NaN if not all of it belongs to the ride [m]
     "course_north",  # the last section [m], NaN without one
     "course_east",
     "frozen_run",  # distance by the speed since the fix last changed [m]
@@ -49,6 +49,7 @@ FIELDS: Final = (
     "tick_run",  # distance by the speed since it last changed [m]
     "tick_chord",  # distance by fixes since then [m]
     "tick_distance",  # distance that was counted since then, NaN if not all of it belongs to the ride [m]
+    "tick_read",  # 1 if it has changed with this sample
     "tick_hole",  # 1 if the speed was unknown since then
     "ticks",  # number of changes of the odometer so far
     "tick_missed",  # distance by the odometer beyond that of the speed, since both last agreed [m]
@@ -195,9 +196,10 @@ def close_section(state: Any, row: Any, dt: float, settings: Any) -> tuple[float
         return 0.0, 0.0
     state.tick_chord += chord
     run, path, known = state.section_run, state.section_path + step, state.section_hole == 0.0
-    row.path, row.path_run = chord, state.section_distance
+    within = 0.0 if isnan(state.section_distance) else 1.0
+    row.path = within * chord
     if follows_course(state, row):
-        row.straight, row.straight_run = chord, state.section_distance
+        row.straight = within * chord
         if known and state.speed_stuck == 0.0 and run > 0.0 and abs(log(chord / run)) < AGREES:
             keep = max(0.0, 1.0 - chord / STRAIGHT_MEMORY)
             state.straight_far = keep * state.straight_far + chord
@@ -263,7 +265,19 @@ def compare_section(state: Any, row: Any, chord: float, run: float) -> float:
 def open_section(state: Any, row: Any) -> None:
     """Begin a section at a fix."""
     state.section_latitude, state.section_longitude = row.raw_latitude, row.raw_longitude
-    state.section_age = state.section_run = state.section_hole = state.section_distance = state.section_path = 0.0
+    state.section_age = state.section_run = state.section_hole = state.section_path = 0.0
+
+
+@njit(cache=False)
+def count_distance(state: Any, row: Any) -> None:
+    """Count the distance of a step beside that of its witnesses, and begin anew where they were read at its end."""
+    section, tick = state.section_distance + row.distance, state.tick_distance + row.distance
+    row.path_run = section if row.path > 0.0 else 0.0
+    row.straight_run = section if row.straight > 0.0 else 0.0
+    row.ticked_run = tick if row.ticked > 0.0 else 0.0
+    state.section_distance = 0.0 if state.section_age == 0.0 else section
+    state.tick_distance = 0.0 if state.tick_read == 1.0 else tick
+    state.tick_read = 0.0
 
 
 @njit(cache=False)
@@ -291,10 +305,9 @@ def take_odometer(state: Any, row: Any) -> tuple[float, float]:
     if odometer == state.tick_reading:
         return 0.0, find_excess(state)
     driven, run, known = odometer - state.tick_reading, state.tick_run, state.tick_hole == 0.0
-    if driven > 0.0 and not isnan(state.tick_distance):
-        row.ticked, row.ticked_run = driven, state.tick_distance
-    state.tick_reading = odometer
-    state.tick_run = state.tick_chord = state.tick_hole = state.tick_distance = 0.0
+    row.ticked = driven if driven > 0.0 and not isnan(state.tick_distance) else 0.0
+    state.tick_reading, state.tick_read = odometer, 1.0
+    state.tick_run = state.tick_chord = state.tick_hole = 0.0
     if not driven > 0.0:
         return 0.0, 0.0
     state.ticks += 1.0
@@ -404,6 +417,6 @@ def forget_sections(state: Any) -> None:
 
 UNKNOWN_AT_FIRST: Final = (
     *("section_latitude", "section_longitude", "agreed_latitude", "agreed_longitude"),
-    *("tick_reading", "tick_distance", "reported", "course_north", "course_east"),
+    *("tick_reading", "tick_distance", "section_distance", "reported", "course_north", "course_east"),
 )
 """Fields of a new lane that are NaN."""
