@@ -254,7 +254,7 @@ class McapSource:
     def _read_metadata(self, file: BinaryIO) -> None:
         """Read the metadata records between the header and the first chunk."""
         opcode, length = RECORD.unpack(file.read(RECORD.size))
-        if opcode == HEADER:
+        if opcode == HEADER and length <= LARGEST_METADATA:
             file.seek(length, 1)
             opcode, length = RECORD.unpack(file.read(RECORD.size))
         while opcode == METADATA and length <= LARGEST_METADATA:

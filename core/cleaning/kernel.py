@@ -360,7 +360,7 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
         motion.move_car(state, row, dt, settings)
         row.fix_sd = nan
     state.blind = 1.0 if state.riding == 1.0 and motion.is_blind(state, row) else 0.0
-    meters.observe_stand(state, row, dt)
+    meters.observe_stand(state, row, dt, settings)
     meters.integrate_power(state, row, dt, settings)
     power_sign.observe_acceleration(state, row, dt)
     changed = meters.update_soc(state, row, dt)

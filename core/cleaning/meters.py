@@ -169,8 +169,10 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
 
 
 @njit(cache=False)
-def observe_stand(state: Any, row: Any, dt: float) -> None:
+def observe_stand(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Count the time for which the car stands; it has not stood if it is elsewhere by its fixes."""
+    if dt > settings.gap_time:
+        state.stood_latitude = nan
     left = compute_chord(state.stood_latitude, state.stood_longitude, row.raw_latitude, row.raw_longitude) > ELSEWHERE
     if left and state.standing == 1.0:
         state.blind = 1.0

@@ -16,9 +16,9 @@ OFF: Final = 0.03
 """Largest deviation of the odometer: tyres and calibration take some percent. [1]"""
 LEAST_TICKED: Final = 500.0
 """Distance between its changes from which an odometer is a witness. [m]"""
-SLACK: Final = 60.0
+SLACK: Final = 30.0
 """Distance by which an odometer may be late. [m]"""
-LATE: Final = 1.5
+LATE: Final = 1.0
 """The same in distances between two samples."""
 STRAIGHT_OFF: Final = 0.06
 """Largest deviation of the fixes on long straight roads. [1]
