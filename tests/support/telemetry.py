@@ -114,9 +114,9 @@ def decoded(messages: Sequence[Message]) -> Batch:
     return Decoder(Lanes()).decode(messages)[0]
 
 
-def cleaned(columns: Mapping[str, Any], limits: Settings | None = None) -> Clean:
-    """Send the samples of one car through the codec and the kernel."""
-    return Cleaner(limits or Settings()).clean(decoded(telemetry(columns)), 1)
+def cleaned(columns: Mapping[str, Any], limits: Settings | None = None, period: float = np.nan) -> Clean:
+    """Send the samples of one car, which announces its period or none, through the codec and the kernel."""
+    return Cleaner(limits or Settings()).clean(decoded(telemetry(columns)), 1, period=period)
 
 
 def count(clean: Clean, bit: Quality) -> int:

@@ -380,3 +380,33 @@ def test_samples_too_rare_to_confirm_each_other_are_not_used():
     clean = cleaned(columns)
     assert np.flatnonzero(clean.quality & Quality.REPAIRED_TIME).tolist() == list(range(90, 100))
     assert clean.dt.sum() == pytest.approx(PERIOD * 89, abs=0.1)
+
+
+@pytest.mark.parametrize("period", [30.0, 60.0])
+def test_clock_of_a_slow_logger_set_back_without_counter_is_accepted_after_five_samples(period):
+    columns = cruise(100)
+    columns["time_s"] = START + period * np.arange(100)
+    columns["time_s"][50:] -= 5000.0
+    clean = cleaned(without(columns, "seq"), ONE_RIDE, period=period)
+    assert count(clean, Quality.LATE) == 4
+    assert clean.dt[clean.dt > 0.0].sum() == pytest.approx(period * 99, abs=1.5)
+
+
+@pytest.mark.parametrize("at", [4, 7, 40])
+def test_clock_set_back_soon_after_the_start_does_not_change_the_period(at):
+    columns = cruise(100)
+    columns["time_s"] = START + 60.0 * np.arange(100)
+    columns["time_s"][at:] -= 700.0
+    clean = cleaned(columns, ONE_RIDE, period=60.0)
+    assert clean.dt[1:] == pytest.approx(60.0, abs=1.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_whole_seconds_do_not_make_a_logger_one_without_a_period(seed):
+    n = 1500
+    columns = cruise(n, soc_pct=90 - 0.01 * np.arange(n))
+    error = np.random.default_rng(seed).normal(0.0, 0.05, n)
+    columns["time_s"] = np.floor(START + np.arange(n) + error)
+    clean = cleaned(columns, ONE_RIDE)
+    assert clean.dt[50:] == pytest.approx(1.0, abs=0.6)
+    assert clean.dt.sum() == pytest.approx(n - 1, rel=0.02)

@@ -6,7 +6,7 @@ import pytest
 from core.cleaning.kernel import Cleaner
 from core.cleaning.quality import Quality
 from core.settings import Settings
-from tests.support.telemetry import PERIOD, cleaned, count, decoded, drive, telemetry
+from tests.support.telemetry import PERIOD, cleaned, count, decoded, drive, telemetry, without
 
 N = 400
 CAPACITY = 24.0 * 3.6e6
@@ -110,3 +110,23 @@ def test_current_of_zero_over_distance_is_frozen_even_at_constant_speed():
 def test_current_of_zero_while_the_car_stands_is_healthy():
     columns = drive(N, speed=0.0, battery_voltage_v=360.0, battery_current_a=0.0)
     assert count(clean(columns), Quality.POWER_FROZEN) == 0
+
+
+@pytest.mark.parametrize("first", [0.0, 0.5])
+def test_charge_from_before_sleep_is_stale_although_it_changed_by_a_quantum_before(first):
+    columns = without(drive(N, speed=10.0), "ride_id")
+    columns["soc_pct"] = np.round((80.0 - 0.01 * np.arange(N)) * 2.0) / 2.0
+    columns["time_s"][200:] += 9 * 3600.0
+    columns["soc_pct"][200:] = np.round((78.0 - 0.01 * np.arange(N - 200)) * 2.0) / 2.0
+    columns["soc_pct"][206:] -= first
+    columns["soc_pct"][230:] -= 6.0
+    assert np.flatnonzero(clean(columns).quality & Quality.SOC_STALE).tolist() == [230]
+
+
+def test_current_with_decimals_is_frozen_after_one_stop():
+    speed = np.r_[np.full(100, 14.0), np.linspace(14.0, 0.0, 8), np.zeros(20), np.full(N - 128, 0.0)]
+    columns = drive(N, speed=speed, battery_voltage_v=360.0, battery_current_a=34.5)
+    columns["battery_current_a"] = np.where(np.arange(N) < 80, 20.0 + np.arange(N) % 7, 34.5)
+    assert count(clean(columns), Quality.POWER_FROZEN) == 0  # the change of speed is less than one stop
+    columns["speed_kmh"][115:] = 60.0
+    assert count(clean(columns), Quality.POWER_FROZEN) > 0

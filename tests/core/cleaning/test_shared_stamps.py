@@ -105,3 +105,46 @@ def test_single_repeated_stamps_are_no_shared_ones():
     clean = cleaned(columns)
     assert count(clean, Quality.STAMP_SHARED) == 0
     assert np.abs(clean.time - (START + PERIOD * np.arange(N))).max() < 0.1
+
+
+@pytest.mark.parametrize("period", [2.0, 30.0, 60.0])
+@pytest.mark.parametrize("driving", [5.0, 14.0])
+def test_pause_is_confirmed_by_a_sample_that_would_continue_the_drive(period, driving):
+    first, second = drive(N, seed=1), drive(N, seed=2, speed=driving)
+    for made in (first, second):
+        made["time_s"] = START + period * np.arange(N)
+        made["latitude_deg"] = (
+            made["latitude_deg"][0] + (made["latitude_deg"] - made["latitude_deg"][0]) * period / PERIOD
+        )
+    second["time_s"] = second["time_s"] + N * period + HOURS
+    second["latitude_deg"] = second["latitude_deg"] - second["latitude_deg"][0] + first["latitude_deg"][-1]
+    second["seq"], second["speed_kmh"][0] = N + np.arange(N), 0.0
+    clean = cleaned(without(joined(first, second), "ride_id"), period=period)
+    assert count(clean, Quality.PAUSE) == 1
+    assert clean.time[-1] == pytest.approx(second["time_s"][-1], abs=period)
+
+
+@pytest.mark.parametrize("period", [1.0, 3.0])
+@pytest.mark.parametrize("late", [0.2, 0.7])
+def test_whole_minutes_keep_the_duration_after_each_pause(period, late):
+    """A drive that begins within a minute has samples of a part of it only, whose stamp is too early."""
+    parts = []
+    for number in range(3):
+        part = drive(N, seed=number, speed=12.0)
+        part["time_s"] = START + 7200.0 * number + 60.0 * late * number + period * np.arange(N)
+        parts.append(part | {"seq": np.arange(N)})
+    columns = without(joined(parts[0], joined(parts[1], parts[2])), "ride_id", "latitude_deg", "longitude_deg")
+    columns["time_s"] = np.floor(columns["time_s"] / 60.0) * 60.0
+    clean = cleaned(columns, period=period)
+    lasts = [clean.dt[N * number + 1 : N * (number + 1)].sum() for number in (1, 2)]
+    assert lasts == pytest.approx([period * (N - 1)] * 2, rel=0.01)
+
+
+def test_late_samples_among_shared_stamps_add_no_time():
+    columns = without(drive(N, speed=12.0), "ride_id", "latitude_deg", "longitude_deg")
+    columns["time_s"] = np.floor(columns["time_s"] / 60.0) * 60.0
+    order = np.arange(N)
+    order[200::17] -= 2
+    clean = cleaned({name: values[np.argsort(order, kind="stable")] for name, values in columns.items()})
+    assert count(clean, Quality.LATE) > 3
+    assert clean.dt[clean.dt > 0.0].sum() == pytest.approx(PERIOD * (N - 1), rel=0.03)

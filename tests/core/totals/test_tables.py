@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from core.cleaning.meters import POWER_SPREAD, UNSEEN_TIME
 from core.cleaning.quality import CAUSES
 from core.totals.display_yield import READING_SDS
 from core.totals.measured_energy import METER_GAIN, RIDE_SD
@@ -262,6 +263,23 @@ def test_uncertainty_of_power_between_samples_agrees_with_its_errors(memory):
         score.append((ride["energy_vi_kwh"] - true) / sd)
     assert 0.55 < np.std(score) < 1.25
     assert np.mean(np.abs(score) < 1.96) > 0.88
+
+
+def test_uncertainty_covers_power_that_was_not_seen():
+    """The mean of the ride fills a hole of two minutes; cars differ by some kilowatts from it."""
+    n, rng, scores = 400, np.random.default_rng(5), []
+    for _ in range(60):
+        keep = np.exp(-PERIOD / UNSEEN_TIME)
+        noise = rng.normal(size=n)
+        noise[1:] *= np.sqrt(1.0 - keep * keep)
+        power = 12e3 + POWER_SPREAD * lfilter([1.0], [1.0, -keep], noise)
+        columns = drive(n, speed=10.0, battery_voltage_v=360.0)
+        columns["battery_current_a"] = power / 360.0
+        whole = rides_of(columns).iloc[0]["energy_vi_kwh"]
+        columns["battery_current_a"][150:190] = np.nan
+        ride = rides_of(columns).iloc[0]
+        scores.append((ride["energy_vi_kwh"] - whole) / ride["energy_vi_sd_kwh"])
+    assert 0.6 < np.std(scores) < 1.3
 
 
 @pytest.mark.parametrize(("at", "fit"), [((0, 40), False), ((260, 300), False), ((0, 5), True), ((100, 140), True)])
