@@ -114,12 +114,12 @@ def test_current_of_zero_while_the_car_stands_is_healthy():
 
 @pytest.mark.parametrize("first", [0.0, 0.5])
 def test_charge_from_before_sleep_is_stale_although_it_changed_by_a_quantum_before(first):
-    columns = without(drive(N, speed=10.0), "ride_id")
+    columns = without(drive(N, speed=10.0), "ride_id", "seq")
     columns["soc_pct"] = np.round((80.0 - 0.01 * np.arange(N)) * 2.0) / 2.0
     columns["time_s"][200:] += 9 * 3600.0
     columns["soc_pct"][200:] = np.round((78.0 - 0.01 * np.arange(N - 200)) * 2.0) / 2.0
     columns["soc_pct"][206:] -= first
-    columns["soc_pct"][230:] -= 6.0
+    columns["soc_pct"][230:] -= 5.0
     assert np.flatnonzero(clean(columns).quality & Quality.SOC_STALE).tolist() == [230]
 
 

@@ -113,9 +113,8 @@ def test_pause_is_confirmed_by_a_sample_that_would_continue_the_drive(period, dr
     first, second = drive(N, seed=1), drive(N, seed=2, speed=driving)
     for made in (first, second):
         made["time_s"] = START + period * np.arange(N)
-        made["latitude_deg"] = (
-            made["latitude_deg"][0] + (made["latitude_deg"] - made["latitude_deg"][0]) * period / PERIOD
-        )
+        start = made["latitude_deg"][0]
+        made["latitude_deg"] = start + (made["latitude_deg"] - start) * period / PERIOD
     second["time_s"] = second["time_s"] + N * period + HOURS
     second["latitude_deg"] = second["latitude_deg"] - second["latitude_deg"][0] + first["latitude_deg"][-1]
     second["seq"], second["speed_kmh"][0] = N + np.arange(N), 0.0
