@@ -174,9 +174,9 @@ def observe_stand(state: Any, row: Any, dt: float, settings: Any) -> None:
     if dt > settings.gap_time:
         state.stood_latitude = nan
     left = compute_chord(state.stood_latitude, state.stood_longitude, row.raw_latitude, row.raw_longitude) > ELSEWHERE
-    if left and state.standing == 1.0:
+    if left and state.riding == 1.0:
         state.blind = 1.0
-    if state.standing == 0.0 or state.blind == 1.0:
+    if left or state.standing == 0.0 or state.blind == 1.0:
         state.stood, state.stood_latitude = 0.0, nan
         return
     state.stood += dt
