@@ -34,7 +34,7 @@ from core.cleaning.speed_noise import (
     is_still,
     observe_noise,
 )
-from core.cleaning.speed_witness import weigh_speed
+from core.cleaning.speed_witness import count_distance, weigh_speed
 from core.cleaning.sphere import compute_chord, wrap_angle
 from core.columns import KMH
 
@@ -427,8 +427,7 @@ def finish_motion(state: Any, row: Any, before: float, dt: float, known: bool) -
     rise = 0.5 * (state.smooth * state.smooth - before * before)
     row.acceleration = rise / run if run > 0.0 else 0.0
     join_last_step(state, row, run, rise, known)
-    state.section_distance += row.distance
-    state.tick_distance += row.distance
+    count_distance(state, row)
     change = row.acceleration - state.acceleration
     row.acceleration_spread = SPREAD_PER_CHANGE * abs(change) if known and not isnan(change) else 0.0
     state.acceleration = row.acceleration if known else nan
