@@ -66,6 +66,10 @@ SUSTAINED: Final = 0.12
 """Steepest slope over the distance for which a receiver may hold its elevation. [1]
 
 The Zoncolan, one of the steepest passes, has 12 % over 10 km."""
+LONGEST_HELD: Final = 1500.0
+"""Longest distance for which a receiver holds its elevation; over a longer one, the road is level. [m]
+
+That of a Twizy holds it for up to 900 m (RSK Twizy data set, DOI 10.3390/su14169993)."""
 SILENCE: Final = 60.0
 """Step after which a fix at another level tells of a drive that was not logged, or of another reference. [s]"""
 
@@ -156,7 +160,8 @@ def weigh_slope(state: Any, fix: float) -> tuple[int, float]:
         outcome = LATE_ROAD if state.steep_held == 1.0 else NEW_LEVEL
     elif abs(rise) > STEEPEST * state.base_run + SURE:
         state.steep_height, state.steep_run = fix, 0.0
-        state.steep_held = 1.0 if abs(rise) <= SUSTAINED * (state.base_held + state.base_run) + SURE else 0.0
+        held = state.base_held + state.base_run
+        state.steep_held = 1.0 if held < LONGEST_HELD and abs(rise) <= SUSTAINED * held + SURE else 0.0
         return STEEP, 0.0
     state.steep_height = nan
     if outcome != ROAD or state.base_run >= BASE:

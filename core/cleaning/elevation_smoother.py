@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from core.batch import Ints
 from core.cleaning import elevation, elevation_filter
 from core.cleaning.clean_columns import Clean
-from core.cleaning.elevation import BASE, LATE_ROAD, NEW_LEVEL, STEEP, STILL_STEEP, SURE, weigh_slope
+from core.cleaning.elevation import BASE, LATE_ROAD, LONGEST_HELD, NEW_LEVEL, STEEP, STILL_STEEP, SURE, weigh_slope
 from core.cleaning.elevation_filter import (
     ESTIMATE,
     UNIT_NOISE,
@@ -179,7 +179,7 @@ def reject_slopes(distance: Any, fix: Any) -> Any:
         if isnan(fix[i]):
             continue
         if fix[i] != slope.held_height:
-            if slope.held_run > BASE and abs(fix[i] - slope.held_height) > SURE:
+            if BASE < slope.held_run < LONGEST_HELD and abs(fix[i] - slope.held_height) > SURE:
                 kept[held_from + 1 : i] = nan
             held_from = i
         outcome = weigh_slope(slope, fix[i])[0]

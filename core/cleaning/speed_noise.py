@@ -249,8 +249,9 @@ def hold_leap(state: Any, speed: float, dt: float, limit: float, longest: float)
             return speed, max(0.0, -missed), SPEED_SPIKE
         long = (LONG_RISE if leap > before else LONG_FALL) * limit
         if waited > 1.5 * dt or abs(leap - before) <= long or abs(change) <= limit:
-            state.leap_after = (speed - leap) / dt
-            state.leap_bend = abs((leap - before) / waited - state.leap_after)
+            if dt > 0.0 and waited > 0.0:
+                state.leap_after = (speed - leap) / dt
+                state.leap_bend = abs((leap - before) / waited - state.leap_after)
             return speed, max(0.0, missed) + 0.5 * (leap - before) * dt, 0
     more = (0.5 * (leap + speed) - before) * dt
     state.leap, state.leap_time, state.leap_distance = speed, waited + dt, missed + more
