@@ -75,6 +75,8 @@ class Clean(NamedTuple):
         Of a long step of a slow logger: distance by the speeds at its ends, and distance that was counted. [m]
     stop, stopped : (n,) float64
         1 where a stop begins; 1 while the car stands.
+    stale_fall : (n,) float64
+        Fall of the state of charge of which a report after a pause shows that it is, at least in part, from before. [1]
     soc, soc_step, odometer, battery_temperature, occupants : (n,) float64
         As last reported. [1], [1], [m], [K], [1]
     ambient, hvac, current : (n,) float64
@@ -133,6 +135,7 @@ class Clean(NamedTuple):
     slow_run: Floats
     stop: Floats
     stopped: Floats
+    stale_fall: Floats
     soc: Floats
     soc_step: Floats
     odometer: Floats

@@ -13,8 +13,9 @@ after a few fixes. A car that has never been on a map has its fixes alone. At it
 far is shifted by the offset, so that the change of reference is no climb.
 
 A fix from which the road would be steeper than any is not used. The slope is measured from a fix at least `BASE` back,
-so that many small steps make no cliff. Where fixes stay at another level over that distance, the reference of the
-receiver has changed: the elevation follows, and the change is no climb.
+so that many small steps make no cliff. Where fixes stay at another level over that distance, or come after a silence,
+the reference of the receiver has changed: the elevation follows, and the change is no climb. It is one, though, where
+the elevation had been the same to the last digit over a distance in which a road leads there: some receivers hold it.
 
 The elevation is smoothed over distance, so that a standing car climbs nothing. It then passes a backlash (a play
 operator, Brokate and Sprekels, Hysteresis and Phase Transitions, Springer 1996, DOI 10.1007/978-1-4612-4048-8), so that
@@ -39,10 +40,14 @@ FIELDS: Final = (
     "offset_variance",  # NaN until the car has been on a map [m^2]
     "base_height",  # fix from which slopes are measured [m]
     "base_run",  # distance since then [m]
+    "base_held",  # distance before it over which the fixes had its height to the last digit [m]
     "steep_height",  # first of the fixes that were too steep, NaN without one [m]
     "steep_run",  # distance since then [m]
+    "steep_held",  # 1 if the elevation before them was held for long enough to climb to them
+    "held_height",  # last fix [m]
+    "held_run",  # distance since the fixes have this height to the last digit [m]
 )
-UNKNOWN_AT_FIRST: Final = ("elevation", "level", "offset_variance", "base_height", "steep_height")
+UNKNOWN_AT_FIRST: Final = ("elevation", "level", "offset_variance", "base_height", "steep_height", "held_height")
 """Fields of a new lane that are NaN."""
 SLOPE_REJECTED: Final = int(Quality.SLOPE_REJECTED)
 
@@ -56,6 +61,17 @@ BASE: Final = 150.0
 """Distance over which a slope is measured. [m]"""
 SURE: Final = 15.0
 """Difference of two fixes on level road that is no slope: three times the error of a poor receiver. [m]"""
+
+SUSTAINED: Final = 0.12
+"""Steepest slope over the distance for which a receiver may hold its elevation. [1]
+
+The Zoncolan, one of the steepest passes, has 12 % over 10 km."""
+LONGEST_HELD: Final = 1500.0
+"""Longest distance for which a receiver holds its elevation; over a longer one, the road is level. [m]
+
+That of a Twizy holds it for up to 900 m (RSK Twizy data set, DOI 10.3390/su14169993)."""
+SILENCE: Final = 60.0
+"""Step after which a fix at another level tells of a drive that was not logged, or of another reference. [s]"""
 
 FIX_SD: Final = 2.0
 """Standard deviation of fixes for which the defaults of `elevation_length` and `elevation_slack` were chosen. [m]"""
@@ -75,7 +91,9 @@ ROAD: Final = 0
 STEEP: Final = 1
 STILL_STEEP: Final = 2
 NEW_LEVEL: Final = 3
-"""Whether a road leads to a fix, it is the first of a level to which none does, a later one, or that level lasts."""
+LATE_ROAD: Final = 4
+"""Whether a road leads to a fix, it is the first of a level to which none does, a later one, or that level lasts; then
+it is another reference, or the road led there while the receiver held its elevation."""
 
 
 @njit(cache=False)
@@ -123,7 +141,7 @@ def refer_to_map(state: Any, row: Any) -> None:
 def climb_step(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Fill in the climb of a row whose distance is known, and the readings that tables smooth."""
     row.elevation_fix, row.ground, row.ground_variance = row.raw_elevation, row.map_elevation, row.map_variance
-    check_slope(state, row)
+    check_slope(state, row, dt)
     elevation, spread = combine_elevation(state, row, dt)
     row.climb = update_climb(state, elevation, spread, row.distance, settings)
 
@@ -132,29 +150,38 @@ def climb_step(state: Any, row: Any, dt: float, settings: Any) -> None:
 def weigh_slope(state: Any, fix: float) -> tuple[int, float]:
     """Return whether a road leads to a fix [m], and for a new level its height above the base [m]."""
     if isnan(state.base_height):
-        state.base_height, state.base_run = fix, 0.0
+        state.base_height, state.base_run, state.base_held = fix, 0.0, 0.0
     rise, outcome = fix - state.base_height, ROAD
+    if fix != state.held_height:
+        state.held_height, state.held_run = fix, 0.0
     if not isnan(state.steep_height) and abs(fix - state.steep_height) <= STEEPEST * state.steep_run + SURE:
         if state.steep_run < BASE:
             return STILL_STEEP, 0.0
-        outcome = NEW_LEVEL
+        outcome = LATE_ROAD if state.steep_held == 1.0 else NEW_LEVEL
     elif abs(rise) > STEEPEST * state.base_run + SURE:
         state.steep_height, state.steep_run = fix, 0.0
+        held = state.base_held + state.base_run
+        state.steep_held = 1.0 if held < LONGEST_HELD and abs(rise) <= SUSTAINED * held + SURE else 0.0
         return STEEP, 0.0
     state.steep_height = nan
-    if outcome == NEW_LEVEL or state.base_run >= BASE:
-        state.base_height, state.base_run = fix, 0.0
+    if outcome != ROAD or state.base_run >= BASE:
+        state.base_height, state.base_run, state.base_held = fix, 0.0, state.held_run
     return outcome, rise
 
 
 @njit(cache=False)
-def check_slope(state: Any, row: Any) -> None:
+def check_slope(state: Any, row: Any, dt: float) -> None:
     """Reject the fix of a row to which no road leads; shift the elevation to a new level."""
     state.base_run += row.distance
     state.steep_run += row.distance
+    state.held_run += row.distance
     if isnan(row.raw_elevation):
         return
     outcome, rise = weigh_slope(state, row.raw_elevation)
+    if outcome == STEEP and dt > SILENCE:
+        outcome, rise = NEW_LEVEL, row.raw_elevation - state.base_height
+        state.base_height, state.base_run, state.base_held = row.raw_elevation, 0.0, 0.0
+        state.steep_height = nan
     if outcome in (STEEP, STILL_STEEP):
         row.raw_elevation = nan
         row.quality = float(int(row.quality) | SLOPE_REJECTED)

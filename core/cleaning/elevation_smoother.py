@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from core.batch import Ints
 from core.cleaning import elevation, elevation_filter
 from core.cleaning.clean_columns import Clean
-from core.cleaning.elevation import NEW_LEVEL, STEEP, STILL_STEEP, weigh_slope
+from core.cleaning.elevation import BASE, LATE_ROAD, LONGEST_HELD, NEW_LEVEL, STEEP, STILL_STEEP, SURE, weigh_slope
 from core.cleaning.elevation_filter import (
     ESTIMATE,
     UNIT_NOISE,
@@ -52,7 +52,7 @@ ROUGHNESS_SPREAD: Final = 2.0
 SD_SPREAD: Final = 2.0
 TIME_SPREAD: Final = 1.5
 """Standard deviations of the prior, in steps of the grids."""
-SLOPE: Final = np.dtype([(name, "f8") for name in ("base_height", "base_run", "steep_height", "steep_run")])
+SLOPE: Final = np.dtype([(name, "f8") for name in elevation.FIELDS if name.startswith(("base_", "steep_", "held_"))])
 """State of `weigh_slope`."""
 MOST_STEPS: Final = 8
 """Largest number of steps from the usual value on each grid."""
@@ -169,20 +169,25 @@ def smooth_rides(steps: Any, edges: Any, unit: Any, heights: Any, climbs: Any) -
 
 @njit(cache=True)
 def reject_slopes(distance: Any, fix: Any) -> Any:
-    """Return fixes [m] without those to which no road leads; those of a level that lasts are kept."""
-    slope, kept, first = np.zeros(1, SLOPE)[0], fix.copy(), 0
-    slope.base_height = slope.steep_height = nan
+    """Return fixes [m] without those to which no road leads, unless their level lasts, and without held ones."""
+    slope, kept, first, held_from = np.zeros(1, SLOPE)[0], fix.copy(), 0, 0
+    slope.base_height = slope.steep_height = slope.held_height = nan
     for i in range(len(fix)):
         slope.base_run += distance[i]
         slope.steep_run += distance[i]
+        slope.held_run += distance[i]
         if isnan(fix[i]):
             continue
+        if fix[i] != slope.held_height:
+            if BASE < slope.held_run < LONGEST_HELD and abs(fix[i] - slope.held_height) > SURE:
+                kept[held_from + 1 : i] = nan
+            held_from = i
         outcome = weigh_slope(slope, fix[i])[0]
         if outcome == STEEP:
             first = i
         if outcome in (STEEP, STILL_STEEP):
             kept[i] = nan
-        elif outcome == NEW_LEVEL:
+        elif outcome in (NEW_LEVEL, LATE_ROAD):
             kept[first:i] = fix[first:i]
     return kept
 

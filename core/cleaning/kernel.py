@@ -330,7 +330,7 @@ def clean_row(state: Any, row: Any, settings: Any) -> float:
     else:
         use_row(state, row, dt, settings)
         repetition.keep_accepted(state, row)
-        state.fix_elevation = row.raw_elevation
+        state.fix_elevation = row.elevation_fix
     row.causal_climb = row.climb
     if repeated or dt == clock.UNUSED:
         row.elevation_fix = row.ground = nan
@@ -377,6 +377,7 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     begins = segmentation.update_ride(state, row.raw_ride, dt, moving, charging, settings)
     if begins:  # the step ended before the ride and is not part of it
         row.dt = row.travel = row.distance = row.climb = row.energy = row.energy_variance = row.metered = row.stop = 0.0
+        state.steep_held = 0.0
         row.acceleration_spread = row.mistimed = row.unseen = row.disputed = row.path = row.path_run = 0.0
         row.straight = row.straight_run = row.ticked = row.ticked_run = row.slow = row.slow_run = 0.0
         state.section_distance = state.tick_distance = nan

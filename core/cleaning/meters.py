@@ -100,6 +100,10 @@ Estimated: control units alone draw 200 W, and regeneration balances them only f
 
 COARSEST_SOC: Final = 0.01
 """Quantum of a state of charge that has not changed yet: the coarsest that the wire contract allows. [1]"""
+FINEST_SOC: Final = 0.002
+"""Least quantum of a state of charge by which it may be stale. [1]
+
+The display of the public BMW i3 has a noise of as much, and steps of 0.001 (DOI 10.21227/6jr9-5235)."""
 FROZEN_SOC: Final = 4.0 * COARSEST_SOC
 """Share of the battery that a metered car uses before an unchanged state of charge counts as frozen. [1]
 
@@ -155,10 +159,11 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
     else:
         state.has_power = 1.0
         row.quality += CHARGING_INFERRED if charges_unsaid(state, row, power) else 0
-        if is_power_frozen(state, row, dt):
+        is_known = dt <= max(LONGEST_TRAPEZOID * settings.period, 1.5 * state.period)
+        if is_power_frozen(state, row, dt, is_known):
             row.quality += POWER_FROZEN
             power = nan
-        elif dt <= max(LONGEST_TRAPEZOID * settings.period, 1.5 * state.period):
+        elif is_known:
             before = power if isnan(state.power) else state.power
             row.energy = (0.5 * (power + before) if state.has_period == 1.0 else before) * dt
             unknown = dt if state.has_period == 1.0 else min(dt, LATEST_CHANGE)
@@ -215,13 +220,18 @@ def find_unseen_variance(time: float) -> float:
 
 
 @njit(cache=False)
-def is_power_frozen(state: Any, row: Any, dt: float) -> bool:
-    """Return whether the current has stayed the same although the speed varied, or zero although the car drove."""
+def is_power_frozen(state: Any, row: Any, dt: float, is_known: bool) -> bool:
+    """Return whether the current has stayed the same although the speed varied, or zero although the car drove.
+
+    Over a silence, where the current is not known, it may have changed and returned.
+    """
     drives = row.distance > 0.0
     if row.raw_current != state.current:
         state.current = row.raw_current
         state.current_age = state.speed_varied = state.zero_distance = state.current_runs = 0.0
         state.current_repeats -= state.current_repeats / REPEAT_MEMORY if drives else 0.0
+        return False
+    if not is_known:
         return False
     state.current_runs += 1.0 if drives else 0.0
     usual = LEAST_REPEATS + (1.0 - LEAST_REPEATS) * state.current_repeats
@@ -269,6 +279,7 @@ def update_soc(state: Any, row: Any, dt: float) -> bool:
         row.quality += SOC_FROZEN
     if changed:
         stale = is_soc_stale(state, change)
+        row.stale_fall = -change if stale else 0.0
         jumped = not stale and is_soc_jump(state, change, row.raw_capacity)
         row.quality += SOC_STALE if stale else SOC_JUMP if jumped else 0
         observe_charge(state, -change, row.raw_capacity, state.slept == 0.0)
@@ -292,7 +303,7 @@ def is_soc_stale(state: Any, change: float) -> bool:
     """Return whether a change soon after a pause is larger than what the car has used since the one before."""
     if state.slept == 0.0 or isnan(change):
         return False
-    quantum = COARSEST_SOC if isnan(state.soc_step) else min(state.soc_step, COARSEST_SOC)
+    quantum = COARSEST_SOC if isnan(state.soc_step) else max(FINEST_SOC, min(state.soc_step, COARSEST_SOC))
     used = STANDING_RATE * min(state.still_time, LONGEST_STILLNESS) + USUAL_RATE * state.still_distance
     return bool(abs(change) > STALE_QUANTA * quantum + used)
 

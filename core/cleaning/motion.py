@@ -31,6 +31,7 @@ from core.cleaning.speed_noise import (
     average_adaptively,
     find_leap_limit,
     hold_leap,
+    is_powered,
     is_still,
     observe_noise,
 )
@@ -381,6 +382,8 @@ def find_leap(state: Any, row: Any, speed: float, dt: float) -> float:
     """
     limit = find_leap_limit(max(dt, state.period) if state.has_period == 1.0 else dt)
     change = speed - state.speed
+    if change > limit and is_powered(state, row, speed, dt):
+        return change
     if abs(change) * dt > 2.0 * SLACK and abs(change) < limit and state.fix_age == 0.0 and not isnan(row.raw_latitude):
         chord = compute_chord(state.latitude, state.longitude, row.raw_latitude, row.raw_longitude)
         if abs(chord - state.speed * dt) < 0.2 * abs(change) * dt:
@@ -424,6 +427,22 @@ def add_shortfalls(state: Any, row: Any, dt: float, missed: float, since_missed:
 
 
 @njit(cache=False)
+def find_spread(state: Any, row: Any, known: bool) -> None:
+    """Fill in the spread of the acceleration within a step, and keep the acceleration.
+
+    A row whose speed is held back shows no acceleration. That which confirms it has those of both steps.
+    """
+    if known and not isnan(state.leap):
+        return
+    if known and not isnan(state.leap_after):
+        row.acceleration_spread, state.acceleration = state.leap_bend, state.leap_after
+        return
+    change = row.acceleration - state.acceleration
+    row.acceleration_spread = SPREAD_PER_CHANGE * abs(change) if known and not isnan(change) else 0.0
+    state.acceleration = row.acceleration if known else nan
+
+
+@njit(cache=False)
 def finish_motion(state: Any, row: Any, before: float, dt: float, known: bool) -> None:
     """Fill in the accelerations of a step from its speeds, its distance and its time."""
     if known and row.speed > MOVING:
@@ -433,9 +452,7 @@ def finish_motion(state: Any, row: Any, before: float, dt: float, known: bool) -
     row.acceleration = rise / run if run > 0.0 else 0.0
     join_last_step(state, row, run, rise, known)
     count_distance(state, row)
-    change = row.acceleration - state.acceleration
-    row.acceleration_spread = SPREAD_PER_CHANGE * abs(change) if known and not isnan(change) else 0.0
-    state.acceleration = row.acceleration if known else nan
+    find_spread(state, row, known)
 
 
 @njit(cache=False)

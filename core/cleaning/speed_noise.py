@@ -18,8 +18,9 @@ Nemirovski). On a level stretch that is the whole memory, and beside a true chan
 
 *Spikes.* A speed that leaps further than drivers change it, there and back, is held back until the next sample. The
 row takes the last speed, and the lesser of both distances. If the speed returns, it was a spike and remains unused.
-Otherwise the leap is confirmed. Distance that the held row missed is then made good. A leap that continues the change
-before it is not held back.
+Otherwise the leap is confirmed. Distance that the held row missed is then made good, and the row has the acceleration
+of both steps, with their difference as its spread. A leap that continues the change before it is not held back, nor is
+a rise for which the battery delivers the power.
 
 References
 ----------
@@ -49,8 +50,10 @@ FIELDS: Final = (
     "leap_limit",  # change of speed beyond which it was held back [m/s]
     "leap_time",  # time of the held rows [s]
     "leap_distance",  # distance that they have more if the leap is confirmed, negative for a fall [m]
+    "leap_bend",  # difference of the accelerations before and after a leap confirmed with this row [m/s^2]
+    "leap_after",  # acceleration after it, NaN unless one was [m/s^2]
 )
-UNKNOWN_AT_FIRST: Final = ("change", "curve", "leap")
+UNKNOWN_AT_FIRST: Final = ("change", "curve", "leap", "leap_after")
 """Fields of a new lane that are NaN."""
 
 SPEED_SPIKE: Final = int(Quality.SPEED_SPIKE)
@@ -107,6 +110,8 @@ LARGEST_LEAP: Final = 57.0 * KMH
 LONG_RISE: Final = 1.25
 LONG_FALL: Final = 2.0
 """Rise and fall that are held back for two samples; a fall may be a stop, which must not come late. [leaps]"""
+LIGHT: Final = 750.0
+"""Mass of a light car, whose gain of kinetic energy the battery must at least deliver. [kg]"""
 STANDING: Final = 0.5
 """Speed below which a car stands. [m/s]"""
 
@@ -193,6 +198,14 @@ def find_leap_limit(dt: float) -> float:
 
 
 @njit(cache=False)
+def is_powered(state: Any, row: Any, speed: float, dt: float) -> bool:
+    """Return whether the battery delivers what a light car takes to reach a speed, at both ends of the step."""
+    needed = 0.5 * LIGHT * (speed * speed - state.speed * state.speed)
+    power = min(state.power, row.raw_voltage * row.raw_current)
+    return bool(state.sign >= 0.0 and power * dt > needed)
+
+
+@njit(cache=False)
 def hold_leap(state: Any, speed: float, dt: float, limit: float, longest: float) -> tuple[float, float, int]:
     """Hold a leap of the speed back until the next samples show whether it returns.
 
@@ -218,6 +231,7 @@ def hold_leap(state: Any, speed: float, dt: float, limit: float, longest: float)
     """
     before, leap = state.speed, state.leap
     change = speed - before
+    state.leap_after = nan
     if isnan(leap) and not abs(change) > limit:  # nearly always
         return speed, 0.0, 0
     state.leap = nan
@@ -235,6 +249,9 @@ def hold_leap(state: Any, speed: float, dt: float, limit: float, longest: float)
             return speed, max(0.0, -missed), SPEED_SPIKE
         long = (LONG_RISE if leap > before else LONG_FALL) * limit
         if waited > 1.5 * dt or abs(leap - before) <= long or abs(change) <= limit:
+            if dt > 0.0 and waited > 0.0:
+                state.leap_after = (speed - leap) / dt
+                state.leap_bend = abs((leap - before) / waited - state.leap_after)
             return speed, max(0.0, missed) + 0.5 * (leap - before) * dt, 0
     more = (0.5 * (leap + speed) - before) * dt
     state.leap, state.leap_time, state.leap_distance = speed, waited + dt, missed + more

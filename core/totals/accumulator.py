@@ -47,7 +47,7 @@ AMOUNTS: Final = (
     *("path", "path_run", "straight", "straight_run"),  # see `core.cleaning.clean_columns` [m]
     *("ticked", "ticked_run", "slow", "slow_run"),  # the same [m]
     "mistimed",  # time by which steps turned out to be wrong later in the ride [s]
-    "soc_faults",  # samples at which the state of charge is frozen, stale or jumps
+    *("soc_faults", "stale_fall"),  # samples whose charge froze, is stale or jumps; fall of stale ones [1]
 )
 """What is summed of every ride and window, followed by the effects' energies [J] and the speed histogram [m]."""
 

@@ -15,7 +15,7 @@ from core.totals.accumulator import AMOUNTS, NO_ENDS, Accumulator, Sums
 from core.vehicles.fleet import Cars
 
 WITNESSES: Final = (
-    *("mistimed", "unseen", "disputed"),
+    *("mistimed", "unseen", "disputed", "stale_fall"),
     *("path", "path_run", "straight", "straight_run", "ticked", "ticked_run", "slow", "slow_run"),
 )
 """Columns of a row that are summed as they are, to tell whether a ride is right."""

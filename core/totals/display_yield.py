@@ -41,6 +41,7 @@ from core.totals.measured_energy import (
     find_inverted,
     find_quantum,
     find_soc_faults,
+    is_only_stale,
     measure_by_power,
     measure_by_soc,
 )
@@ -358,9 +359,10 @@ class DisplayYields:
         """Learn from rides of different cars that have closed; return which were used, and whose meters contradict."""
         energy, _ = measure_by_power(rides)
         first, last, inverse = rides.at_first("soc"), rides.at_last("soc"), rides.display["inverse"]
-        used = ~np.isnan(energy + first + last + inverse) & (first < FULL) & ~find_soc_faults(rides, self._cars)
-        used &= ~find_inverted(rides)
-        contradicted = np.zeros(len(used), np.bool_)
+        known = ~np.isnan(energy + first + last + inverse) & (first < FULL) & ~find_inverted(rides)
+        used = known & ~find_soc_faults(rides, self._cars)
+        contradicted = known & is_only_stale(rides)
+        contradicted &= find_contradictions(rides, self._lanes["rides"][rides.lane])
         if used.any():
             contradicted[used] = self._learn_healthy(rides.rows(np.flatnonzero(used)))
         return used, contradicted
@@ -375,9 +377,7 @@ class DisplayYields:
         mean = (each.k * each.probability).sum(axis=1)
         of_ride = find_quantum(rides) ** 2 / 6.0 + mean**2 * (sd**2 - (METER_GAIN * energy) ** 2)
         of_ride += (RIDE_SD * mean * energy) ** 2
-        by_soc, soc_sd = measure_by_soc(rides)
-        far = np.abs(energy - by_soc) > CONTRADICTION_SDS * np.hypot(sd, soc_sd)
-        contradicted = far & (known["rides"] > SPREAD_RIDES)
+        contradicted = find_contradictions(rides, known["rides"])
         energy, fall, bend, of_ride = (column[:, np.newaxis] for column in (energy, fall, bend, of_ride))
         noise = of_ride + READING_SDS**2
         variance = (
@@ -388,6 +388,23 @@ class DisplayYields:
         new[contradicted] = _contradict(known[contradicted], new[contradicted])
         self._lanes[rides.lane] = new
         return contradicted
+
+
+def find_contradictions(rides: Totals, learned: Floats) -> NDArray[np.bool_]:
+    """Return where V·I and the state of charge contradict each other, whatever part of a stale fall is from before.
+
+    Parameters
+    ----------
+    rides : Totals
+        Totals of n rides of known energy and charge; elsewhere the result is False.
+    learned : (n,) float
+        Number of rides from which the yield of each car was learned.
+    """
+    (energy, sd), (by_soc, soc_sd) = measure_by_power(rides), measure_by_soc(rides)
+    before = rides.amount("stale_fall") / rides.display["inverse"]
+    excess = by_soc - energy
+    excess = excess - np.clip(excess, np.minimum(before, 0.0), np.maximum(before, 0.0))
+    return np.asarray((np.abs(excess) > CONTRADICTION_SDS * np.hypot(sd, soc_sd)) & (learned > SPREAD_RIDES))
 
 
 def _find_later(part: Totals, lanes: Ints, at: Ints) -> Ints:
