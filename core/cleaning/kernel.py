@@ -35,6 +35,7 @@ from core.cleaning import (
     speed_noise,
     speed_witness,
     sphere,
+    standstill,
 )
 from core.cleaning.clean_columns import Clean
 from core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
@@ -47,7 +48,7 @@ from core.settings import Settings
 
 _PARTS: Final = (
     *(clock, motion, position_filter, fix_motion, elevation, segmentation),
-    *(fleet_clock, meters, power_sign, repetition, speed_noise, speed_witness),
+    *(fleet_clock, meters, power_sign, repetition, speed_noise, speed_witness, standstill),
 )
 _OWN_FIELDS: Final = ("battery_temperature", "occupants")
 _UNKNOWN_AT_FIRST: Final = {
@@ -58,6 +59,7 @@ _UNKNOWN_AT_FIRST: Final = {
     ),
     **dict.fromkeys((*position_filter.UNKNOWN_AT_FIRST, *speed_noise.UNKNOWN_AT_FIRST), nan),
     **dict.fromkeys((*elevation.UNKNOWN_AT_FIRST, *meters.UNKNOWN_AT_FIRST, *speed_witness.UNKNOWN_AT_FIRST), nan),
+    **dict.fromkeys(standstill.UNKNOWN_AT_FIRST, nan),
     **dict.fromkeys(("battery_temperature", "occupants"), nan),
 }
 
@@ -359,8 +361,8 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     else:
         motion.move_car(state, row, dt, settings)
         row.fix_sd = nan
-    state.blind = 1.0 if state.riding == 1.0 and motion.is_blind(state, row) else 0.0
-    meters.observe_stand(state, row, dt, settings)
+    state.blind = 1.0 if state.riding == 1.0 and standstill.is_blind(state, row) else 0.0
+    standstill.observe_stand(state, row, dt, settings)
     meters.integrate_power(state, row, dt, settings)
     power_sign.observe_acceleration(state, row, dt)
     changed = meters.update_soc(state, row, dt)
@@ -368,7 +370,7 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
         state.battery_temperature = row.raw_battery_temperature
     if not isnan(row.raw_occupants):
         state.occupants = row.raw_occupants
-    row.stop = 1.0 if begins_stop(state) else 0.0
+    row.stop = 1.0 if standstill.begins_stop(state) else 0.0
     row.dt, row.mistimed = dt, state.mistimed
     rode = state.riding == 1.0
     charging = row.raw_charging == 1.0 or bool(int(row.quality) & meters.CHARGING_INFERRED)
@@ -399,17 +401,6 @@ def find_uncovered_time(state: Any, bits: int, dt: float, settings: Any) -> floa
     """Return how much of a step lacks samples although the logger was switched on. [s]"""
     missing = bits & clock.GAP and not bits & (clock.SEQUENCE | clock.PAUSED) and dt <= settings.gap_time
     return dt - state.period if missing else 0.0
-
-
-@njit(cache=False)
-def begins_stop(state: Any) -> bool:
-    """Return whether a stop begins with this sample, with hysteresis between two speeds."""
-    if state.smooth > motion.MOVING or state.leap > motion.MOVING:  # a start that is held back has begun
-        state.standing = 0.0
-    elif state.smooth < motion.CRAWL and state.standing == 0.0:
-        state.standing = 1.0
-        return True
-    return False
 
 
 watch_sources(clean_rows, batch, columns, late_samples, quality, shared_stamps, sphere, *_PARTS)

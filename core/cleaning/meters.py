@@ -16,7 +16,6 @@ from numba import njit
 
 from core.cleaning.power_sign import observe_charge
 from core.cleaning.quality import Quality
-from core.cleaning.sphere import compute_chord
 from core.columns import KMH
 
 FIELDS: Final = (
@@ -39,12 +38,9 @@ FIELDS: Final = (
     "still_unmetered",  # time since then for which that energy is unknown [s]
     "still_known",  # 1 if these four count from a change, 0 if from the beginning of the ride or of charging
     "plugged",  # number of successive samples in which the standing car took power
-    "stood",  # time for which the car has stood [s]
-    "stood_latitude",  # fix at which that began [rad], NaN without one
-    "stood_longitude",
     "slept",  # 1 at a pause, falling to 0 over `AWAKE` of driving, or at a stale change of the state of charge
 )
-UNKNOWN_AT_FIRST: Final = ("power", "current", "soc", "soc_step", "raw_power", "stood_latitude", "stood_longitude")
+UNKNOWN_AT_FIRST: Final = ("power", "current", "soc", "soc_step", "raw_power")
 """Fields of a new lane that are NaN."""
 
 SOC_MISSING: Final = int(Quality.SOC_MISSING)
@@ -132,8 +128,6 @@ UNPROVEN: Final = 60.0
 """The same time for a car whose current may have the wrong sign, or that has no fix. [s]
 
 Its stops, and a speed that is stuck at zero, are not taken for charging."""
-ELSEWHERE: Final = 150.0
-"""Distance of a fix from that at which the car stopped by which it does not stand; parked receivers drift less. [m]"""
 METER_LAG: Final = 4.0
 """Time after which a stopped car recovers no more braking energy, with the lag of its meter. [s]"""
 
@@ -171,22 +165,6 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
             row.metered = dt
     state.unmetered = state.unmetered if isnan(power) else 0.0
     state.power = power
-
-
-@njit(cache=False)
-def observe_stand(state: Any, row: Any, dt: float, settings: Any) -> None:
-    """Count the time for which the car stands; it has not stood if it is elsewhere by its fixes."""
-    if dt > settings.gap_time:
-        state.stood_latitude = nan
-    left = compute_chord(state.stood_latitude, state.stood_longitude, row.raw_latitude, row.raw_longitude) > ELSEWHERE
-    if left and state.riding == 1.0:
-        state.blind = 1.0
-    if left or state.standing == 0.0 or state.blind == 1.0:
-        state.stood, state.stood_latitude = 0.0, nan
-        return
-    state.stood += dt
-    if isnan(state.stood_latitude):
-        state.stood_latitude, state.stood_longitude = row.raw_latitude, row.raw_longitude
 
 
 @njit(cache=False)

@@ -74,8 +74,6 @@ FIELDS: Final = (
     "has_speed",  # 1 once the car has sent a speed
     "has_fix",  # 1 once the car has sent a fix
     "standing",  # 1 while the car stands
-    "lost_at_speed",  # 1 where the last fix came at speed, and no speed has been reported since
-    "blind",  # 1 where a standstill is that of a receiver in a tunnel
     "cruise",  # mean speed of the last minute of driving [m/s]
 )
 
@@ -131,12 +129,6 @@ MOVING: Final = 1.5
 """Speed above which the car moves. [m/s]"""
 LONGEST_BRIDGE: Final = 86_400.0
 """Longest time for which an odometer bridges a hole. A faulty clock would otherwise allow any distance. [s]"""
-LOST_SPEED: Final = 8.0
-"""Speed at which no car is about to park. [m/s]"""
-DRIVING_POWER: Final = 10_000.0
-"""Power that a car takes only while it drives; heaters take 7 kW at most. [W]"""
-DRIVING_CHANGE: Final = 2500.0
-"""Change of the power between two samples that is one of driving, or of a heater that is switched. [W]"""
 COMPRESSED: Final = 1.5
 """Ratio of the speed of a bridge to the limit from which its logger lost time; less is noise of fixes. [1]"""
 CRUISE_TIME: Final = 60.0
@@ -301,22 +293,6 @@ def find_bridge_speed(state: Any, row: Any, age: float, settings: Any) -> float:
         speed = max(state.cruise, row.speed)
         row.unseen = row.distance / min(settings.speed_limit, max(BRIDGING, speed)) - age
     return float(min(settings.speed_limit, max(BRIDGING, speed)))
-
-
-@njit(cache=False)
-def is_blind(state: Any, row: Any) -> bool:
-    """Return whether a standstill is that of a receiver in a tunnel, and not of the car.
-
-    Either fix and speed were lost at once, at speed, or the car has no fix and takes power as only a driving car does.
-    """
-    if not isnan(row.raw_latitude):
-        state.lost_at_speed = 1.0 if state.smooth > LOST_SPEED else 0.0
-        return False
-    if row.raw_speed > CRAWL:
-        state.lost_at_speed = 0.0
-    power = row.raw_voltage * row.raw_current
-    drives = abs(power - state.power) > DRIVING_CHANGE or power > DRIVING_POWER
-    return bool(state.lost_at_speed == 1.0 or (state.has_fix == 1.0 and drives))
 
 
 @njit(cache=False)
