@@ -177,11 +177,14 @@ def check_slope(state: Any, row: Any, dt: float) -> None:
     state.held_run += row.distance
     if isnan(row.raw_elevation):
         return
-    outcome, rise = weigh_slope(state, row.raw_elevation)
-    if outcome == STEEP and dt > SILENCE:
-        outcome, rise = NEW_LEVEL, row.raw_elevation - state.base_height
-        state.base_height, state.base_run, state.base_held = row.raw_elevation, 0.0, 0.0
+    change = row.raw_elevation - state.held_height
+    if dt > SILENCE and abs(change) > STEEPEST * row.distance + SURE:
+        outcome, rise = NEW_LEVEL, change
+        state.base_height = state.held_height = row.raw_elevation
+        state.base_run = state.base_held = state.held_run = 0.0
         state.steep_height = nan
+    else:
+        outcome, rise = weigh_slope(state, row.raw_elevation)
     if outcome in (STEEP, STILL_STEEP):
         row.raw_elevation = nan
         row.quality = float(int(row.quality) | SLOPE_REJECTED)

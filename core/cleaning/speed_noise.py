@@ -9,6 +9,9 @@ white noise with the standard deviation s have 6^(1/2) s, and the mean r of thei
 2 x y / (x^2 + y^2), is -0.38. Three real cars have at least r0 = -0.06 - 0.18 lg(dt) at steps dt of 1 to 10 s, each
 over all of its drives; a single drive may have less. The share of noise is (r0 - r) / (r0 + 0.38), as far as chance
 does not explain it.
+A driver who changes the pedal often alternates too, with products at lag 2 of -0.05 to -0.1, where white noise has
+0.08. The difference of both means must therefore be that of noise as well: 0.46 for white noise, and less than
+0.08 + 0.1 lg(dt) for the drives of these cars. The lesser share counts.
 The noise is this share of the deviation of calm driving, which is a low quantile of the absolute second differences.
 At long steps real driving alternates like noise, and noise adds little to its energy: none is sought.
 
@@ -44,7 +47,9 @@ FIELDS: Final = (
     "noise_dt",  # time of the last step [s]
     "change",  # change of the reported speed in it, NaN where unknown [m/s]
     "curve",  # change of that change, NaN where unknown [m/s]
+    "last_curve",  # the one before, NaN where unknown [m/s]
     "alternation",  # running mean of the normalised products of two successive ones [1]
+    "second_product",  # the same of each one and the one after the next [1]
     "calm_curve",  # running quantile of their absolute values [m/s]
     "repeats",  # running share of steps without a change of speed [1]
     "leap_limit",  # change of speed beyond which it was held back [m/s]
@@ -53,7 +58,7 @@ FIELDS: Final = (
     "leap_bend",  # difference of the accelerations before and after a leap confirmed with this row [m/s^2]
     "leap_after",  # acceleration after it, NaN unless one was [m/s^2]
 )
-UNKNOWN_AT_FIRST: Final = ("change", "curve", "leap", "leap_after")
+UNKNOWN_AT_FIRST: Final = ("change", "curve", "last_curve", "leap", "leap_after")
 """Fields of a new lane that are NaN."""
 
 SPEED_SPIKE: Final = int(Quality.SPEED_SPIKE)
@@ -65,6 +70,12 @@ MEMORY: Final = 500.0
 """Memory of the estimate. [steps]"""
 WHITE: Final = -0.38
 """Mean normalised product of successive second differences of white noise. [1]"""
+WHITE_CONTRAST: Final = 0.46
+"""Mean of these products at lag 2 less that at lag 1, of white noise. [1]"""
+LEAST_CONTRAST: Final = 0.08
+"""The same of clean speeds at most, on average, for steps of 1 s. [1]"""
+CONTRAST_DOUBT: Final = 1.4
+"""`DOUBT` for the difference of two means. [1]"""
 DOUBT: Final = 1.0
 """One and a half standard deviations of the mean of normalised products, times the root of their number. [1]"""
 RAMP: Final = 0.02
@@ -124,8 +135,8 @@ def observe_noise(state: Any, speed: float, dt: float, restart: bool) -> None:
     state.noise_dt = dt
     change = speed - state.speed if steady else nan
     curve = change - state.change
-    last = state.curve
-    state.change, state.curve = change, curve
+    last, before_last = state.curve, state.last_curve
+    state.change, state.curve, state.last_curve = change, curve, last
     if isnan(curve):
         return
     state.noise_steps = min(2.0 * MEMORY, state.noise_steps + 1.0)
@@ -141,6 +152,9 @@ def observe_noise(state: Any, speed: float, dt: float, restart: bool) -> None:
     both = curve * curve + last * last
     if both > 0.0:  # false for NaN too
         state.alternation += (2.0 * curve * last / both - state.alternation) * recent
+    both = curve * curve + before_last * before_last
+    if both > 0.0:
+        state.second_product += (2.0 * curve * before_last / both - state.second_product) * recent
     if int(state.place) % 8 == 0:
         state.noise = estimate_speed_noise(state, dt)
 
@@ -151,9 +165,12 @@ def estimate_speed_noise(state: Any, dt: float) -> float:
     clean = min(0.0, -0.06 - 0.18 * log10(dt))
     excess = clean - state.alternation
     sure = (excess - DOUBT / sqrt(state.noise_steps)) / RAMP
+    least = LEAST_CONTRAST + 0.1 * log10(dt)
+    contrast = state.second_product - state.alternation - least
+    sure = min(sure, (contrast - CONTRAST_DOUBT / sqrt(state.noise_steps)) / RAMP)
     if sure <= 0.0 or state.repeats > MOST_REPEATS or dt > LONGEST_STEP:
         return 0.0
-    share = min(1.0, sure) * min(1.0, excess / max(0.2, clean - WHITE))
+    share = min(1.0, sure) * min(1.0, excess / max(0.2, clean - WHITE), contrast / (WHITE_CONTRAST - least))
     noise = share * (1.0 + WIDER * share**6) * state.calm_curve / CALM_PER_NOISE
     return noise if noise >= LEAST_NOISE else 0.0
 

@@ -161,6 +161,8 @@ def weigh_speed(state: Any, row: Any, speed: float, dt: float, gap: bool, settin
     missed, disputed = close_section(state, row, dt, settings)
     more, too_much = take_odometer(state, row)
     missed, disputed = missed + more, disputed + too_much
+    if missed > 0.0:  # it belongs to the sections before, too
+        row.straight = row.straight_run = 0.0
     factor = find_unit(state)
     if factor != 1.0:
         state.speed_scale = factor * (state.speed_scale if state.speed_scale > 0.0 else 1.0)

@@ -202,3 +202,27 @@ def test_steep_road_keeps_its_climb(slope, in_tunnel):
     for rows in (result, smooth_elevation(result)):
         assert rows.climb.sum() == pytest.approx(650.0 * slope, rel=0.04)
     assert count(result, Quality.SLOPE_REJECTED) == 0
+
+
+@pytest.mark.parametrize(("slope", "climb"), [(0.07, 63.0), (-0.07, -63.0)])
+def test_elevation_that_a_receiver_held_over_a_hill_is_a_climb(slope, climb):
+    columns = drive(400, speed=10.0)
+    run = np.clip(columns["metres"] - 3000.0, 0.0, 900.0)
+    hills = 10.0 * np.sin(columns["metres"] / 300.0)
+    columns["elevation_m"] = 500.0 + hills + np.where(run < 900.0, 0.0, slope * run)
+    inside = (run > 0.0) & (run < 900.0)
+    columns["elevation_m"][inside] = columns["elevation_m"][np.flatnonzero(inside)[0]]
+    result = clean(columns)
+    for rows in (result, smooth_elevation(result)):
+        assert rows.climb.sum() == pytest.approx(climb + hills[-1] - hills[0], abs=6.0)
+
+
+def test_level_after_a_night_is_taken_at_once():
+    columns = drive(400, speed=10.0, elevation_m=500.0)
+    columns["time_s"][200:] += 39_000.0
+    columns["seq"][200:] += 13_000
+    columns["elevation_m"][200:] = 463.0
+    result = clean(columns)
+    assert count(result, Quality.SLOPE_REJECTED) == 0
+    assert result.elevation[201:] == pytest.approx(463.0, abs=0.1)
+    assert np.abs(result.climb).sum() == 0.0

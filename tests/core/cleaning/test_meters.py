@@ -130,3 +130,26 @@ def test_current_with_decimals_is_frozen_after_one_stop():
     assert count(clean(columns), Quality.POWER_FROZEN) == 0  # the change of speed is less than one stop
     columns["speed_kmh"][115:] = 60.0
     assert count(clean(columns), Quality.POWER_FROZEN) > 0
+
+
+def test_current_that_is_the_same_after_a_night_is_not_frozen():
+    columns = metered()
+    columns["speed_kmh"][198:203] = 50.0, 50.0, 20.0, 10.0, 0.0
+    columns["battery_current_a"][197:203] = 2.0
+    columns["latitude_deg"][200:] += 0.01
+    columns["time_s"][200:] += 39_000.0
+    columns["seq"][200:] += 13_000
+    assert count(clean(columns), Quality.POWER_FROZEN) == 0
+
+
+@pytest.mark.parametrize(("fall", "expected"), [(0.1, 0), (3.0, 1)])
+def test_charge_is_stale_by_more_than_the_steps_of_a_fine_display(fall, expected):
+    """A fine display falls by one of its steps at any time, also in the first seconds after a night."""
+    columns = metered(0.02)
+    columns["time_s"][200:] += 39_000.0
+    columns["seq"][200:] += 13_000
+    columns["soc_pct"][200:203] = columns["soc_pct"][199]
+    columns["soc_pct"][203:] -= fall
+    result = clean(columns)
+    assert count(result, Quality.SOC_STALE) == expected
+    assert result.stale_fall.sum() == pytest.approx(0.01 * fall * expected, abs=0.002)

@@ -210,3 +210,38 @@ def test_fixes_show_a_spike_of_a_slow_logger():
     assert count(clean, Quality.SPEED_SPIKE) == 4
     assert clean.distance.sum() == pytest.approx(metres[-1], rel=0.001)
     assert count(cleaned(columns, settings), Quality.SPEED_SPIKE) == 0
+
+
+def test_hard_braking_that_the_next_sample_confirms_keeps_its_acceleration():
+    speed = np.full(60, 16.0)
+    speed[30:] = 5.0, 8.0, *[8.0] * 28
+    clean = clean_speeds(speed, 3.0)
+    assert clean.acceleration_spread[30] == 0.0
+    assert clean.acceleration_spread[31] == pytest.approx((16.0 - 5.0) / 3.0 + (8.0 - 5.0) / 3.0)
+    change = clean.acceleration * clean.speed * clean.travel
+    assert change.sum() == pytest.approx(0.5 * (8.0**2 - 16.0**2))
+    assert clean.distance.sum() == pytest.approx(length(speed, 3.0))
+
+
+@pytest.mark.parametrize("powered", [True, False])
+def test_hard_launch_that_the_battery_delivers_is_not_held_back(powered):
+    speed = np.zeros(60)
+    speed[30:] = 1.0, 11.0, *[14.0] * 28
+    columns = {"time_s": 1.5e9 + 3.0 * np.arange(60), "seq": np.arange(60), "speed_kmh": speed / KMH}
+    power = np.where((speed > 0.0) & (speed < 14.0), 60e3, 2e3) if powered else np.full(60, 2e3)
+    columns |= {"battery_voltage_v": np.full(60, 360.0), "battery_current_a": power / 360.0}
+    clean = cleaned(columns)
+    assert (clean.acceleration[31] > 3.0) == powered
+
+
+@pytest.mark.parametrize("kmh", [0.0, 1.0])
+def test_driver_who_changes_the_pedal_often_makes_no_noise(kmh):
+    """The second differences of the speed alternate with each of the next two, those of noise with the next one."""
+    white = np.random.default_rng(11).normal(0.0, 0.25, 6000)
+    curve = np.convolve(white, [1.0, -0.35, -0.2])[:6000]
+    wander = np.cumsum(np.cumsum(curve))
+    for width in (41, 41):
+        wander -= np.convolve(wander, np.full(width, 1.0 / width), mode="same")
+    clean = clean_speeds(noisy(np.maximum(5.0, 20.0 + wander), 11, kmh), 1.0)
+    share = count(clean, Quality.SPEED_NOISY) / 6000
+    assert share < 0.02 if kmh == 0.0 else share > 0.5

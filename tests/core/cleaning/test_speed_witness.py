@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from core.cleaning.quality import Quality
 from core.columns import EARTH_RADIUS
+from core.settings import Settings
 from tests.support.telemetry import cleaned, count, drive, leaf, ran, telemetry, without
 
 N = 500
@@ -95,3 +96,41 @@ def test_car_that_parks_is_not_driven_by_fixes_that_scatter():
     columns = witnessed("both", speed=np.r_[np.full(200, 10.0), np.zeros(300)], noise=25.0)
     clean = cleaned(columns)
     assert clean.distance.sum() == pytest.approx(columns["metres"][-1], rel=0.02)
+
+
+@pytest.mark.parametrize("period", [1.0, 3.0, 10.0])
+def test_receiver_that_holds_its_fixes_does_not_contradict_the_speed(period):
+    """It holds each fix for 12 to 20 s, and reports the place where the car was when it took it."""
+    time = np.arange(0.0, 6000.0, period)
+    taken = np.cumsum(np.random.default_rng(5).uniform(12.0, 20.0, 600))
+    fix = 15.0 * taken[np.maximum(0, np.searchsorted(taken, time, side="right") - 1)]
+    made = drive(len(time), speed=15.0)
+    made |= {"time_s": made["time_s"][0] + time, "latitude_deg": 45.5 + np.degrees(fix / EARTH_RADIUS)}
+    pipeline, _ = ran([leaf(), *telemetry(made)], settings=Settings(period=period))
+    ride = pipeline.take_rides().iloc[0]
+    assert ride["unfit_reason"] != "speed_contradicted"
+    assert ride["distance_km"] == pytest.approx(15.0 * time[-1] / 1000.0, rel=0.002)
+    assert ride["quality_speed_contradicted"] == 0
+
+
+@pytest.mark.parametrize("period", [3.0, 10.0])
+def test_section_has_the_distance_between_its_own_fixes(period):
+    made = drive(600, seed=3)
+    made["time_s"] = made["time_s"][0] + period * np.arange(600)
+    speed = made["speed_kmh"] / 3.6
+    metres = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * period)])
+    made["latitude_deg"] = made["latitude_deg"][0] + np.degrees(metres / EARTH_RADIUS)
+    clean = cleaned(made, Settings(period=period))
+    closes = clean.path > 0.0
+    assert closes.sum() > 20
+    assert clean.path_run[closes] == pytest.approx(clean.path[closes], abs=1.0)
+
+
+def test_first_fixes_after_a_night_may_be_of_another_place():
+    made = drive(300, seed=4, speed=12.0)
+    for column, change in (("time_s", 39_000.0), ("seq", 13_000)):
+        made[column][150:] += change
+    made["latitude_deg"][150:153] -= np.degrees(350.0 / EARTH_RADIUS)
+    clean = cleaned(made)
+    assert clean.disputed.sum() == 0.0
+    assert clean.path.sum() == pytest.approx(clean.path_run.sum(), rel=0.03)

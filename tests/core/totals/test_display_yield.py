@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from core.cleaning.quality import CAUSES
 from core.columns import JOULES_PER_KWH
 from core.pipeline import Pipeline
 from core.totals.accumulator import AMOUNTS, EDGES, Accumulator, Sums, Totals
@@ -207,3 +208,16 @@ def test_warm_up_takes_over_what_was_learned():
     capacity = later.take_rides().groupby("vehicle_id")["usable_capacity_kwh"].first()
     assert capacity["a"] == pytest.approx(15.0, rel=0.1)
     assert capacity["b"] == pytest.approx(16.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("stale_fall", "contradicted"), [(0.001, 1.0), (0.12, 0.0)])
+def test_stale_charge_excuses_a_contradiction_that_it_explains(stale_fall, contradicted):
+    """A ride of which the charge shows too much energy by a tenth of the battery."""
+    rng, displays = np.random.default_rng(7), DisplayYields(fleet(1))
+    for _ in range(20):
+        learn(displays, ride(rng, lane=0))
+    totals = ride(rng)
+    totals.at_last("soc")[0] -= 0.1
+    totals.amount("soc_faults")[0], totals.amount("stale_fall")[0] = 1.0, stale_fall
+    totals.quality[0, CAUSES.index("soc_stale")] = 1.0
+    assert learn(displays, totals).display["contradicted"][0] == contradicted

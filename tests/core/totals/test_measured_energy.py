@@ -157,3 +157,15 @@ def test_faulty_charge_does_not_measure_where_power_is_sampled_slowly():
     columns["soc_pct"][n : 4 * n - 10] = columns["soc_pct"][n]
     pipeline, _ = ran([leaf(period_s=5 * PERIOD), *telemetry(columns)], keep_forecasts=False)
     assert pipeline.take_rides()["energy_source"][2] == "vi"
+
+
+@pytest.mark.parametrize(("samples", "reason"), [(9, None), (30, "power_frozen")])
+def test_share_of_samples_with_a_frozen_current_decides(samples, reason):
+    """A current of zero counts as frozen from its eighth sample on."""
+    columns = drive(1100, speed=15.0, battery_voltage_v=360.0, battery_current_a=30.0)
+    columns["battery_current_a"] += np.arange(1100) % 7
+    columns["battery_current_a"][500 : 500 + samples] = 0.0
+    ride = tables_of(columns)[0].iloc[0]
+    assert ride["quality_power_frozen"] > 0
+    assert ride["unfit_reason"] == reason or reason is None
+    assert ride["fit_for_training"] == (reason is None)
