@@ -26,8 +26,7 @@ SPEED_BIN: Final = SPEED_BIN_KMH * KMH
 AMOUNTS: Final = (
     "duration",  # [s]
     "distance",  # [m]
-    "gained",  # sum of climbs [m]
-    "lost",  # sum of descents [m]
+    *("gained", "lost"),  # sums of climbs and of descents [m]
     *("gained_causal", "lost_causal"),  # the same from fixes up to each sample only [m]
     *("energy", "metered"),  # by voltage times current [J], and the time for which it is known [s]
     "energy_variance",  # of that energy [J^2]
