@@ -9,7 +9,7 @@ exactly zero while the car drives. The state of charge is frozen where it stays 
 quanta by V·I. It jumps where it changes by more than the car can have used, or by much more than V·I measured.
 """
 
-from math import exp, floor, isnan, log, nan, tanh
+from math import exp, isnan, log, nan, tanh
 from typing import Any, Final
 
 from numba import njit
@@ -23,6 +23,7 @@ FIELDS: Final = (
     "has_power",
     "unmetered",  # time for which the power has been unknown [s]
     "current",  # last reported [A]
+    "current_step",  # smallest change of it so far: the quantum [A], NaN if unknown
     "current_age",  # time since it last changed [s]
     "current_runs",  # number of samples with this value while the car drove
     "current_repeats",  # running share of samples that repeat the current while the car drives [1]
@@ -40,7 +41,7 @@ FIELDS: Final = (
     "plugged",  # number of successive samples in which the standing car took power
     "slept",  # 1 at a pause, falling to 0 over `AWAKE` of driving, or at a stale change of the state of charge
 )
-UNKNOWN_AT_FIRST: Final = ("power", "current", "soc", "soc_step", "raw_power")
+UNKNOWN_AT_FIRST: Final = ("power", "current", "current_step", "soc", "soc_step", "raw_power")
 """Fields of a new lane that are NaN."""
 
 SOC_MISSING: Final = int(Quality.SOC_MISSING)
@@ -89,6 +90,10 @@ FROZEN_SPEED_CHANGE: Final = 108.0 * KMH
 
 Estimated: one and a half stops from town speed. Each change by 36 km/h takes or returns 60 kJ of a car of 1.2 t, which
 is five quanta of a coarse meter (1 A at 400 V) over `FROZEN_TIME`. Half of it is enough where the meter is finer."""
+LEAST_STEP: Final = 1e-3
+"""Change of a current that is no rounding of its unit. [A]"""
+COARSE_STEP: Final = 0.5
+"""Quantum from which a meter is coarse. [A]"""
 ZERO_DISTANCE: Final = 300.0
 """Distance over which a driving car cannot draw exactly nothing. [m]
 
@@ -205,6 +210,9 @@ def is_power_frozen(state: Any, row: Any, dt: float, is_known: bool) -> bool:
     """
     drives = row.distance > 0.0
     if row.raw_current != state.current:
+        step = abs(row.raw_current - state.current)
+        if step > LEAST_STEP and not step >= state.current_step:
+            state.current_step = step
         state.current = row.raw_current
         state.current_age = state.speed_varied = state.zero_distance = state.current_runs = 0.0
         state.current_repeats -= state.current_repeats / REPEAT_MEMORY if drives else 0.0
@@ -219,7 +227,7 @@ def is_power_frozen(state: Any, row: Any, dt: float, is_known: bool) -> bool:
     state.current_age += dt
     state.speed_varied += abs(row.acceleration) * dt
     state.zero_distance += row.distance if row.raw_current == 0.0 else 0.0
-    is_coarse = row.raw_current == floor(row.raw_current)
+    is_coarse = not state.current_step < COARSE_STEP
     least = FROZEN_SPEED_CHANGE if is_coarse else 0.5 * FROZEN_SPEED_CHANGE
     varied = state.current_age > FROZEN_TIME and state.speed_varied > least
     return varied or state.zero_distance > ZERO_DISTANCE

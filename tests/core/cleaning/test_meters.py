@@ -123,13 +123,15 @@ def test_charge_from_before_sleep_is_stale_although_it_changed_by_a_quantum_befo
     assert np.flatnonzero(clean(columns).quality & Quality.SOC_STALE).tolist() == [230]
 
 
-def test_current_with_decimals_is_frozen_after_one_stop():
-    speed = np.r_[np.full(100, 14.0), np.linspace(14.0, 0.0, 8), np.zeros(20), np.full(N - 128, 0.0)]
-    columns = drive(N, speed=speed, battery_voltage_v=360.0, battery_current_a=34.5)
-    columns["battery_current_a"] = np.where(np.arange(N) < 80, 20.0 + np.arange(N) % 7, 34.5)
-    assert count(clean(columns), Quality.POWER_FROZEN) == 0  # the change of speed is less than one stop
-    columns["speed_kmh"][115:] = 60.0
-    assert count(clean(columns), Quality.POWER_FROZEN) > 0
+@pytest.mark.parametrize(("step", "frozen"), [(0.1, True), (2.777, False)])
+def test_current_of_a_slow_logger_is_frozen_after_one_stop_if_its_meter_is_fine(step, frozen):
+    columns = drive(N, speed=15.0, battery_voltage_v=360.0)
+    columns["time_s"] = columns["time_s"][0] + 15.0 * np.arange(N)
+    columns["battery_current_a"] = step * (20.0 + np.arange(N) % 7)
+    columns["speed_kmh"][200:205] = 54.0, 36.0, 18.0, 0.0, 18.0
+    columns["battery_current_a"][200:206] = 22.0 * step
+    columns = without(columns, "latitude_deg", "longitude_deg")
+    assert (count(cleaned(columns, period=15.0), Quality.POWER_FROZEN) > 0) == frozen
 
 
 def test_current_that_is_the_same_after_a_night_is_not_frozen():
