@@ -32,6 +32,7 @@ from core.cleaning import (
     repetition,
     segmentation,
     shared_stamps,
+    slow_steps,
     speed_noise,
     speed_witness,
     sphere,
@@ -48,7 +49,7 @@ from core.settings import Settings
 
 _PARTS: Final = (
     *(clock, motion, position_filter, fix_motion, elevation, segmentation),
-    *(fleet_clock, meters, power_sign, repetition, speed_noise, speed_witness, standstill),
+    *(fleet_clock, meters, power_sign, repetition, speed_noise, speed_witness, standstill, slow_steps),
 )
 _OWN_FIELDS: Final = ("battery_temperature", "occupants")
 _UNKNOWN_AT_FIRST: Final = {

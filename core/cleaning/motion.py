@@ -26,6 +26,7 @@ from numba import njit
 
 from core.cleaning.elevation import climb_step
 from core.cleaning.quality import Quality
+from core.cleaning.slow_steps import HOLE, compare_ends, find_farthest_fix
 from core.cleaning.speed_noise import (
     SPEED_NOISY,
     average_adaptively,
@@ -90,26 +91,14 @@ WANDER: Final = 20.0
 """The same where only the fixes show how far the car moves. [m]"""
 SLACK: Final = 50.0
 """Largest error of the distance of two fixes. [m]"""
-UNSEEN_SPEED: Final = 10.0
-"""Speed of a car between two samples of a slow logger, beyond twice the largest that it shows. [m/s]"""
 TURN: Final = 15.0
 """Shortest base over which a heading is measured. [m]"""
 BLIND: Final = 200.0
 """Largest distance by which fixes lag behind the wheels. [m]"""
 NULL_ISLAND: Final = 1e-4
 """Half-width of the square around 0/0 in which a fix is not valid. [rad]"""
-WINDING: Final = 0.33
-"""Share of the distance by two speeds beyond that by two fixes that a slow logger has driven. [1]
-
-The road winds, so that fixes show too little: in a city 9 % for samples every 60 s, 3 % for every 15 s. Two speeds show
-as much as the road on average, and twice as much or nothing now and then. Chosen on 114 drives of a Nissan Leaf
-(arXiv:1905.02081), whose bias is within 1.3 % with it for 10 to 60 s."""
 LONGEST_HOLD: Final = 20.0
 """Longest time for which a speed is held or interpolated. [periods]"""
-HOLE: Final = 3.5
-"""Longest step that is not a hole. [periods]
-
-A longer step is a hole for slow loggers too: odometer and fixes then show its distance better than two speeds do."""
 AUTOMATIC: Final = 0
 """Setting of the moving average by which it is as long as the noise of the car asks."""
 ROUGH_WINDOW: Final = 3
@@ -186,15 +175,6 @@ def is_confirmed(state: Any, latitude: float, longitude: float, dt: float, step:
 
 
 @njit(cache=False)
-def find_fix_limit(state: Any, row: Any, dt: float, settings: Any) -> float:
-    """Return the largest speed between two fixes; the speeds of a slow logger leave room for less. [m/s]"""
-    usual = max(row.raw_speed, state.smooth, state.cruise)
-    if dt <= HOLE * settings.period or isnan(row.raw_speed) or state.speed_stuck == 1.0 or dt > 1.5 * state.period:
-        return float(settings.speed_limit)
-    return float(min(settings.speed_limit, 2.0 * usual + UNSEEN_SPEED))
-
-
-@njit(cache=False)
 def evaluate_fix(state: Any, row: Any, dt: float, settings: Any) -> tuple[float, float]:
     """Check a fix, accept or hold it back, and set its quality bits.
 
@@ -222,9 +202,8 @@ def evaluate_fix(state: Any, row: Any, dt: float, settings: Any) -> tuple[float,
         row.quality += POSITION_FROZEN if frozen else 0
         return 0.0, (0.0 if state.fix_age > 2.0 * settings.period else nan)
     row.quality += POSITION_JUMP if distance > settings.speed_limit * step + SLACK else 0
-    if distance > find_fix_limit(state, row, dt, settings) * max(state.fix_age, step) + SLACK and not is_confirmed(
-        state, latitude, longitude, dt, step, settings
-    ):
+    state.leapt = 1.0 if distance > find_farthest_fix(state, row, dt, settings) + SLACK else 0.0
+    if state.leapt == 1.0 and not is_confirmed(state, latitude, longitude, dt, step, settings):
         return 0.0, nan
     return accept_fix(state, latitude, longitude, distance, settings.tunnel_limit)
 
@@ -432,16 +411,6 @@ def finish_motion(state: Any, row: Any, before: float, dt: float, known: bool) -
 
 
 @njit(cache=False)
-def compare_ends(state: Any, row: Any, by_ends: float, run: float) -> float:
-    """Compare the step of a slow logger with the speeds at its ends; return the distance that the fixes cut off."""
-    if isnan(by_ends):
-        return 0.0
-    cut = WINDING * (by_ends - run) if isnan(state.odometer) and 0.0 < run < by_ends else 0.0
-    row.slow, row.slow_run = by_ends, run + cut
-    return cut
-
-
-@njit(cache=False)
 def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Advance the motion of the car by a sample; fill in the columns of motion and the climb."""
     hole = find_hole(state, settings)
@@ -464,7 +433,7 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
         update_smooth_speed(state, row, speed, dt, gap or state.speed_age > hole, settings)
     known = not (isnan(speed) or isnan(state.speed) or gap or shortfall > 0.0)
     if gap and dt <= 1.5 * state.period:
-        shortfall += compare_ends(state, row, 0.5 * (speed + state.speed) * dt, distance + shortfall)
+        shortfall = compare_ends(state, row, 0.5 * (speed + state.speed) * dt, distance, shortfall)
     state.speed = speed
     row.speed = 0.5 * (before + state.smooth)
     row.distance = distance + shortfall

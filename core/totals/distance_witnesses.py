@@ -14,6 +14,10 @@ HINT: Final = 0.02
 """Logarithm of a ratio beyond which two witnesses contradict each other, beyond what each may be off. [1]"""
 OFF: Final = 0.03
 """Largest deviation of the odometer: tyres and calibration take some percent. [1]"""
+MUCH: Final = 0.22
+"""Logarithm of the ratio by which sections between fixes contradict a shorter distance whatever the odometer says. [1]
+
+No road is shorter than the chords between its points. Speed and odometer may have the same wrong unit."""
 LEAST_TICKED: Final = 500.0
 """Distance between its changes from which an odometer is a witness. [m]"""
 SLACK: Final = 30.0
@@ -68,6 +72,8 @@ def find_contradicted_distance(totals: Totals) -> NDArray[np.bool_]:
         between = odometer - fixes  # of the fixes over the odometer
         apart = (between > OFF + HINT) | (between < -LONGER)
     contradicted = (by_odometer | by_fixes) & ~apart | (by_odometer & by_fixes)
+    with np.errstate(invalid="ignore"):
+        contradicted |= fixes < -MUCH
     disputed = totals.amount("disputed") > MOST_DISPUTED * distance + FIRST_FIXES
     return np.asarray(contradicted | disputed | _contradicts_speeds(totals))
 
