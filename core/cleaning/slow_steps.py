@@ -20,7 +20,7 @@ The road winds, so that fixes show too little: in a city 9 % for samples every 6
 as much as the road on average, and twice as much or nothing now and then. Chosen on 114 drives of a Nissan Leaf
 (arXiv:1905.02081), whose bias is within 1.3 % with it for 10 to 60 s."""
 MOST_DRIVEN: Final = 1.5
-"""Ratio of the distance of two fixes to that by speeds, or by the mean speed of the last minute, of a leap."""
+"""Ratio of the distance of two fixes to that by speeds, or at the speed before, of a leap."""
 UNSEEN_SPEED: Final = 10.0
 """Mean speed by which a car may be faster than that in the last step. [m/s]"""
 
@@ -33,7 +33,8 @@ def find_farthest_fix(state: Any, row: Any, dt: float, settings: Any) -> float:
     is_slow = HOLE * settings.period < dt <= 1.5 * state.period
     if not is_slow or isnan(row.raw_speed) or isnan(state.speed) or state.speed_stuck == 1.0:
         return float(farthest)
-    driven = state.fix_distance + max(0.5 * (row.raw_speed + state.speed), state.cruise) * dt
+    by_speeds = state.fix_distance + 0.5 * (row.raw_speed + state.speed) * dt
+    driven = max(by_speeds, state.smooth * state.fix_age)
     return float(min(farthest, MOST_DRIVEN * driven + UNSEEN_SPEED * dt))
 
 
