@@ -148,7 +148,6 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
     what cars usually do in that time.
     """
     power = row.raw_voltage * row.raw_current
-    row.energy_variance = find_unseen_variance(state.unmetered + dt) - find_unseen_variance(state.unmetered)
     state.unmetered += dt
     if isnan(power):
         row.quality += POWER_MISSING if state.has_power == 1.0 else 0
@@ -168,6 +167,8 @@ def integrate_power(state: Any, row: Any, dt: float, settings: Any) -> None:
             unknown = dt if state.has_period == 1.0 else min(dt, LATEST_CHANGE)
             row.energy_variance = find_variance_factor(unknown) * ((power - before) * unknown) ** 2
             row.metered = dt
+    if row.metered == 0.0 and dt > 0.0:
+        row.energy_variance = find_unseen_variance(state.unmetered) - find_unseen_variance(state.unmetered - dt)
     state.unmetered = state.unmetered if isnan(power) else 0.0
     state.power = power
 
@@ -221,7 +222,7 @@ def is_power_frozen(state: Any, row: Any, dt: float, is_known: bool) -> bool:
         return False
     state.current_runs += 1.0 if drives else 0.0
     usual = LEAST_REPEATS + (1.0 - LEAST_REPEATS) * state.current_repeats
-    if state.current_runs * log(usual) < LEAST_CHANCE and state.speed_varied > LEAST_SPEED_CHANGE:
+    if state.speed_varied > LEAST_SPEED_CHANGE and state.current_runs * log(usual) < LEAST_CHANCE:
         return True
     state.current_repeats += (1.0 - state.current_repeats) / REPEAT_MEMORY if drives else 0.0
     state.current_age += dt

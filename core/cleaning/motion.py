@@ -37,7 +37,7 @@ from core.cleaning.speed_noise import (
     observe_noise,
 )
 from core.cleaning.speed_witness import count_distance, weigh_speed
-from core.cleaning.sphere import compute_chord, wrap_angle
+from core.cleaning.sphere import compute_chord, find_way, wrap_angle
 from core.columns import KMH
 
 RING: Final = 8
@@ -195,7 +195,7 @@ def evaluate_fix(state: Any, row: Any, dt: float, settings: Any) -> tuple[float,
         state.fix_age = state.fix_distance = state.fix_hole = state.fix_still = 0.0
         return 0.0, nan
     step = max(dt, settings.period)
-    distance = compute_chord(state.latitude, state.longitude, latitude, longitude)
+    distance = find_way(state.latitude, state.longitude, row)
     if distance < (NEAR if state.fix_hole == 0.0 else WANDER):
         state.pending_latitude = nan
         frozen = latitude == state.latitude and longitude == state.longitude and state.smooth > MOVING
@@ -340,7 +340,7 @@ def find_leap(state: Any, row: Any, speed: float, dt: float) -> float:
     if change > limit and is_powered(state, row, speed, dt):
         return change
     if abs(change) * dt > 2.0 * SLACK and abs(change) < limit and state.fix_age == 0.0 and not isnan(row.raw_latitude):
-        chord = compute_chord(state.latitude, state.longitude, row.raw_latitude, row.raw_longitude)
+        chord = find_way(state.latitude, state.longitude, row)
         if abs(chord - state.speed * dt) < 0.2 * abs(change) * dt:
             return 0.5 * abs(change)
     return limit

@@ -12,6 +12,8 @@ FIELDS: Final = (
     *(f"fix_{name}" for name in ("latitude", "longitude", "elevation", "speed")),  # of the last accepted row
 )
 
+LEAST_LEAP: Final = 60.0
+"""Time that a stamp leaps ahead from which the question arises. [s]"""
 STANDING: Final = 1.0
 """Reported speed below which a car stands. [m/s]"""
 DRIVING: Final = 3.0
@@ -60,6 +62,8 @@ def drove_on(state: Any, row: Any, period: float) -> float:
         1 where speed and fixes continue the drive, -1 where the car stands in both rows or is elsewhere, 0 where
         neither is known.
     """
+    if not row.raw_stamp - state.time >= LEAST_LEAP:
+        return 0.0
     before, now = state.fix_speed, row.raw_speed
     north = row.raw_latitude - state.fix_latitude
     east = (row.raw_longitude - state.fix_longitude) * cos(row.raw_latitude)

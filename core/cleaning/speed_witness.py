@@ -16,13 +16,13 @@ A distance that the speed has shown too much cannot be taken back from rows befo
 while a single witness shows another unit; a ride with much of it is unfit for training.
 """
 
-from math import cos, isnan, log, nan
+from math import isnan, log, nan
 from typing import Any, Final
 
 from numba import njit
 
 from core.cleaning.quality import Quality
-from core.cleaning.sphere import compute_chord, wrap_angle
+from core.cleaning.sphere import find_way, wrap_angle
 from core.columns import EARTH_RADIUS
 
 FIELDS: Final = (
@@ -163,7 +163,7 @@ def weigh_speed(state: Any, row: Any, speed: float, dt: float, gap: bool, settin
     missed, disputed = missed + more, disputed + too_much
     if missed > 0.0:  # it belongs to the sections before, too
         row.straight = row.straight_run = 0.0
-    factor = find_unit(state)
+    factor = find_unit(state) if state.section_age == 0.0 or state.tick_read == 1.0 else 1.0
     if factor != 1.0:
         state.speed_scale = factor * (state.speed_scale if state.speed_scale > 0.0 else 1.0)
         missed, disputed = missed + max(0.0, state.missed), disputed + max(0.0, -state.missed)
@@ -205,8 +205,8 @@ def close_section(state: Any, row: Any, dt: float, settings: Any) -> tuple[float
         return 0.0, 0.0
     if state.hold_time > 0.0:
         state.refresh_time += (min(state.hold_time, LONGEST_REFRESH) - state.refresh_time) / REFRESH_MEMORY
-    chord = compute_chord(state.section_latitude, state.section_longitude, row.raw_latitude, row.raw_longitude)
-    step = compute_chord(state.fix_latitude, state.fix_longitude, row.raw_latitude, row.raw_longitude)
+    chord = find_way(state.section_latitude, state.section_longitude, row)
+    step = find_way(state.fix_latitude, state.fix_longitude, row)
     leaps = step > settings.speed_limit * max(dt, state.hold_time) + SLACK
     if leaps or not chord <= settings.speed_limit * state.section_age + SLACK:  # or no section is open
         open_section(state, row)
@@ -275,7 +275,7 @@ def find_disputed(chord: float, path: float, run: float) -> float:
 def follows_course(state: Any, row: Any) -> bool:
     """Return whether the section that ends at a fix continues the one before it without a bend, and keep its course."""
     north = (row.raw_latitude - state.section_latitude) * EARTH_RADIUS
-    east = wrap_angle(row.raw_longitude - state.section_longitude) * EARTH_RADIUS * cos(row.raw_latitude)
+    east = wrap_angle(row.raw_longitude - state.section_longitude) * EARTH_RADIUS * row.cos_latitude
     along = north * state.course_north + east * state.course_east
     across = north * state.course_east - east * state.course_north
     state.course_north, state.course_east = north, east
@@ -292,7 +292,7 @@ def compare_section(state: Any, row: Any, chord: float, run: float) -> float:
         agree(state, row)
         return 0.0
     state.missed += 0.0 if state.speed_stuck == 1.0 else chord - run
-    away = compute_chord(state.agreed_latitude, state.agreed_longitude, row.raw_latitude, row.raw_longitude)
+    away = find_way(state.agreed_latitude, state.agreed_longitude, row)
     supported = state.tick > 0.0 and state.tick_chord > TICKS * state.tick + LEAST_NEAR
     is_clear = away > LEAST_NEAR and state.fix_near > LEAST_NEAR and state.run_near < STUCK * state.fix_near
     if state.speed_stuck == 1.0 or supported or not is_clear:

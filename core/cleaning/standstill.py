@@ -6,7 +6,7 @@ from typing import Any, Final
 from numba import njit
 
 from core.cleaning import motion
-from core.cleaning.sphere import compute_chord
+from core.cleaning.sphere import find_way
 
 FIELDS: Final = (
     "lost_at_speed",  # 1 where the last fix came at speed, and no speed has been reported since
@@ -46,7 +46,7 @@ def observe_stand(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Count the time for which the car stands; it has not stood if it is elsewhere by its fixes."""
     if dt > settings.gap_time:
         state.stood_latitude = nan
-    left = compute_chord(state.stood_latitude, state.stood_longitude, row.raw_latitude, row.raw_longitude) > ELSEWHERE
+    left = find_way(state.stood_latitude, state.stood_longitude, row) > ELSEWHERE
     if left and state.riding == 1.0:
         state.blind = 1.0
     if left or state.standing == 0.0 or state.blind == 1.0:
