@@ -28,7 +28,8 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning.motion import HOLE, NULL_ISLAND, SLACK
+from core.cleaning.motion import NULL_ISLAND, SLACK
+from core.cleaning.slow_steps import HOLE
 from core.cleaning.sphere import compute_chord, wrap_angle
 from core.columns import EARTH_RADIUS
 

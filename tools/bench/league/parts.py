@@ -35,19 +35,20 @@ def are_right(log: Log, rides: pd.DataFrame, sampling: Any) -> bool:
         Function of rows of the log that returns the errors of distance [m] and energy [J] that no cleaning can avoid.
     """
     stamps, track = find_stamps(log), log.car.track
-    for ride in rides[rides["fit_for_training"]].itertuples():
-        at = int(np.nanargmin(np.abs(stamps - ride.start_s)))
-        if abs(stamps[at] - ride.start_s) > log.car.period:
+    columns = ["start_s", "duration_s", "distance_km", "energy_kwh", "energy_sd_kwh"]
+    for start, duration, km, kwh, sd in rides.loc[rides["fit_for_training"], columns].to_numpy(float).tolist():
+        at = int(np.nanargmin(np.abs(stamps - start)))
+        if abs(stamps[at] - start) > log.car.period:
             return False
         first = float(log.true[at])
-        last = first + float(ride.duration_s)
+        last = first + duration
         rows = np.flatnonzero((log.true >= first - 0.5 * log.car.period) & (log.true <= last + 0.5 * log.car.period))
         distance_error, energy_error = sampling(rows[np.argsort(log.true[rows])])
         distance = 1e-3 * float(track.at("distance", last) - track.at("distance", first))
         energy = float(track.at("energy", last) - track.at("energy", first)) / JOULES
-        energy_slack = max(SHARE * abs(energy) + energy_error / JOULES, SDS * float(ride.energy_sd_kwh))
-        if abs(ride.distance_km - distance) > SHARE * distance + 1e-3 * distance_error:
+        energy_slack = max(SHARE * abs(energy) + energy_error / JOULES, SDS * sd)
+        if abs(km - distance) > SHARE * distance + 1e-3 * distance_error:
             return False
-        if abs(ride.energy_kwh - energy) > energy_slack:
+        if abs(kwh - energy) > energy_slack:
             return False
     return True
