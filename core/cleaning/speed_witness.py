@@ -358,10 +358,14 @@ def take_odometer(state: Any, row: Any) -> tuple[float, float]:
 
 @njit(cache=False)
 def compare_tick(state: Any, driven: float, run: float) -> float:
-    """Compare the distances between two changes of the odometer; return what a stuck speed has missed. [m]"""
-    kept = max(0.0, 1.0 - driven / FAR_MEMORY)
-    state.odometer_far = kept * state.odometer_far + driven
-    state.odometer_run_far = kept * state.odometer_run_far + run
+    """Compare the distances between two changes of the odometer; return what a stuck speed has missed. [m]
+
+    A speed of 0 while the odometer counts, as of a receiver in a tunnel, is no matter of its unit.
+    """
+    if run >= LEAST_RUN * driven:
+        kept = max(0.0, 1.0 - driven / FAR_MEMORY)
+        state.odometer_far = kept * state.odometer_far + driven
+        state.odometer_run_far = kept * state.odometer_run_far + run
     if not isnan(state.section_latitude):  # the fixes decide
         return 0.0
     if run >= STUCK * driven:

@@ -134,3 +134,15 @@ def test_first_fixes_after_a_night_may_be_of_another_place():
     clean = cleaned(made)
     assert clean.disputed.sum() == 0.0
     assert clean.path.sum() == pytest.approx(clean.path_run.sum(), rel=0.03)
+
+
+@pytest.mark.parametrize("length", [6, 8, 10])
+def test_receiver_that_sends_a_speed_of_zero_in_a_tunnel_does_not_change_its_unit(length):
+    columns = witnessed("both", step=0.01, speed=np.full(N, 20.0))
+    tunnel = slice(40, 40 + length)
+    columns["speed_kmh"][tunnel] = 0.0
+    for name in ("latitude_deg", "longitude_deg"):
+        columns[name][tunnel] = columns[name][tunnel.start]
+    pipeline, _ = ran([leaf(), *telemetry(columns)])
+    assert not pipeline.quality()["logger_faults"]
+    assert pipeline.take_rides()["quality_speed_contradicted"].sum() == 0
