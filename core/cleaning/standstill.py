@@ -30,14 +30,16 @@ ELSEWHERE: Final = 150.0
 def is_blind(state: Any, row: Any) -> bool:
     """Return whether a standstill is that of a receiver in a tunnel, and not of the car.
 
-    Either fix and speed were lost at once, at speed, or the car has no fix and takes power as only a driving car does.
+    Either fix and speed were lost at once, at speed, and the fix is missing or held since; or it is missing, and the
+    car takes power as only a driving car does.
     """
-    if not isnan(row.raw_latitude):
-        state.lost_at_speed = 1.0 if state.smooth > LOST_SPEED else 0.0
+    is_missing = isnan(row.raw_latitude)
+    is_held = row.raw_latitude == state.fix_latitude and row.raw_longitude == state.fix_longitude
+    if row.raw_speed > motion.CRAWL or not (is_missing or is_held):
+        speed = state.smooth if isnan(row.raw_speed) else row.raw_speed
+        state.lost_at_speed = 1.0 if speed > LOST_SPEED and not (is_missing or is_held) else 0.0
         return False
-    if row.raw_speed > motion.CRAWL:
-        state.lost_at_speed = 0.0
-    drives = state.has_fix == 1.0 and row.raw_voltage * row.raw_current > DRIVING_POWER
+    drives = is_missing and state.has_fix == 1.0 and row.raw_voltage * row.raw_current > DRIVING_POWER
     return bool(state.lost_at_speed == 1.0 or drives)
 
 
