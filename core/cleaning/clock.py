@@ -95,6 +95,8 @@ SETTLED_MEMORY: Final = 10.0
 """Memory from which the filter has settled. [samples]"""
 LONGEST_MEMORY: Final = 80.0
 """Longest memory of the filter, so that it follows a drifting clock. [samples]"""
+OTHER: Final = 1.25
+"""Ratio of two periods from which they differ. [1]"""
 LOCK: Final = 10
 """Number of intervals in the median from which another period is accepted."""
 TOLERANCE: Final = 0.5
@@ -449,7 +451,10 @@ def advance_by_stamp(
     if not anew:
         counts = counted > 0.0 and bits == 0
         slipped = abs(count - 1.0) == 1.0 and not counts
+        before = state.period
         observe_interval(state, stamp, state.shared + (count if counts else 1.0), slipped)
+        if state.period > OTHER * before and not counts:  # the count is that of the period before
+            count = max(1.0, count_periods_by_stamp(state, (stamp - state.time) / state.period))
         find_irregular(state, stamp, state.shared + count if counts else nan)
     dt, more = restart_clock(state, stamp) if anew else follow_stamp(state, stamp, count)
     if dt > shared_stamps.LONGEST_GROUP:

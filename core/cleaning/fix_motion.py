@@ -154,7 +154,8 @@ def update_course(state: Any, dt: float) -> float:
     if state.path_still == 1.0 or state.path_lag > 0.0 or north * north + east * east < least * least:
         return 0.0
     heading = atan2(east, north)
-    rate = wrap_angle(heading - state.heading) / max(state.heading_age, dt)
+    age = max(state.heading_age, dt)
+    rate = wrap_angle(heading - state.heading) / age if age > 0.0 else 0.0
     state.heading, state.heading_age = heading, 0.0
     return 0.0 if isnan(rate) else rate
 

@@ -4,6 +4,8 @@ from typing import Any, Final
 
 from numba import njit
 
+from core.cleaning.shared_stamps import MOST_SHARED
+
 FIELDS: Final = (
     "late_stamp",  # stamp of the last rejected sample [s]
     "late_seq",  # counter of the last rejected sample
@@ -51,7 +53,8 @@ def is_stray(state: Any, stamp: float, count: float, limit: float) -> bool:
     """Return whether a sample is from the past, or leaps further ahead of all samples before it than the limit."""
     if count <= limit:
         return count < 0.0
-    follows = 0.0 < stamp - state.leap_stamp <= LEAP * state.period
+    since = stamp - state.leap_stamp
+    follows = 0.0 < since <= LEAP * state.period or (since == 0.0 and state.shares > MOST_SHARED)
     state.leap_stamp = stamp
     return not follows
 

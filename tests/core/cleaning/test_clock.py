@@ -410,3 +410,11 @@ def test_whole_seconds_do_not_make_a_logger_one_without_a_period(seed):
     clean = cleaned(columns, ONE_RIDE)
     assert clean.dt[50:] == pytest.approx(1.0, abs=0.6)
     assert clean.dt.sum() == pytest.approx(n - 1, rel=0.02)
+
+
+@pytest.mark.parametrize("period", [8.0, 10.0, 20.0, 30.0, 60.0])
+def test_period_that_nothing_announces_costs_no_time_without_a_counter(period):
+    columns = cruise(100)
+    columns["time_s"] = START + period * np.arange(100)
+    clean = cleaned(without(columns, "seq"), ONE_RIDE)
+    assert clean.dt[1:] == pytest.approx(period, abs=0.05 * period)
