@@ -9,7 +9,7 @@ In all of them `state` is the record of the lane (`STATE`), `row` the record of 
 `raw_*`, and `settings` the record of the operator's settings.
 """
 
-from math import cos, isnan, nan
+from math import cos, isnan, nan, sin
 from typing import Any, Final
 
 import numpy as np
@@ -87,11 +87,11 @@ _INPUTS: Final = (
     *(f"raw_{name}" for name in Batch._fields),
     *("raw_capacity", "raw_period"),
     *(f"map_{name}" for name in Ground._fields),
-    "cos_latitude",
+    *("cos_latitude", "sin_latitude"),
 )
 """Columns of a sample, the capacity and period of its car, and the ground under it: the first fields of `_ROW`.
 
-The last one is derived from them, so that it is computed once."""
+The last two are derived from them, so that they are computed once."""
 _ROW: Final = np.dtype([(name, "f8") for name in (*_INPUTS, *Clean._fields)])
 """One row of the kernel: its inputs, then the columns of its result."""
 _RAW: Final = len(_INPUTS)
@@ -321,7 +321,7 @@ def take_ride_events(states: Any, ride_events: Any, event: int, row: int, ends: 
 @njit(cache=False)
 def clean_row(state: Any, row: Any, settings: Any) -> float:
     """Clean one row; return the time since the sample before it, `clock.UNUSED` for a rejected one. [s]"""
-    row.cos_latitude = cos(row.raw_latitude)
+    row.cos_latitude, row.sin_latitude = cos(row.raw_latitude), sin(row.raw_latitude)
     repeated = repetition.repeats_fix(state, row)
     if clock.has_rolled_over(row.raw_stamp):
         row.raw_stamp += clock.ROLLOVER

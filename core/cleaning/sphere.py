@@ -16,9 +16,10 @@ def wrap_angle(angle: float) -> float:
 
 @njit(cache=False)
 def find_way(latitude: float, longitude: float, row: Any) -> float:
-    """Return the distance from a fix to that of a row, with the cosine that the row keeps; see `compute_chord`. [m]"""
+    """Return the distance from a fix to that of a row, by its sine and cosine; see `compute_chord`. [m]"""
     north = row.raw_latitude - latitude
-    east = wrap_angle(row.raw_longitude - longitude) * row.cos_latitude
+    between = row.cos_latitude + 0.5 * north * row.sin_latitude  # the cosine half-way
+    east = wrap_angle(row.raw_longitude - longitude) * between
     return float(EARTH_RADIUS * sqrt(north * north + east * east))
 
 
