@@ -29,7 +29,7 @@ Remaining error, for a period of 3 s and Gaussian errors of the stamps with stan
   was too low, at most 3 samples had a wrong time.
 - Samples from the past are marked late and have no other effect. If a stream remains in the past, its clock was set
   back, or the sample before was wild: it is believed after 20 samples in order with a counter, after 10 without one,
-  and after 5 of a logger that samples every 12 s or more.
+  and after 5 of a logger that samples every 12 s or more, and after a minute from 6 s on.
 - Samples of an outage may come from a cache, after newer ones. With a counter, they are late however many there are:
   they fill the newest hole of 20 samples or more in the counter, and belong to the last 1,200 samples before its end.
   A clock set back into such a hole is believed 20 samples after it leaves the hole, at most an hour later. More samples

@@ -379,7 +379,7 @@ def use_row(state: Any, row: Any, dt: float, settings: Any) -> None:
     row.dt, row.mistimed = dt, state.mistimed
     rode = state.riding == 1.0
     charging = row.raw_charging == 1.0 or bool(int(row.quality) & meters.CHARGING_INFERRED)
-    follows = state.riding == 1.0 and state.speed_stuck * row.distance > 0.0
+    follows = state.riding == 1.0 and state.speed_stuck == 1.0 and row.distance > 0.0
     moving = state.standing == 0.0 or state.blind == 1.0 or follows
     begins = segmentation.update_ride(state, row.raw_ride, dt, moving, charging, settings)
     if begins:  # the step ended before the ride and is not part of it

@@ -20,7 +20,9 @@ The road winds, so that fixes show too little: in a city 9 % for samples every 6
 as much as the road on average, and twice as much or nothing now and then. Chosen on 114 drives of a Nissan Leaf
 (arXiv:1905.02081), whose bias is within 1.3 % with it for 10 to 60 s."""
 MOST_DRIVEN: Final = 1.5
-"""Ratio of the distance of two fixes to that by speeds, or at the speed before, of a leap."""
+"""Ratio of the distance of two fixes to that by speeds, or at the speed before, of a leap. [1]
+
+Estimated, as is `UNSEEN_SPEED`: a car between two lights may be twice as fast as two samples show."""
 UNSEEN_SPEED: Final = 10.0
 """Mean speed by which a car may be faster than that in the last step. [m/s]"""
 

@@ -51,7 +51,7 @@ def test_every_drive_without_a_fault_is_fit_and_right():
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_at_most_one_drive_with_a_fault_is_fit_and_wrong(name):
-    """`docs/reference/league.md` states how many are in thousands of drives."""
+    """This is a sample of two cars a fault; `docs/reference/league.md` states how many of thousands of drives are."""
     assert len(tell(drive_alone(name))) <= 1
 
 
