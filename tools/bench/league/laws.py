@@ -193,7 +193,9 @@ def judge(
             of_drive = (first <= drive) & (drive <= last)
             found = _describe(rides[of_drive], merged=(first != last)[of_drive])
             word, why = _judge_drive(rides[of_drive], found, truth, start, log.car.period, faults)
-            if why.endswith(OF_PARTS) and "start" not in why and are_right(log, rides[of_drive], measure_sampling):
+            sds = SDS if log.car.period >= SLOW or "soc" in found["source"] else 0.0
+            of_parts = why.endswith(OF_PARTS) and "start" not in why
+            if of_parts and are_right(log, rides[of_drive], measure_sampling, DISTANCE, sds):
                 word, why = REPAIRED, ""
             spans = {name: (span.low, span.high) for name, span in truth.items()}
             out.append(Verdict(number, drive, names, word, why, found, spans))

@@ -1,19 +1,16 @@
 """Hold each part of a drive that was cut against what the car truly did in its time."""
 
-from typing import Any, Final
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
+from core.batch import Floats, Ints
 from core.cleaning import clock
 from tools.bench.league.drives import JOULES
 from tools.bench.league.loggers import Log
 
-SHARE: Final = 0.03
-"""Tolerance of distance and energy. [1]"""
-SDS: Final = 3.0
-"""Tolerance of energy. [own standard uncertainties]"""
+Sampling = Callable[[Ints], tuple[float, float]]
 
 
 def find_stamps(log: Log) -> Floats:
@@ -22,7 +19,7 @@ def find_stamps(log: Log) -> Floats:
     return np.where(stamps < clock.FIRST_LOGGER, stamps + clock.ROLLOVER, stamps)
 
 
-def are_right(log: Log, rides: pd.DataFrame, sampling: Any) -> bool:
+def are_right(log: Log, rides: pd.DataFrame, sampling: Sampling, share: float, sds: float) -> bool:
     """Return whether every ride that is fit is right in its own time.
 
     Parameters
@@ -33,6 +30,8 @@ def are_right(log: Log, rides: pd.DataFrame, sampling: Any) -> bool:
         Rides of the car, as in the ride table.
     sampling : callable
         Function of rows of the log that returns the errors of distance [m] and energy [J] that no cleaning can avoid.
+    share, sds : float
+        Tolerance of distance and energy, as a share [1] and in standard uncertainties of the energy.
     """
     stamps, track = find_stamps(log), log.car.track
     columns = ["start_s", "duration_s", "distance_km", "energy_kwh", "energy_sd_kwh"]
@@ -46,8 +45,8 @@ def are_right(log: Log, rides: pd.DataFrame, sampling: Any) -> bool:
         distance_error, energy_error = sampling(rows[np.argsort(log.true[rows])])
         distance = 1e-3 * float(track.at("distance", last) - track.at("distance", first))
         energy = float(track.at("energy", last) - track.at("energy", first)) / JOULES
-        energy_slack = max(SHARE * abs(energy) + energy_error / JOULES, SDS * sd)
-        if abs(km - distance) > SHARE * distance + 1e-3 * distance_error:
+        energy_slack = max(share * abs(energy) + energy_error / JOULES, sds * sd)
+        if abs(km - distance) > share * distance + 1e-3 * distance_error:
             return False
         if abs(kwh - energy) > energy_slack:
             return False
