@@ -152,7 +152,7 @@ def choose_next_step(cars: Sequence[CarFaults]) -> str:
         return f"Most is lost by rides that are unfit because of {_spell(reason)}, {km:,.1f} km: mend this first."
     if counts:
         fault = _FAULT_OF[counts.most_common(1)[0][0]]
-        return f"The faults cost no ride. The most frequent one is: {fault.title}. Remedy: {fault.remedy}."
+        return f"No fault of a logger makes a ride unfit. The most frequent: {fault.title}. Remedy: {fault.remedy}."
     return "Nothing is to be mended: make tables with `socast tables`."
 
 
