@@ -60,7 +60,7 @@ _UNKNOWN_AT_FIRST: Final = {
     ),
     **dict.fromkeys((*position_filter.UNKNOWN_AT_FIRST, *speed_noise.UNKNOWN_AT_FIRST), nan),
     **dict.fromkeys((*elevation.UNKNOWN_AT_FIRST, *meters.UNKNOWN_AT_FIRST, *speed_witness.UNKNOWN_AT_FIRST), nan),
-    **dict.fromkeys(standstill.UNKNOWN_AT_FIRST, nan),
+    **dict.fromkeys((*standstill.UNKNOWN_AT_FIRST, *slow_steps.UNKNOWN_AT_FIRST), nan),
     **dict.fromkeys(("battery_temperature", "occupants"), nan),
 }
 

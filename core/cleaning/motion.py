@@ -19,7 +19,7 @@ acceleration accounts for the kinetic energy of the smoothed speed: over a ride,
 its ends. On an ordinary row it equals the change of the smoothed speed over the step.
 """
 
-from math import atan2, cos, isnan, nan
+from math import atan2, isnan, nan
 from typing import Any, Final
 
 from numba import njit
@@ -127,15 +127,16 @@ BRIDGING: Final = 20 * KMH
 
 
 @njit(cache=False)
-def update_heading(state: Any, latitude: float, longitude: float, dt: float) -> float:
-    """Update the heading by an accepted fix; return the rate of turn. [rad/s]"""
+def update_heading(state: Any, row: Any, dt: float) -> float:
+    """Update the heading by the fix of a row if it was accepted; return the rate of turn. [rad/s]"""
     state.heading_age += dt
     if isnan(state.heading_latitude):
-        state.heading_latitude, state.heading_longitude = latitude, longitude
+        state.heading_latitude, state.heading_longitude = state.latitude, state.longitude
         return 0.0
-    if compute_chord(state.heading_latitude, state.heading_longitude, latitude, longitude) < TURN:
+    if state.fix_age > 0.0 or not find_way(state.heading_latitude, state.heading_longitude, row) >= TURN:
         return 0.0
-    east = wrap_angle(longitude - state.heading_longitude) * cos(latitude)
+    latitude, longitude = state.latitude, state.longitude
+    east = wrap_angle(longitude - state.heading_longitude) * row.cos_latitude
     heading = atan2(east, latitude - state.heading_latitude)
     turn = wrap_angle(heading - state.heading)
     rate = turn / state.heading_age if state.heading_age > 0.0 else 0.0
@@ -427,7 +428,7 @@ def move_car(state: Any, row: Any, dt: float, settings: Any) -> None:
     if isnan(speed) and derived <= settings.speed_limit:
         speed = derived
         state.rough = ROUGH_WINDOW
-    row.turn_rate = 0.0 if isnan(state.latitude) else update_heading(state, state.latitude, state.longitude, dt)
+    row.turn_rate = 0.0 if isnan(state.latitude) else update_heading(state, row, dt)
     before = state.smooth
     if not isnan(speed):
         update_smooth_speed(state, row, speed, dt, gap or state.speed_age > hole, settings)

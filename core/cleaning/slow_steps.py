@@ -5,9 +5,20 @@ from typing import Any, Final
 
 from numba import njit
 
+from core.cleaning.sphere import find_way
+
 FIELDS: Final = (
     "leapt",  # 1 where a fix is further away than the car can have come
+    "slow_ends",  # distance by speeds since the last accepted fix [m]
+    "slow_way",  # distance that was counted since then [m]
+    "origin_latitude",  # last fix before those that are further apart than speeds explain [rad], NaN without one
+    "origin_longitude",
+    "origin_ends",  # distance by speeds from there to the last accepted fix [m]
+    "origin_excess",  # distance that was counted beyond that, where speeds do not explain it [m]
+    "origin_fixes",  # number of fixes since then
 )
+UNKNOWN_AT_FIRST: Final = ("origin_latitude", "origin_longitude")
+"""Fields of a new lane that are NaN."""
 
 HOLE: Final = 3.5
 """Longest step that is not a hole. [periods]
@@ -25,6 +36,12 @@ MOST_DRIVEN: Final = 1.5
 Estimated, as is `UNSEEN_SPEED`: a car between two lights may be twice as fast as two samples show."""
 UNSEEN_SPEED: Final = 10.0
 """Mean speed by which a car may be faster than that in the last step. [m/s]"""
+
+BEYOND: Final = 1.15
+BEYOND_SLACK: Final = 50.0
+"""Distance of two fixes that two speeds do not explain: the one by them times the first, plus the second. [m]"""
+MOST_JUMPS: Final = 5.0
+"""Number of fixes in succession that may have jumped."""
 
 
 @njit(cache=False)
@@ -55,4 +72,36 @@ def compare_ends(state: Any, row: Any, by_ends: float, run: float, shortfall: fl
     elif 0.0 < run + shortfall < by_ends:
         shortfall += WINDING * (by_ends - run - shortfall)
     row.slow, row.slow_run = by_ends, run + shortfall
+    row.disputed += find_return(state, row, by_ends, run + shortfall)
     return shortfall
+
+
+@njit(cache=False)
+def find_return(state: Any, row: Any, by_ends: float, distance: float) -> float:
+    """Return what the steps since an earlier fix have beyond their speeds if the fixes between jumped away and back. [m]
+
+    The speeds then explain the way from the earlier fix to this one, and neither the first step nor the last.
+    """
+    state.slow_ends += by_ends
+    state.slow_way += distance
+    if state.fix_age > 0.0:
+        return 0.0
+    excess = find_excess(state.slow_way, state.slow_ends)
+    left = state.origin_excess > 0.0
+    state.origin_ends += state.slow_ends
+    state.origin_excess += excess
+    state.origin_fixes += 1.0
+    state.slow_ends = state.slow_way = 0.0
+    way = find_way(state.origin_latitude, state.origin_longitude, row)
+    returned = left and excess > 0.0 and find_excess(way, state.origin_ends) == 0.0
+    jumped = state.origin_excess if returned else 0.0
+    if returned or state.origin_excess == 0.0 or state.origin_fixes > MOST_JUMPS or isnan(way):
+        state.origin_latitude, state.origin_longitude = row.raw_latitude, row.raw_longitude
+        state.origin_ends = state.origin_excess = state.origin_fixes = 0.0
+    return jumped
+
+
+@njit(cache=False)
+def find_excess(distance: float, by_ends: float) -> float:
+    """Return the distance beyond that by speeds, 0 where these may explain it. [m]"""
+    return distance - by_ends if distance > BEYOND * by_ends + BEYOND_SLACK else 0.0

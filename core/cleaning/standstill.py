@@ -48,7 +48,8 @@ def observe_stand(state: Any, row: Any, dt: float, settings: Any) -> None:
     """Count the time for which the car stands; it has not stood if it is elsewhere by its fixes."""
     if dt > settings.gap_time:
         state.stood_latitude = nan
-    left = find_way(state.stood_latitude, state.stood_longitude, row) > ELSEWHERE
+    stood = not isnan(state.stood_latitude)
+    left = stood and find_way(state.stood_latitude, state.stood_longitude, row) > ELSEWHERE
     if left and state.riding == 1.0:
         state.blind = 1.0
     if left or state.standing == 0.0 or state.blind == 1.0:

@@ -192,15 +192,17 @@ class Stations:
         Sky of n rows
             Weather at each row.
         """
+        count = len(self._of)
+        if not count:
+            return Sky(*np.broadcast_to(np.nan, (len(Sky._fields), len(time))))
         values = np.full((len(Sky._fields), len(time)), np.nan)
-        if count := len(self._of):
-            if self._by_latitude is None:
-                order = np.argsort(self._places[:count, 0], kind="stable")
-                self._by_latitude = order, self._places[order, 0]
-            nearest = np.empty(len(time), np.int64)
-            first = self._times[:count, 0]
-            find_nearest_stations(time, latitude, longitude, *self._by_latitude, self._places, first, nearest)
-            take_observations(time, nearest, self._times, self._counts, self._values, values)
+        if self._by_latitude is None:
+            order = np.argsort(self._places[:count, 0], kind="stable")
+            self._by_latitude = order, self._places[order, 0]
+        nearest = np.empty(len(time), np.int64)
+        first = self._times[:count, 0]
+        find_nearest_stations(time, latitude, longitude, *self._by_latitude, self._places, first, nearest)
+        take_observations(time, nearest, self._times, self._counts, self._values, values)
         return Sky(*values)
 
     def sky_between(

@@ -40,8 +40,9 @@ class RunCounters:
 
     def count_samples(self, quality: Ints, lane: Ints) -> None:  # noqa: ARG002 - see `CarCounters`
         """Count the quality bits of samples, (n,) int, of the cars of some lanes, (n,) int."""
+        marked = quality[quality != 0]  # few, so that each bit is looked for in these only
         for place in range(len(CAUSES)):
-            self.samples[place] += np.count_nonzero(quality & (1 << place))
+            self.samples[place] += np.count_nonzero(marked & (1 << place))
 
     def count_rides(self, rides: Totals, unfit_reasons: Any, context: RunContext) -> None:
         """Count rides that have ended.

@@ -22,6 +22,7 @@ from tools.importers.table.sampling import sample_rows
 from tools.importers.table.shared_stamps import LEFT_OUT, StampRule, spread_rows
 from tools.importers.table.skipped_files import SkippedFiles
 from tools.importers.table.table_file import TableFile, open_table
+from tools.importers.table.time_overlaps import leave_out_covered_twice
 from tools.importers.table.time_sort import sort_rows
 
 MOST_CARS: Final = MOST_CHANNELS // 2
@@ -104,7 +105,8 @@ def convert_tables(
         with McapSink(out, metadata=make_metadata("import", settings=settings or {})) as sink:
             spread = _SpreadRows(reader)
             sorted_rows = sort_rows(_read_limited(reader, tables), out.resolve().parent)
-            for rows in _sample(spread.iterate(sorted_rows), columns):
+            once = leave_out_covered_twice(sorted_rows, reader.spans, reader.faults.causes)
+            for rows in _sample(spread.iterate(once), columns):
                 if not messages.samples:  # sorting has read all files
                     refuse_overlap(reader, columns)
                 sums.add(rows)

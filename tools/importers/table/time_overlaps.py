@@ -1,7 +1,7 @@
 """Find times that files, or parts of one file, cover twice for one car."""
 
-from collections import defaultdict
-from collections.abc import Mapping
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,6 +17,11 @@ LEAST_SHARE: Final = 0.5
 """Share of the shorter part that is covered twice, where this is less than `LEAST`. [1]"""
 MOST_PARTS: Final = 0.01
 """Parts per row of a file above which its rows are in no order, and the file counts as one part. [1]"""
+COVERED_TWICE: Final = (
+    "a time that their file covers twice (its clock steps back: set zone in [time] where it is local time, or divide "
+    "the file)"
+)
+"""Cause for which rows are left out: two drives in one would be a third one that nobody drove."""
 KEY_FIELDS: Final = ("speed_kmh", POWER, "battery_current_a", "soc_pct", "odometer_km")
 """Fields of which the first that the map has is compared: files with other fields may cover the same time."""
 
@@ -100,6 +105,18 @@ class TimeSpans:
                     start, car = second.start, vehicle
         return Overlap(len(files), duration, float(start), car) if files else None
 
+    def list_steps_back(self) -> dict[int, list[tuple[float, float]]]:
+        """Return the first and last times [Unix s] that one file covers twice, of each car that has some."""
+        found = {}
+        for vehicle, of_files in self._parts.items():
+            twice = _find_twice(self._list_parts(vehicle, of_files))
+            times = [
+                (second.start, second.start + length) for first, second, length in twice if first.file == second.file
+            ]
+            if times:
+                found[vehicle] = times
+        return found
+
     def _list_parts(self, vehicle: int, of_files: Mapping[str, list[Floats]]) -> list[_Part]:
         """Return the parts of all files of a car in the order of time; a file in no order is one part."""
         parts = []
@@ -124,3 +141,40 @@ def _find_twice(parts: list[_Part]) -> list[tuple[_Part, _Part, float]]:
         if before is None or part.end > before.end:
             before = part
     return found
+
+
+def leave_out_covered_twice(
+    blocks: Iterable[np.ndarray], spans: TimeSpans, causes: Counter[str]
+) -> Iterator[np.ndarray]:
+    """Yield rows without those that one file has beside others at the same times, and count these.
+
+    A row that is there twice is kept, as where a file holds its content twice.
+
+    Parameters
+    ----------
+    blocks : iterable of structured arrays
+        Rows in the order of time and vehicle; the first block comes when all files are read.
+    spans : TimeSpans
+        Spans of all files.
+    causes : Counter of str
+        Receives the number of rows under `COVERED_TWICE`.
+    """
+    twice: dict[int, list[tuple[float, float]]] | None = None
+    for rows in blocks:
+        twice = spans.list_steps_back() if twice is None else twice
+        wrong = np.zeros(len(rows), bool)
+        for vehicle, times in twice.items():
+            for start, end in times:
+                wrong |= (rows["vehicle"] == vehicle) & (rows["time"] >= start) & (rows["time"] <= end)
+        if wrong.any():
+            wrong &= ~_is_repeated(rows)
+            causes[COVERED_TWICE] += int(wrong.sum())
+        yield rows[~wrong]
+
+
+def _is_repeated(rows: np.ndarray) -> np.ndarray:
+    """Return which rows equal a neighbour, (n,) bool."""
+    content = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)
+    same = np.zeros(len(rows) + 1, bool)
+    same[1:-1] = (content[1:] == content[:-1]).all(axis=1)
+    return same[1:] | same[:-1]

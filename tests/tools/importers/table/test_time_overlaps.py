@@ -1,9 +1,11 @@
 """Test that times which are covered twice are found, and that files which share a time rightly are not."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
-from tools.importers.table.time_overlaps import TimeSpans
+from tools.importers.table.time_overlaps import COVERED_TWICE, TimeSpans, leave_out_covered_twice
 
 
 def make_rows(times, vehicle=0, **fields):
@@ -59,3 +61,19 @@ def test_files_of_different_cars_or_with_different_fields_may_share_a_time():
 
 def test_rides_that_share_their_end_and_start_do_not_overlap():
     assert find(("a", make_rows(HOUR)), ("b", make_rows(HOUR + 3597.0))) is None
+
+
+@pytest.mark.parametrize(
+    ("speed", "left", "lost"), [(60.0, 400, 2000), (30.0, 2400, 0)], ids=["other rows", "the same"]
+)
+def test_rows_of_a_clock_that_steps_back_are_left_out_unless_they_repeat_each_other(speed, left, lost):
+    again = make_rows(HOUR[200:], speed_kmh=speed)
+    spans, causes = TimeSpans(), Counter()
+    first = make_rows(np.concatenate([HOUR, HOUR[-1:] + 3.0 * np.arange(1, 201)]))
+    spans.add("a", first)
+    spans.add("a", again)
+    rows = np.concatenate([first, again])
+    rows = rows[np.argsort(rows["time"], kind="stable")]
+    kept = np.concatenate(list(leave_out_covered_twice([rows[:700], rows[700:]], spans, causes)))
+    assert (len(kept), causes[COVERED_TWICE]) == (left, lost)
+    assert (np.diff(kept["time"]) >= 0.0).all()
