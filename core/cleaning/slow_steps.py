@@ -78,7 +78,7 @@ def compare_ends(state: Any, row: Any, by_ends: float, run: float, shortfall: fl
 
 @njit(cache=False)
 def find_return(state: Any, row: Any, by_ends: float, distance: float) -> float:
-    """Return what the steps since an earlier fix have beyond their speeds if the fixes between jumped away and back. [m]
+    """Return what the steps since an earlier fix have beyond their speeds if fixes between jumped away and back. [m]
 
     The speeds then explain the way from the earlier fix to this one, and neither the first step nor the last.
     """

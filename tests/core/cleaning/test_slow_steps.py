@@ -10,7 +10,7 @@ STEP = 60.0
 """Time between two samples. [s]"""
 
 
-def make_slow_drive(jumps, seed, stops=0.0):
+def make_slow_drive(jumps, seed):
     """Return a drive of 50 minutes to the north, of which a share of fixes is 300 m to 2 km away."""
     random = np.random.default_rng(seed)
     rows = 50
