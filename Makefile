@@ -22,7 +22,7 @@ $(INSTALLED): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
 	  --config-settings editable_mode=compat -e .
-	$(BIN)/python -m tools.terminal.kernels
+	$(BIN)/python -m socast.tools.terminal.kernels
 	touch $@
 
 demo: $(INSTALLED)  ## a shift of several cars, live over Zenoh, in this terminal
@@ -35,16 +35,16 @@ check: $(INSTALLED) docs  ## lint, types, the examples in docstrings and the doc
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -n auto --doctest-modules core socast stream tools
+	$(BIN)/python -m pytest -n auto --doctest-modules socast
 
 docs: $(INSTALLED)  ## the documentation, into build/docs; a warning is an error
 	$(BIN)/sphinx-build -W --keep-going -n -q -j auto -b html docs build/docs
 
 bench: $(INSTALLED)  ## ratios of speed, into bench.json and BENCHMARKS.md
-	$(BIN)/python -m tools.bench
+	$(BIN)/python -m socast.tools.bench
 
 bench-hidden: $(INSTALLED)  ## whether diagnosis finds what a simulation hides, into bench-hidden.json and BENCHMARKS.md
-	$(BIN)/python -m tools.bench.hidden $(OPTIONS)
+	$(BIN)/python -m socast.tools.bench.hidden $(OPTIONS)
 
 lock: $(INSTALLED)  ## pin anew what pyproject.toml asks for
 	$(PIP_COMPILE) -o requirements.lock pyproject.toml

@@ -42,7 +42,7 @@ class Table(Protocol):
 class Batch(NamedTuple):
     """Hold telemetry as equally long columns, sorted by arrival, in SI; NaN where unknown.
 
-    One live sample is a batch of one. See `core.columns.TELEMETRY` for units and ranges.
+    One live sample is a batch of one. See `socast.core.columns.TELEMETRY` for units and ranges.
 
     Parameters
     ----------

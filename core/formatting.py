@@ -6,7 +6,7 @@ from math import floor, isfinite, log10
 from types import MappingProxyType
 from typing import Final
 
-from core.columns import KMH, ZERO_CELSIUS
+from socast.core.columns import KMH, ZERO_CELSIUS
 
 _EVERYDAY: Final[Mapping[str, Callable[[float], str]]] = MappingProxyType(
     {

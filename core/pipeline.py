@@ -8,46 +8,46 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core import effects
-from core.batch import Batch, Ints, Lanes, Stateful
-from core.cleaning.elevation_map import ElevationMap
-from core.cleaning.kernel import Cleaner
-from core.cleaning.segmentation import NO_RIDE_EVENTS, RIDE_EVENT, SILENCE, UNKNOWN_NAME
-from core.columns import JOULES_PER_KWH, SECONDS_PER_DAY
-from core.errors import AskError, SettingsError
-from core.forecast.day_rollover import DailyUpdate, DayRollover
-from core.forecast.due_forecasts import DueForecasts
-from core.forecast.engine import DueInput, ForecastEngine, PendingInput
-from core.forecast.newest_plans import NewestPlans
-from core.forecast.plan_tracker import DriverNamed, PlanArrival
-from core.forecast.plausibility import withhold_implausible
-from core.forecast.silent_cars import RestOfBatch, SilentCars, forget_lanes
-from core.forecast.soc_filter import SHIFT_GAP
-from core.forecast.status import VehicleStatus, build_statuses
-from core.forecast.tables import PublishedForecasts, tabulate_outlooks, tabulate_shifts
-from core.forecast.weather_forecasts import ForecastArrival
-from core.forecast.what_if import answer_query, withhold_charge
-from core.models import EXTENDED_PHYSICAL, Model
-from core.monitoring.shadow import ShadowModels
-from core.settings import Limits, Settings, check_limits, checked
-from core.signals.signals import flag_ambient
-from core.signals.weather import Stations
-from core.snapshot import SCHEMAS, load_components, open_snapshot, seal_snapshot
-from core.totals.accumulator import Accumulator, Sums
-from core.totals.clean_rows import CleanRows, PowerOfEffect, sum_rows
-from core.totals.closed_rides import ClosedTotals
-from core.totals.context import RunContext
-from core.totals.deferred_rows import DeferredRows
-from core.totals.display_yield import DisplayYields
-from core.totals.run_counters import RunCounters
-from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
-from core.vehicles.fleet import Cars, ReplacedKind
-from core.wire.decoder import Decoder, Event, Refused
-from core.wire.duplicate_filter import DuplicateFilter
-from core.wire.message_block import MessageBlock
-from core.wire.message_order import MessageOrder, Piece, Silence, VehicleChange
-from core.wire.messages import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
-from core.wire.rides import RideDrivers
+from socast.core import effects
+from socast.core.batch import Batch, Ints, Lanes, Stateful
+from socast.core.cleaning.elevation_map import ElevationMap
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.cleaning.segmentation import NO_RIDE_EVENTS, RIDE_EVENT, SILENCE, UNKNOWN_NAME
+from socast.core.columns import JOULES_PER_KWH, SECONDS_PER_DAY
+from socast.core.errors import AskError, SettingsError
+from socast.core.forecast.day_rollover import DailyUpdate, DayRollover
+from socast.core.forecast.due_forecasts import DueForecasts
+from socast.core.forecast.engine import DueInput, ForecastEngine, PendingInput
+from socast.core.forecast.newest_plans import NewestPlans
+from socast.core.forecast.plan_tracker import DriverNamed, PlanArrival
+from socast.core.forecast.plausibility import withhold_implausible
+from socast.core.forecast.silent_cars import RestOfBatch, SilentCars, forget_lanes
+from socast.core.forecast.soc_filter import SHIFT_GAP
+from socast.core.forecast.status import VehicleStatus, build_statuses
+from socast.core.forecast.tables import PublishedForecasts, tabulate_outlooks, tabulate_shifts
+from socast.core.forecast.weather_forecasts import ForecastArrival
+from socast.core.forecast.what_if import answer_query, withhold_charge
+from socast.core.models import EXTENDED_PHYSICAL, Model
+from socast.core.monitoring.shadow import ShadowModels
+from socast.core.settings import Limits, Settings, check_limits, checked
+from socast.core.signals.signals import flag_ambient
+from socast.core.signals.weather import Stations
+from socast.core.snapshot import SCHEMAS, load_components, open_snapshot, seal_snapshot
+from socast.core.totals.accumulator import Accumulator, Sums
+from socast.core.totals.clean_rows import CleanRows, PowerOfEffect, sum_rows
+from socast.core.totals.closed_rides import ClosedTotals
+from socast.core.totals.context import RunContext
+from socast.core.totals.deferred_rows import DeferredRows
+from socast.core.totals.display_yield import DisplayYields
+from socast.core.totals.run_counters import RunCounters
+from socast.core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
+from socast.core.vehicles.fleet import Cars, ReplacedKind
+from socast.core.wire.decoder import Decoder, Event, Refused
+from socast.core.wire.duplicate_filter import DuplicateFilter
+from socast.core.wire.message_block import MessageBlock
+from socast.core.wire.message_order import MessageOrder, Piece, Silence, VehicleChange
+from socast.core.wire.messages import Leg, Message, Outlook, Plan, Ride, Vehicle, Weather
+from socast.core.wire.rides import RideDrivers
 
 BLOCK: Final = 4000
 """Number of rows that pass through the steps at a time, so that their columns stay in the cache; no power of two, at
@@ -275,7 +275,7 @@ class Pipeline:
         return CleanRows(clean, sky, kind, place, ends)
 
     def sum_up(self, rows: CleanRows) -> Sums:
-        """Run the steps from cleaned rows to totals, see `core.totals.clean_rows.sum_rows`."""
+        """Run the steps from cleaned rows to totals, see `socast.core.totals.clean_rows.sum_rows`."""
         return sum_rows(rows, self.cars, self._powers, self.accumulator, len(self.lanes))
 
     def _take_released(self, deferred: DeferredRows, released: Sequence[CleanRows]) -> None:
@@ -368,21 +368,21 @@ class Pipeline:
         return self.shadows.messages(newest_only=newest_only)
 
     def take_rides(self) -> pd.DataFrame:
-        """Return the rides that have ended since the last call, see `core.totals.tables.tabulate_rides`."""
+        """Return the rides that have ended since the last call, see `socast.core.totals.tables.tabulate_rides`."""
         return tabulate_rides(*self.closed.take_rides(), self.context)
 
     def take_windows(self) -> pd.DataFrame:
-        """Return the windows that have ended since the last call, see `core.totals.tables.tabulate_windows`."""
+        """Return the windows that have ended since the last call, see `socast.core.totals.tables.tabulate_windows`."""
         return tabulate_windows(self.closed.take_windows(), self.context)
 
     def take_outlooks(self) -> pd.DataFrame:
-        """Return the forecasts of the charge since the last call, see `core.forecast.tables.tabulate_outlooks`."""
+        """Return the forecasts of the charge since the last call, see `socast.core.forecast.tables`."""
         self._update_forecasts()
         taken, self._published = self._published, []
         return tabulate_outlooks(taken, self.context)
 
     def take_shifts(self) -> pd.DataFrame:
-        """Return the shifts that have ended since the last call, see `core.forecast.tables.tabulate_shifts`."""
+        """Return the shifts that have ended since the last call, see `socast.core.forecast.tables.tabulate_shifts`."""
         self._update_forecasts()
         return tabulate_shifts(self.engine.take_shifts(), self.context)
 

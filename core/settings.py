@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from core.columns import KMH, SECONDS_PER_DAY
-from core.errors import SettingsError
+from socast.core.columns import KMH, SECONDS_PER_DAY
+from socast.core.errors import SettingsError
 
 
 class Settings(NamedTuple):

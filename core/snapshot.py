@@ -13,27 +13,40 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from core.batch import Stateful
-from core.cleaning.fleet_clock import FLEET_CLOCK
-from core.cleaning.kernel import STATE
-from core.cleaning.quality import CAUSES
-from core.columns import SECONDS_PER_DAY, SPEED_BINS
-from core.errors import SocastError
-from core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, SCORES, TEMPERATURE_CLASSES
-from core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_SAMPLES
-from core.forecast.day_schema import COUNT, EXACT, FACTOR, LANE, MOST, PATTERN, REAL, SUMS, make_days, make_shift
-from core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
-from core.forecast.learning.daily_cycle import HOURS
-from core.forecast.learning.energy_correction import COEFFICIENTS
-from core.forecast.learning.fleet import SHIFT_PATTERN
-from core.forecast.learning.forecast_errors import FORECAST_RECORDS
-from core.forecast.learning.leg_energy import PACES, TEMPERATURES
-from core.forecast.planned_legs import PLAN_PROGRESS
-from core.monitoring.running_error import RIDE_SUMS, VEHICLE_DAY
-from core.totals.accumulator import AMOUNTS, EDGES
-from core.totals.display_yield import LANE_YIELD
-from core.wire.sample_losses import SAMPLE_LOSS
-from core.wire.state_schema import Anything, ByName, Fault, Many, Maybe, Named, Number, Packed, Row, Schema, Sizes, Text
+from socast.core.batch import Stateful
+from socast.core.cleaning.fleet_clock import FLEET_CLOCK
+from socast.core.cleaning.kernel import STATE
+from socast.core.cleaning.quality import CAUSES
+from socast.core.columns import SECONDS_PER_DAY, SPEED_BINS
+from socast.core.errors import SocastError
+from socast.core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, SCORES, TEMPERATURE_CLASSES
+from socast.core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_SAMPLES
+from socast.core.forecast.day_schema import COUNT, EXACT, FACTOR, LANE, MOST, PATTERN, REAL, SUMS, make_days, make_shift
+from socast.core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
+from socast.core.forecast.learning.daily_cycle import HOURS
+from socast.core.forecast.learning.energy_correction import COEFFICIENTS
+from socast.core.forecast.learning.fleet import SHIFT_PATTERN
+from socast.core.forecast.learning.forecast_errors import FORECAST_RECORDS
+from socast.core.forecast.learning.leg_energy import PACES, TEMPERATURES
+from socast.core.forecast.planned_legs import PLAN_PROGRESS
+from socast.core.monitoring.running_error import RIDE_SUMS, VEHICLE_DAY
+from socast.core.totals.accumulator import AMOUNTS, EDGES
+from socast.core.totals.display_yield import LANE_YIELD
+from socast.core.wire.sample_losses import SAMPLE_LOSS
+from socast.core.wire.state_schema import (
+    Anything,
+    ByName,
+    Fault,
+    Many,
+    Maybe,
+    Named,
+    Number,
+    Packed,
+    Row,
+    Schema,
+    Sizes,
+    Text,
+)
 
 SNAPSHOT: Final = 26
 """Version of the format of a snapshot."""
@@ -95,7 +108,7 @@ def open_snapshot(snapshot: bytes, effects: list[str]) -> dict[str, Any]:
 
 
 class OpenTotals:
-    """Require the open totals of each lane, see `core.totals.accumulator`, of as many effects as the pipeline sums."""
+    """Require the open totals of each lane (`socast.core.totals`), of as many effects as the pipeline sums."""
 
     def check(self, value: Any, sizes: Sizes) -> None:
         """Raise `Fault` if a value is no such bytes."""

@@ -1,6 +1,6 @@
 """Run the command line: `python -m socast`."""
 
-from tools.cli import main
+from socast.tools.cli import main
 
 if __name__ == "__main__":
     main()

@@ -5,17 +5,17 @@ from typing import Any
 
 import pandas as pd
 
-from core.diagnose.add.add import AdditionTrial
-from core.diagnose.add.add import add_effect as _add
-from core.diagnose.add.terms import build_term_columns as _build_term_columns
-from core.diagnose.dataset import gather_windows as _gather
-from core.diagnose.diagnosis import diagnose as _diagnose
-from core.diagnose.ranking import LEAST_GAIN
-from core.evaluate.paper.results import to_json_values as _plain
-from core.fit.measured_rows import join_tables as _join
-from core.fit.measurement_noise import compute_noise_floor as _compute_noise_floor
-from core.fit.measurement_noise import compute_noise_variance as _compute_noise_variance
-from core.models import LinearModel
+from socast.core.diagnose.add.add import AdditionTrial
+from socast.core.diagnose.add.add import add_effect as _add
+from socast.core.diagnose.add.terms import build_term_columns as _build_term_columns
+from socast.core.diagnose.dataset import gather_windows as _gather
+from socast.core.diagnose.diagnosis import diagnose as _diagnose
+from socast.core.diagnose.ranking import LEAST_GAIN
+from socast.core.evaluate.paper.results import to_json_values as _plain
+from socast.core.fit.measured_rows import join_tables as _join
+from socast.core.fit.measurement_noise import compute_noise_floor as _compute_noise_floor
+from socast.core.fit.measurement_noise import compute_noise_variance as _compute_noise_variance
+from socast.core.models import LinearModel
 
 __all__ = ["AdditionTrial", "add_effect", "diagnose"]
 

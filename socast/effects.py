@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from core.effects import Effect, Parameter, check_effect, effect
-from core.effects import get as get_effect
-from core.effects import get_library as _get_library
-from core.effects import load_file as _load_file
+from socast.core.effects import Effect, Parameter, check_effect, effect
+from socast.core.effects import get as get_effect
+from socast.core.effects import get_library as _get_library
+from socast.core.effects import load_file as _load_file
 
 __all__ = ["Effect", "Parameter", "check_effect", "effect", "get_effect", "list_effects", "load_effects"]
 

@@ -1,6 +1,6 @@
 """Export the exceptions; each message names the value, the limit and the remedy."""
 
-from core.errors import (
+from socast.core.errors import (
     AskError,
     CatalogueError,
     EffectError,

@@ -1,5 +1,5 @@
 """Offer recipes as estimators of scikit-learn, which takes a second to import."""
 
-from core.fit.sklearn_estimator import RecipeRegressor
+from socast.core.fit.sklearn_estimator import RecipeRegressor
 
 __all__ = ["RecipeRegressor"]

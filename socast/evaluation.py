@@ -9,21 +9,21 @@ from typing import Any
 
 import pandas as pd
 
-from core.evaluate.compare.datasets import compare_datasets as _contrast
-from core.evaluate.compare.models import compare_predictions as _compare
-from core.evaluate.compare.models import select_rides as _sample
-from core.evaluate.compare.ride_trace import find_ride as _find
-from core.evaluate.compare.ride_trace import trace_ride as _trace
-from core.evaluate.paper.protocol import evaluate as _evaluate
-from core.evaluate.paper.protocol import select_recipes as _choose_recipes
-from core.evaluate.paper.results import to_json_values as _plain
-from core.models import EXTENDED_PHYSICAL, LinearModel
-from core.pipeline import Pipeline
-from core.stats.splits import REPEATS
-from stream.mcap_reader import McapSource
-from stream.source import merge_sources
-from tools.commands.evaluate_soc import SocForecasts as _SocForecasts
-from tools.commands.evaluate_soc import read_displays as _read_displays
+from socast.core.evaluate.compare.datasets import compare_datasets as _contrast
+from socast.core.evaluate.compare.models import compare_predictions as _compare
+from socast.core.evaluate.compare.models import select_rides as _sample
+from socast.core.evaluate.compare.ride_trace import find_ride as _find
+from socast.core.evaluate.compare.ride_trace import trace_ride as _trace
+from socast.core.evaluate.paper.protocol import evaluate as _evaluate
+from socast.core.evaluate.paper.protocol import select_recipes as _choose_recipes
+from socast.core.evaluate.paper.results import to_json_values as _plain
+from socast.core.models import EXTENDED_PHYSICAL, LinearModel
+from socast.core.pipeline import Pipeline
+from socast.core.stats.splits import REPEATS
+from socast.stream.mcap_reader import McapSource
+from socast.stream.source import merge_sources
+from socast.tools.commands.evaluate_soc import SocForecasts as _SocForecasts
+from socast.tools.commands.evaluate_soc import read_displays as _read_displays
 
 __all__ = ["compare_datasets", "compare_models", "evaluate_recipes", "evaluate_soc_forecasts", "trace_ride"]
 

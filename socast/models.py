@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pandas as pd
 
-from core.fit.recipes import RECIPES as _RECIPES
-from core.fit.recipes import get_recipe as _get_recipe
-from core.fit.window_recipe import WindowRecipe as _WindowRecipe
-from core.models import LinearModel
-from core.models import load as _load
-from core.models import save as _save
-from core.models import stamp as _stamp
+from socast.core.fit.recipes import RECIPES as _RECIPES
+from socast.core.fit.recipes import get_recipe as _get_recipe
+from socast.core.fit.window_recipe import WindowRecipe as _WindowRecipe
+from socast.core.models import LinearModel
+from socast.core.models import load as _load
+from socast.core.models import save as _save
+from socast.core.models import stamp as _stamp
 
 __all__ = [
     "LinearModel",

@@ -4,8 +4,8 @@
 no clock and starts no thread, so the same messages always give the same forecasts.
 """
 
-from core.pipeline import Pipeline
-from core.settings import Settings
-from core.wire.messages import Message
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.core.wire.messages import Message
 
 __all__ = ["Message", "Pipeline", "Settings"]

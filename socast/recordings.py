@@ -7,17 +7,17 @@ from typing import Any, NamedTuple
 import msgspec
 import pandas as pd
 
-from core import effects
-from core.batch import Lanes
-from core.errors import ModelError, RecordingError
-from core.models import EXTENDED_PHYSICAL, LinearModel
-from core.pipeline import Pipeline
-from core.settings import Settings
-from core.wire.decoder import Decoder
-from core.wire.messages import Message
-from stream.elevation_files import open_elevation
-from stream.mcap_reader import McapSource
-from stream.source import merge_sources
+from socast.core import effects
+from socast.core.batch import Lanes
+from socast.core.errors import ModelError, RecordingError
+from socast.core.models import EXTENDED_PHYSICAL, LinearModel
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.messages import Message
+from socast.stream.elevation_files import open_elevation
+from socast.stream.mcap_reader import McapSource
+from socast.stream.source import merge_sources
 
 __all__ = ["Tables", "make_tables", "read_forecasts", "read_messages", "read_samples", "read_tables"]
 

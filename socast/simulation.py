@@ -4,10 +4,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from tools.commands.simulate import write_simulation as _write_simulation
-from tools.simulator.settings import Simulation as _Simulation
-from tools.simulator.settings import parse_faults as _parse_faults
-from tools.simulator.settings import parse_hidden as _parse_hidden
+from socast.tools.commands.simulate import write_simulation as _write_simulation
+from socast.tools.simulator.settings import Simulation as _Simulation
+from socast.tools.simulator.settings import parse_faults as _parse_faults
+from socast.tools.simulator.settings import parse_hidden as _parse_hidden
 
 __all__ = ["simulate_fleet"]
 

@@ -8,12 +8,12 @@ from typing import Any, Final, Protocol
 
 import msgspec
 
-from core.errors import SettingsError, SocastError
-from core.wire.messages import Message
-from stream.loop import Forecaster, Tally
-from stream.recorder import Place, Recorder
-from stream.state_file import StateFile
-from stream.structured_log import event_fields
+from socast.core.errors import SettingsError, SocastError
+from socast.core.wire.messages import Message
+from socast.stream.loop import Forecaster, Tally
+from socast.stream.recorder import Place, Recorder
+from socast.stream.state_file import StateFile
+from socast.stream.structured_log import event_fields
 
 SAVE_S: Final = 30.0
 """Time between two states. [s]"""
@@ -22,7 +22,7 @@ _log = logging.getLogger("socast.state")
 
 
 class Restorable(Forecaster, Protocol):
-    """Define the methods of `core.pipeline.Pipeline` that checkpoints call."""
+    """Define the methods of `socast.core.pipeline.Pipeline` that checkpoints call."""
 
     def snapshot(self, note: Any = None) -> bytes:
         """Return the state, with a note."""

@@ -13,10 +13,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from core.cleaning.elevation_map import ElevationLayer, ElevationMap, ElevationPlaces
-from core.errors import SettingsError
-from core.files import replacing
-from stream.elevation_tiles import read_tile
+from socast.core.cleaning.elevation_map import ElevationLayer, ElevationMap, ElevationPlaces
+from socast.core.errors import SettingsError
+from socast.core.files import replacing
+from socast.stream.elevation_tiles import read_tile
 
 SUFFIX: Final = ".parquet"
 """End of the name of a learned map."""

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.cleaning.elevation_map import ElevationRaster
-from core.errors import SettingsError
+from socast.core.cleaning.elevation_map import ElevationRaster
+from socast.core.errors import SettingsError
 
 SRTM_RELATIVE_ERROR: Final = 7.0
 """Error of the difference of two heights of SRTM that is exceeded in one case of ten: mean of six continents. [m]

@@ -5,8 +5,8 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from core.errors import SettingsError
-from stream.closeable import Closeable
+from socast.core.errors import SettingsError
+from socast.stream.closeable import Closeable
 
 
 class FileLock(Closeable):

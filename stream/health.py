@@ -9,9 +9,9 @@ from socketserver import TCPServer, ThreadingMixIn
 from threading import BoundedSemaphore, Thread
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from core.errors import SettingsError
-from stream.closeable import Closeable
-from stream.service_status import ServiceStatus, describe_role
+from socast.core.errors import SettingsError
+from socast.stream.closeable import Closeable
+from socast.stream.service_status import ServiceStatus, describe_role
 
 if TYPE_CHECKING:
     from prometheus_client import CollectorRegistry

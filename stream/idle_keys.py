@@ -4,8 +4,8 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from core.columns import SECONDS_PER_DAY
-from core.settings import Limits
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.settings import Limits
 
 IDLE_S: Final = Limits().silent_days * SECONDS_PER_DAY
 """Default time after which an unused key is given up: that after which a silent car is forgotten. [s]"""

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from threading import Condition, Thread
 
-from core.wire.messages import Message
-from stream.source import Sink
+from socast.core.wire.messages import Message
+from socast.stream.source import Sink
 
 
 class LatestOnlySink:

@@ -12,11 +12,11 @@ from threading import Event
 from types import FrameType
 from typing import Any, Final, Protocol, TypeAlias
 
-from core.totals.logger_faults import explain_fault
-from core.wire.messages import Message
-from stream.recorder import Recorder
-from stream.source import RecoveredMessage, Sink, Source
-from stream.structured_log import event_fields, flatten_counts
+from socast.core.totals.logger_faults import explain_fault
+from socast.core.wire.messages import Message
+from socast.stream.recorder import Recorder
+from socast.stream.source import RecoveredMessage, Sink, Source
+from socast.stream.structured_log import event_fields, flatten_counts
 
 REPORT_S: Final = 30.0
 """Time between two log lines of counters. [s]"""
@@ -27,7 +27,7 @@ _log = logging.getLogger("socast.run")
 
 
 class Forecaster(Protocol):
-    """Define the methods of `core.pipeline.Pipeline` that the loop calls."""
+    """Define the methods of `socast.core.pipeline.Pipeline` that the loop calls."""
 
     def take(self, messages: Sequence[Message], record: Callable[[Sequence[Message]], None] | None = None) -> None:
         """Process the messages that are new, after `record` has received them."""

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Ints, grown
-from stream.mcap_format import (
+from socast.core.batch import Ints, grown
+from socast.stream.mcap_format import (
     CHANNEL,
     FOR_VIEWERS,
     SCHEMA,
@@ -18,7 +18,7 @@ from stream.mcap_format import (
     explain_foreign_channel,
     iterate_strings,
 )
-from stream.mcap_losses import Losses
+from socast.stream.mcap_losses import Losses
 
 LARGEST_DESCRIPTION: Final = 1 << 20
 """Largest schema or channel. [B]"""

@@ -15,8 +15,8 @@ from typing import BinaryIO, Final
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from core.wire.messages import BATCH, address
-from core.wire.schema import make_schema
+from socast.core.wire.messages import BATCH, address
+from socast.core.wire.schema import make_schema
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 LARGEST_CHUNK: Final = 64 << 20

@@ -4,8 +4,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Final
 
-from stream.mcap_format import LARGEST_CHUNK
-from stream.waiting_messages import MOST_HELD
+from socast.stream.mcap_format import LARGEST_CHUNK
+from socast.stream.waiting_messages import MOST_HELD
 
 EXPANSION: Final = 200
 """Largest ratio of the size of decompressed chunks to the size of what was read of the file."""

@@ -22,11 +22,11 @@ from typing import BinaryIO, Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Ints
-from core.errors import RecordingError
-from core.wire.message_block import MessageBlock, MessageColumns
-from stream.mcap_channels import LARGEST_DESCRIPTION, Channels, Topics
-from stream.mcap_format import (
+from socast.core.batch import Ints
+from socast.core.errors import RecordingError
+from socast.core.wire.message_block import MessageBlock, MessageColumns
+from socast.stream.mcap_channels import LARGEST_DESCRIPTION, Channels, Topics
+from socast.stream.mcap_format import (
     CHANNEL,
     CHUNK,
     CHUNK_INDEX,
@@ -49,10 +49,10 @@ from stream.mcap_format import (
     decompress_chunk,
     read_records,
 )
-from stream.mcap_losses import ALLOWANCE, EXPANSION, Losses
-from stream.mcap_scan import NO_RECORDS, scan_chunk
-from stream.mcap_sections import Section, find_sections
-from stream.waiting_messages import WaitingMessages
+from socast.stream.mcap_losses import ALLOWANCE, EXPANSION, Losses
+from socast.stream.mcap_scan import NO_RECORDS, scan_chunk
+from socast.stream.mcap_sections import Section, find_sections
+from socast.stream.waiting_messages import WaitingMessages
 
 RAW_BLOCK: Final = 1 << 20
 """Approximate size of the blocks in which the reader takes messages outside chunks. [B]"""
@@ -104,7 +104,7 @@ class McapSource:
     schemas : dict
         Name of the schema by topic, for the topics read so far; an empty name for a topic without a schema.
     metadata : dict of str to str
-        What wrote the recording, see `stream.recording_metadata`; empty if the file does not say.
+        What wrote the recording, see `socast.stream.recording_metadata`; empty if the file does not say.
     viewer_messages : Counter of str
         Number of messages by topic that the current iteration has left out because their channels are marked as
         `FOR_VIEWERS`.

@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import Ints
-from core.wire.message_block import PADDING, Bytes, get_words
-from stream.mcap_format import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD, SCHEMA
+from socast.core.batch import Ints
+from socast.core.wire.message_block import PADDING, Bytes, get_words
+from socast.stream.mcap_format import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD, SCHEMA
 
 _HEAD: Final = MESSAGE_HEAD.size
 _RECORD_HEAD: Final = RECORD.size

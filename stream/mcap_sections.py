@@ -5,7 +5,7 @@ import os
 from collections import deque
 from typing import BinaryIO, Final, NamedTuple
 
-from stream.mcap_format import (
+from socast.stream.mcap_format import (
     CHUNK,
     DAMAGE,
     FOOTER,
@@ -16,7 +16,7 @@ from stream.mcap_format import (
     RECORD,
     decompress_chunk,
 )
-from stream.mcap_scan import scan_chunk
+from socast.stream.mcap_scan import scan_chunk
 
 MOST_SECTIONS: Final = 10_000
 """Largest number of recordings in a file; more are left out."""

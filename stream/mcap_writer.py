@@ -40,12 +40,12 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from core.errors import RecordingError
-from core.wire.messages import BATCH, KINDS, Message, address
-from core.wire.schema import make_schema
-from stream.closeable import Closeable
-from stream.mcap_format import ARROW, FOOTER_RECORD, FOR_VIEWERS, MAGIC, MESSAGE_HEAD, METADATA_NAME, RECORD
-from stream.recording_metadata import find_version
+from socast.core.errors import RecordingError
+from socast.core.wire.messages import BATCH, KINDS, Message, address
+from socast.core.wire.schema import make_schema
+from socast.stream.closeable import Closeable
+from socast.stream.mcap_format import ARROW, FOOTER_RECORD, FOR_VIEWERS, MAGIC, MESSAGE_HEAD, METADATA_NAME, RECORD
+from socast.stream.recording_metadata import find_version
 
 CHUNK_BYTES: Final = 1 << 20
 """Size at which the writer compresses a chunk and writes it. [B]"""
@@ -86,7 +86,7 @@ class McapSink(Closeable):
         Size at which a chunk is written. [B] A killed process loses at most this many bytes, and only messages that
         came after the last `flush`.
     metadata : mapping of str to str, optional
-        What made the recording, see `stream.recording_metadata.make_metadata`. The version of socast is added.
+        What made the recording, see `socast.stream.recording_metadata.make_metadata`. The version of socast is added.
     viewer_schemas : mapping of str to dict, optional
         Last chunk of a topic outside the wire contract -> JSON schema of its messages, with its name as `title`; for
         messages that are put for viewers.

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from core.wire.messages import Message
-from stream.closeable import Closeable
+from socast.core.wire.messages import Message
+from socast.stream.closeable import Closeable
 
 
 @dataclass

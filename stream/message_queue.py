@@ -4,7 +4,7 @@ from collections import deque
 from threading import Condition
 from typing import Final
 
-from core.wire.message_block import MessageBlock
+from socast.core.wire.message_block import MessageBlock
 
 MOST_MESSAGES: Final = 1 << 14
 """Largest number of queued messages; more would exceed the CPU's cache."""

@@ -10,9 +10,9 @@ from importlib.metadata import version
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
-from core.columns import SECONDS_PER_DAY
-from core.errors import SettingsError
-from stream.service_snapshot import LAG_BUCKETS, ServiceSnapshot
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.errors import SettingsError
+from socast.stream.service_snapshot import LAG_BUCKETS, ServiceSnapshot
 
 if TYPE_CHECKING:
     from prometheus_client import CollectorRegistry, Metric

@@ -21,9 +21,9 @@ from threading import Event
 from typing import Any, Final, NamedTuple
 from urllib.parse import urlsplit
 
-from core.errors import SettingsError
-from stream.closeable import Closeable
-from stream.structured_log import event_fields
+from socast.core.errors import SettingsError
+from socast.stream.closeable import Closeable
+from socast.stream.structured_log import event_fields
 
 PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 """Scheme of an address -> its usual port."""

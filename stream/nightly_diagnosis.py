@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import Any, Protocol
 
-from core.diagnose.findings import list_changes, make_finding_message
-from core.errors import SocastError
-from core.wire.messages import Finding
-from stream.source import Sink
-from stream.structured_log import event_fields
+from socast.core.diagnose.findings import list_changes, make_finding_message
+from socast.core.errors import SocastError
+from socast.core.wire.messages import Finding
+from socast.stream.source import Sink
+from socast.stream.structured_log import event_fields
 
 _log = logging.getLogger("socast.nightly")
 

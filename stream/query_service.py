@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from math import inf
 from typing import Any, Final, Protocol
 
-from core.errors import AskError, SocastError
-from core.forecast.plan_checks import parse_leg, parse_parameters, parse_plan, parse_vehicle
-from core.wire.messages import Leg, Outlook, Plan, encode
-from stream.structured_log import event_fields, flatten_counts
+from socast.core.errors import AskError, SocastError
+from socast.core.forecast.plan_checks import parse_leg, parse_parameters, parse_plan, parse_vehicle
+from socast.core.wire.messages import Leg, Outlook, Plan, encode
+from socast.stream.structured_log import event_fields, flatten_counts
 
 SPEND_S: Final = 0.1
 """Longest time spent on queries before the loop continues with telemetry. [s]"""
@@ -21,7 +21,7 @@ _log = logging.getLogger("socast.queries")
 
 
 class PendingQuery(Protocol):
-    """Represent a query that waits for its answer, such as `stream.zenoh_queryable.ZenohQuery`."""
+    """Represent a query that waits for its answer, such as `socast.stream.zenoh_queryable.ZenohQuery`."""
 
     @property
     def vehicle(self) -> str:
@@ -43,14 +43,14 @@ class PendingQuery(Protocol):
 
 
 class QuerySource(Protocol):
-    """Provide queries, such as `stream.zenoh_queryable.ZenohQueryable` does."""
+    """Provide queries, such as `socast.stream.zenoh_queryable.ZenohQueryable` does."""
 
     def pending(self) -> Sequence[PendingQuery]:
         """Return the waiting queries, the oldest first."""
 
 
 class OutlookProvider(Protocol):
-    """Define the method of `core.pipeline.Pipeline` that the service calls."""
+    """Define the method of `socast.core.pipeline.Pipeline` that the service calls."""
 
     def ask(self, vehicle_id: str, leg: Leg | None, plan: Plan | None) -> Outlook:
         """Return the forecast for the rest of a shift.

@@ -14,14 +14,14 @@ from typing import Annotated, Final
 
 import msgspec
 
-from core.errors import RecordingError, SettingsError
-from core.files import sync
-from core.wire.messages import Message
-from stream.closeable import Closeable
-from stream.file_lock import FileLock
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from stream.structured_log import event_fields
+from socast.core.errors import RecordingError, SettingsError
+from socast.core.files import sync
+from socast.core.wire.messages import Message
+from socast.stream.closeable import Closeable
+from socast.stream.file_lock import FileLock
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.stream.structured_log import event_fields
 
 FILE_BYTES: Final = 256 << 20
 """Size at which the recorder closes a file and starts the next one. [B]"""
@@ -75,7 +75,7 @@ class Recorder(Closeable):
     clock : callable
         Function that returns monotonic time. [s]
     metadata : mapping of str to str, optional
-        What every file says about its origin, see `stream.recording_metadata.make_metadata`.
+        What every file says about its origin, see `socast.stream.recording_metadata.make_metadata`.
 
     Attributes
     ----------

@@ -73,7 +73,7 @@ def list_changed_settings(value: Any, usual: Any) -> dict[str, Any]:
 
     Examples
     --------
-    >>> from core.settings import Settings
+    >>> from socast.core.settings import Settings
     >>> list_changed_settings(Settings(window=5), Settings())
     {'window': 5}
     """

@@ -4,13 +4,13 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from threading import Event
 
-from stream.closeable import Closeable
-from stream.health import HealthServer, parse_http_address
-from stream.loop import Tally
-from stream.metrics import make_registry
-from stream.service_snapshot import SnapshotTaker
-from stream.service_status import ServiceStatus, ServiceWatch
-from stream.systemd_notify import SystemdNotifier
+from socast.stream.closeable import Closeable
+from socast.stream.health import HealthServer, parse_http_address
+from socast.stream.loop import Tally
+from socast.stream.metrics import make_registry
+from socast.stream.service_snapshot import SnapshotTaker
+from socast.stream.service_status import ServiceStatus, ServiceWatch
+from socast.stream.systemd_notify import SystemdNotifier
 
 
 class ServiceMonitor(Closeable):
@@ -19,7 +19,7 @@ class ServiceMonitor(Closeable):
     Parameters
     ----------
     address : str, optional
-        Where to serve metrics, as `stream.health.parse_http_address` reads it; None serves none.
+        Where to serve metrics, as `socast.stream.health.parse_http_address` reads it; None serves none.
     shard : str
         Shard of the service, such as `2/4`; empty without shards.
 

@@ -9,14 +9,14 @@ from typing import Any, Final, Protocol
 import msgspec
 import numpy as np
 
-from core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
-from core.pipeline import Pipeline
-from core.wire.messages import Message
-from stream.checkpoints import Checkpoints
-from stream.loop import Tally
-from stream.query_service import QueryService
-from stream.recorder import Recorder
-from stream.sharded_pipeline import ShardedPipeline
+from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Message
+from socast.stream.checkpoints import Checkpoints
+from socast.stream.loop import Tally
+from socast.stream.query_service import QueryService
+from socast.stream.recorder import Recorder
+from socast.stream.sharded_pipeline import ShardedPipeline
 
 ACTIVE_S: Final = 300.0
 """Age of its newest sample up to which a vehicle is active. [s]"""
@@ -181,7 +181,7 @@ class ServiceSnapshot:
 
 
 class Candidate(Protocol):
-    """Define what a snapshot reads of a consumer on standby, such as `stream.zenoh_standby.Standby`."""
+    """Define what a snapshot reads of a consumer on standby, such as `socast.stream.zenoh_standby.Standby`."""
 
     @property
     def failure(self) -> str:
@@ -193,7 +193,7 @@ class Candidate(Protocol):
 
 
 class Overlapping(Protocol):
-    """Define what a snapshot reads of the watch on other consumers, `stream.zenoh_overlap.OverlapWatch`."""
+    """Define what a snapshot reads of the watch on other consumers, `socast.stream.zenoh_overlap.OverlapWatch`."""
 
     @property
     def found(self) -> tuple[str, ...]:

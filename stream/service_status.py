@@ -8,9 +8,9 @@ from collections.abc import Callable
 from threading import Event
 from typing import Final, Literal
 
-from stream.loop import Tally
-from stream.service_snapshot import LagMeter, ServiceSnapshot
-from stream.systemd_notify import SystemdNotifier
+from socast.stream.loop import Tally
+from socast.stream.service_snapshot import LagMeter, ServiceSnapshot
+from socast.stream.systemd_notify import SystemdNotifier
 
 LIVE_S: Final = 30.0
 """Time without a turn of the loop after which the service counts as hung. [s]"""

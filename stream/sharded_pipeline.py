@@ -5,26 +5,26 @@ from typing import Any
 
 import numpy as np
 
-from core.cleaning.fleet_clock import end_open_rides
-from core.columns import SECONDS_PER_DAY
-from core.forecast.day_rollover import DayRollover
-from core.forecast.shard_days import SEAL_LEAD, SPACE, ShardDays
-from core.models import EXTENDED_PHYSICAL, Model
-from core.pipeline import OF_LANES, Pipeline
-from core.settings import Settings
-from core.totals.clean_rows import CleanRows
-from core.wire.arrow_batch import select_rows
-from core.wire.decoder import Refused
-from core.wire.message_block import KeyValues, MessageBlock
-from core.wire.messages import BATCH, Leg, Message, Outlook, Plan
-from core.wire.shard import Shard
+from socast.core.cleaning.fleet_clock import end_open_rides
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.forecast.day_rollover import DayRollover
+from socast.core.forecast.shard_days import SEAL_LEAD, SPACE, ShardDays
+from socast.core.models import EXTENDED_PHYSICAL, Model
+from socast.core.pipeline import OF_LANES, Pipeline
+from socast.core.settings import Settings
+from socast.core.totals.clean_rows import CleanRows
+from socast.core.wire.arrow_batch import select_rows
+from socast.core.wire.decoder import Refused
+from socast.core.wire.message_block import KeyValues, MessageBlock
+from socast.core.wire.messages import BATCH, Leg, Message, Outlook, Plan
+from socast.core.wire.shard import Shard
 
 
 class ShardedPipeline(Pipeline):
     """Run all steps from messages to forecasts for the cars of a shard.
 
     The forecasts of a car are the same, to the bit, however the fleet is divided, also if one shard has all cars. See
-    `core.forecast.shard_days` for the daily update, and `Pipeline` for the other parameters.
+    `socast.core.forecast.shard_days` for the daily update, and `Pipeline` for the other parameters.
 
     Parameters
     ----------

@@ -13,9 +13,9 @@ from operator import attrgetter
 from threading import Event
 from typing import Final, Protocol, TypeAlias
 
-from core.errors import SettingsError
-from core.wire.message_block import MessageBlock
-from core.wire.messages import Message
+from socast.core.errors import SettingsError
+from socast.core.wire.message_block import MessageBlock
+from socast.core.wire.messages import Message
 
 Source: TypeAlias = Iterable[Sequence[Message]]
 """An iterable that yields messages, in sequences of those that are ready."""

@@ -7,11 +7,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from core.errors import SettingsError, SocastError, read_input
-from core.files import replacing, sync
-from stream.closeable import Closeable
-from stream.file_lock import FileLock
-from stream.structured_log import event_fields
+from socast.core.errors import SettingsError, SocastError, read_input
+from socast.core.files import replacing, sync
+from socast.stream.closeable import Closeable
+from socast.stream.file_lock import FileLock
+from socast.stream.structured_log import event_fields
 
 PREVIOUS: Final = ".previous"
 """End of the name of the file that holds the state before the last one."""

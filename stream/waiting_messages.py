@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from core.wire.message_block import MessageBlock
+from socast.core.wire.message_block import MessageBlock
 
 MOST_HELD: Final = 256 << 20
 """Size of messages that wait for earlier ones, beyond which they are delivered out of order. [B]"""

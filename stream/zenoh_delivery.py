@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from threading import Event
 from typing import Any, Final
 
-from core.wire.messages import Message
-from stream.closeable import Closeable
-from stream.structured_log import event_fields
-from stream.zenoh_session import Node
-from stream.zenoh_sink import ZenohSink
+from socast.core.wire.messages import Message
+from socast.stream.closeable import Closeable
+from socast.stream.structured_log import event_fields
+from socast.stream.zenoh_session import Node
+from socast.stream.zenoh_sink import ZenohSink
 
 RETRY_S: Final = 0.2
 """Time between two looks for a router. [s]"""

@@ -28,9 +28,9 @@ import msgspec
 import zenoh
 from zenoh import handlers
 
-from core.settings import Limits
-from core.wire.arrow_batch import PREFIX, BatchError, read_times
-from stream.zenoh_session import Node, format_zenoh_error
+from socast.core.settings import Limits
+from socast.core.wire.arrow_batch import PREFIX, BatchError, read_times
+from socast.stream.zenoh_session import Node, format_zenoh_error
 
 ANSWER_S: Final = 10.0
 """Longest wait for the answers of caches. [s]"""

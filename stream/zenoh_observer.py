@@ -9,8 +9,8 @@ from collections import deque
 from threading import Lock
 from typing import Any, Final
 
-from core.wire.messages import Message
-from stream.zenoh_session import Node
+from socast.core.wire.messages import Message
+from socast.stream.zenoh_session import Node
 
 MOST_WAITING: Final = 100_000
 """Largest number of messages that wait for the reader; the oldest of more are dropped."""

@@ -21,10 +21,10 @@ from typing import Any, Final, NamedTuple
 
 import zenoh
 
-from core.wire.shard import Shard
-from stream.closeable import Closeable
-from stream.structured_log import event_fields
-from stream.zenoh_session import Node
+from socast.core.wire.shard import Shard
+from socast.stream.closeable import Closeable
+from socast.stream.structured_log import event_fields
+from socast.stream.zenoh_session import Node
 
 GRACE_S: Final = 15.0
 """Time for which another consumer must overlap before it counts; longer than the lease of a session. [s]"""

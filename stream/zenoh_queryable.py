@@ -26,9 +26,9 @@ import msgspec
 import zenoh
 from zenoh import handlers
 
-from core.errors import AskError, SettingsError
-from stream.closeable import Closeable
-from stream.zenoh_session import Node, format_zenoh_error
+from socast.core.errors import AskError, SettingsError
+from socast.stream.closeable import Closeable
+from socast.stream.zenoh_session import Node, format_zenoh_error
 
 WAITING: Final = 256
 """Largest number of queries that wait for an answer, and of answers that wait to be sent; any more are dropped."""
@@ -174,16 +174,16 @@ def query_outlook(
     vehicle : str
         Identifier of the car.
     parameters : mapping of str to str
-        Description of the ride, as `core.forecast.plan_checks.parse_leg` takes it.
+        Description of the ride, as `socast.core.forecast.plan_checks.parse_leg` takes it.
     payload : bytes, optional
-        A plan, as `core.forecast.plan_checks.parse_plan` takes it.
+        A plan, as `socast.core.forecast.plan_checks.parse_plan` takes it.
     timeout_s : float
         Longest wait for the answer. [s]
 
     Returns
     -------
     bytes
-        JSON of a `core.wire.messages.Outlook`.
+        JSON of a `socast.core.wire.messages.Outlook`.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 One advanced subscriber receives the fleet and one the weather. They request missed samples from advanced publishers and
 count those that they could not get. At the start, and when publishers appear, the receiver asks their caches
-(`stream.zenoh_history`) and merges the answers with live samples, in the order of publication.
+(`socast.stream.zenoh_history`) and merges the answers with live samples, in the order of publication.
 
 Notes
 -----
@@ -25,13 +25,13 @@ from typing import Any, Final, NamedTuple
 import zenoh
 from zenoh import ext, handlers
 
-from core.wire.message_block import MessageBlock
-from core.wire.messages import BATCH, Message
-from stream.receipt_clock import ReceiptClock
-from stream.source import RecoveredMessage
-from stream.structured_log import event_fields
-from stream.zenoh_history import CacheHistory, merge_samples
-from stream.zenoh_session import Node
+from socast.core.wire.message_block import MessageBlock
+from socast.core.wire.messages import BATCH, Message
+from socast.stream.receipt_clock import ReceiptClock
+from socast.stream.source import RecoveredMessage
+from socast.stream.structured_log import event_fields
+from socast.stream.zenoh_history import CacheHistory, merge_samples
+from socast.stream.zenoh_session import Node
 
 CHANNEL: Final = 1 << 8
 """Capacity of Zenoh's channels, in samples of any size; a full channel blocks publishers."""

@@ -23,10 +23,10 @@ from typing import Any, Final, Literal
 import msgspec
 import zenoh
 
-from core.errors import SettingsError, read_input
-from core.wire.shard import Shard
-from stream.closeable import Closeable
-from stream.link_check import explain_failure
+from socast.core.errors import SettingsError, read_input
+from socast.core.wire.shard import Shard
+from socast.stream.closeable import Closeable
+from socast.stream.link_check import explain_failure
 
 LOOPBACK: Final = "tcp/127.0.0.1:7447"
 """Default endpoint at which the embedded router listens."""

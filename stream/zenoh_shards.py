@@ -7,13 +7,13 @@ from typing import Any, Final
 import zenoh
 from zenoh import ext, handlers
 
-from core.forecast.shard_days import SPACE
-from core.wire.message_block import MessageBlock
-from core.wire.messages import Message
-from core.wire.shard import Shard
-from stream.receipt_clock import ReceiptClock
-from stream.zenoh_session import Node
-from stream.zenoh_source import ZenohSource
+from socast.core.forecast.shard_days import SPACE
+from socast.core.wire.message_block import MessageBlock
+from socast.core.wire.messages import Message
+from socast.core.wire.shard import Shard
+from socast.stream.receipt_clock import ReceiptClock
+from socast.stream.zenoh_session import Node
+from socast.stream.zenoh_source import ZenohSource
 
 WAITING: Final = 1 << 10
 """Number of contributions that may wait; a shard has one a day."""

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 import zenoh
 from zenoh import handlers
 
-from core.errors import SettingsError
-from stream.closeable import Closeable
-from stream.zenoh_session import Node, format_zenoh_error
+from socast.core.errors import SettingsError
+from socast.stream.closeable import Closeable
+from socast.stream.zenoh_session import Node, format_zenoh_error
 
 CHANNEL = 1 << 14
 """Capacity of the channel, in samples; a full channel blocks publishers."""
@@ -44,7 +44,7 @@ class ZenohSignals(Closeable):
     Parameters
     ----------
     node : Node
-        Session, which stays open. Publish through another session: see `stream.zenoh_sink`.
+        Session, which stays open. Publish through another session: see `socast.stream.zenoh_sink`.
     keys : str
         Key expression.
 

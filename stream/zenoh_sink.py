@@ -6,7 +6,7 @@ Notes
 -----
 Declaring a publisher waits for samples that are being delivered (zenoh 1.10). If the channel of a subscriber in the
 same session is full, these wait for the iteration that drains it. A session that also subscribes must therefore publish
-through a `stream.latest_only_sink.LatestOnlySink`.
+through a `socast.stream.latest_only_sink.LatestOnlySink`.
 """
 
 from collections.abc import Sequence
@@ -15,10 +15,10 @@ from typing import Any, Final
 import zenoh
 from zenoh import ext
 
-from core.errors import SettingsError
-from core.wire.messages import Message
-from stream.idle_keys import IdleKeys
-from stream.zenoh_session import Node, format_zenoh_error
+from socast.core.errors import SettingsError
+from socast.core.wire.messages import Message
+from socast.stream.idle_keys import IdleKeys
+from socast.stream.zenoh_session import Node, format_zenoh_error
 
 CACHE: Final = 64
 """Number of samples of each key that a publisher can send again."""

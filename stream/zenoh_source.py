@@ -1,7 +1,8 @@
 """The Zenoh source: messages of a fleet that wait for the loop, in a queue that is limited by size.
 
 Zenoh's channels are limited by a number of samples alone. A thread therefore moves the samples from
-`stream.zenoh_receiver` into a queue that is limited by size, and the iteration over the source takes them from there.
+`socast.stream.zenoh_receiver` into a queue that is limited by size, and the iteration over the source takes them from
+there.
 """
 
 import logging
@@ -12,12 +13,12 @@ from math import inf
 from threading import Event, Thread
 from typing import Final
 
-from core.settings import Limits
-from core.wire.message_block import MessageBlock
-from stream.message_queue import MessageQueue
-from stream.source import LOOK_UP_S
-from stream.zenoh_receiver import ZenohReceiver
-from stream.zenoh_session import Node
+from socast.core.settings import Limits
+from socast.core.wire.message_block import MessageBlock
+from socast.stream.message_queue import MessageQueue
+from socast.stream.source import LOOK_UP_S
+from socast.stream.zenoh_receiver import ZenohReceiver
+from socast.stream.zenoh_session import Node
 
 DRAIN: Final = 4000
 """Number of messages from which no more are yielded at once; the processor's cache can hold them."""

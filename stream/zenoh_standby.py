@@ -26,13 +26,13 @@ from typing import Any, Final
 import zenoh
 from zenoh import handlers
 
-from core.wire.messages import Message
-from stream.closeable import Closeable
-from stream.idle_keys import IdleKeys
-from stream.source import Sink
-from stream.structured_log import event_fields
-from stream.zenoh_queryable import ZenohQuery, ZenohQueryable
-from stream.zenoh_session import Node
+from socast.core.wire.messages import Message
+from socast.stream.closeable import Closeable
+from socast.stream.idle_keys import IdleKeys
+from socast.stream.source import Sink
+from socast.stream.structured_log import event_fields
+from socast.stream.zenoh_queryable import ZenohQuery, ZenohQueryable
+from socast.stream.zenoh_session import Node
 
 LEASE_S: Final = 2.4
 """Time without a sign of life after which the router removes the tokens of a consumer. [s]"""

@@ -101,7 +101,7 @@ def _restore_libraries() -> Iterator[None]:
 @pytest.fixture
 def _checks_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Check files of effects in this process, which saves that of a process for each; both run the same check."""
-    from core.effects import registry  # noqa: PLC0415 - tests that start processes need no core
+    from socast.core.effects import registry  # noqa: PLC0415 - tests that start processes need no core
 
     monkeypatch.setattr(registry, "_check_apart", lambda path, _: registry._check_here(path))
 

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Final, NamedTuple
 import typer
 from typer.core import TyperCommand
 
-from core.errors import SocastError
+from socast.core.errors import SocastError
 
 
 class Command(NamedTuple):
@@ -42,40 +42,60 @@ UsageError: Any = typer.BadParameter.__base__
 """What typer raises for a wrong call: an unknown command or option, a missing one, or a wrong value."""
 
 COMMANDS: Final = {
-    "demo": Command("tools.commands.demo", "demo", "Show a recorded shift as if it were live, in under a minute."),
-    "live": Command("tools.commands.live", "live", "Forecast and record cars that send telemetry over Zenoh."),
-    "router": Command("tools.commands.router", "route", "Run a Zenoh router that cars and consumers join."),
-    "bridge": Command("tools.commands.bridge", "app", "Pass on telemetry of OVMS modules or VSS signals to Zenoh."),
-    "serve": Command("tools.commands.serve", "serve", "Show the fleet and its models in a browser."),
-    "ask": Command("tools.commands.ask", "ask_outlook", "Ask a live consumer whether a car can take a ride."),
-    "replay": Command("tools.commands.replay", "replay", "Replay recordings through a model or to a router."),
-    "check": Command("tools.commands.check", "check", "Show what the logger of each car sends wrong, and its cost."),
-    "info": Command("tools.commands.info", "info", "Show what recordings contain and what is lost."),
-    "anonymise": Command("tools.commands.anonymise", "anonymise", "Hide names, places and dates of recordings."),
-    "elevation": Command("tools.commands.elevation", "app", "Learn a map of elevation from the fixes of a fleet."),
-    "tables": Command("tools.commands.tables", "tables", "Make ride and window tables from recordings."),
-    "fit": Command("tools.commands.fit", "fit", "Fit a model to ride tables."),
-    "evaluate": Command("tools.commands.evaluate", "evaluate_tables", "Evaluate models on held-out rides of tables."),
+    "demo": Command(
+        "socast.tools.commands.demo", "demo", "Show a recorded shift as if it were live, in under a minute."
+    ),
+    "live": Command("socast.tools.commands.live", "live", "Forecast and record cars that send telemetry over Zenoh."),
+    "router": Command("socast.tools.commands.router", "route", "Run a Zenoh router that cars and consumers join."),
+    "bridge": Command(
+        "socast.tools.commands.bridge", "app", "Pass on telemetry of OVMS modules or VSS signals to Zenoh."
+    ),
+    "serve": Command("socast.tools.commands.serve", "serve", "Show the fleet and its models in a browser."),
+    "ask": Command("socast.tools.commands.ask", "ask_outlook", "Ask a live consumer whether a car can take a ride."),
+    "replay": Command("socast.tools.commands.replay", "replay", "Replay recordings through a model or to a router."),
+    "check": Command(
+        "socast.tools.commands.check", "check", "Show what the logger of each car sends wrong, and its cost."
+    ),
+    "info": Command("socast.tools.commands.info", "info", "Show what recordings contain and what is lost."),
+    "anonymise": Command("socast.tools.commands.anonymise", "anonymise", "Hide names, places and dates of recordings."),
+    "elevation": Command(
+        "socast.tools.commands.elevation", "app", "Learn a map of elevation from the fixes of a fleet."
+    ),
+    "tables": Command("socast.tools.commands.tables", "tables", "Make ride and window tables from recordings."),
+    "fit": Command("socast.tools.commands.fit", "fit", "Fit a model to ride tables."),
+    "evaluate": Command(
+        "socast.tools.commands.evaluate", "evaluate_tables", "Evaluate models on held-out rides of tables."
+    ),
     "evaluate-soc": Command(
-        "tools.commands.evaluate_soc", "evaluate_recordings", "Evaluate forecasts of the charge at the shift's end."
+        "socast.tools.commands.evaluate_soc",
+        "evaluate_recordings",
+        "Evaluate forecasts of the charge at the shift's end.",
     ),
-    "compare": Command("tools.commands.compare", "compare_models", "Compare models with the measured energy of rides."),
+    "compare": Command(
+        "socast.tools.commands.compare", "compare_models", "Compare models with the measured energy of rides."
+    ),
     "diagnose": Command(
-        "tools.commands.diagnose", "diagnose_rides", "Find where a model fails and which effect it lacks."
+        "socast.tools.commands.diagnose", "diagnose_rides", "Find where a model fails and which effect it lacks."
     ),
-    "add": Command("tools.commands.add", "add_effect", "Add an effect to a model if it helps on held-out rides."),
-    "history": Command("tools.commands.history", "show_history", "Show how the error of a model fell, step by step."),
+    "add": Command(
+        "socast.tools.commands.add", "add_effect", "Add an effect to a model if it helps on held-out rides."
+    ),
+    "history": Command(
+        "socast.tools.commands.history", "show_history", "Show how the error of a model fell, step by step."
+    ),
     "simulate": Command(
-        "tools.commands.simulate", "simulate", "Simulate a fleet of electric taxis with faulty loggers."
+        "socast.tools.commands.simulate", "simulate", "Simulate a fleet of electric taxis with faulty loggers."
     ),
     "import": Command(
-        "tools.commands.import_drives",
+        "socast.tools.commands.import_drives",
         "import_drives",
         "Convert files of your own, or public data sets, to a recording.",
     ),
-    "vehicles": Command("tools.commands.vehicles", "app", "List vehicle models, or describe cars of your own."),
-    "secure": Command("tools.commands.secure", "app", "Make certificates and access control for a fleet."),
-    "effects": Command("tools.commands.effects", "app", "List the physical effects of models, or check your own."),
+    "vehicles": Command("socast.tools.commands.vehicles", "app", "List vehicle models, or describe cars of your own."),
+    "secure": Command("socast.tools.commands.secure", "app", "Make certificates and access control for a fleet."),
+    "effects": Command(
+        "socast.tools.commands.effects", "app", "List the physical effects of models, or check your own."
+    ),
 }
 """Every command, in the order of `socast --help`."""
 
@@ -86,7 +106,7 @@ COMPLETION: Final = "_SOCAST_COMPLETE"
 CLOSED_PIPE: Final = 141
 """Exit code after standard output was closed: that of a process that SIGPIPE ended, 128 + 13."""
 
-_SETTINGS: Final = "tools.terminal.settings_file"
+_SETTINGS: Final = "socast.tools.terminal.settings_file"
 """Module of settings files; it is imported only by commands that take one."""
 _ARGUMENT: Final = re.compile(r"\{(.+?)(?:\.\.\.)?\}((?:\.\.\.)?)|\[(\[.+\])\]")
 """An argument as typer writes it in a usage line: `{NAME}`, `{NAME}...` or `[[NAME]]`."""
@@ -215,7 +235,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         code = application(chosen)(given, prog_name="socast", standalone_mode=False) or 0
         sys.stdout.flush()
-        output = sys.modules.get("tools.terminal.output")  # imported only by commands that print tables
+        output = sys.modules.get("socast.tools.terminal.output")  # imported only by commands that print tables
         if output is not None and output.has_lost_reader():
             code = CLOSED_PIPE
     except (SocastError, UsageError) as error:

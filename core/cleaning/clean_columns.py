@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints
 
 
 class Clean(NamedTuple):
@@ -22,7 +22,7 @@ class Clean(NamedTuple):
     window : (n,) int64
         Ordinal of the window in its lane.
     quality : (n,) int64
-        Bits of `core.cleaning.quality.Quality`.
+        Bits of `socast.core.cleaning.quality.Quality`.
     due : (n,) bool
         Whether a forecast is due at this sample.
     time : (n,) float64
@@ -30,8 +30,8 @@ class Clean(NamedTuple):
     dt, travel : (n,) float64
         Time that the row stands for, and time in which its distance was driven. [s]
     distance, climb : (n,) float64
-        Distance driven in the step, and change of elevation. [m] `climb` is causal here; `core.totals.deferred_rows`
-        replaces it, and `elevation`, by the two-sided estimate.
+        Distance driven in the step, and change of elevation. [m] `climb` is causal here;
+        `socast.core.totals.deferred_rows` replaces it, and `elevation`, by the two-sided estimate.
     causal_climb : (n,) float64
         Change of elevation in the step from fixes up to this row only. [m]
     speed, acceleration : (n,) float64
@@ -84,10 +84,10 @@ class Clean(NamedTuple):
     speed_scale : (n,) float64
         Factor by which the reported speed was multiplied, 0 for a factor of 1. [1]
     code : (n,) float64
-        Code of the ride's name, see `core.wire.rides.RideNames`.
+        Code of the ride's name, see `socast.core.wire.rides.RideNames`.
     fix_sd : (n,) float64
         Standard deviation of a fix where fixes alone show the motion, NaN elsewhere. [m] There, tables have the motion
-        of `core.cleaning.position_smoother`.
+        of `socast.core.cleaning.position_smoother`.
     """
 
     lane: Ints

@@ -34,7 +34,7 @@ Remaining error, for a period of 3 s and Gaussian errors of the stamps with stan
   they fill the newest hole of 20 samples or more in the counter, and belong to the last 1,200 samples before its end.
   A clock set back into such a hole is believed 20 samples after it leaves the hole, at most an hour later. More samples
   than that, and ten or more without a counter, cannot be distinguished from a clock set back. Samples that were
-  delivered before do not come here (`core.wire.duplicate_filter`).
+  delivered before do not come here (`socast.core.wire.duplicate_filter`).
 - The mean delay of the stamps is not observable and remains, and so does the error of the first stamp.
 
 A period other than the nominal one is followed from the first samples where there is a counter, to within 0.4 periods
@@ -54,10 +54,10 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning import late_samples, shared_stamps
-from core.cleaning.late_samples import AGREE_BACK, AGREE_LATE, LEAP, is_stray, remember_hole
-from core.cleaning.quality import Quality
-from core.columns import SECONDS_PER_DAY
+from socast.core.cleaning import late_samples, shared_stamps
+from socast.core.cleaning.late_samples import AGREE_BACK, AGREE_LATE, LEAP, is_stray, remember_hole
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import SECONDS_PER_DAY
 
 FIELDS: Final = (
     "samples",  # number of accepted samples; zero for a new lane
@@ -318,8 +318,8 @@ def count_periods_by_stamp(state: Any, elapsed: float) -> float:
 def is_pause(state: Any, elapsed: float, counted: float, drove: float) -> bool:
     """Return whether a logger whose counter continues has paused, and its clock was not set.
 
-    `drove` is what speed and fixes say, see `core.cleaning.repetition.drove_on`. The sample that confirms a pause comes
-    after the car has driven on.
+    `drove` is what speed and fixes say, see `socast.core.cleaning.repetition.drove_on`. The sample that confirms a
+    pause comes after the car has driven on.
     """
     leap = (elapsed - counted) * state.period
     if counted > AGREE_BACK or leap < min(max(SHORTEST_PAUSE, AGREE_LATE * state.period), LONGEST_CLOCK_STEP):
@@ -377,7 +377,7 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
     period : float
         Nominal period; 0 for a logger without one. [s]
     drove : float
-        What speed and fixes say of a leap, see `core.cleaning.repetition.drove_on`.
+        What speed and fixes say of a leap, see `socast.core.cleaning.repetition.drove_on`.
 
     Returns
     -------

@@ -31,7 +31,7 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning.quality import Quality
+from socast.core.cleaning.quality import Quality
 
 FIELDS: Final = (
     "elevation",  # smoothed [m]

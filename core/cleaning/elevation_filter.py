@@ -29,8 +29,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numba import njit
 
-from core.batch import Floats
-from core.cleaning.elevation import STEEPEST
+from socast.core.batch import Floats
+from socast.core.cleaning.elevation import STEEPEST
 
 LENGTH: Final = 300.0
 """Length over which the slope of a road returns to level. [m]

@@ -17,8 +17,8 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Batch, Floats, Ints
-from core.cleaning.motion import NULL_ISLAND
+from socast.core.batch import Batch, Floats, Ints
+from socast.core.cleaning.motion import NULL_ISLAND
 
 _COLUMNS: Final = 2**31
 """Number of columns between two rows of nodes in the key of a place."""

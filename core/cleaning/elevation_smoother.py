@@ -1,10 +1,10 @@
 """Elevation and climb of whole rides, estimated from the fixes on both sides of each sample.
 
-`core.cleaning.elevation_filter` runs over each ride with the roughness of the terrain, and the standard deviation and
-correlation time of the errors of fixes, that have the greatest likelihood, under a prior that matters for short rides
-only.
+`socast.core.cleaning.elevation_filter` runs over each ride with the roughness of the terrain, and the standard
+deviation and correlation time of the errors of fixes, that have the greatest likelihood, under a prior that matters for
+short rides only.
 
-Fixes to which no road leads are not used, as in `core.cleaning.elevation`.
+Fixes to which no road leads are not used, as in `socast.core.cleaning.elevation`.
 
 On a map, the offset of the fixes of a ride is the median of their differences from the map. Its variance is added to
 that of the map.
@@ -17,11 +17,20 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import Ints
-from core.cleaning import elevation, elevation_filter
-from core.cleaning.clean_columns import Clean
-from core.cleaning.elevation import BASE, LATE_ROAD, LONGEST_HELD, NEW_LEVEL, STEEP, STILL_STEEP, SURE, weigh_slope
-from core.cleaning.elevation_filter import (
+from socast.core.batch import Ints
+from socast.core.cleaning import elevation, elevation_filter
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.elevation import (
+    BASE,
+    LATE_ROAD,
+    LONGEST_HELD,
+    NEW_LEVEL,
+    STEEP,
+    STILL_STEEP,
+    SURE,
+    weigh_slope,
+)
+from socast.core.cleaning.elevation_filter import (
     ESTIMATE,
     UNIT_NOISE,
     RideSteps,
@@ -29,7 +38,7 @@ from core.cleaning.elevation_filter import (
     filter_ride,
     smooth_back,
 )
-from core.compiled_cache import watch_sources
+from socast.core.compiled_cache import watch_sources
 
 LONGEST_PIECE: Final = 50_000
 """Number of rows of a ride after which its elevation is estimated anew; 42 h at a sample every 3 s."""

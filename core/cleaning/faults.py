@@ -2,7 +2,7 @@
 
 from typing import Final, NamedTuple
 
-from core.cleaning.quality import Quality
+from socast.core.cleaning.quality import Quality
 
 
 class LoggerFault(NamedTuple):

@@ -1,13 +1,13 @@
 """Speed, distance and heading of a car that never sends a speed, causally, by its fixes and its odometer.
 
-`core.cleaning.position_filter` follows the fixes, and the odometer is the second witness. Over the changes of the
-odometer, the distance by the fixes is compared with that of the odometer. A shortfall beyond a change and the error of
-fixes is added once, and an excess beyond both is taken from what follows. Where the fixes show more than twice the
+`socast.core.cleaning.position_filter` follows the fixes, and the odometer is the second witness. Over the changes of
+the odometer, the distance by the fixes is compared with that of the odometer. A shortfall beyond a change and the error
+of fixes is added once, and an excess beyond both is taken from what follows. Where the fixes show more than twice the
 smallest change while the odometer stays, and the car is still near the place of its last change, they drift and count
 nothing.
 
 A row without a new fix covers no distance. The distance of a fix is driven over the time distance / speed and not over
-its step, as a bridged one is in `core.cleaning.motion`.
+its step, as a bridged one is in `socast.core.cleaning.motion`.
 """
 
 from math import atan2, hypot, isnan, nan
@@ -15,11 +15,11 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning import motion, position_filter
-from core.cleaning.elevation import climb_step
-from core.cleaning.quality import Quality
-from core.cleaning.speed_witness import count_distance
-from core.cleaning.sphere import compute_chord, wrap_angle
+from socast.core.cleaning import motion, position_filter
+from socast.core.cleaning.elevation import climb_step
+from socast.core.cleaning.quality import Quality
+from socast.core.cleaning.speed_witness import count_distance
+from socast.core.cleaning.sphere import compute_chord, wrap_angle
 
 FIELDS: Final = (
     "odometer_step",  # smallest change of the odometer, 0 before the second [m]

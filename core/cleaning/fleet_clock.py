@@ -23,8 +23,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import NO_RIDE
-from core.cleaning.segmentation import finish_ride
+from socast.core.batch import NO_RIDE
+from socast.core.cleaning.segmentation import finish_ride
 
 FIELDS: Final = ("heard",)
 """Fields in the state of a lane: the fleet clock at its last accepted sample. [s]"""

@@ -16,9 +16,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core import batch, columns
-from core.batch import Batch, Floats, Ints, grown, take_lanes
-from core.cleaning import (
+from socast.core import batch, columns
+from socast.core.batch import Batch, Floats, Ints, grown, take_lanes
+from socast.core.cleaning import (
     clock,
     elevation,
     fix_motion,
@@ -38,14 +38,14 @@ from core.cleaning import (
     sphere,
     standstill,
 )
-from core.cleaning.clean_columns import Clean
-from core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
-from core.cleaning.fleet_clock import FLEET_CLOCK, RIDE_END, new_fleet_clock
-from core.cleaning.quality import Quality
-from core.cleaning.segmentation import NO_RIDE_EVENTS
-from core.columns import TELEMETRY
-from core.compiled_cache import watch_sources
-from core.settings import Settings
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.elevation_map import ElevationMap, Ground, MapLookup
+from socast.core.cleaning.fleet_clock import FLEET_CLOCK, RIDE_END, new_fleet_clock
+from socast.core.cleaning.quality import Quality
+from socast.core.cleaning.segmentation import NO_RIDE_EVENTS
+from socast.core.columns import TELEMETRY
+from socast.core.compiled_cache import watch_sources
+from socast.core.settings import Settings
 
 _PARTS: Final = (
     *(clock, motion, position_filter, fix_motion, elevation, segmentation),
@@ -128,9 +128,9 @@ class Cleaner:
 
     Examples
     --------
-    >>> from core.batch import Lanes
-    >>> from core.wire.messages import Message
-    >>> from core.wire.decoder import Decoder
+    >>> from socast.core.batch import Lanes
+    >>> from socast.core.wire.messages import Message
+    >>> from socast.core.wire.decoder import Decoder
     >>> lanes = Lanes()
     >>> sample = b'{"vehicle_id": "a", "time_s": %d, "speed_kmh": 36}'
     >>> messages = [Message("fleet/a/telemetry", sample % t, 0) for t in (0, 3, 6, 9)]

@@ -4,7 +4,7 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning.shared_stamps import MOST_SHARED
+from socast.core.cleaning.shared_stamps import MOST_SHARED
 
 FIELDS: Final = (
     "late_stamp",  # stamp of the last rejected sample [s]

@@ -2,7 +2,7 @@
 
 A meter is faulty where it contradicts the motion of the car or the other meter. A faulty sample receives a quality bit
 and is counted. Energy of a frozen current is not metered. A state of charge that froze or jumped measures no energy,
-see `core.totals.measured_energy`.
+see `socast.core.totals.measured_energy`.
 
 Voltage times current is frozen where the current stays the same to the last digit while the speed of the car varies, or
 exactly zero while the car drives. The state of charge is frozen where it stays the same while the car uses several
@@ -14,9 +14,9 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning.power_sign import observe_charge
-from core.cleaning.quality import Quality
-from core.columns import KMH
+from socast.core.cleaning.power_sign import observe_charge
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import KMH
 
 FIELDS: Final = (
     "power",  # [W]

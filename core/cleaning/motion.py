@@ -9,10 +9,10 @@ A single spike is therefore never driven, while the far end of a tunnel is. Wher
 held for at most 20 periods, or 3.5 periods where a witness is available. The distance of a car that never sends a speed
 is measured between fixes that are at least 20 m apart, otherwise by its odometer.
 
-A reported speed is averaged as far as the noise of the car asks, see `core.cleaning.speed_noise`, because an average
-over some seconds hides much of the energy of speeding up and braking. A moving average of a fixed length applies to
-speeds between fixes, and for some samples beside an implausible change in a step, which may be a hole in which the
-last speed was held. The distance is that of the speed as reported.
+A reported speed is averaged as far as the noise of the car asks, see `socast.core.cleaning.speed_noise`, because an
+average over some seconds hides much of the energy of speeding up and braking. A moving average of a fixed length
+applies to speeds between fixes, and for some samples beside an implausible change in a step, which may be a hole in
+which the last speed was held. The distance is that of the speed as reported.
 
 Where a distance was bridged or held, its work is done over the time distance / speed and not over the step. The
 acceleration accounts for the kinetic energy of the smoothed speed: over a ride, inertia adds up to the difference of
@@ -24,10 +24,10 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning.elevation import climb_step
-from core.cleaning.quality import Quality
-from core.cleaning.slow_steps import HOLE, compare_ends, find_farthest_fix
-from core.cleaning.speed_noise import (
+from socast.core.cleaning.elevation import climb_step
+from socast.core.cleaning.quality import Quality
+from socast.core.cleaning.slow_steps import HOLE, compare_ends, find_farthest_fix
+from socast.core.cleaning.speed_noise import (
     SPEED_NOISY,
     average_adaptively,
     find_leap_limit,
@@ -36,9 +36,9 @@ from core.cleaning.speed_noise import (
     is_still,
     observe_noise,
 )
-from core.cleaning.speed_witness import count_distance, weigh_speed
-from core.cleaning.sphere import compute_chord, find_way, wrap_angle
-from core.columns import KMH
+from socast.core.cleaning.speed_witness import count_distance, weigh_speed
+from socast.core.cleaning.sphere import compute_chord, find_way, wrap_angle
+from socast.core.columns import KMH
 
 RING: Final = 8
 """Longest moving average of the speed. [samples]"""

@@ -2,7 +2,8 @@
 
 The state is position and velocity in metres north and east of an origin nearby. White noise drives the velocity (Li and
 Jilkov, IEEE Trans. AES 39 (2003) 1333, DOI 10.1109/TAES.2003.1261132, section III). Both axes have the same covariance
-matrix, so that three numbers hold it. `core.cleaning.position_smoother` has the same matrices, built with filterpy.
+matrix, so that three numbers hold it. `socast.core.cleaning.position_smoother` has the same matrices, built with
+filterpy.
 
 *Noise of fixes.* The difference of a fix and the line between its neighbours is noise and acceleration. Across the
 course only curves accelerate. Two differences in succession have the covariance -R from white noise of variance R, and
@@ -28,10 +29,10 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning.motion import NULL_ISLAND, SLACK
-from core.cleaning.slow_steps import HOLE
-from core.cleaning.sphere import compute_chord, wrap_angle
-from core.columns import EARTH_RADIUS
+from socast.core.cleaning.motion import NULL_ISLAND, SLACK
+from socast.core.cleaning.slow_steps import HOLE
+from socast.core.cleaning.sphere import compute_chord, wrap_angle
+from socast.core.columns import EARTH_RADIUS
 
 FIELDS: Final = (
     "path_latitude",  # origin of the plane [rad], NaN before the first fix

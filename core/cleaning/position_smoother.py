@@ -1,11 +1,11 @@
 """Speed, distance and heading of whole rides of cars that never send a speed, from the fixes on both sides of a sample.
 
 filterpy's Kalman filter runs over the fixes of a ride, and its Rauch-Tung-Striebel smoother runs back (AIAA J. 3 (1965)
-1445, DOI 10.2514/3.3166). The matrices are those of the compiled filter in `core.cleaning.position_filter`, which also
-states the noise of each fix, and where the car stands: there a velocity of zero is measured as well. The smoothed path
-between two rows is the cubic curve through their positions with their velocities, and its length is the distance.
-Between fixes that are far apart in time, curves are longer than roads, so that it is the chord. Speed and acceleration
-follow from the path, so that distance, speed and kinetic energy agree.
+1445, DOI 10.2514/3.3166). The matrices are those of the compiled filter in `socast.core.cleaning.position_filter`,
+which also states the noise of each fix, and where the car stands: there a velocity of zero is measured as well. The
+smoothed path between two rows is the cubic curve through their positions with their velocities, and its length is the
+distance. Between fixes that are far apart in time, curves are longer than roads, so that it is the chord. Speed and
+acceleration follow from the path, so that distance, speed and kinetic energy agree.
 
 A hole without fixes is bridged in the same way, and marked. Fixes that no car can have connected, as after a leap,
 divide a ride into parts; what lies between them keeps its causal motion. The odometer is a witness: where a ride has
@@ -21,11 +21,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.cleaning import motion
-from core.cleaning.clean_columns import Clean
-from core.cleaning.elevation_smoother import LONGEST_PIECE, number_rows
-from core.cleaning.position_filter import (
+from socast.core.batch import Floats, Ints
+from socast.core.cleaning import motion
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.elevation_smoother import LONGEST_PIECE, number_rows
+from socast.core.cleaning.position_filter import (
     FIRST_SPEED,
     GATE,
     LEAST_NOISE,
@@ -34,8 +34,8 @@ from core.cleaning.position_filter import (
     STILL_SPEED,
     find_acceleration_variance,
 )
-from core.cleaning.quality import Quality
-from core.columns import EARTH_RADIUS
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import EARTH_RADIUS
 
 FASTEST: Final = 85.0
 """Speed beyond which two fixes belong to two parts: more than the highest speed limit that may be set. [m/s]"""

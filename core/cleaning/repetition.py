@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.columns import EARTH_RADIUS
+from socast.core.columns import EARTH_RADIUS
 
 FIELDS: Final = (
     *(f"last_{name}" for name in ("latitude", "longitude", "speed", "current", "soc")),  # of the last row, as reported

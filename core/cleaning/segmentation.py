@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from core.batch import NO_RIDE
+from socast.core.batch import NO_RIDE
 
 FIELDS: Final = (
     "rides",  # number of rides begun so far

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning.quality import Quality
+from socast.core.cleaning.quality import Quality
 
 FIELDS: Final = (
     "shared",  # number of periods counted since the stamp last changed

@@ -1,6 +1,6 @@
 """Find where the samples of a fleet show that one of its cars is silent, without cleaning the samples.
 
-The kernel ends the ride of a silent car by the fleet clock (`core.cleaning.fleet_clock`), for which it needs the
+The kernel ends the ride of a silent car by the fleet clock (`socast.core.cleaning.fleet_clock`), for which it needs the
 samples of all cars in their order. The fleet clock depends only on the repaired times of the samples, which take a
 small part of the work. If the times are repaired first, each car can be cleaned without the others: its silences stand
 between its samples as events. A silence of a car that is not on a ride has no effect.
@@ -12,13 +12,22 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core import columns
-from core.batch import Batch, Floats, Ints, grown
-from core.cleaning import clock, fleet_clock, kernel, late_samples, quality, repetition, segmentation, shared_stamps
-from core.cleaning.fleet_clock import RIDE_END, new_fleet_clock
-from core.columns import TELEMETRY
-from core.compiled_cache import watch_sources
-from core.settings import Settings
+from socast.core import columns
+from socast.core.batch import Batch, Floats, Ints, grown
+from socast.core.cleaning import (
+    clock,
+    fleet_clock,
+    kernel,
+    late_samples,
+    quality,
+    repetition,
+    segmentation,
+    shared_stamps,
+)
+from socast.core.cleaning.fleet_clock import RIDE_END, new_fleet_clock
+from socast.core.columns import TELEMETRY
+from socast.core.compiled_cache import watch_sources
+from socast.core.settings import Settings
 
 INPUTS: Final = ("stamp", "seq", "latitude", "longitude", "speed", "current", "soc")
 """Columns of a batch on which repaired times depend."""
@@ -31,7 +40,7 @@ _CAR: Final = np.dtype(
         *((name, "f8") for name in ("heard", "riding", "idle", "code")),
     ]
 )
-"""The part of `core.cleaning.kernel.STATE` on which the fleet clock depends; `riding` is 1 until a car is silent."""
+"""The part of `STATE` of the kernel on which the fleet clock depends; `riding` is 1 until a car is silent."""
 
 
 class FleetSilences:
@@ -44,9 +53,9 @@ class FleetSilences:
 
     Examples
     --------
-    >>> from core.batch import Lanes
-    >>> from core.wire.decoder import Decoder
-    >>> from core.wire.messages import Message
+    >>> from socast.core.batch import Lanes
+    >>> from socast.core.wire.decoder import Decoder
+    >>> from socast.core.wire.messages import Message
     >>> sample = '{"vehicle_id": "%s", "time_s": %d, "speed_kmh": 36}'
     >>> cars = ["a"] + ["b"] * 300
     >>> texts = [(car, sample % (car, 3 * i)) for i, car in enumerate(cars)]

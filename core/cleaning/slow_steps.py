@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning.sphere import find_way
+from socast.core.cleaning.sphere import find_way
 
 FIELDS: Final = (
     "leapt",  # 1 where a fix is further away than the car can have come
@@ -86,14 +86,14 @@ def find_return(state: Any, row: Any, by_ends: float, distance: float) -> float:
     state.slow_way += distance
     if state.fix_age > 0.0:
         return 0.0
-    excess = find_excess(state.slow_way, state.slow_ends)
+    excess = find_unexplained(state.slow_way, state.slow_ends)
     left = state.origin_excess > 0.0
     state.origin_ends += state.slow_ends
     state.origin_excess += excess
     state.origin_fixes += 1.0
     state.slow_ends = state.slow_way = 0.0
     way = find_way(state.origin_latitude, state.origin_longitude, row)
-    returned = left and excess > 0.0 and find_excess(way, state.origin_ends) == 0.0
+    returned = left and excess > 0.0 and find_unexplained(way, state.origin_ends) == 0.0
     jumped = state.origin_excess if returned else 0.0
     if returned or state.origin_excess == 0.0 or state.origin_fixes > MOST_JUMPS or isnan(way):
         state.origin_latitude, state.origin_longitude = row.raw_latitude, row.raw_longitude
@@ -102,6 +102,6 @@ def find_return(state: Any, row: Any, by_ends: float, distance: float) -> float:
 
 
 @njit(cache=False)
-def find_excess(distance: float, by_ends: float) -> float:
+def find_unexplained(distance: float, by_ends: float) -> float:
     """Return the distance beyond that by speeds, 0 where these may explain it. [m]"""
     return distance - by_ends if distance > BEYOND * by_ends + BEYOND_SLACK else 0.0

@@ -37,8 +37,8 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning.quality import Quality
-from core.columns import KMH
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import KMH
 
 FIELDS: Final = (
     "leap",  # last speed that is held back, NaN without one [m/s]

@@ -21,9 +21,9 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning.quality import Quality
-from core.cleaning.sphere import find_way, wrap_angle
-from core.columns import EARTH_RADIUS
+from socast.core.cleaning.quality import Quality
+from socast.core.cleaning.sphere import find_way, wrap_angle
+from socast.core.columns import EARTH_RADIUS
 
 FIELDS: Final = (
     "section_latitude",  # fix at which the open section began [rad], NaN without one

@@ -5,7 +5,7 @@ from typing import Any
 
 from numba import njit
 
-from core.columns import EARTH_RADIUS
+from socast.core.columns import EARTH_RADIUS
 
 
 @njit(cache=False)

@@ -5,8 +5,8 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.cleaning import motion
-from core.cleaning.sphere import find_way
+from socast.core.cleaning import motion
+from socast.core.cleaning.sphere import find_way
 
 FIELDS: Final = (
     "lost_at_speed",  # 1 where the last fix came at speed, and no speed has been reported since

@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints
 
 LEAST_FREEDOM: Final = 2.0
 """Degrees of freedom below which a bin holds too few vehicle-days for an interval."""
@@ -52,7 +52,7 @@ def average_in_bins(place: Ints, bins: int, values: Floats, weight: Floats, day:
     -----
     With the share p of a vehicle-day in the weight of its bin, and the sum s of its weighted deviations from the mean,
     the variance is the sum of s^2/(1 - p) over the squared weight, with 1/(sum of p^2) - 1 degrees of freedom, as in
-    `core.diagnose.evidence`.
+    `socast.core.diagnose.evidence`.
 
     Examples
     --------

@@ -8,14 +8,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from core import effects
-from core.batch import Floats, Ints
-from core.diagnose.dataset import Windows
-from core.effects.declaration import VARIANT
-from core.effects.road_load import ROAD_LOAD
-from core.fit.ride_blocks import get_numbers
-from core.models import LinearModel
-from core.models.features import EFFECT_PREFIX
+from socast.core import effects
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.dataset import Windows
+from socast.core.effects.declaration import VARIANT
+from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.fit.ride_blocks import get_numbers
+from socast.core.models import LinearModel
+from socast.core.models.features import EFFECT_PREFIX
 
 LEAST_SHARE: Final = 0.003
 """Share of the energy that an effect must exceed, because samples every few seconds distort as much."""

@@ -7,14 +7,14 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats, Ints
-from core.errors import ModelError
-from core.fit.measured_rows import join_tables
-from core.fit.measurement_noise import is_metered
-from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
-from core.models import ANY, LinearModel
-from core.models.features import Columns
-from core.stats.clustered import assign_vehicle_days
+from socast.core.batch import Floats, Ints
+from socast.core.errors import ModelError
+from socast.core.fit.measured_rows import join_tables
+from socast.core.fit.measurement_noise import is_metered
+from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
+from socast.core.models import ANY, LinearModel
+from socast.core.models.features import Columns
+from socast.core.stats.clustered import assign_vehicle_days
 
 LEAST_RIDES: Final = 20
 """Number of rides below which a diagnosis is not possible."""
@@ -29,7 +29,7 @@ class Windows:
     Parameters
     ----------
     table : (n, columns) DataFrame
-        The window table, with `core.fit.measured_rows.RIDE_COLUMNS`.
+        The window table, with `socast.core.fit.measured_rows.RIDE_COLUMNS`.
     rides : (rides, columns) DataFrame
         The ride table of the same rides, in the order of `ride`.
     measured, predicted : (n,) float

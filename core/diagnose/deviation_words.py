@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from datetime import date
 from typing import Any, Final
 
-from core.formatting import format_minus
+from socast.core.formatting import format_minus
 
 PERCENT: Final = 100.0
 SEVERAL: Final = 3

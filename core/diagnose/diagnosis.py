@@ -20,33 +20,33 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from core import effects
-from core.batch import Floats
-from core.diagnose import residual_structure
-from core.diagnose.add.holdout import drop_dates, select_final_days
-from core.diagnose.add.refit import CoefficientEstimate
-from core.diagnose.add.terms import describe_coefficient
-from core.diagnose.candidates import build_candidates
-from core.diagnose.dataset import Windows, gather_windows
-from core.diagnose.episodes import find_episodes
-from core.diagnose.error_location.locate import locate_error
-from core.diagnose.error_steps import compute_steps
-from core.diagnose.evidence import ClusterSums
-from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectionSettings
-from core.diagnose.free_form.search import Suggestion, suggest_term
-from core.diagnose.partial_residual import compute_partial_residual
-from core.diagnose.posterior.probabilities import Causes
-from core.diagnose.projection import BaseProjection
-from core.diagnose.ranking import LEVEL, Ranking
-from core.diagnose.residual_profile import profile_residual
-from core.diagnose.residual_structure import ResidualStructure
-from core.diagnose.siblings.deviations import diagnose_deviations
-from core.diagnose.slices.search import find_slices
-from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
-from core.fit.ride_blocks import get_names, get_numbers
-from core.models import LinearModel
-from core.models.features import EFFECT_PREFIX
-from core.models.plausibility import describe_implausible
+from socast.core import effects
+from socast.core.batch import Floats
+from socast.core.diagnose import residual_structure
+from socast.core.diagnose.add.holdout import drop_dates, select_final_days
+from socast.core.diagnose.add.refit import CoefficientEstimate
+from socast.core.diagnose.add.terms import describe_coefficient
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.dataset import Windows, gather_windows
+from socast.core.diagnose.episodes import find_episodes
+from socast.core.diagnose.error_location.locate import locate_error
+from socast.core.diagnose.error_steps import compute_steps
+from socast.core.diagnose.evidence import ClusterSums
+from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectionSettings
+from socast.core.diagnose.free_form.search import Suggestion, suggest_term
+from socast.core.diagnose.partial_residual import compute_partial_residual
+from socast.core.diagnose.posterior.probabilities import Causes
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.ranking import LEVEL, Ranking
+from socast.core.diagnose.residual_profile import profile_residual
+from socast.core.diagnose.residual_structure import ResidualStructure
+from socast.core.diagnose.siblings.deviations import diagnose_deviations
+from socast.core.diagnose.slices.search import find_slices
+from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
+from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.models import LinearModel
+from socast.core.models.features import EFFECT_PREFIX
+from socast.core.models.plausibility import describe_implausible
 
 LEAST_SUGGESTION_GAIN: Final = 0.005
 """Share of the squared error that a free-form term must explain to be suggested."""
@@ -87,7 +87,7 @@ def diagnose(
         The model to diagnose.
     leave_out : collection of str, optional
         ISO dates whose rides are not used. By default those on which `add` evaluates once it has decided, see
-        `core.diagnose.add.holdout.select_final_days`; an empty collection for none.
+        `socast.core.diagnose.add.holdout.select_final_days`; an empty collection for none.
     without : collection of str
         Effects of the library that are not tested.
     least_gain : float
@@ -106,16 +106,17 @@ def diagnose(
     -------
     dict
         `model`, `data` (`held_out` states which dates were not used), `episodes` (hours of a few dates in which the
-        power is off, see `core.diagnose.episodes`; what follows is beside them), `error`, `error_location`, `slices`,
-        `missing` (best first, each beside the others), `candidates`, `verdict`, `causes` and `credible_set` (before any
-        effect is selected), `further` and `further_credible_set` (beside the selected effects), `structure_remains`,
-        `structure`, `suggestion`, `suggestion_file`, `steps`, `profiles`, `deviations` and `cars` (see
-        `core.diagnose.siblings.deviations`). The values are plain Python values; an unknown number is NaN or None.
+        power is off, see `socast.core.diagnose.episodes`; what follows is beside them), `error`, `error_location`,
+        `slices`, `missing` (best first, each beside the others), `candidates`, `verdict`, `causes` and `credible_set`
+        (before any effect is selected), `further` and `further_credible_set` (beside the selected effects),
+        `structure_remains`, `structure`, `suggestion`, `suggestion_file`, `steps`, `profiles`, `deviations` and `cars`
+        (see `socast.core.diagnose.siblings.deviations`). The values are plain Python values; an unknown number is NaN
+        or None.
 
     Raises
     ------
     ModelError
-        There are too few data, see `core.diagnose.dataset.gather_windows`.
+        There are too few data, see `socast.core.diagnose.dataset.gather_windows`.
     """
     with threadpool_limits(1):  # matrices are small, so threads would wait, and sums would depend on their number
         dates = get_names(rides, "date")

@@ -34,12 +34,12 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.special import gammaln, log_ndtr, stdtrit
 
-from core.batch import Floats, Ints
-from core.diagnose.candidates import Candidates
-from core.diagnose.noise import estimate_window_variance
-from core.diagnose.projection import BaseProjection
-from core.diagnose.ranking import LEAST_LEFT
-from core.fit.ride_blocks import get_names, get_numbers
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.candidates import Candidates
+from socast.core.diagnose.noise import estimate_window_variance
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.ranking import LEAST_LEFT
+from socast.core.fit.ride_blocks import get_names, get_numbers
 
 LEVEL: Final = 0.01
 """Probability that a diagnosis without any episode reports one. [1]"""

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from core.batch import Floats
-from core.diagnose.forward_selection import ForwardSelection, MissingEffect
-from core.stats.clustered import compute_clustered_mean
+from socast.core.batch import Floats
+from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect
+from socast.core.stats.clustered import compute_clustered_mean
 
 
 def compute_steps(selection: ForwardSelection, missing: Sequence[MissingEffect], floor: float) -> list[dict[str, Any]]:

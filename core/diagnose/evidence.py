@@ -1,7 +1,7 @@
 """Test whether candidate effects are present in the residual of a model.
 
-All quantities are weighted and projected (`core.diagnose.projection`): a residual r and one column c per candidate, of
-which the terms of the model can explain nothing. The coefficient of a candidate is then c'r / c'c.
+All quantities are weighted and projected (`socast.core.diagnose.projection`): a residual r and one column c per
+candidate, of which the terms of the model can explain nothing. The coefficient of a candidate is then c'r / c'c.
 
 Errors of windows of one vehicle-day may depend on each other in any way. The variance is therefore the sum of the
 squared sums over vehicle-days, each divided by (1 - h), as if the vehicle-day were left out (CR3). h is the share of
@@ -23,7 +23,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints
 
 FOLDS: Final = 10
 """Number of folds to which clusters are assigned."""

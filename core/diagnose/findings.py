@@ -14,11 +14,11 @@ import numpy as np
 import pandas as pd
 from msgspec.structs import replace
 
-from core.columns import SECONDS_PER_DAY
-from core.diagnose.deviation_words import word_deviation
-from core.fit.ride_blocks import get_names, get_numbers
-from core.models.features import VEHICLE_SCOPE
-from core.wire.messages import Cause, Finding, Message, encode, identity
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.diagnose.deviation_words import word_deviation
+from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.models.features import VEHICLE_SCOPE
+from socast.core.wire.messages import Cause, Finding, Message, encode, identity
 
 SURE: Final = 0.9
 """Probability from which a finding is sure; one minus it is the chance that a fleet without deviations ever has a sure

@@ -13,13 +13,13 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.diagnose.candidates import Candidates
-from core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
-from core.diagnose.posterior.causes import SelectedForm, compute_cause_evidence
-from core.diagnose.posterior.probabilities import NONE, UNKNOWN, Causes, compute_probabilities
-from core.diagnose.projection import BaseProjection, orthonormalise
-from core.diagnose.ranking import (
+from socast.core.batch import Floats
+from socast.core.diagnose.candidates import Candidates
+from socast.core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
+from socast.core.diagnose.posterior.causes import SelectedForm, compute_cause_evidence
+from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN, Causes, compute_probabilities
+from socast.core.diagnose.projection import BaseProjection, orthonormalise
+from socast.core.diagnose.ranking import (
     Ranking,
     ResidualSpace,
     compute_correlation,

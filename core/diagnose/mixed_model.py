@@ -11,7 +11,7 @@ of a unit, and the sums of its units are those of the level above.
 `MixedModel` evaluates the restricted likelihood (REML). Per unit, it holds only the rows of the sums that belong to
 random effects, so that one evaluation with its gradient takes milliseconds for a thousand rides.
 
-`core.diagnose.variances` estimates the variances.
+`socast.core.diagnose.variances` estimates the variances.
 
 References
 ----------
@@ -26,8 +26,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Ints
-from core.diagnose.sweep import SweepStep, sum_ride_products, sum_units
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.sweep import SweepStep, sum_ride_products, sum_units
 
 SINGULAR: Final = 1e-10
 """Squared size of a combination of fixed columns, relative to the largest one, below which it counts as zero. [1]"""

@@ -1,8 +1,8 @@
 """Estimate the variance of each residual of a diagnosis, and the weights that limit the influence of outliers."""
 
-from core.batch import Floats
-from core.diagnose.dataset import Windows
-from core.fit.row_noise import build_variance_parts, estimate_variance
+from socast.core.batch import Floats
+from socast.core.diagnose.dataset import Windows
+from socast.core.fit.row_noise import build_variance_parts, estimate_variance
 
 
 def estimate_window_variance(windows: Windows, residual: Floats, parts: Floats | None = None) -> Floats:

@@ -16,18 +16,18 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from core import effects
-from core.batch import Floats, Ints
-from core.diagnose.add.holdout import drop_dates, select_final_days
-from core.diagnose.bin_means import average_in_bins, split_at_quantiles
-from core.diagnose.candidates import build_candidates
-from core.diagnose.dataset import gather_windows
-from core.diagnose.evidence import ClusterSums, compute_evidence
-from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect, SelectionSettings
-from core.diagnose.projection import BaseProjection
-from core.errors import ModelError
-from core.fit.ride_blocks import get_names, get_numbers
-from core.models import LinearModel
+from socast.core import effects
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.add.holdout import drop_dates, select_final_days
+from socast.core.diagnose.bin_means import average_in_bins, split_at_quantiles
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.dataset import gather_windows
+from socast.core.diagnose.evidence import ClusterSums, compute_evidence
+from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect, SelectionSettings
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.errors import ModelError
+from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.models import LinearModel
 
 BINS: Final = 12
 """Largest number of bins of a picture."""

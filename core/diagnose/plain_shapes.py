@@ -4,12 +4,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from core.diagnose.dataset import Windows
-from core.diagnose.projection import BaseProjection
-from core.diagnose.ranking import LEAST_LEFT
-from core.fit.ride_blocks import get_numbers
-from core.models.derived_features import compute_sun_sine
+from socast.core.batch import Floats
+from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.ranking import LEAST_LEFT
+from socast.core.fit.ride_blocks import get_numbers
+from socast.core.models.derived_features import compute_sun_sine
 
 ABOUT: Final = (
     "ambient_c",

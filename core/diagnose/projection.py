@@ -4,8 +4,9 @@ An effect gets no credit for what the terms of the model can explain. Measured e
 projected off these terms (Frisch-Waugh-Lovell). Each car has its own coefficients, because cars of one model differ. A
 model with accessories by temperature may also use any smooth function of the temperature, multiplied by time.
 
-What sampling distorts (`core.fit.distortions`) is projected off in the same way, and the number of stops, because an
-effect that acts at stops or in acceleration would otherwise be credited with what speed between two samples hides.
+What sampling distorts (`socast.core.fit.distortions`) is projected off in the same way, and the number of stops,
+because an effect that acts at stops or in acceleration would otherwise be credited with what speed between two samples
+hides.
 
 The residuals of the windows of one ride may be correlated: positively where a whole ride has high or low energy, and
 negatively where windows compensate for each other. This correlation is estimated, and the means of rides are weighted
@@ -24,15 +25,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.diagnose.dataset import Windows
-from core.diagnose.noise import estimate_window_variance
-from core.fit.block_sums import build_design
-from core.fit.distortions import gather_distortions
-from core.fit.ride_blocks import get_names, get_numbers
-from core.fit.row_noise import build_variance_parts, compute_robust_weights
-from core.models import ANY, LinearModel, Term
-from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns
+from socast.core.batch import Floats
+from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.noise import estimate_window_variance
+from socast.core.fit.block_sums import build_design
+from socast.core.fit.distortions import gather_distortions
+from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.fit.row_noise import build_variance_parts, compute_robust_weights
+from socast.core.models import ANY, LinearModel, Term
+from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns
 
 Rows = NDArray[np.int64]
 

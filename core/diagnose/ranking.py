@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats, Ints
-from core.diagnose.candidates import Candidates
-from core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
-from core.diagnose.projection import BaseProjection
-from core.stats.multiple_testing import adjust_false_discovery
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.candidates import Candidates
+from socast.core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.stats.multiple_testing import adjust_false_discovery
 
 LEAST_LEFT: Final = 0.03
 """Share of a candidate's size that the model must be unable to explain for the candidate to be identifiable."""

@@ -5,12 +5,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.diagnose.bin_means import average_in_bins, split_at_quantiles
-from core.diagnose.dataset import Windows
-from core.diagnose.forward_selection import ForwardSelection
-from core.diagnose.residual_structure import FEATURES
-from core.fit.ride_blocks import get_names, get_numbers
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.bin_means import average_in_bins, split_at_quantiles
+from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.forward_selection import ForwardSelection
+from socast.core.diagnose.residual_structure import FEATURES
+from socast.core.fit.ride_blocks import get_names, get_numbers
 
 BINS: Final = 12
 """Largest number of bins along a feature."""

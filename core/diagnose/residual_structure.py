@@ -17,14 +17,14 @@ from typing import Final, NamedTuple
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingRegressor
 
-from core.batch import Floats, Ints
-from core.diagnose.dataset import Windows
-from core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
-from core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect
-from core.diagnose.plain_shapes import build_plain_shapes, compute_window_sun_sine
-from core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_held_out_gains, sum_over_clusters
-from core.fit.ride_blocks import get_numbers
-from core.stats.multiple_testing import adjust_false_discovery
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
+from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect
+from socast.core.diagnose.plain_shapes import build_plain_shapes, compute_window_sun_sine
+from socast.core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_held_out_gains, sum_over_clusters
+from socast.core.fit.ride_blocks import get_numbers
+from socast.core.stats.multiple_testing import adjust_false_discovery
 
 LEAST_TAKEN: Final = 0.8
 """Share of what trees can predict that the selected effects must explain for no structure to remain."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints
 
 
 class Swept(NamedTuple):

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from core.batch import Floats
-from core.diagnose.mixed_model import Criterion, MixedModel
+from socast.core.batch import Floats
+from socast.core.diagnose.mixed_model import Criterion, MixedModel
 
 QUANTILE_95: Final = 3.8415
 """95 % quantile of the chi-squared distribution with one degree of freedom. [1]"""

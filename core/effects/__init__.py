@@ -3,9 +3,9 @@
 Other packages import the names of this package. Users' files import `effect` and `Parameter` from `socast`.
 """
 
-from core.effects.declaration import Effect, Parameter, effect
-from core.effects.registry import CANDIDATES, get, get_library, group_by_topic, list_tabulated, load_file
-from core.effects.verification import check_effect
+from socast.core.effects.declaration import Effect, Parameter, effect
+from socast.core.effects.registry import CANDIDATES, get, get_library, group_by_topic, list_tabulated, load_file
+from socast.core.effects.verification import check_effect
 
 __all__ = [
     "CANDIDATES",

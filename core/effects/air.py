@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import STANDARD_AIR_DENSITY
-from core.effects.declaration import Effect, Parameter, effect
+from socast.core.batch import Floats
+from socast.core.columns import STANDARD_AIR_DENSITY
+from socast.core.effects.declaration import Effect, Parameter, effect
 
 _DRAG: Final = "Gillespie, Fundamentals of Vehicle Dynamics, SAE 1992, ch. 4"
 _DENSITY: Final = Parameter(STANDARD_AIR_DENSITY, "kg/m^3")

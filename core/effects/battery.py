@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.effects.declaration import Effect, Parameter, effect
+from socast.core.batch import Floats
+from socast.core.effects.declaration import Effect, Parameter, effect
 
 _COLD: Final = "Steinstraeter, Heinrich and Lienkamp 2021, World Electric Vehicle J. 12:115, DOI 10.3390/wevj12030115"
 _REVIEW: Final = "Alipour et al. 2020, Batteries 6:35, DOI 10.3390/batteries6030035"

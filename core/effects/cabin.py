@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.effects.declaration import Effect, Parameter, effect
+from socast.core.batch import Floats
+from socast.core.effects.declaration import Effect, Parameter, effect
 
 _BALANCE: Final = "Fayazbakhsh and Bahrami 2013, SAE 2013-01-1507, DOI 10.4271/2013-01-1507, heat balance of a cabin"
 _MEASURED: Final = "heater and air-conditioning power of the Vehicle Energy Dataset, arXiv:1905.02081"

@@ -1,7 +1,7 @@
 """The declaration of an effect: a pure function of columns with a named coefficient, and checks of its completeness.
 
-The declaration holds all that fitting, listing and diagnosis need to know of an effect. Import `core.effects` to use
-effects, and `socast` to write one.
+The declaration holds all that fitting, listing and diagnosis need to know of an effect. Import `socast.core.effects` to
+use effects, and `socast` to write one.
 """
 
 import inspect
@@ -15,10 +15,10 @@ from typing import Final, Literal
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import SIGNALS
-from core.errors import EffectError
-from core.formatting import everyday, rounded
+from socast.core.batch import Floats
+from socast.core.columns import SIGNALS
+from socast.core.errors import EffectError
+from socast.core.formatting import everyday, rounded
 
 SIGNAL_UNITS: Final[Mapping[str, str]] = MappingProxyType({column.name: column.unit for column in SIGNALS})
 """Unit of each column that an effect may take, by name."""
@@ -199,7 +199,7 @@ class Effect:
         Parameters
         ----------
         columns : mapping of str to (n,) float
-            At least `arguments`; see `core.columns.SIGNALS`.
+            At least `arguments`; see `socast.core.columns.SIGNALS`.
         parameters : mapping of str to float, optional
             Values in place of the declared ones.
 
@@ -283,9 +283,9 @@ def effect(
 ) -> Callable[[Callable[..., Floats]], Effect]:
     """Declare a function of columns to be an effect of the same name.
 
-    Arguments of the function are names of `core.columns.SIGNALS`, filled in by name, and names of `parameters`. A
-    number that has a dimension must be a parameter, because units are checked. The docstring holds the formula, as `P =
-    ...`.
+    Arguments of the function are names of `socast.core.columns.SIGNALS`, filled in by name, and names of `parameters`.
+    A number that has a dimension must be a parameter, because units are checked. The docstring holds the formula, as `P
+    = ...`.
 
     Parameters
     ----------

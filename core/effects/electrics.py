@@ -4,8 +4,8 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.effects.declaration import Effect, Parameter, effect
+from socast.core.batch import Floats
+from socast.core.effects.declaration import Effect, Parameter, effect
 
 
 @effect(

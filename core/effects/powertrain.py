@@ -4,9 +4,9 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import GRAVITY
-from core.effects.declaration import Effect, Parameter, effect
+from socast.core.batch import Floats
+from socast.core.columns import GRAVITY
+from socast.core.effects.declaration import Effect, Parameter, effect
 
 _LOSSES: Final = "Larminie and Lowry, Electric Vehicle Technology Explained, 2nd ed., Wiley 2012, ch. 7, motor losses"
 

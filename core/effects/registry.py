@@ -18,21 +18,21 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from core.effects.air import AIR
-from core.effects.battery import BATTERY
-from core.effects.cabin import CABIN
-from core.effects.declaration import VARIANT, Effect
-from core.effects.electrics import ELECTRICS
-from core.effects.powertrain import POWERTRAIN
-from core.effects.road_load import ROAD_LOAD
-from core.effects.tyres import TYRES
-from core.effects.verification import check_effect
-from core.errors import EffectError, read_input
+from socast.core.effects.air import AIR
+from socast.core.effects.battery import BATTERY
+from socast.core.effects.cabin import CABIN
+from socast.core.effects.declaration import VARIANT, Effect
+from socast.core.effects.electrics import ELECTRICS
+from socast.core.effects.powertrain import POWERTRAIN
+from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.effects.tyres import TYRES
+from socast.core.effects.verification import check_effect
+from socast.core.errors import EffectError, read_input
 
 TIME_LIMIT: Final = 60.0
 """Longest time for importing and checking a user's file, which takes about 1 s of processor time. [s]"""
 ALLOWED_IMPORTS: Final = frozenset(
-    {"__future__", "collections", "core", "dataclasses", "functools", "itertools", "math", "numpy", "socast", "typing"}
+    {"__future__", "collections", "dataclasses", "functools", "itertools", "math", "numpy", "socast", "typing"}
 )
 """Modules that a file of effects may import. An effect is a pure function of columns, without files or network."""
 FORBIDDEN_CALLS: Final = frozenset({"__import__", "breakpoint", "compile", "eval", "exec", "input", "open"})
@@ -56,7 +56,7 @@ CANDIDATES: Final[Mapping[str, tuple[Effect, ...]]] = MappingProxyType(
 )
 """Candidate effects beyond the road load, by topic.
 
-Each effect is what its phenomenon adds to the base effects of `core.effects.road_load`, in the textbook's form.
+Each effect is what its phenomenon adds to the base effects of `socast.core.effects.road_load`, in the textbook's form.
 Diagnosis tests whether the data show it. Where a plausible range begins above zero, physics demands a positive
 coefficient.
 """
@@ -226,7 +226,7 @@ def _check_apart(path: Path, time_limit: float) -> None:
     command = [
         sys.executable,
         "-c",
-        "import sys; from core.effects.registry import _inspect; _inspect(sys.argv[1])",
+        "import sys; from socast.core.effects.registry import _inspect; _inspect(sys.argv[1])",
         str(path),
     ]
     try:

@@ -21,10 +21,10 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import GRAVITY, STANDARD_AIR_DENSITY
-from core.effects.declaration import Effect, Expectation, Parameter, effect
-from core.vehicles import ACCESSORIES, AccessoryCurve
+from socast.core.batch import Floats
+from socast.core.columns import GRAVITY, STANDARD_AIR_DENSITY
+from socast.core.effects.declaration import Effect, Expectation, Parameter, effect
+from socast.core.vehicles import ACCESSORIES, AccessoryCurve
 
 _GRAVITY: Final = {"gravity": Parameter(GRAVITY, "m/s^2")}
 _BALANCE: Final = "De Cauwer et al. 2015, Energies 8:8573, DOI 10.3390/en8088573"
@@ -53,7 +53,7 @@ _DRAG_AREAS: Final = "range: Hucho (ed.), Aerodynamics of Road Vehicles, SAE 199
 def rolling(mass: Floats, grade: Floats, speed: Floats, gravity: float) -> Floats:
     """Tyres that flex: P = m g cos θ v, times c.
 
-    The effect does not depend on speed, temperature or water: see `core.effects.tyres`.
+    The effect does not depend on speed, temperature or water: see `socast.core.effects.tyres`.
     """
     return mass * speed * gravity * np.sqrt(1.0 - grade * grade)
 
@@ -247,7 +247,7 @@ def accessories(
 ) -> Floats:
     """Climate control and all else on board: P = s P_aux(T), in five segments of outside temperature T.
 
-    s is the car's own scale; see `core.vehicles.AccessoryCurve`.
+    s is the car's own scale; see `socast.core.vehicles.AccessoryCurve`.
     """
     curve = AccessoryCurve(heating_full, heating_off, cooling_on, cooling_full, heating, standby, cooling)
     return accessory_scale * curve.power(ambient)

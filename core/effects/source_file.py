@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from textwrap import indent
 from typing import Final
 
-from core.columns import SIGNALS
-from core.effects.declaration import Parameter
-from core.errors import EffectError
+from socast.core.columns import SIGNALS
+from socast.core.effects.declaration import Parameter
+from socast.core.errors import EffectError
 
 WIDTH: Final = 110
 """Most characters of a comment line."""
@@ -47,7 +47,7 @@ def render_source(
     documentation : str
         Docstring with the formula, as `P = ...`.
     coefficient, unit, low, high, source, per, parameters, confused_with, shown_by, words, scale
-        As in `core.effects.effect`.
+        As in `socast.core.effects.effect`.
     imports : sequence of str
         Import lines that the body needs besides numpy.
 

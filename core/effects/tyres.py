@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.effects.declaration import Effect, Parameter, effect
+from socast.core.batch import Floats
+from socast.core.effects.declaration import Effect, Parameter, effect
 
 _VTI: Final = "Carlson and Vieira 2018, VTI rapport 971"
 
@@ -50,8 +50,8 @@ def cold_rolling(tyre_load: Floats, speed: Floats, ambient: Floats, reference: f
 def wet_road(tyre_load: Floats, speed: Floats, water: Floats, depth: float) -> Floats:
     """Water under the tyres: P = m g cos θ (1 - exp(-h/h0)) v, times the added c.
 
-    h is the water on the road, from rain and drying, see `core.signals.weather`. Beyond a few h0 more water makes no
-    difference.
+    h is the water on the road, from rain and drying, see `socast.core.signals.weather`. Beyond a few h0 more water
+    makes no difference.
     """
     return tyre_load * speed * (1.0 - np.exp(-water / depth))
 
@@ -72,8 +72,8 @@ def wet_road(tyre_load: Floats, speed: Floats, water: Floats, depth: float) -> F
 def snow(tyre_load: Floats, speed: Floats, snow: Floats, depth: float) -> Floats:
     """Snow under the tyres: P = m g cos θ (1 - exp(-s/s0)) v, times the added c.
 
-    s is the snow on the road as melted water, from snowfall and clearing, see `core.signals.weather`. 2 mm melted are
-    about 2 cm of fresh snow.
+    s is the snow on the road as melted water, from snowfall and clearing, see `socast.core.signals.weather`. 2 mm
+    melted are about 2 cm of fresh snow.
     """
     return tyre_load * speed * (1.0 - np.exp(-snow / depth))
 

@@ -12,10 +12,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import KMH
-from core.effects.declaration import SIGNAL_UNITS, Effect
-from core.errors import EffectError
+from socast.core.batch import Floats
+from socast.core.columns import KMH
+from socast.core.effects.declaration import SIGNAL_UNITS, Effect
+from socast.core.errors import EffectError
 
 ORDINARY_DRIVING: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
     {

@@ -8,9 +8,9 @@ from typing import Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.evaluate.ride_filter import CLUSTERS, assign_distance_clusters
-from core.stats.scores import Codes
+from socast.core.batch import Floats
+from socast.core.evaluate.ride_filter import CLUSTERS, assign_distance_clusters
+from socast.core.stats.scores import Codes
 
 TEMPERATURES: Final = tuple(range(-30, 41, 5))
 """Edges of the temperature bins. A bin includes its lower edge; the first and last bin are open. [°C]"""

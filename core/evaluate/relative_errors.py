@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.stats.clustered import compute_clustered_mean, compute_clustered_ratio
-from core.stats.scores import UNKNOWN, Codes, compute_relative_errors
+from socast.core.batch import Floats
+from socast.core.stats.clustered import compute_clustered_mean, compute_clustered_ratio
+from socast.core.stats.scores import UNKNOWN, Codes, compute_relative_errors
 
 LEAST_ENERGY: Final = 0.1
 """Least measured energy of a ride that MAPE counts, that of about 500 m in town. [kWh]"""

@@ -10,10 +10,10 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.errors import ModelError
-from core.models.features import ANSWERS
-from core.stats.scores import Codes
+from socast.core.batch import Floats
+from socast.core.errors import ModelError
+from socast.core.models.features import ANSWERS
+from socast.core.stats.scores import Codes
 
 CLUSTER_KM: Final = 5.0
 """Width of a distance cluster, from section 3 of the paper; a cluster includes its lower edge. [km]"""
@@ -94,7 +94,7 @@ def filter_rides(rides: pd.DataFrame) -> EvaluatedRides:
     Parameters
     ----------
     rides : (n, columns) DataFrame
-        A ride table, as `core.totals.tables.ride_table` makes it.
+        A ride table, as `socast.core.totals.tables.ride_table` makes it.
 
     Returns
     -------

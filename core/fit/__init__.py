@@ -1,1 +1,1 @@
-"""Fit models to tables of rides; `core.models` holds the fitted models and predicts with them."""
+"""Fit models to tables of rides; `socast.core.models` holds the fitted models and predicts with them."""

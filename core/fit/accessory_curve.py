@@ -24,9 +24,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
-from core.batch import Floats, Ints
-from core.columns import ZERO_CELSIUS
-from core.vehicles import ACCESSORIES, AccessoryCurve
+from socast.core.batch import Floats, Ints
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.vehicles import ACCESSORIES, AccessoryCurve
 
 CURVE_NUMBERS: Final = 7
 """Number of parameters of an accessory curve: three levels and four choke points."""

@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.errors import ModelError
-from core.fit.ride_blocks import NAMES
+from socast.core.errors import ModelError
+from socast.core.fit.ride_blocks import NAMES
 
 IN_MEMORY: Final = 2**23
 """Size up to which converted rides stay in memory: those of one or two blocks. [B]"""
@@ -26,7 +26,7 @@ class BlockFile:
     Parameters
     ----------
     columns : sequence of str
-        Columns of numbers to keep, besides those of `core.fit.ride_blocks.NAMES` that a block has.
+        Columns of numbers to keep, besides those of `socast.core.fit.ride_blocks.NAMES` that a block has.
     """
 
     def __init__(self, columns: Sequence[str]) -> None:
@@ -40,7 +40,7 @@ class BlockFile:
         Parameters
         ----------
         block : mapping of str to (n,) array
-            Columns as `core.fit.ride_blocks.convert_to_arrays` returns them.
+            Columns as `socast.core.fit.ride_blocks.convert_to_arrays` returns them.
 
         Raises
         ------

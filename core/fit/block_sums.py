@@ -1,7 +1,7 @@
 """Sum what a fit needs over each block of rides, apart from all other blocks.
 
-A fit makes three passes (`core.fit.fitting`). Each maps every block to a part and adds the parts in the order of the
-blocks. Parts may therefore be made anywhere, in any order, and the sums stay the same to the bit.
+A fit makes three passes (`socast.core.fit.fitting`). Each maps every block to a part and adds the parts in the order of
+the blocks. Parts may therefore be made anywhere, in any order, and the sums stay the same to the bit.
 
 The fits of a block share the columns that are equal for all of them: those of terms without unknown values that do not
 depend on the accessory curve.
@@ -19,14 +19,14 @@ import pandas as pd
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from core.batch import Floats
-from core.fit.accessory_curve import CURVE_NUMBERS, TemperatureBins, compute_slopes
-from core.fit.regression import Influence, Moments, Scores, assign_groups, sum_scores
-from core.fit.ride_blocks import ENERGY, NAMES, RideSource, ThinnedRides, convert_to_arrays, select_trainable
-from core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Term
-from core.models.features import ACCESSORIES_COLUMN, Columns, list_raw_columns
-from core.models.limit import LIMIT_NEEDS, sum_training
-from core.vehicles import AccessoryCurve
+from socast.core.batch import Floats
+from socast.core.fit.accessory_curve import CURVE_NUMBERS, TemperatureBins, compute_slopes
+from socast.core.fit.regression import Influence, Moments, Scores, assign_groups, sum_scores
+from socast.core.fit.ride_blocks import ENERGY, NAMES, RideSource, ThinnedRides, convert_to_arrays, select_trainable
+from socast.core.models import ANY, BASIC_PHYSICAL, VEHICLE, VEHICLE_MODEL, Term
+from socast.core.models.features import ACCESSORIES_COLUMN, Columns, list_raw_columns
+from socast.core.models.limit import LIMIT_NEEDS, sum_training
+from socast.core.vehicles import AccessoryCurve
 
 BLOCKS_OF_TASK: Final = 8
 """Number of blocks of rides in a task."""
@@ -98,7 +98,7 @@ class GroupSurvey(NamedTuple):
     sums, squares : dict of str to float
         Their sums, and the sums of their squares.
     taken : (3,) float
-        Sums for the limit of predictions, see `core.models.limit.sum_training`.
+        Sums for the limit of predictions, see `socast.core.models.limit.sum_training`.
     temperatures : TemperatureBins, optional
         Bins of the accessory curve.
     """

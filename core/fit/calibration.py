@@ -22,13 +22,13 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import nnls
 
-from core.batch import Floats, Ints
-from core.fit.block_sums import build_design
-from core.fit.regression import CUTOFF
-from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
-from core.models import ANY, VEHICLE_MODEL, LinearModel, stamp
-from core.models.features import Columns, list_raw_columns
-from core.models.interval import PredictionInterval, compute_scale_terms
+from socast.core.batch import Floats, Ints
+from socast.core.fit.block_sums import build_design
+from socast.core.fit.regression import CUTOFF
+from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
+from socast.core.models import ANY, VEHICLE_MODEL, LinearModel, stamp
+from socast.core.models.features import Columns, list_raw_columns
+from socast.core.models.interval import PredictionInterval, compute_scale_terms
 
 QUANTILE_LEVELS: Final = (
     0.005,
@@ -71,7 +71,7 @@ class HeldOutErrors(NamedTuple):
     error : (n,) float
         Measured minus predicted energy. [kWh]
     terms : (n, 3) float
-        Terms of the scale, see `core.models.interval.compute_scale_terms`.
+        Terms of the scale, see `socast.core.models.interval.compute_scale_terms`.
     distance : (n,) float
         Length of the ride. [km]
     """

@@ -4,7 +4,7 @@ Voltage, current and speed are sampled every few seconds, and not quite at the s
 
 - Lag: power that is measured a second after the motion belongs, by the change of the power, to another window.
 - Unresolved braking: a car that brakes between two samples loses energy that no sample shows. The tables contain an
-  estimate (`core.signals.signals.compute_braking_force`), which is uncertain.
+  estimate (`socast.core.signals.signals.compute_braking_force`), which is uncertain.
 
 A fit estimates both beside its coefficients, with priors, and diagnosis projects them off. No prediction contains them:
 the lag nearly cancels over a ride, and the coefficient of unresolved braking is what its estimate lacks, about zero. In
@@ -16,9 +16,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.columns import JOULES_PER_KWH
-from core.fit.ride_blocks import get_numbers
+from socast.core.batch import Floats
+from socast.core.columns import JOULES_PER_KWH
+from socast.core.fit.ride_blocks import get_numbers
 
 DISTORTED_COLUMNS: Final = ("power_start_w", "power_end_w", "unresolved_braking_kwh")
 """Columns of the tables from which the distortions are computed; a ride table has the last one only."""

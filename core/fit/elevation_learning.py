@@ -27,12 +27,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.linalg import LinearOperator, cg
 from threadpoolctl import threadpool_limits
 
-from core.batch import Batch, Floats, Ints
-from core.cleaning.clean_columns import Clean
-from core.cleaning.elevation_map import CORNERS, ElevationPlaces, number_nodes
-from core.cleaning.quality import Quality
-from core.columns import EARTH_RADIUS, SECONDS_PER_DAY, TELEMETRY
-from core.errors import RecordingError
+from socast.core.batch import Batch, Floats, Ints
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.elevation_map import CORNERS, ElevationPlaces, number_nodes
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import EARTH_RADIUS, SECONDS_PER_DAY, TELEMETRY
+from socast.core.errors import RecordingError
 
 SPACING: Final = 20.0
 """Distance between places. [m]"""
@@ -72,7 +72,7 @@ MOVED: Final = 5.0
 NEAR: Final = 5
 """Largest distance of a place from the nearest fix, in steps north or east. [places]"""
 LARGEST_SD: Final = 3.0
-"""Standard uncertainty beyond which a place is not kept: that of SRTM, see `stream.elevation_tiles`. [m]"""
+"""Standard uncertainty beyond which a place is not kept: that of SRTM, see `socast.stream.elevation_tiles`. [m]"""
 FEWEST_FIXES: Final = 100
 """Number of fixes below which no map is made."""
 ENOUGH: Final = 4

@@ -37,12 +37,12 @@ from typing import Any, Final, Protocol
 import numpy as np
 from msgspec import UNSET
 
-from core.batch import Floats
-from core.effects.road_load import ROAD_LOAD
-from core.errors import ModelError
-from core.fit.accessory_curve import CURVE_NUMBERS, TemperatureBins
-from core.fit.block_file import BlockFile
-from core.fit.block_sums import (
+from socast.core.batch import Floats
+from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.errors import ModelError
+from socast.core.fit.accessory_curve import CURVE_NUMBERS, TemperatureBins
+from socast.core.fit.block_file import BlockFile
+from socast.core.fit.block_sums import (
     BLOCKS_OF_TASK,
     BlockFunction,
     FitContext,
@@ -57,14 +57,14 @@ from core.fit.block_sums import (
     sum_residuals,
     survey_block,
 )
-from core.fit.regression import LEAST_GROUPS, NO_VARIATION, ClusterScores, Influence, Moments, Solution, solve
-from core.fit.ride_blocks import ENERGY, RideSource, ThinnedRides, word_too_few_rides
-from core.models import ANY, BASIC_PHYSICAL, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
-from core.models.derived_features import DERIVED_COLUMNS
-from core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, list_raw_columns
-from core.models.limit import LIMIT_NEEDS, EnergyLimit
-from core.vehicles import AccessoryCurve
-from core.vehicles.fleet import CarParameters
+from socast.core.fit.regression import LEAST_GROUPS, NO_VARIATION, ClusterScores, Influence, Moments, Solution, solve
+from socast.core.fit.ride_blocks import ENERGY, RideSource, ThinnedRides, word_too_few_rides
+from socast.core.models import ANY, BASIC_PHYSICAL, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
+from socast.core.models.derived_features import DERIVED_COLUMNS
+from socast.core.models.features import ACCESSORIES_COLUMN, ACCESSORY_NEEDS, EFFECT_PREFIX, FEATURES, list_raw_columns
+from socast.core.models.limit import LIMIT_NEEDS, EnergyLimit
+from socast.core.vehicles import AccessoryCurve
+from socast.core.vehicles.fleet import CarParameters
 
 _RIDES_PER_COEFFICIENT: Final = 2
 """Fewest rides for each coefficient of a fit."""
@@ -78,7 +78,7 @@ PHYSICS: Final = (*(effect.energy_name for effect in ROAD_LOAD), ACCESSORIES_COL
 
 
 class FitPlan(Protocol):
-    """Describe what to fit, see `core.fit.recipes.LinearRecipe`."""
+    """Describe what to fit, see `socast.core.fit.recipes.LinearRecipe`."""
 
     @property
     def name(self) -> str:

@@ -17,8 +17,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from core.batch import Floats, Ints
-from core.fit.nested_effects import (
+from socast.core.batch import Floats, Ints
+from socast.core.fit.nested_effects import (
     EXPECTED_LEVELS,
     SHARED,
     Elimination,

@@ -16,9 +16,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from core.errors import ModelError
-from core.fit.measurement_noise import is_metered
-from core.fit.ride_blocks import ENERGY, get_numbers
+from socast.core.errors import ModelError
+from socast.core.fit.measurement_noise import is_metered
+from socast.core.fit.ride_blocks import ENERGY, get_numbers
 
 RIDE_COLUMNS: Final = ("ride_id", "date", "winter", "summer", "fit_for_training", "unfit_reason")
 """Columns of the ride table that each window receives."""
@@ -31,7 +31,7 @@ def join_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     rides, windows : DataFrame
-        The tables of the same recordings, as `core.totals.tables` makes them.
+        The tables of the same recordings, as `socast.core.totals.tables` makes them.
 
     Returns
     -------

@@ -13,9 +13,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.fit.ride_blocks import ENERGY, get_numbers
-from core.totals.measured_energy import METER_GAIN
+from socast.core.batch import Floats
+from socast.core.fit.ride_blocks import ENERGY, get_numbers
+from socast.core.totals.measured_energy import METER_GAIN
 
 MEAN_OVER_SD: Final = float(np.sqrt(2.0 / np.pi))
 """Ratio of the mean absolute value of a Gaussian error to its standard deviation. [1]"""

@@ -12,7 +12,7 @@ All random effects are Gaussian and nested, so elimination integrates over them 
 rides, then the vehicle-days, then the cars. Each step needs only sums of products of columns, X'WX. The sums of single
 rides therefore give every fit to a part of the rides: without a ride, without a day, without a car.
 
-`core.fit.level_spreads` estimates the standard deviations of the levels.
+`socast.core.fit.level_spreads` estimates the standard deviations of the levels.
 
 References
 ----------
@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints
 
 SHARED: Final = 2
 """Number of columns on which rides and vehicle-days have random effects: rolling energy and time."""

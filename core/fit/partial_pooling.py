@@ -29,7 +29,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats
+from socast.core.batch import Floats
 
 PHYSICS_WEIGHT: Final = 0.03
 """Weight of physics relative to that of all rides, in the mean. [1]

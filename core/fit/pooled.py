@@ -17,18 +17,18 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.errors import ModelError
-from core.fit.block_sums import build_design, limit_to_one_thread
-from core.fit.calibration import (
+from socast.core.batch import Floats, Ints
+from socast.core.errors import ModelError
+from socast.core.fit.block_sums import build_design, limit_to_one_thread
+from socast.core.fit.calibration import (
     HeldOutErrors,
     assign_car_folds,
     assign_folds,
     calibrate_interval,
     widen_for_unseen_cars,
 )
-from core.fit.fitting import fit_terms
-from core.fit.partial_pooling import (
+from socast.core.fit.fitting import fit_terms
+from socast.core.fit.partial_pooling import (
     NormalEquations,
     Prior,
     compute_common_mean,
@@ -39,12 +39,12 @@ from core.fit.partial_pooling import (
     estimate_prior,
     sum_normal_equations,
 )
-from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers, select_trainable
-from core.fit.trees import fit_trees
-from core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, stamp
-from core.models.features import Columns, derive_coefficient_unit, list_raw_columns
-from core.models.interval import PredictionInterval, compute_scale_terms
-from core.models.trees import Trees
+from socast.core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers, select_trainable
+from socast.core.fit.trees import fit_trees
+from socast.core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, stamp
+from socast.core.models.features import Columns, derive_coefficient_unit, list_raw_columns
+from socast.core.models.interval import PredictionInterval, compute_scale_terms
+from socast.core.models.trees import Trees
 
 SIZE_COLUMN: Final = "size_kwh"
 EFFICIENCY: Final = 1.2
@@ -205,7 +205,7 @@ class PooledRecipe:
     note : str
         Remark for readers.
     free : bool
-        False: `core.fit.fitting` leaves the coefficients at 1, as this class fits them itself.
+        False: `socast.core.fit.fitting` leaves the coefficients at 1, as this class fits them itself.
     """
 
     name: str

@@ -1,9 +1,10 @@
 """State what physics tells of the coefficients of a model before any data: a Gaussian for each.
 
-Effects declare the mean and the spread of their coefficients with a source (`core.effects.declaration.Expectation`),
-some in multiples of a figure of the car in the catalogue. Where an effect declares none, its plausible range stands for
-one: the middle, with half the width as standard deviation. The numbers of the accessory curve are expected at those of
-the reference curve, and their declared bounds are two standard deviations on either side.
+Effects declare the mean and the spread of their coefficients with a source
+(`socast.core.effects.declaration.Expectation`), some in multiples of a figure of the car in the catalogue. Where an
+effect declares none, its plausible range stands for one: the middle, with half the width as standard deviation. The
+numbers of the accessory curve are expected at those of the reference curve, and their declared bounds are two standard
+deviations on either side.
 """
 
 from collections.abc import Sequence
@@ -12,24 +13,24 @@ from typing import Final
 
 import numpy as np
 
-from core import effects
-from core.batch import Floats
-from core.effects.road_load import accessories
-from core.fit.accessory_curve import compute_slopes
-from core.fit.block_sums import build_design
-from core.fit.nested_effects import Gaussian
-from core.models import Term
-from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns, is_scope
-from core.models.plausibility import compute_plausible_range
-from core.vehicles import ACCESSORIES, AccessoryCurve
-from core.vehicles.fleet import CarParameters
+from socast.core import effects
+from socast.core.batch import Floats
+from socast.core.effects.road_load import accessories
+from socast.core.fit.accessory_curve import compute_slopes
+from socast.core.fit.block_sums import build_design
+from socast.core.fit.nested_effects import Gaussian
+from socast.core.models import Term
+from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns, is_scope
+from socast.core.models.plausibility import compute_plausible_range
+from socast.core.vehicles import ACCESSORIES, AccessoryCurve
+from socast.core.vehicles.fleet import CarParameters
 
 BOUNDS_OVER_SD: Final = 4.0
 """Width of the bounds of a number of the accessory curve over its standard deviation. [1]"""
 UNKNOWN_ENERGY: Final = 1.0
 """Standard deviation of the energy of a row by a term of which physics tells nothing. [kWh]"""
 LEVELS: Final = ("standby", "heating", "cooling")
-"""Levels of the accessory curve, in the order of `core.fit.accessory_curve.compute_slopes`."""
+"""Levels of the accessory curve, in the order of `socast.core.fit.accessory_curve.compute_slopes`."""
 CHOKE_POINTS: Final = ("heating_full", "heating_off", "cooling_on", "cooling_full")
 """Choke points of the accessory curve, ascending."""
 LEAST_GAP: Final = 1.0

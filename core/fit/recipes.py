@@ -2,10 +2,10 @@
 
 The names are those of the paper, "Predicting Electric Vehicle Consumption: A Hybrid Physical-Empirical Model",
 section 4. Ordinary least squares fits each of the paper's recipes for every vehicle model, and over all rides together
-for the others. The physical recipes beyond the paper are fitted to windows, see `core.fit.window_recipe`.
+for the others. The physical recipes beyond the paper are fitted to windows, see `socast.core.fit.window_recipe`.
 
 Some terms are collinear by construction: winter and summer, the histogram and the distance, and, for a car of unknown
-load, the rolling resistance and the distance. Such terms share the explained energy, see `core.fit.regression`.
+load, the rolling resistance and the distance. Such terms share the explained energy, see `socast.core.fit.regression`.
 """
 
 from collections.abc import Mapping
@@ -16,16 +16,16 @@ from typing import Final, Protocol
 
 import pandas as pd
 
-from core.errors import ModelError
-from core.fit.block_sums import PassRunner
-from core.fit.calibration import NEEDS as INTERVAL_NEEDS
-from core.fit.calibration import add_interval
-from core.fit.fitting import fit_terms
-from core.fit.pooled import POOLED_RECIPES
-from core.fit.ride_blocks import RideFrame, RideParquet, ThinnedRides
-from core.fit.window_recipe import WindowRecipe
-from core.models import BASIC_TERMS, HILLS_OF_BUILT_IN, LinearModel, Term, make_physical_term
-from core.models.features import ACCESSORIES_COLUMN, FEATURES, derive_coefficient_unit
+from socast.core.errors import ModelError
+from socast.core.fit.block_sums import PassRunner
+from socast.core.fit.calibration import NEEDS as INTERVAL_NEEDS
+from socast.core.fit.calibration import add_interval
+from socast.core.fit.fitting import fit_terms
+from socast.core.fit.pooled import POOLED_RECIPES
+from socast.core.fit.ride_blocks import RideFrame, RideParquet, ThinnedRides
+from socast.core.fit.window_recipe import WindowRecipe
+from socast.core.models import BASIC_TERMS, HILLS_OF_BUILT_IN, LinearModel, Term, make_physical_term
+from socast.core.models.features import ACCESSORIES_COLUMN, FEATURES, derive_coefficient_unit
 
 INTERVAL_RIDES: Final = 20_000
 """Number of rides that suffices for the calibration of an interval."""
@@ -82,7 +82,7 @@ class LinearRecipe:
     note: str = ""
 
     def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
-        """Return a model fitted to the rides of a table that are fit for training, see `core.fit.fitting`.
+        """Return a model fitted to the rides of a table that are fit for training, see `socast.core.fit.fitting`.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class LinearRecipe:
         covariance : bool
             Whether to compute the covariance, and to calibrate an interval on at most `INTERVAL_RIDES` rides.
         run : callable, optional
-            As of `core.fit.fitting.fit_terms`.
+            As of `socast.core.fit.fitting.fit_terms`.
 
         Returns
         -------
@@ -381,7 +381,7 @@ def fit_to_windows(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, cov
     Raises
     ------
     ModelError
-        If the recipe is fitted to rides, or `core.fit.window_recipe.WindowRecipe.fit` raises.
+        If the recipe is fitted to rides, or `socast.core.fit.window_recipe.WindowRecipe.fit` raises.
     """
     recipe = get_recipe(name)
     if not isinstance(recipe, WindowRecipe):

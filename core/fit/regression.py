@@ -25,7 +25,7 @@ from zlib import crc32
 import numpy as np
 from scipy.optimize import nnls
 
-from core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints
 
 CUTOFF: Final = 1e-4
 """Variance of a combination of standardised columns below which they count as collinear: a hundredth of their spread.

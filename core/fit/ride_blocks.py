@@ -14,10 +14,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.errors import ModelError
-from core.models.features import EFFECT_PREFIX
-from core.vehicles.fleet import CarParameters
+from socast.core.batch import Floats
+from socast.core.errors import ModelError
+from socast.core.models.features import EFFECT_PREFIX
+from socast.core.vehicles.fleet import CarParameters
 
 ENERGY: Final = "energy_kwh"
 UNKNOWN_VEHICLE: Final = "unknown_vehicle_or_effect"

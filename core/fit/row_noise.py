@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import nnls
 
-from core.batch import Floats
-from core.fit.measurement_noise import compute_noise_variance, is_metered
-from core.fit.ride_blocks import get_numbers
+from socast.core.batch import Floats
+from socast.core.fit.measurement_noise import compute_noise_variance, is_metered
+from socast.core.fit.ride_blocks import get_numbers
 
 CLIP: Final = 0.995
 """Quantile of the squared residuals at which they are clipped, so that outliers do not affect the usual variance."""

@@ -28,9 +28,9 @@ import pandas as pd
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPRegressor
 
-from core.batch import Floats
-from core.errors import ModelError
-from core.fit.regression import Moments, solve
+from socast.core.batch import Floats
+from socast.core.errors import ModelError
+from socast.core.fit.regression import Moments, solve
 
 SEGMENT_FEATURES: Final = (
     ("duration_s",),

@@ -7,12 +7,12 @@ import pandas as pd
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted
 
-from core.batch import Floats
-from core.errors import ModelError
-from core.fit.recipes import get_recipe as named
-from core.fit.ride_blocks import ENERGY
-from core.fit.window_recipe import WindowRecipe
-from core.models import LinearModel
+from socast.core.batch import Floats
+from socast.core.errors import ModelError
+from socast.core.fit.recipes import get_recipe as named
+from socast.core.fit.ride_blocks import ENERGY
+from socast.core.fit.window_recipe import WindowRecipe
+from socast.core.models import LinearModel
 
 
 class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
@@ -21,7 +21,7 @@ class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # s
     Parameters
     ----------
     recipe : str
-        Name of a recipe in `core.fit.recipes.RECIPES`.
+        Name of a recipe in `socast.core.fit.recipes.RECIPES`.
     covariance : bool
         Whether to estimate the covariance of the coefficients too.
     windows : DataFrame, optional

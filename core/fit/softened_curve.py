@@ -9,9 +9,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import ZERO_CELSIUS
-from core.vehicles import AccessoryCurve
+from socast.core.batch import Floats
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.vehicles import AccessoryCurve
 
 SOFTENED: Final = 0.5
 """Half the range of temperatures over which the power is averaged. [K]"""
@@ -25,7 +25,8 @@ class SoftenedPower(NamedTuple):
     power : (n,) float
         Mean power over temperatures within `SOFTENED`. [W]
     first : (n, 7) float
-        Derivatives by the levels [1] and by the choke points [W/K], in the order of `core.fit.priors.flatten_curve`.
+        Derivatives by the levels [1] and by the choke points [W/K], in the order of
+        `socast.core.fit.priors.flatten_curve`.
     second : (n, 7, 7) float
         Second derivatives.
     """

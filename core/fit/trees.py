@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from core.batch import Floats
-from core.models.trees import LEAF, Trees
+from socast.core.batch import Floats
+from socast.core.models.trees import LEAF, Trees
 
 if TYPE_CHECKING:
     from sklearn.tree import DecisionTreeRegressor
@@ -59,7 +59,7 @@ def fit_trees(table: Floats, names: tuple[str, ...], target: Floats, weight: Flo
     weight : (n,) float
         Weight of each ride, inversely proportional to the variance of its error.
     per : str
-        Column that multiplies the answer, see `core.models.trees.Trees`.
+        Column that multiplies the answer, see `socast.core.models.trees.Trees`.
 
     Returns
     -------
@@ -164,7 +164,7 @@ def export_trees(
     baseline : float
         Value to which the leaves are added.
     per : str
-        Column that multiplies the answer, see `core.models.trees.Trees`.
+        Column that multiplies the answer, see `socast.core.models.trees.Trees`.
 
     Returns
     -------

@@ -1,15 +1,16 @@
 """Fit the physical terms of a model to windows, with what physics tells of each coefficient as the prior.
 
 Each row is a window of a metered ride, or a whole ride where only the state of charge measures its energy
-(`core.fit.measured_rows`). Its weight is the inverse of its variance: the noise of its measurement and what the terms
-cannot know, estimated from the residuals (`core.fit.row_noise`). Errors of the windows of a ride, of the rides of a
-vehicle-day and of the vehicle-days of a car depend on each other (`core.fit.nested_effects`).
+(`socast.core.fit.measured_rows`). Its weight is the inverse of its variance: the noise of its measurement and what the
+terms cannot know, estimated from the residuals (`socast.core.fit.row_noise`). Errors of the windows of a ride, of the
+rides of a vehicle-day and of the vehicle-days of a car depend on each other (`socast.core.fit.nested_effects`).
 
-The coefficients of a vehicle model have the Gaussian prior of `core.fit.priors`. Few rides therefore move them little,
-and many rides determine them. The cars of a vehicle model share its coefficients; how much cars differ by a factor is
-estimated and is part of their uncertainty. The model does not hold the factors, which would hide a missing effect.
+The coefficients of a vehicle model have the Gaussian prior of `socast.core.fit.priors`. Few rides therefore move them
+little, and many rides determine them. The cars of a vehicle model share its coefficients; how much cars differ by a
+factor is estimated and is part of their uncertainty. The model does not hold the factors, which would hide a missing
+effect.
 
-The accessory curve has a prior too, see `core.fit.window_solver`.
+The accessory curve has a prior too, see `socast.core.fit.window_solver`.
 """
 
 from collections import Counter
@@ -21,14 +22,14 @@ import numpy as np
 import pandas as pd
 from msgspec import UNSET
 
-from core.batch import Ints
-from core.columns import ZERO_CELSIUS
-from core.errors import ModelError
-from core.fit.block_sums import build_design, limit_to_one_thread
-from core.fit.distortions import DISTORTED_COLUMNS, DISTORTIONS, gather_distortions
-from core.fit.measured_rows import ENERGY_SD
-from core.fit.nested_effects import Gaussian
-from core.fit.priors import (
+from socast.core.batch import Ints
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.errors import ModelError
+from socast.core.fit.block_sums import build_design, limit_to_one_thread
+from socast.core.fit.distortions import DISTORTED_COLUMNS, DISTORTIONS, gather_distortions
+from socast.core.fit.measured_rows import ENERGY_SD
+from socast.core.fit.nested_effects import Gaussian
+from socast.core.fit.priors import (
     CHOKE_POINTS,
     LEVELS,
     build_curve_prior,
@@ -39,15 +40,15 @@ from core.fit.priors import (
     flatten_curve,
     is_curved,
 )
-from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable, word_too_few_rides
-from core.fit.row_noise import build_variance_parts
-from core.fit.window_problem import GroupRows
-from core.fit.window_solver import GroupFit, solve_group
-from core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
-from core.models.derived_features import DERIVED_COLUMNS
-from core.models.features import ACCESSORIES_COLUMN, FEATURES, Columns, list_raw_columns
-from core.models.limit import LIMIT_NEEDS, EnergyLimit, sum_training
-from core.vehicles.fleet import CarParameters
+from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable, word_too_few_rides
+from socast.core.fit.row_noise import build_variance_parts
+from socast.core.fit.window_problem import GroupRows
+from socast.core.fit.window_solver import GroupFit, solve_group
+from socast.core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
+from socast.core.models.derived_features import DERIVED_COLUMNS
+from socast.core.models.features import ACCESSORIES_COLUMN, FEATURES, Columns, list_raw_columns
+from socast.core.models.limit import LIMIT_NEEDS, EnergyLimit, sum_training
+from socast.core.vehicles.fleet import CarParameters
 
 LEAST_OWN_RIDES: Final = 3
 """Fewest rides for a fit, and for a fit of a vehicle model of its own."""
@@ -80,7 +81,7 @@ def fit_rows(
     terms : tuple of Term
         Terms of the model.
     rows : DataFrame
-        Windows or rides, as `core.fit.measured_rows.join_tables` returns them.
+        Windows or rides, as `socast.core.fit.measured_rows.join_tables` returns them.
     ride_table : DataFrame, optional
         Rides of the same recordings, to say why rides are left out where too few are left.
 

@@ -10,17 +10,17 @@ import msgspec
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats, Ints
-from core.columns import ZERO_CELSIUS
-from core.fit.block_sums import build_design
-from core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval, collect_errors
-from core.fit.distortions import DISTORTIONS
-from core.fit.nested_effects import compute_coefficients, without_car_factor
-from core.fit.priors import compute_curve_columns, is_curved
-from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
-from core.fit.window_solver import GroupFit
-from core.models import ANY, VEHICLE_MODEL, LinearModel, stamp
-from core.models.features import Columns
+from socast.core.batch import Floats, Ints
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.fit.block_sums import build_design
+from socast.core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval, collect_errors
+from socast.core.fit.distortions import DISTORTIONS
+from socast.core.fit.nested_effects import compute_coefficients, without_car_factor
+from socast.core.fit.priors import compute_curve_columns, is_curved
+from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
+from socast.core.fit.window_solver import GroupFit
+from socast.core.models import ANY, VEHICLE_MODEL, LinearModel, stamp
+from socast.core.models.features import Columns
 
 
 def add_window_interval(model: LinearModel, groups: dict[str, GroupFit], rides: pd.DataFrame) -> LinearModel:
@@ -29,7 +29,7 @@ def add_window_interval(model: LinearModel, groups: dict[str, GroupFit], rides: 
     Parameters
     ----------
     model : LinearModel
-        Model of `core.fit.window_fit.fit_rows`.
+        Model of `socast.core.fit.window_fit.fit_rows`.
     groups : dict of str to GroupFit
         The fits of that function.
     rides : DataFrame

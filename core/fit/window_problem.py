@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Ints
-from core.fit.nested_effects import (
+from socast.core.batch import Floats, Ints
+from socast.core.fit.nested_effects import (
     SHARED,
     Elimination,
     Gaussian,
@@ -21,9 +21,9 @@ from core.fit.nested_effects import (
     integrate_car_factor,
     sum_products,
 )
-from core.fit.priors import build_curve, flatten_curve
-from core.fit.softened_curve import compute_softened_power, differentiate_softened_power
-from core.vehicles import AccessoryCurve
+from socast.core.fit.priors import build_curve, flatten_curve
+from socast.core.fit.softened_curve import compute_softened_power, differentiate_softened_power
+from socast.core.vehicles import AccessoryCurve
 
 CURVE_NUMBERS: Final = 7
 """Number of numbers of an accessory curve."""

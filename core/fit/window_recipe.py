@@ -7,13 +7,13 @@ import msgspec
 import numpy as np
 import pandas as pd
 
-from core.fit.distortions import DISTORTED_COLUMNS
-from core.fit.measured_rows import join_tables
-from core.fit.ride_blocks import ENERGY, get_numbers
-from core.fit.window_fit import READ, fit_rows
-from core.fit.window_interval import add_window_interval
-from core.models import VEHICLE, VEHICLE_MODEL, LinearModel, Term, stamp
-from core.models.features import list_raw_columns
+from socast.core.fit.distortions import DISTORTED_COLUMNS
+from socast.core.fit.measured_rows import join_tables
+from socast.core.fit.ride_blocks import ENERGY, get_numbers
+from socast.core.fit.window_fit import READ, fit_rows
+from socast.core.fit.window_interval import add_window_interval
+from socast.core.models import VEHICLE, VEHICLE_MODEL, LinearModel, Term, stamp
+from socast.core.models.features import list_raw_columns
 
 IDENTITY: tuple[str, ...] = ("ride_key", "start_s", VEHICLE, VEHICLE_MODEL, ENERGY, "energy_sd_kwh")
 """Columns of windows that every fit reads."""
@@ -21,7 +21,7 @@ IDENTITY: tuple[str, ...] = ("ride_key", "start_s", VEHICLE, VEHICLE_MODEL, ENER
 
 @dataclass(frozen=True)
 class WindowRecipe:
-    """Fit coefficients of physical terms to windows, see `core.fit.window_fit`.
+    """Fit coefficients of physical terms to windows, see `socast.core.fit.window_fit`.
 
     Parameters
     ----------

@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.fit.level_spreads import estimate_spreads, integrate_car_spread
-from core.fit.nested_effects import (
+from socast.core.batch import Floats
+from socast.core.fit.level_spreads import estimate_spreads, integrate_car_spread
+from socast.core.fit.nested_effects import (
     EXPECTED_LEVELS,
     Elimination,
     Gaussian,
@@ -25,10 +25,19 @@ from core.fit.nested_effects import (
     pin,
     without_car_factor,
 )
-from core.fit.row_noise import LEAST_ROWS, USUAL_PARTS, compute_robust_weights, estimate_variance
-from core.fit.softened_curve import compute_softened_power
-from core.fit.window_problem import GroupRows, Nearby, Problem, State, move, shift_limits, shift_prior, sum_windows
-from core.vehicles import ACCESSORIES, AccessoryCurve
+from socast.core.fit.row_noise import LEAST_ROWS, USUAL_PARTS, compute_robust_weights, estimate_variance
+from socast.core.fit.softened_curve import compute_softened_power
+from socast.core.fit.window_problem import (
+    GroupRows,
+    Nearby,
+    Problem,
+    State,
+    move,
+    shift_limits,
+    shift_prior,
+    sum_windows,
+)
+from socast.core.vehicles import ACCESSORIES, AccessoryCurve
 
 WEIGHINGS: Final = 3
 """Number of times that the weights of the rows are computed from residuals."""

@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.batch import Floats, Ints, grown, take_lanes
-from core.columns import SECONDS_PER_DAY
+from socast.core.batch import Floats, Ints, grown, take_lanes
+from socast.core.columns import SECONDS_PER_DAY
 
 UNKNOWN_DAY: Final = -1
 """Day of a car without a sample."""

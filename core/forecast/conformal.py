@@ -25,8 +25,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.special import stdtr
 
-from core.batch import Floats, Ints
-from core.totals.exact_sums import DaySums, FloatSums
+from socast.core.batch import Floats, Ints
+from socast.core.totals.exact_sums import DaySums, FloatSums
 
 BY_PLAN: Final = 0
 """Basis of a forecast: the plan."""

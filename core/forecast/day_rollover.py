@@ -18,10 +18,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import Batch, Floats, Ints, grown
-from core.columns import SECONDS_PER_DAY
-from core.wire.decoder import Event
-from core.wire.messages import Wire
+from socast.core.batch import Batch, Floats, Ints, grown
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.wire.decoder import Event
+from socast.core.wire.messages import Wire
 
 BEHIND_LIMIT: Final = 2.0 * SECONDS_PER_DAY
 """Stamps that are older than the coming midnight by more than this belong to another day. [s]"""

@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.forecast.car_days import CAR_DAY, LAST_DAY, UNKNOWN_DAY
-from core.totals.accumulator import EDGES
-from core.wire.state_schema import Anything, ByName, Many, Maybe, Named, Number, Packed, Row, Schema, Text
+from socast.core.forecast.car_days import CAR_DAY, LAST_DAY, UNKNOWN_DAY
+from socast.core.totals.accumulator import EDGES
+from socast.core.wire.state_schema import Anything, ByName, Many, Maybe, Named, Number, Packed, Row, Schema, Text
 
 MOST: Final = 2.0**53
 """Largest whole number that all numbers up to it can be told from."""
@@ -40,7 +40,7 @@ def make_shift(lane: Number) -> Schema:
 
 
 def make_day(lane: Number, **limits: Number) -> Schema:
-    """Return the schema of what cars contribute, see `core.forecast.learning.fleet.FleetDay`."""
+    """Return the schema of what cars contribute, see `socast.core.forecast.learning.fleet.FleetDay`."""
     sums = Named(conformal=EXACT, correction=EXACT, daily_cycle=EXACT, charged_soc=EXACT)
     return Row(ByName(make_sums(**limits)), sums, Many(make_shift(lane)), Many(Row(lane, PATTERN)))
 
@@ -58,7 +58,7 @@ CONTENT: Final = Row(
 
 
 def make_days(statistics: Schema) -> Schema:
-    """Return the schema of the state of `core.forecast.shard_days.ShardDays`, which may hold earlier statistics."""
+    """Return the schema of the state of `socast.core.forecast.shard_days`, which may hold earlier statistics."""
     day: Any = make_day(LANE, kind=Number(0.0, "kinds", unknown=False))
     days = dict.fromkeys(("collects", "collected", "serves", "served", "frozen"), Number(UNKNOWN_DAY, LAST_DAY))
     return Row(

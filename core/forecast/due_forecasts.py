@@ -2,13 +2,13 @@
 
 from collections import Counter
 
-from core.batch import Floats
-from core.forecast.forecast_rows import ForecastRows
-from core.forecast.messages import build_forecasts
-from core.totals.accumulator import Totals, join_totals
-from core.totals.context import RunContext
-from core.wire.messages import Message
-from core.wire.rides import RideNames
+from socast.core.batch import Floats
+from socast.core.forecast.forecast_rows import ForecastRows
+from socast.core.forecast.messages import build_forecasts
+from socast.core.totals.accumulator import Totals, join_totals
+from socast.core.totals.context import RunContext
+from socast.core.wire.messages import Message
+from socast.core.wire.rides import RideNames
 
 
 class DueForecasts:
@@ -27,7 +27,7 @@ class DueForecasts:
     Attributes
     ----------
     implausible : Counter of str
-        Number of forecasts and answers that were withheld, by cause, see `core.forecast.plausibility`.
+        Number of forecasts and answers that were withheld, by cause, see `socast.core.forecast.plausibility`.
     """
 
     def __init__(self, none: Totals, context: RunContext, rides: RideNames, prefix: str) -> None:

@@ -1,8 +1,8 @@
 """The forecast engine: run the filters, plans and shifts of all cars, and learn from them.
 
 Everything about a car follows from that car's own events, in their order. Statistics of the fleet are collected through
-the day and applied by the daily update (`core.forecast.learning.fleet`). So forecasts do not depend on how messages are
-cut into batches, nor on which other cars sent samples a moment earlier.
+the day and applied by the daily update (`socast.core.forecast.learning.fleet`). So forecasts do not depend on how
+messages are cut into batches, nor on which other cars sent samples a moment earlier.
 """
 
 from bisect import bisect_right
@@ -14,10 +14,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints, grown, take_lanes
-from core.columns import JOULES_PER_KWH
-from core.forecast.conformal import OVER_CHARGE, TO_CHARGE
-from core.forecast.filter_state import (
+from socast.core.batch import Floats, Ints, grown, take_lanes
+from socast.core.columns import JOULES_PER_KWH
+from socast.core.forecast.conformal import OVER_CHARGE, TO_CHARGE
+from socast.core.forecast.filter_state import (
     CLOSED,
     CLOSED_SHIFT,
     DRIVER_NAMED,
@@ -27,19 +27,19 @@ from core.forecast.filter_state import (
     SOC_ESTIMATE,
     create_filter_state,
 )
-from core.forecast.forecast_rows import END_OF_SHIFT, ForecastRows, compute_forecast_rows
-from core.forecast.learning.car_driver import ShiftPattern, compute_driver_code
-from core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
-from core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord
-from core.forecast.learning.leg_energy import LegEnergyTables
-from core.forecast.outlook import compute_temperature_weights, find_expected_end
-from core.forecast.plan_tracker import CUT_SHORT_MARGIN, DriverNamed, PlanArrival, PlanTracker
-from core.forecast.soc_filter import close_shift, filter_events
-from core.forecast.weather_forecasts import ForecastArrival, WeatherForecasts
-from core.totals.accumulator import Sums, Totals, join_totals
-from core.totals.context import RunContext
-from core.totals.tables import model_columns
-from core.vehicles.fleet import UNKNOWN, Cars, ReplacedKind
+from socast.core.forecast.forecast_rows import END_OF_SHIFT, ForecastRows, compute_forecast_rows
+from socast.core.forecast.learning.car_driver import ShiftPattern, compute_driver_code
+from socast.core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
+from socast.core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord
+from socast.core.forecast.learning.leg_energy import LegEnergyTables
+from socast.core.forecast.outlook import compute_temperature_weights, find_expected_end
+from socast.core.forecast.plan_tracker import CUT_SHORT_MARGIN, DriverNamed, PlanArrival, PlanTracker
+from socast.core.forecast.soc_filter import close_shift, filter_events
+from socast.core.forecast.weather_forecasts import ForecastArrival, WeatherForecasts
+from socast.core.totals.accumulator import Sums, Totals, join_totals
+from socast.core.totals.context import RunContext
+from socast.core.totals.tables import model_columns
+from socast.core.vehicles.fleet import UNKNOWN, Cars, ReplacedKind
 
 MOST_PENDING: Final = 16_000
 """Number of pending samples and messages from which forecasts are computed; a forecast costs less where many are

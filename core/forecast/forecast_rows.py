@@ -6,11 +6,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.columns import ZERO_CELSIUS
-from core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE
-from core.forecast.learning.fleet import FleetStatistics
-from core.forecast.outlook import (
+from socast.core.batch import Floats, Ints
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE
+from socast.core.forecast.learning.fleet import FleetStatistics
+from socast.core.forecast.outlook import (
     CarEstimate,
     compute_planned_energy,
     compute_range,
@@ -18,11 +18,11 @@ from core.forecast.outlook import (
     fill_from_history,
     schedule_plan,
 )
-from core.forecast.plan_tracker import get_ride_km
-from core.forecast.soc_ahead import LearnedErrors, find_charging_since, forecast_soc_ahead
-from core.forecast.soc_reading import READING_SD
-from core.totals.accumulator import Totals
-from core.vehicles.fleet import Cars
+from socast.core.forecast.plan_tracker import get_ride_km
+from socast.core.forecast.soc_ahead import LearnedErrors, find_charging_since, forecast_soc_ahead
+from socast.core.forecast.soc_reading import READING_SD
+from socast.core.totals.accumulator import Totals
+from socast.core.vehicles.fleet import Cars
 
 END_OF_SHIFT: Final = np.dtype([("mean", "f8"), ("p05", "f8"), ("p95", "f8"), ("risk", "f8")])
 """Charge at the end of a shift: mean, 5th and 95th percentile, and the risk of ending below the reserve. [1]"""

@@ -1,10 +1,10 @@
 """Kalman updates of the SOC filter: by a scalar measurement, and by the identity of the driver.
 
-The state is (s, a, c) with the covariance matrix P, see `core.forecast.soc_filter`. The day's consumption of a car,
-`a - c`, is the sum of three parts: of the car, of its driver and of the day. A driver who is identified during a shift
-has driven since its beginning, so the identity is a measurement of `a - c`. A driver who takes over from another one is
-no measurement: the update subtracts the first driver's part, with that driver's likely share of what the shift has
-revealed, and adds the part of the second driver.
+The state is (s, a, c) with the covariance matrix P, see `socast.core.forecast.soc_filter`. The day's consumption of a
+car, `a - c`, is the sum of three parts: of the car, of its driver and of the day. A driver who is identified during a
+shift has driven since its beginning, so the identity is a measurement of `a - c`. A driver who takes over from another
+one is no measurement: the update subtracts the first driver's part, with that driver's likely share of what the shift
+has revealed, and adds the part of the second driver.
 
 References
 ----------

@@ -10,14 +10,14 @@ import msgspec
 import numpy as np
 from msgspec import UNSET, UnsetType
 
-from core.batch import Floats
-from core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
-from core.forecast.forecast_rows import ForecastRows
-from core.forecast.plausibility import find_implausible
-from core.totals.accumulator import Totals
-from core.totals.context import RunContext
-from core.totals.measured_energy import measure_energy
-from core.wire.messages import Forecast, Interval, Message, NextCharge, QualityCounts
+from socast.core.batch import Floats
+from socast.core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
+from socast.core.forecast.forecast_rows import ForecastRows
+from socast.core.forecast.plausibility import find_implausible
+from socast.core.totals.accumulator import Totals
+from socast.core.totals.context import RunContext
+from socast.core.totals.measured_energy import measure_energy
+from socast.core.wire.messages import Forecast, Interval, Message, NextCharge, QualityCounts
 
 _COUNTED: Final = {
     name: [CAUSES.index(flag.name.lower()) for flag in Quality if flag in bits and flag.name]
@@ -62,7 +62,7 @@ def build_forecasts(
     prefix : str
         Chunks before `fleet` in the keys, with a slash at the end.
     implausible : Counter of str
-        Receives the number of forecasts that are not published, by cause, see `core.forecast.plausibility`.
+        Receives the number of forecasts that are not published, by cause, see `socast.core.forecast.plausibility`.
 
     Returns
     -------

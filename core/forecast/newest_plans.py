@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from core.batch import Ints, take_keys
-from core.forecast.plan_checks import find_refusal, is_outdated
-from core.wire.messages import Plan
+from socast.core.batch import Ints, take_keys
+from socast.core.forecast.plan_checks import find_refusal, is_outdated
+from socast.core.wire.messages import Plan
 
 
 class NewestPlans:

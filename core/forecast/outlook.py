@@ -1,13 +1,13 @@
 """Energy ahead of a car, by plan or by its earlier shifts, and the state of charge that it leads to.
 
 The energy of a plan's legs is computed at each knot of temperature when the plan arrives
-(`core.forecast.learning.leg_energy`). Of the leg in progress, the share of the remaining distance counts, and its
-beginning is past. The rest of the time until the end of the shift is waiting, with an empty way to each ride. A shift
-whose legs need more time than it has ends when they are done.
+(`socast.core.forecast.learning.leg_energy`). Of the leg in progress, the share of the remaining distance counts, and
+its beginning is past. The rest of the time until the end of the shift is waiting, with an empty way to each ride. A
+shift whose legs need more time than it has ends when they are done.
 
 The charge at the end is the present charge less that energy times the consumption factor of the car. The filter
-(`core.forecast.soc_filter`) provides the standard deviation, and earlier errors (`core.forecast.conformal`) the
-interval.
+(`socast.core.forecast.soc_filter`) provides the standard deviation, and earlier errors
+(`socast.core.forecast.conformal`) the interval.
 """
 
 from typing import Any, Final, NamedTuple
@@ -15,12 +15,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.columns import ZERO_CELSIUS
-from core.forecast.conformal import BY_HISTORY, BY_PLAN, LEVELS, TO_CHARGE
-from core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
-from core.forecast.planned_legs import compute_share_left
-from core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
+from socast.core.batch import Floats, Ints
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, LEVELS, TO_CHARGE
+from socast.core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
+from socast.core.forecast.planned_legs import compute_share_left
+from socast.core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
 
 PLAN_LEAD: Final = 600.0
 """A plan applies to samples from this time before it was sent. [s]"""
@@ -73,7 +73,7 @@ class CarEstimate(NamedTuple):
     Parameters
     ----------
     soc, variance : State of charge and its variance. [1]
-    log_factor, log_factor_variance : `a - c` of `core.forecast.soc_filter`, and its variance. [1]
+    log_factor, log_factor_variance : `a - c` of `socast.core.forecast.soc_filter`, and its variance. [1]
     covariance : Covariance of `soc` and `log_factor`. [1]
     usual : Expected `log_factor`, before any data of the shift. [1]
     quantum : Quantum of the reported state of charge. [1]
@@ -322,7 +322,7 @@ def fill_from_history(
     elapsed, now : (n,) float
         Time since the shift began, and the present time. [s]
     patterns : (n,) SHIFT_PATTERN
-        Usual duration [h] and intensity [1] of the shifts, see `core.forecast.learning.fleet`.
+        Usual duration [h] and intensity [1] of the shifts, see `socast.core.forecast.learning.fleet`.
 
     Returns
     -------

@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 
 import msgspec
 
-from core.errors import AskError
-from core.wire.messages import IDENTITY, Leg, Plan, Wire
+from socast.core.errors import AskError
+from socast.core.wire.messages import IDENTITY, Leg, Plan, Wire
 
 MOST_LEGS: Final = 500
 """Largest number of legs of a plan."""

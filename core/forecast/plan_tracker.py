@@ -15,12 +15,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints, grown, take_keys, take_lanes
-from core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
-from core.forecast.outlook import OVERTIME, is_plan_current
-from core.forecast.planned_legs import PLAN_PROGRESS, PlannedLegs, compute_planned_legs
-from core.totals.accumulator import Totals
-from core.wire.messages import Plan
+from socast.core.batch import Floats, Ints, grown, take_keys, take_lanes
+from socast.core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
+from socast.core.forecast.outlook import OVERTIME, is_plan_current
+from socast.core.forecast.planned_legs import PLAN_PROGRESS, PlannedLegs, compute_planned_legs
+from socast.core.totals.accumulator import Totals
+from socast.core.wire.messages import Plan
 
 PLAN_LAG: Final = 60.0
 """A ride that ends within this time after a plan was sent is not among its legs. [s]"""

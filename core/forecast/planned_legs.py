@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.forecast.learning.leg_energy import LEAST_KM, TEMPERATURES, LegEnergyTables
-from core.wire.messages import Leg, Plan
+from socast.core.batch import Floats
+from socast.core.forecast.learning.leg_energy import LEAST_KM, TEMPERATURES, LegEnergyTables
+from socast.core.wire.messages import Leg, Plan
 
 _KNOTS: Final = len(TEMPERATURES)
 

@@ -21,15 +21,15 @@ import msgspec
 import numpy as np
 from msgspec import UNSET
 
-from core.batch import Floats
-from core.columns import KMH
-from core.forecast.forecast_rows import ForecastRows
-from core.forecast.learning.leg_energy import LARGEST_PER_KM, LARGEST_POWER
-from core.totals.accumulator import Totals
-from core.totals.measured_energy import LARGEST_BATTERY, compute_largest_energy
-from core.vehicles.catalogue import RATED
-from core.vehicles.fleet import Cars
-from core.wire.messages import Interval, LegOutlook, Outlook
+from socast.core.batch import Floats
+from socast.core.columns import KMH
+from socast.core.forecast.forecast_rows import ForecastRows
+from socast.core.forecast.learning.leg_energy import LARGEST_PER_KM, LARGEST_POWER
+from socast.core.totals.accumulator import Totals
+from socast.core.totals.measured_energy import LARGEST_BATTERY, compute_largest_energy
+from socast.core.vehicles.catalogue import RATED
+from socast.core.vehicles.fleet import Cars
+from socast.core.wire.messages import Interval, LegOutlook, Outlook
 
 FASTEST: Final = 300 * KMH
 """Largest mean speed of a ride, the largest limit that the setting `speed_limit` accepts. [m/s]"""

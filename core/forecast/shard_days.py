@@ -1,10 +1,10 @@
 """The daily update of a fleet that several consumers divide.
 
-Each consumer collects what its own cars contribute, as exact sums, see `core.totals.exact_sums`. Before midnight UTC it
-ends the day and publishes its contribution. Once it has those of all shards, it makes the tables of the new day of
-their sum, which are the same in all shards, however the fleet is divided. A car uses them from its own midnight on, see
-`core.forecast.car_days`. A shard whose contribution is missing blocks nothing: forecasts go on with the tables of the
-day before, and the next update leaves it out.
+Each consumer collects what its own cars contribute, as exact sums, see `socast.core.totals.exact_sums`. Before midnight
+UTC it ends the day and publishes its contribution. Once it has those of all shards, it makes the tables of the new day
+of their sum, which are the same in all shards, however the fleet is divided. A car uses them from its own midnight on,
+see `socast.core.forecast.car_days`. A shard whose contribution is missing blocks nothing: forecasts go on with the
+tables of the day before, and the next update leaves it out.
 
 A driver may drive cars of several shards. The shifts of a car that a named driver drove on this day are therefore
 published one by one, and all consumers learn from them in the order of the names of cars.
@@ -18,20 +18,20 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from core.batch import Ints
-from core.columns import SECONDS_PER_DAY
-from core.forecast.car_days import LAST_DAY, CarDays
-from core.forecast.day_schema import CONTENT
-from core.forecast.engine import DueInput, ForecastEngine
-from core.forecast.learning.car_driver import LogFactor
-from core.forecast.learning.fleet import FleetDay, FleetStatistics, GuestCar, ShiftEnergy
-from core.totals.accumulator import EDGES, Sums
-from core.totals.clean_rows import CleanRows
-from core.totals.display_yield import DisplayYields
-from core.totals.exact_sums import ExactSums
-from core.wire.message_block import KeyValues, MessageBlock
-from core.wire.messages import Message, Vehicle
-from core.wire.shard import Shard
+from socast.core.batch import Ints
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.forecast.car_days import LAST_DAY, CarDays
+from socast.core.forecast.day_schema import CONTENT
+from socast.core.forecast.engine import DueInput, ForecastEngine
+from socast.core.forecast.learning.car_driver import LogFactor
+from socast.core.forecast.learning.fleet import FleetDay, FleetStatistics, GuestCar, ShiftEnergy
+from socast.core.totals.accumulator import EDGES, Sums
+from socast.core.totals.clean_rows import CleanRows
+from socast.core.totals.display_yield import DisplayYields
+from socast.core.totals.exact_sums import ExactSums
+from socast.core.wire.message_block import KeyValues, MessageBlock
+from socast.core.wire.messages import Message, Vehicle
+from socast.core.wire.shard import Shard
 
 SPACE: Final = "socast/shards/"
 """Chunks under the prefix before those of a shard, as `2-of-4`, in the keys of contributions."""

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from core.batch import Batch, Ints, Lanes, OfLanes, grown
-from core.forecast.day_rollover import WINDOW_SAMPLES, DayRollover
-from core.wire.decoder import Event
-from core.wire.message_order import MessageOrder
+from socast.core.batch import Batch, Ints, Lanes, OfLanes, grown
+from socast.core.forecast.day_rollover import WINDOW_SAMPLES, DayRollover
+from socast.core.wire.decoder import Event
+from socast.core.wire.message_order import MessageOrder
 
 
 class SilentCars:

@@ -2,9 +2,9 @@
 
 Both forecasts are made by the same function. The first begins with the present charge. The second begins with it, too,
 where no charge is planned. Where one is, it begins with the charge that cars reach in planned charges
-(`core.forecast.learning.charged_soc`), and which is not below the charge on arrival; the energy ahead is then that of
-the rides and waits after the last planned charge. What happens between several charges is not computed, because the
-last one decides what follows.
+(`socast.core.forecast.learning.charged_soc`), and which is not below the charge on arrival; the energy ahead is then
+that of the rides and waits after the last planned charge. What happens between several charges is not computed, because
+the last one decides what follows.
 """
 
 from typing import Final, NamedTuple
@@ -12,10 +12,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.forecast.conformal import OVER_CHARGE, TO_CHARGE, ConformalIntervals
-from core.forecast.learning.charged_soc import ChargedSoc
-from core.forecast.outlook import (
+from socast.core.batch import Floats, Ints
+from socast.core.forecast.conformal import OVER_CHARGE, TO_CHARGE, ConformalIntervals
+from socast.core.forecast.learning.charged_soc import ChargedSoc
+from socast.core.forecast.outlook import (
     FACTOR_DECAY_TIME,
     CarEstimate,
     EnergyAhead,
@@ -25,8 +25,8 @@ from core.forecast.outlook import (
     compute_end_soc,
     compute_reserve_risk,
 )
-from core.forecast.plan_tracker import PLAN_LAG
-from core.forecast.soc_filter import CONSUMPTION_WANDER
+from socast.core.forecast.plan_tracker import PLAN_LAG
+from socast.core.forecast.soc_filter import CONSUMPTION_WANDER
 
 
 class SocForecast(NamedTuple):
@@ -130,7 +130,7 @@ def forecast_soc(
     hours : (n,) float
         Time in which it is spent. [h]
     basis : (n,) int
-        Basis of the forecast, see `core.forecast.conformal`.
+        Basis of the forecast, see `socast.core.forecast.conformal`.
     usual : UsualConsumption
     errors : LearnedErrors
     reserve : (n,) float

@@ -13,8 +13,9 @@ The covariance follows the slopes of these equations at the point where the shif
 it depends on when something is measured, and not on the reported values: fewer measurements never give a smaller
 variance.
 
-`core.forecast.soc_reading` has the treatment of reported values. Without an accepted reading the prediction continues
-alone and its variance grows. After charging and after a long silence the filter starts anew at the reported value.
+`socast.core.forecast.soc_reading` has the treatment of reported values. Without an accepted reading the prediction
+continues alone and its variance grows. After charging and after a long silence the filter starts anew at the reported
+value.
 
 References
 ----------
@@ -27,12 +28,17 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.compiled_cache import watch_sources
-from core.forecast import charge_stops, filter_state, kalman_update, soc_reading
-from core.forecast.charge_stops import DEPARTURE_DISTANCE, SHORTEST_CHARGE, forget_charges, update_charge_stop
-from core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANTUM, DRIVER_NAMED, RUNNING
-from core.forecast.kalman_update import apply_named_driver, update_state
-from core.forecast.soc_reading import compute_jump_variance, compute_published_soc, discard_soc, update_with_reading
+from socast.core.compiled_cache import watch_sources
+from socast.core.forecast import charge_stops, filter_state, kalman_update, soc_reading
+from socast.core.forecast.charge_stops import DEPARTURE_DISTANCE, SHORTEST_CHARGE, forget_charges, update_charge_stop
+from socast.core.forecast.filter_state import CAPACITY_SD, CLOSED, DEFAULT_QUANTUM, DRIVER_NAMED, RUNNING
+from socast.core.forecast.kalman_update import apply_named_driver, update_state
+from socast.core.forecast.soc_reading import (
+    compute_jump_variance,
+    compute_published_soc,
+    discard_soc,
+    update_with_reading,
+)
 
 FILTER_RESET_SILENCE: Final = 600.0
 """Silence after which the filter discards the charge and starts at the next reading. [s]

@@ -23,7 +23,7 @@ from typing import Any, Final
 
 from numba import njit
 
-from core.forecast.kalman_update import update_mean, update_state
+from socast.core.forecast.kalman_update import update_mean, update_state
 
 READING_SD: Final = 0.001
 """Standard deviation of a car's internal estimate of its charge at a step. [1]"""

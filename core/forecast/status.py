@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.forecast.messages import count_quality, none_if_nan
-from core.totals.accumulator import Totals
-from core.totals.context import RunContext
-from core.totals.measured_energy import measure_energy
+from socast.core.batch import Floats
+from socast.core.forecast.messages import count_quality, none_if_nan
+from socast.core.totals.accumulator import Totals
+from socast.core.totals.context import RunContext
+from socast.core.totals.measured_energy import measure_energy
 
 
 class VehicleStatus(NamedTuple):
@@ -77,7 +77,7 @@ def build_statuses(
     predicted : sequence of (n,) float
         Energy by each model, the serving model first. [kWh]
     ends : (n,) END_OF_SHIFT
-        Charge at the end of the shift, see `core.forecast.forecast_rows`. [1]
+        Charge at the end of the shift, see `socast.core.forecast.forecast_rows`. [1]
 
     Returns
     -------

@@ -7,13 +7,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.columns import ZERO_CELSIUS
-from core.forecast.conformal import BY_HISTORY, OVER_CHARGE
-from core.forecast.forecast_rows import ForecastRows
-from core.totals.accumulator import Totals
-from core.totals.context import RunContext
-from core.totals.tables import text
+from socast.core.batch import Floats, Ints
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.forecast.conformal import BY_HISTORY, OVER_CHARGE
+from socast.core.forecast.forecast_rows import ForecastRows
+from socast.core.totals.accumulator import Totals
+from socast.core.totals.context import RunContext
+from socast.core.totals.tables import text
 
 
 class PublishedForecasts(NamedTuple):

@@ -4,7 +4,7 @@ Only the change that a station forecasts counts: the temperature ahead is the on
 change from now on. So a constant difference between a station and the streets has no effect. A fleet drives in one
 place, so that the mean change of all stations applies to every car. Before the first and after the last forecast
 temperature, and without any, the temperature follows its usual course of the day
-(`core.forecast.learning.daily_cycle`).
+(`socast.core.forecast.learning.daily_cycle`).
 """
 
 from collections.abc import Sequence
@@ -12,11 +12,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Ints
-from core.columns import ZERO_CELSIUS
-from core.forecast.learning.daily_cycle import HOURS, DailyCycle
-from core.signals.weather import LATEST, PLAUSIBLE
-from core.wire.messages import Weather
+from socast.core.batch import Floats, Ints
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.forecast.learning.daily_cycle import HOURS, DailyCycle
+from socast.core.signals.weather import LATEST, PLAUSIBLE
+from socast.core.wire.messages import Weather
 
 MOST_STATIONS: Final = 64
 """Number of stations of which forecasts are kept."""

@@ -8,8 +8,8 @@ may have any length. The duration of a single wait has a standard deviation equa
 its mean, as where rides are requested at any time.
 
 Without a plan, the shift continues after the ride as the car's shifts usually do. The energies and the charge are those
-of the forecast (`core.forecast.outlook`): without a ride the answer equals the forecast, and with a ride it equals the
-forecast that a plan with that ride would produce.
+of the forecast (`socast.core.forecast.outlook`): without a ride the answer equals the forecast, and with a ride it
+equals the forecast that a plan with that ride would produce.
 """
 
 from math import inf, nan
@@ -20,13 +20,13 @@ import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.columns import ZERO_CELSIUS
-from core.errors import AskError
-from core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
-from core.forecast.engine import ForecastEngine
-from core.forecast.filter_state import SOC_ESTIMATE
-from core.forecast.outlook import (
+from socast.core.batch import Floats, Ints
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.errors import AskError
+from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
+from socast.core.forecast.engine import ForecastEngine
+from socast.core.forecast.filter_state import SOC_ESTIMATE
+from socast.core.forecast.outlook import (
     DEFAULT_RESERVE,
     CarEstimate,
     EnergyAhead,
@@ -38,10 +38,10 @@ from core.forecast.outlook import (
     fill_from_history,
     schedule_plan,
 )
-from core.forecast.plan_checks import find_refusal
-from core.forecast.plan_tracker import LONGEST_SHIFT
-from core.forecast.planned_legs import PlannedLegs, compute_planned_legs
-from core.forecast.soc_ahead import (
+from socast.core.forecast.plan_checks import find_refusal
+from socast.core.forecast.plan_tracker import LONGEST_SHIFT
+from socast.core.forecast.planned_legs import PlannedLegs, compute_planned_legs
+from socast.core.forecast.soc_ahead import (
     LearnedErrors,
     SocAhead,
     SocForecast,
@@ -50,10 +50,10 @@ from core.forecast.soc_ahead import (
     forecast_soc,
     forecast_soc_ahead,
 )
-from core.forecast.soc_filter import METER_GAIN_SD, write_estimate
-from core.forecast.soc_reading import READING_SD
-from core.vehicles.catalogue import OVERRIDES
-from core.wire.messages import Interval, Leg, LegOutlook, NextCharge, Outlook, Plan
+from socast.core.forecast.soc_filter import METER_GAIN_SD, write_estimate
+from socast.core.forecast.soc_reading import READING_SD
+from socast.core.vehicles.catalogue import OVERRIDES
+from socast.core.wire.messages import Interval, Leg, LegOutlook, NextCharge, Outlook, Plan
 
 _ROUNDING_KWH: Final = 1e-9
 

@@ -1,10 +1,10 @@
 """Consumption models and the files that hold them.
 
-A model is a sum of terms over columns of the ride table; see `core.models.linear`. Other packages import the names of
-this package.
+A model is a sum of terms over columns of the ride table; see `socast.core.models.linear`. Other packages import the
+names of this package.
 """
 
-from core.models.built_in import (
+from socast.core.models.built_in import (
     BASIC_PHYSICAL,
     BASIC_TERMS,
     BUILT_IN_MODELS,
@@ -12,9 +12,9 @@ from core.models.built_in import (
     HILLS_OF_BUILT_IN,
     make_physical_term,
 )
-from core.models.file import decode_model, encode_model, load, save, stamp
-from core.models.interval import ANY
-from core.models.linear import (
+from socast.core.models.file import decode_model, encode_model, load, save, stamp
+from socast.core.models.interval import ANY
+from socast.core.models.linear import (
     CORRECTION,
     FORMAT,
     VEHICLE,
@@ -24,7 +24,7 @@ from core.models.linear import (
     Term,
     Training,
 )
-from core.totals.context import Model
+from socast.core.totals.context import Model
 
 __all__ = [
     "ANY",

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from core.models.interval import ANY
-from core.models.linear import Fit, LinearModel, Term
+from socast.core.models.interval import ANY
+from socast.core.models.linear import Fit, LinearModel, Term
 
 
 def make_physical_term(name: str, columns: tuple[str, ...]) -> Term:
@@ -42,7 +42,7 @@ EXTENDED_PHYSICAL: Final = LinearModel(
     terms=_EXTENDED_TERMS,
     fits=_make_physical_fits(_EXTENDED_TERMS),
 )
-"""Extended physical model, section 4.2 of the paper, with the reference accessory curve; `core.fit` fits a curve."""
+"""Extended physical model, section 4.2 of the paper, with the reference accessory curve; `socast.core.fit` fits one."""
 
 BUILT_IN_MODELS: Final[Mapping[str, LinearModel]] = MappingProxyType(
     {model.name: model for model in (BASIC_PHYSICAL, EXTENDED_PHYSICAL)}

@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import SECONDS_PER_DAY
+from socast.core.batch import Floats
+from socast.core.columns import SECONDS_PER_DAY
 
 HEATING_BELOW: Final = 18.0
 """Outside temperature below which a cabin with people and sun in it is heated. [°C]"""

@@ -14,12 +14,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from core import effects
-from core.batch import Floats, Table
-from core.columns import ZERO_CELSIUS
-from core.errors import ModelError
-from core.models.derived_features import DERIVED_COLUMNS
-from core.vehicles import AccessoryCurve
+from socast.core import effects
+from socast.core.batch import Floats, Table
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.errors import ModelError
+from socast.core.models.derived_features import DERIVED_COLUMNS
+from socast.core.vehicles import AccessoryCurve
 
 EFFECT_PREFIX: Final = "effect_"
 ACCESSORIES_COLUMN: Final = "accessories_kwh"

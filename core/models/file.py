@@ -9,12 +9,12 @@ from typing import Any, Final
 
 import msgspec
 
-from core.errors import EffectError, ModelError, read_input
-from core.files import write_whole
-from core.models.built_in import BUILT_IN_MODELS
-from core.models.features import ACCESSORIES_COLUMN, get_unit
-from core.models.linear import FORMAT, Fit, LinearModel
-from core.vehicles import AccessoryCurve
+from socast.core.errors import EffectError, ModelError, read_input
+from socast.core.files import write_whole
+from socast.core.models.built_in import BUILT_IN_MODELS
+from socast.core.models.features import ACCESSORIES_COLUMN, get_unit
+from socast.core.models.linear import FORMAT, Fit, LinearModel
+from socast.core.vehicles import AccessoryCurve
 
 _NUMBERS: Final = re.compile(rb"\[\n\s+([-+.\deE,\s]+?)\n\s+\]")
 """Array of numbers, one per line. It matches no string, because JSON strings have no line breaks."""

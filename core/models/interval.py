@@ -2,7 +2,7 @@
 
 The scale tells on which rides a model errs more: longer ones, colder ones, those of a vehicle model whose energy is
 measured coarsely. The quantiles, for classes of rides by distance, are of errors on rides that the model was not fitted
-to, so they hold for any distribution of errors. `core.fit.calibration` calibrates them.
+to, so they hold for any distribution of errors. `socast.core.fit.calibration` calibrates them.
 
 References
 ----------
@@ -18,9 +18,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.errors import ModelError
-from core.models.features import Columns, list_raw_columns
+from socast.core.batch import Floats
+from socast.core.errors import ModelError
+from socast.core.models.features import Columns, list_raw_columns
 
 ANY: Final = "*"
 """Key of every vehicle model without a fit, a correction or a scale of its own, and so of unseen vehicle models."""

@@ -14,7 +14,7 @@ from typing import Final, Self
 import msgspec
 import numpy as np
 
-from core.batch import Floats
+from socast.core.batch import Floats
 
 FACTOR: Final = 4.0
 """Largest energy per distance, plus largest power, over the means of the training rides. [1]"""

@@ -15,13 +15,13 @@ import msgspec
 import numpy as np
 from msgspec import UNSET, UnsetType
 
-from core.batch import Floats, Table
-from core.errors import ModelError
-from core.models.features import EFFECT_PREFIX, Columns, list_raw_columns
-from core.models.interval import ANY, PredictionInterval
-from core.models.limit import LIMIT_NEEDS, EnergyLimit
-from core.models.trees import Trees
-from core.vehicles import AccessoryCurve
+from socast.core.batch import Floats, Table
+from socast.core.errors import ModelError
+from socast.core.models.features import EFFECT_PREFIX, Columns, list_raw_columns
+from socast.core.models.interval import ANY, PredictionInterval
+from socast.core.models.limit import LIMIT_NEEDS, EnergyLimit
+from socast.core.models.trees import Trees
+from socast.core.vehicles import AccessoryCurve
 
 FORMAT: Final = 2
 """Version of the model-file format that this version of the product reads and writes."""
@@ -39,8 +39,8 @@ class Term(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     name : str
         Name of the term, unique within its model.
     columns : tuple of str
-        Columns of the ride table, or derived ones (`core.models.features`). A column may occur twice; an empty tuple
-        is a constant.
+        Columns of the ride table, or derived ones (`socast.core.models.features`). A column may occur twice; an empty
+        tuple is a constant.
     unit : str
         Unit of the coefficient, as pint spells it.
     """
@@ -78,8 +78,8 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     limit : EnergyLimit, optional
         Largest energy that the fit predicts. Absent where there is none, as in models of earlier releases.
     noise_kwh : float, optional
-        Variance of a ride's error divided by its size (`core.models.derived_features.compute_size`), where rides were
-        weighted by their size. [kWh]
+        Variance of a ride's error divided by its size (`socast.core.models.derived_features.compute_size`), where rides
+        were weighted by their size. [kWh]
     limited : tuple of str
         Terms, and numbers of the accessory curve, that stopped at an end of their plausible ranges. The data alone
         would put them beyond.

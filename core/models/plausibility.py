@@ -1,19 +1,19 @@
 """Compare the coefficients of a model with the ranges that physics finds plausible.
 
-A range belongs to an effect (`core.effects`). The coefficient of a term that multiplies the effect by a figure of the
-car is relative to that figure: 1.2 times the catalogue's rolling resistance of 0.008 is a coefficient of 0.0096.
+A range belongs to an effect (`socast.core.effects`). The coefficient of a term that multiplies the effect by a figure
+of the car is relative to that figure: 1.2 times the catalogue's rolling resistance of 0.008 is a coefficient of 0.0096.
 """
 
 from collections.abc import Mapping
 
 import numpy as np
 
-from core import effects
-from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, is_scope
-from core.models.interval import ANY
-from core.models.linear import LinearModel, Term
-from core.vehicles import load_catalogue
-from core.vehicles.fleet import CarParameters
+from socast.core import effects
+from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, is_scope
+from socast.core.models.interval import ANY
+from socast.core.models.linear import LinearModel, Term
+from socast.core.vehicles import load_catalogue
+from socast.core.vehicles.fleet import CarParameters
 
 
 def compute_plausible_range(term: Term, figures: Mapping[str, float]) -> tuple[float, float] | None:
@@ -24,7 +24,7 @@ def compute_plausible_range(term: Term, figures: Mapping[str, float]) -> tuple[f
     term : Term
         Term of a model.
     figures : mapping of str to float
-        Figures of the car, by column of the ride table (`core.vehicles.fleet.CarParameters`).
+        Figures of the car, by column of the ride table (`socast.core.vehicles.fleet.CarParameters`).
 
     Returns
     -------

@@ -2,7 +2,7 @@
 
 Each node of a tree compares a feature with a threshold and leads to the left where the feature is at most the
 threshold. The values of the leaves reached in all trees are added to the baseline, and the sum is multiplied by a
-column. `core.fit.trees` fits the trees.
+column. `socast.core.fit.trees` fits the trees.
 """
 
 from collections.abc import Mapping
@@ -14,9 +14,9 @@ import msgspec
 import numpy as np
 from numba import njit
 
-from core.batch import Floats, Ints
-from core.errors import ModelError
-from core.models.features import Columns
+from socast.core.batch import Floats, Ints
+from socast.core.errors import ModelError
+from socast.core.models.features import Columns
 
 LEAF: Final = -1
 """Feature index of a leaf, which compares nothing."""

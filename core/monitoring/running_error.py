@@ -6,10 +6,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.batch import Ints, grown, take_lanes
-from core.models import Model
-from core.stats.confidence_sequence import ClusterMoments
-from core.wire.messages import Gain, ModelErrors, RideErrors
+from socast.core.batch import Ints, grown, take_lanes
+from socast.core.models import Model
+from socast.core.stats.confidence_sequence import ClusterMoments
+from socast.core.wire.messages import Gain, ModelErrors, RideErrors
 
 NO_GROUP: Final = -1
 """Index for rides of a vehicle model without running errors of its own."""

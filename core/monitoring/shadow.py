@@ -13,20 +13,20 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.columns import SECONDS_PER_DAY
-from core.effects.declaration import Effect
-from core.errors import ModelError
-from core.forecast.learning.forecast_errors import count_outcomes
-from core.models import Model
-from core.monitoring.running_error import ModelMonitor
-from core.signals.signals import Signals
-from core.stats.confidence_sequence import LEVEL
-from core.totals.accumulator import Totals
-from core.totals.context import RunContext
-from core.totals.measured_energy import measure_energy
-from core.totals.tables import model_columns
-from core.wire.messages import Message, ModelErrors, encode, identify_model
+from socast.core.batch import Floats, Ints
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.effects.declaration import Effect
+from socast.core.errors import ModelError
+from socast.core.forecast.learning.forecast_errors import count_outcomes
+from socast.core.models import Model
+from socast.core.monitoring.running_error import ModelMonitor
+from socast.core.signals.signals import Signals
+from socast.core.stats.confidence_sequence import LEVEL
+from socast.core.totals.accumulator import Totals
+from socast.core.totals.context import RunContext
+from socast.core.totals.measured_energy import measure_energy
+from socast.core.totals.tables import model_columns
+from socast.core.wire.messages import Message, ModelErrors, encode, identify_model
 
 MOST_VEHICLE_MODELS: Final = 64
 """Number of vehicle models with running errors of their own; rides of later ones count only among all rides."""

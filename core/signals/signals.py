@@ -22,14 +22,14 @@ from typing import Final
 import numpy as np
 from scipy.special import ndtr
 
-from core.batch import Floats, Ints
-from core.cleaning.clean_columns import Clean
-from core.cleaning.quality import Quality
-from core.columns import GRAVITY, SIGNALS, STANDARD_AIR_DENSITY, ZERO_CELSIUS
-from core.signals.sun import sine_of_elevation
-from core.signals.weather import Sky, snow_left, water_left
-from core.vehicles import OCCUPANT_MASS
-from core.vehicles.fleet import CarParameters
+from socast.core.batch import Floats, Ints
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import GRAVITY, SIGNALS, STANDARD_AIR_DENSITY, ZERO_CELSIUS
+from socast.core.signals.sun import sine_of_elevation
+from socast.core.signals.weather import Sky, snow_left, water_left
+from socast.core.vehicles import OCCUPANT_MASS
+from socast.core.vehicles.fleet import CarParameters
 
 STANDARD_AMBIENT: Final = ZERO_CELSIUS + 15.0
 """Temperature of the standard atmosphere at sea level. [K] ISO 2533:1975."""
@@ -51,7 +51,7 @@ CIVIL_DUSK: Final = 6.0
 
 
 class Signals(Mapping[str, Floats]):
-    """Provide signals by name, each computed at its first use; see `core.columns.SIGNALS`.
+    """Provide signals by name, each computed at its first use; see `socast.core.columns.SIGNALS`.
 
     Parameters
     ----------
@@ -277,13 +277,13 @@ def sun_sine(signals: Signals) -> Floats:
 
 
 def water(signals: Signals) -> Floats:
-    """Return the depth of rain water on the road, see `core.signals.weather`. [m]"""
+    """Return the depth of rain water on the road, see `socast.core.signals.weather`. [m]"""
     sky = signals.sky
     return np.nan_to_num(water_left(sky.water, sky.ambient, sky.precipitation, signals.clean.time - sky.observed))
 
 
 def compute_snow(signals: Signals) -> Floats:
-    """Return the depth of snow on the road as melted water, see `core.signals.weather`. [m]"""
+    """Return the depth of snow on the road as melted water, see `socast.core.signals.weather`. [m]"""
     sky = signals.sky
     return np.nan_to_num(snow_left(sky.snow, sky.ambient, sky.precipitation, signals.clean.time - sky.observed))
 

@@ -4,8 +4,8 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import SECONDS_PER_DAY
+from socast.core.batch import Floats
+from socast.core.columns import SECONDS_PER_DAY
 
 J2000: Final = 946_728_000.0
 """Unix time of 1 January 2000, 12:00 UTC. [s]"""

@@ -12,10 +12,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Ints, grown
-from core.columns import KMH, ZERO_CELSIUS
-from core.signals.nearest_station import find_nearest_stations, take_observations
-from core.wire.messages import Weather
+from socast.core.batch import Floats, Ints, grown
+from socast.core.columns import KMH, ZERO_CELSIUS
+from socast.core.signals.nearest_station import find_nearest_stations, take_observations
+from socast.core.wire.messages import Weather
 
 KEPT: Final = 48
 """Number of observations that are kept of each station."""

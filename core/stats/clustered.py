@@ -23,8 +23,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from core.batch import Floats
-from core.stats.scores import UNKNOWN, Codes, Estimate
+from socast.core.batch import Floats
+from socast.core.stats.scores import UNKNOWN, Codes, Estimate
 
 LEAST_CLUSTERS: Final = 30
 """Number of clusters below which a share is too uncertain to be shown as a figure."""

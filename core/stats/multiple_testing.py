@@ -2,9 +2,9 @@
 
 Two models that are tested on the same rides are compared by the difference of their absolute errors, ride by ride, not
 by the overlap of their intervals: what makes a ride hard is hard for both models and cancels. Each repeat gives one
-mean difference, and the interval over repeats allows for their overlap (`core.stats.scores`). All pairs of models are
-tested, so Holm's method keeps the probability of any false difference among them at 5 %. This also covers the choice of
-the best model on the same rides.
+mean difference, and the interval over repeats allows for their overlap (`socast.core.stats.scores`). All pairs of
+models are tested, so Holm's method keeps the probability of any false difference among them at 5 %. This also covers
+the choice of the best model on the same rides.
 
 Where many hypotheses are screened, Benjamini and Hochberg's method keeps the expected share of false ones among those
 accepted.
@@ -22,8 +22,8 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.stats.scores import Estimate
+from socast.core.batch import Floats
+from socast.core.stats.scores import Estimate
 
 SIGNIFICANCE: Final = 0.05
 """Probability, over all pairs, of reporting a difference where there is none. [1]"""

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr, stdtrit
 
-from core.batch import Floats
+from socast.core.batch import Floats
 
 Codes = NDArray[np.int64]
 

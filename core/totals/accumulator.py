@@ -13,12 +13,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import NO_RIDE, Floats, Ints, grown, take_lanes
-from core.cleaning.clean_columns import Clean
-from core.cleaning.fleet_clock import RIDE_END
-from core.cleaning.quality import CAUSES
-from core.columns import KMH, SPEED_BIN_KMH, SPEED_BINS
-from core.totals.display_record import create_unknown_yields
+from socast.core.batch import NO_RIDE, Floats, Ints, grown, take_lanes
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.fleet_clock import RIDE_END
+from socast.core.cleaning.quality import CAUSES
+from socast.core.columns import KMH, SPEED_BIN_KMH, SPEED_BINS
+from socast.core.totals.display_record import create_unknown_yields
 
 SPEED_BIN: Final = SPEED_BIN_KMH * KMH
 """Width of a bin of the speed histogram. [m/s]"""
@@ -43,7 +43,7 @@ AMOUNTS: Final = (
     "bridged",  # distance of steps whose distance was bridged [m]
     "unseen",  # time for which bridged distances were driven beyond the time that passed [s]
     "disputed",  # distance that was counted, and that fixes or odometer dispute [m]
-    *("path", "path_run", "straight", "straight_run"),  # see `core.cleaning.clean_columns` [m]
+    *("path", "path_run", "straight", "straight_run"),  # see `socast.core.cleaning.clean_columns` [m]
     *("ticked", "ticked_run", "slow", "slow_run"),  # the same [m]
     "mistimed",  # time by which steps turned out to be wrong later in the ride [s]
     *("soc_faults", "stale_fall"),  # samples whose charge froze, is stale or jumps; fall of stale ones [1]
@@ -232,7 +232,7 @@ class Accumulator:
         clean : Clean of n rows
         kind : (n,) int
         rates : (len(AMOUNTS) + effects, n) float
-            What each row adds, see `core.totals.clean_rows.compute_amounts`.
+            What each row adds, see `socast.core.totals.clean_rows.compute_amounts`.
         lanes : int
             Number of lanes so far.
         place : (n,) int, optional
@@ -310,7 +310,7 @@ class Accumulator:
         return self._read(rows)
 
     def ride_codes(self) -> Floats:
-        """Return the code of the last ride of each lane, see `core.wire.rides.RideNames`."""
+        """Return the code of the last ride of each lane, see `socast.core.wire.rides.RideNames`."""
         return self._open[:, self._layout.last + EDGES.index("code")]
 
     def _output_rows(self, lanes: Ints) -> Floats:

@@ -6,13 +6,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.cleaning.clean_columns import Clean
-from core.cleaning.quality import Quality
-from core.signals.signals import Signals
-from core.signals.weather import Sky
-from core.totals.accumulator import AMOUNTS, NO_ENDS, Accumulator, Sums
-from core.vehicles.fleet import Cars
+from socast.core.batch import Floats, Ints
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.quality import Quality
+from socast.core.signals.signals import Signals
+from socast.core.signals.weather import Sky
+from socast.core.totals.accumulator import AMOUNTS, NO_ENDS, Accumulator, Sums
+from socast.core.vehicles.fleet import Cars
 
 WITNESSES: Final = (
     *("mistimed", "unseen", "disputed", "stale_fall"),

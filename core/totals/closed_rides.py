@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from core.batch import Ints
-from core.totals.accumulator import Sums, Totals, join_totals
+from socast.core.batch import Ints
+from socast.core.totals.accumulator import Sums, Totals, join_totals
 
 
 class ClosedTotals:

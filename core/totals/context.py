@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from core.batch import Floats, Lanes, Table
-from core.settings import Settings
-from core.vehicles.fleet import Cars
+from socast.core.batch import Floats, Lanes, Table
+from socast.core.settings import Settings
+from socast.core.vehicles.fleet import Cars
 
 
 class Model(Protocol):

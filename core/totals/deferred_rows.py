@@ -1,14 +1,14 @@
 """Rows that wait until their ride has ended, so that tables can use estimates from both sides of each sample.
 
 A live forecast uses the past only. A table may use the whole ride: `DeferredRows` keeps the rows of open rides, and
-releases the rows of closed rides with the elevation that `core.cleaning.elevation_smoother` estimates. Rides of cars
-without a speed also receive the motion that `core.cleaning.position_smoother` estimates.
+releases the rows of closed rides with the elevation that `socast.core.cleaning.elevation_smoother` estimates. Rides of
+cars without a speed also receive the motion that `socast.core.cleaning.position_smoother` estimates.
 
 Rows are released at fixed numbers of rows since the start, never at the end of a batch. The released rows, their order
 and the totals made of them are therefore the same for any division of the input.
 
 Each row keeps its place among all messages, and so does each end of a ride between two rows. The totals of the rows
-wait in `core.totals.deferred_totals` until no earlier row is kept.
+wait in `socast.core.totals.deferred_totals` until no earlier row is kept.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -18,15 +18,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.cleaning.clean_columns import Clean
-from core.cleaning.elevation_smoother import LONGEST_PIECE, number_rows, smooth_elevation
-from core.cleaning.fleet_clock import RIDE_END
-from core.cleaning.position_smoother import smooth_motion
-from core.signals.weather import Sky
-from core.totals.accumulator import NO_ENDS, Sums
-from core.totals.clean_rows import CleanRows
-from core.totals.deferred_totals import DeferredTotals
+from socast.core.batch import Floats, Ints
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.elevation_smoother import LONGEST_PIECE, number_rows, smooth_elevation
+from socast.core.cleaning.fleet_clock import RIDE_END
+from socast.core.cleaning.position_smoother import smooth_motion
+from socast.core.signals.weather import Sky
+from socast.core.totals.accumulator import NO_ENDS, Sums
+from socast.core.totals.clean_rows import CleanRows
+from socast.core.totals.deferred_totals import DeferredTotals
 
 FIELDS: Final = (*Clean._fields, *Sky._fields, "kind", "place")
 """Columns of the kept rows."""
@@ -136,7 +136,7 @@ class DeferredRows:
         return min((float(part[_PLACE, 0]) for part in self._parts if part.shape[1]), default=inf)
 
     def ride_codes(self) -> Floats:
-        """Return the code of the ride of each kept row, see `core.wire.rides.RideNames`."""
+        """Return the code of the ride of each kept row, see `socast.core.wire.rides.RideNames`."""
         return np.concatenate([np.empty(0), *(part[_CODE] for part in self._parts), *self.totals.ride_codes()])
 
     def _release(self) -> CleanRows:

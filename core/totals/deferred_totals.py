@@ -1,10 +1,10 @@
 """Totals that wait until no row before them is missing, so that displays learn from rides in the order of their ends.
 
-`core.totals.deferred_rows` releases the rows of a ride when the ride has ended, and rows of other rides later. What the
-display of a car stands for is pooled over cars with every daily update. The totals of deferred rows therefore wait
-until every row before their end has been summed. They then pass in the order of their ends, and the daily updates
-between them, as in the causal pipeline. Totals that end at the same place pass in the order of their lanes, so that
-the order depends on nothing but the messages.
+`socast.core.totals.deferred_rows` releases the rows of a ride when the ride has ended, and rows of other rides later.
+What the display of a car stands for is pooled over cars with every daily update. The totals of deferred rows therefore
+wait until every row before their end has been summed. They then pass in the order of their ends, and the daily updates
+between them, as in the causal pipeline. Totals that end at the same place pass in the order of their lanes, so that the
+order depends on nothing but the messages.
 """
 
 from collections.abc import Iterator
@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from core.batch import Ints
-from core.totals.accumulator import Sums, Totals, join_totals
-from core.totals.display_record import create_unknown_yields
+from socast.core.batch import Ints
+from socast.core.totals.accumulator import Sums, Totals, join_totals
+from socast.core.totals.display_record import create_unknown_yields
 
 
 class DeferredTotals:
@@ -75,7 +75,7 @@ class DeferredTotals:
         return Sums(*(part.rows(np.arange(n)) for part, n in zip(ordered, numbers, strict=True)))
 
     def ride_codes(self) -> list[Any]:
-        """Return the codes of the rides of the totals, see `core.wire.rides.RideNames`."""
+        """Return the codes of the rides of the totals, see `socast.core.wire.rides.RideNames`."""
         return [part.at_last("code") for sums in self._sums for part in sums]
 
     def dump(self) -> Any:

@@ -1,4 +1,4 @@
-"""The record of what the display of a car stands for: the columns that `core.totals.display_yield` learns."""
+"""The record of what the display of a car stands for: the columns that `socast.core.totals.display_yield` learns."""
 
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ DISPLAY_YIELD: Final = np.dtype(
         ("contradicted", "f8"),  # 1 where a healthy charge and V·I contradict each other
     ]
 )
-"""What the state of charge of a car stands for, see `core.totals.display_yield`."""
+"""What the state of charge of a car stands for, see `socast.core.totals.display_yield`."""
 
 
 def create_unknown_yields(rows: int) -> NDArray[Any]:

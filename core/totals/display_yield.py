@@ -31,11 +31,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints, grown, take_lanes
-from core.totals.accumulator import Sums, Totals
-from core.totals.display_record import create_unknown_yields
-from core.totals.exact_sums import ExactSums
-from core.totals.measured_energy import (
+from socast.core.batch import Floats, Ints, grown, take_lanes
+from socast.core.totals.accumulator import Sums, Totals
+from socast.core.totals.display_record import create_unknown_yields
+from socast.core.totals.exact_sums import ExactSums
+from socast.core.totals.measured_energy import (
     METER_GAIN,
     RIDE_SD,
     find_inverted,
@@ -45,7 +45,7 @@ from core.totals.measured_energy import (
     measure_by_power,
     measure_by_soc,
 )
-from core.vehicles.fleet import Cars
+from socast.core.vehicles.fleet import Cars
 
 MODEL_SD: Final = 0.25
 """Standard deviation of the usable capacity of a vehicle model over that of the catalogue. [1]

@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.totals.accumulator import Totals
+from socast.core.batch import Floats
+from socast.core.totals.accumulator import Totals
 
 MOST_DISPUTED: Final = 0.03
 """Largest share of its distance that witnesses may dispute in a ride fit for training. [1]"""

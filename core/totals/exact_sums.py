@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from core.batch import Floats
+from socast.core.batch import Floats
 
 LIMBS: Final = 4
 """Number of whole numbers that make up a sum."""

@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.cleaning.quality import CAUSES
-from core.totals.accumulator import Totals
+from socast.core.batch import Floats
+from socast.core.cleaning.quality import CAUSES
+from socast.core.totals.accumulator import Totals
 
 LoggerFaults = dict[str, Counter[str]]
 """Name of a fault -> name of a car -> number of its rides."""

@@ -1,9 +1,9 @@
 """The measured energy of rides and windows: by voltage and current where known, by the state of charge elsewhere.
 
 The choice between the two never depends on their values. Voltage and current (V·I) measure wherever they are known and
-healthy for at least half of the duration; a frozen current does not count as known, see `core.cleaning.meters`. The
-state of charge measures only where V·I does not, and only where it is healthy: it has neither jumped nor frozen. Its
-energy is that of the display of this car, see `core.totals.display_yield`.
+healthy for at least half of the duration; a frozen current does not count as known, see `socast.core.cleaning.meters`.
+The state of charge measures only where V·I does not, and only where it is healthy: it has neither jumped nor frozen.
+Its energy is that of the display of this car, see `socast.core.totals.display_yield`.
 
 A logger that samples V·I every 10 s or more misses most of what the power does between two samples. There the healthy
 state of charge also measures where its quantum and noise are less than the error that V·I is expected to have by the
@@ -15,13 +15,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.cleaning.meters import COARSEST_SOC, CORRELATION_TIME, FROZEN_SOC, POWER_SPREAD
-from core.cleaning.quality import CAUSES
-from core.columns import GRAVITY, JOULES_PER_KWH
-from core.totals.accumulator import Totals
-from core.vehicles.catalogue import BOUNDS
-from core.vehicles.fleet import Cars
+from socast.core.batch import Floats, Ints
+from socast.core.cleaning.meters import COARSEST_SOC, CORRELATION_TIME, FROZEN_SOC, POWER_SPREAD
+from socast.core.cleaning.quality import CAUSES
+from socast.core.columns import GRAVITY, JOULES_PER_KWH
+from socast.core.totals.accumulator import Totals
+from socast.core.vehicles.catalogue import BOUNDS
+from socast.core.vehicles.fleet import Cars
 
 METER_GAIN: Final = 0.01
 """Relative standard uncertainty of the reported voltage times current. [1]
@@ -118,7 +118,7 @@ def _expect_variance(totals: Totals) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the variance that the energy by V·I is expected to have [J^2], and where the logger is slow.
 
     The expected variance follows from the time between samples and the duration alone, see
-    `core.cleaning.meters.find_variance_factor`.
+    `socast.core.cleaning.meters.find_variance_factor`.
     """
     duration, samples = totals.amount("duration"), totals.amount("samples")
     step = np.maximum(duration / np.maximum(samples, 1.0), SLOW)
@@ -198,9 +198,9 @@ def measure_by_soc(totals: Totals) -> tuple[Floats, Floats]:
 
     Notes
     -----
-    With the yield (k, b) of the display, see `core.totals.display_yield`, the fall of the charge from s_1 to s_2 is the
-    energy E = (s_1 - s_2 + b D) / k. The true charge at each end is uniform within a quantum q, so the fall has a
-    variance of q^2 / 6, and that of the learned noise of the display. The spread of the yields of single rides, the
+    With the yield (k, b) of the display, see `socast.core.totals.display_yield`, the fall of the charge from s_1 to s_2
+    is the energy E = (s_1 - s_2 + b D) / k. The true charge at each end is uniform within a quantum q, so the fall has
+    a variance of q^2 / 6, and that of the learned noise of the display. The spread of the yields of single rides, the
     uncertainty of k and b, the gain of the meter from which they were learned, and ends lost in gaps add up in
     quadrature.
     """

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from core.batch import Ints, grown
-from core.cleaning.quality import CAUSES
-from core.totals.accumulator import Totals
-from core.totals.context import RunContext
-from core.totals.logger_faults import LoggerFaults, add_faults, count_faults
-from core.totals.tables import model_columns
+from socast.core.batch import Ints, grown
+from socast.core.cleaning.quality import CAUSES
+from socast.core.totals.accumulator import Totals
+from socast.core.totals.context import RunContext
+from socast.core.totals.logger_faults import LoggerFaults, add_faults, count_faults
+from socast.core.totals.tables import model_columns
 
 
 class RunCounters:
@@ -26,7 +26,7 @@ class RunCounters:
         Of these, rides that are unfit for training, by reason.
     unpredicted : Counter
         Of these, rides whose energy is not predictable, by reason; `model_limit` where the model predicts more than a
-        ride can take (`core.models.limit`).
+        ride can take (`socast.core.models.limit`).
     faults : dict of str to Counter
         Of these, rides that show a fault of a logger, by its name and by car.
     """

@@ -1,8 +1,8 @@
 """Build the ride table and the window table: totals with the names and units that people read.
 
-The same function derives the physical columns of both tables from `core.totals.accumulator.Totals`. The ride table has
-every term of the paper's Table 1. `model_columns` builds only the columns that a model reads (`effect_*` and the
-parameters of the car), for forecasts.
+The same function derives the physical columns of both tables from `socast.core.totals.accumulator.Totals`. The ride
+table has every term of the paper's Table 1. `model_columns` builds only the columns that a model reads (`effect_*` and
+the parameters of the car), for forecasts.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,13 +13,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.cleaning.quality import CAUSES
-from core.columns import JOULES_PER_KWH, KMH, SECONDS_PER_DAY, SPEED_BINS, WINDOW_COLUMNS, ZERO_CELSIUS
-from core.totals.accumulator import AMOUNTS, Totals
-from core.totals.context import RunContext
-from core.totals.distance_witnesses import find_contradicted_distance
-from core.totals.measured_energy import (
+from socast.core.batch import Floats
+from socast.core.cleaning.quality import CAUSES
+from socast.core.columns import JOULES_PER_KWH, KMH, SECONDS_PER_DAY, SPEED_BINS, WINDOW_COLUMNS, ZERO_CELSIUS
+from socast.core.totals.accumulator import AMOUNTS, Totals
+from socast.core.totals.context import RunContext
+from socast.core.totals.distance_witnesses import find_contradicted_distance
+from socast.core.totals.measured_energy import (
     SOURCES,
     MeasuredEnergy,
     compute_soc_energy_noise,
@@ -241,7 +241,7 @@ def tabulate_windows(totals: Totals, context: RunContext) -> pd.DataFrame:
     Returns
     -------
     DataFrame of n rows
-        See `core.columns.WINDOW_COLUMNS`; `ride_key` names the ride of each window.
+        See `socast.core.columns.WINDOW_COLUMNS`; `ride_key` names the ride of each window.
     """
     kinds = totals.at_last("kind").astype(np.int64)
     measured = measure_energy(totals, context.cars)
@@ -278,7 +278,7 @@ def tabulate_rides(
     Returns
     -------
     DataFrame of n rows
-        See `core.columns.RIDE_COLUMNS`.
+        See `socast.core.columns.RIDE_COLUMNS`.
     """
     measured = measure_energy(totals, context.cars)
     physical = _physical(totals, measured)

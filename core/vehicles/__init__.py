@@ -3,7 +3,7 @@
 Other packages import the names that this package exports.
 """
 
-from core.vehicles.catalogue import (
+from socast.core.vehicles.catalogue import (
     ACCESSORIES,
     OCCUPANT_MASS,
     AccessoryCurve,
@@ -12,7 +12,7 @@ from core.vehicles.catalogue import (
     load_catalogue,
     read_catalogue,
 )
-from core.vehicles.data_sheet import is_drag_area_assumed, list_assumed, read_data_sheets
+from socast.core.vehicles.data_sheet import is_drag_area_assumed, list_assumed, read_data_sheets
 
 __all__ = [
     "ACCESSORIES",

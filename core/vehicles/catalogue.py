@@ -11,11 +11,11 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from core.batch import Floats
-from core.columns import ZERO_CELSIUS
-from core.errors import CatalogueError
-from core.settings import LIMITS
-from core.wire.messages import Vehicle
+from socast.core.batch import Floats
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.errors import CatalogueError
+from socast.core.settings import LIMITS
+from socast.core.wire.messages import Vehicle
 
 OCCUPANT_MASS: Final = 75.0
 """Mass of a person with hand luggage. [kg] Regulation (EU) No 1230/2012, Art. 2(4)(a), driver."""
@@ -181,7 +181,7 @@ def add_vehicles(vehicles: Mapping[str, VehicleModel]) -> None:
     Parameters
     ----------
     vehicles : mapping of str to VehicleModel
-        Vehicle models by key, from `core.vehicles.read_data_sheets`.
+        Vehicle models by key, from `socast.core.vehicles.read_data_sheets`.
     """
     _OWN.update(vehicles)
 
@@ -189,7 +189,7 @@ def add_vehicles(vehicles: Mapping[str, VehicleModel]) -> None:
 @cache
 def _read_shipped() -> Mapping[str, VehicleModel]:
     """Read the included catalogue once per process."""
-    return read_catalogue(resources.files("core.vehicles").joinpath("vehicles.toml").read_text(encoding="utf-8"))
+    return read_catalogue(resources.files("socast.core.vehicles").joinpath("vehicles.toml").read_text(encoding="utf-8"))
 
 
 def read_catalogue(text: str) -> Mapping[str, VehicleModel]:

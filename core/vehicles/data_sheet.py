@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from statistics import median
 from typing import Any, Final
 
-from core.errors import CatalogueError
-from core.vehicles.catalogue import BOUNDS, VehicleModel, load_catalogue, read_entry
+from socast.core.errors import CatalogueError
+from socast.core.vehicles.catalogue import BOUNDS, VehicleModel, load_catalogue, read_entry
 
 REQUIRED: Final = ("mass_kg", "nominal_capacity_kwh")
 """Figures that every data sheet gives."""

@@ -8,11 +8,11 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from core.batch import Floats, Ints, grown, take_lanes
-from core.settings import Limits
-from core.vehicles.catalogue import OUT_OF_RANGE, UNKNOWN_MODEL, VehicleModel, vehicle_model
-from core.wire.message_order import VehicleChange
-from core.wire.messages import Vehicle
+from socast.core.batch import Floats, Ints, grown, take_lanes
+from socast.core.settings import Limits
+from socast.core.vehicles.catalogue import OUT_OF_RANGE, UNKNOWN_MODEL, VehicleModel, vehicle_model
+from socast.core.wire.message_order import VehicleChange
+from socast.core.wire.messages import Vehicle
 
 UNKNOWN: Final = 0
 """Kind of a car whose model is unknown, or that has not sent a vehicle message."""

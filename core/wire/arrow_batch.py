@@ -1,8 +1,8 @@
 """Read and write batches of samples in Arrow's stream format, `application/vnd.apache.arrow.stream`.
 
 A payload of this form begins with `PREFIX`, which no JSON text does. Its columns have the names of the fields of
-`core.wire.messages.Telemetry`; other columns are ignored. The payload may come from a stranger, so memory and time are
-bounded by its size, and nothing is expanded before its size is checked:
+`socast.core.wire.messages.Telemetry`; other columns are ignored. The payload may come from a stranger, so memory and
+time are bounded by its size, and nothing is expanded before its size is checked:
 
 - buffers must not be compressed, and only types of columns that are used are read;
 - the columns of a row take `LEAST_ROW` bytes at least, because its values take many times as much;
@@ -21,10 +21,10 @@ import pyarrow as pa
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import Batch, Floats, Ints
-from core.wire.json_scanner import POSITION
-from core.wire.messages import LONGEST_TEXT
-from core.wire.name_lookup import NAME, Texts
+from socast.core.batch import Batch, Floats, Ints
+from socast.core.wire.json_scanner import POSITION
+from socast.core.wire.messages import LONGEST_TEXT
+from socast.core.wire.name_lookup import NAME, Texts
 
 PREFIX: Final = b"\xff\xff\xff\xff"
 """First bytes of a payload: the mark of a message in Arrow's stream format since version 0.15."""

@@ -15,13 +15,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Batch, Floats, Ints, Lanes
-from core.columns import KMH, ZERO_CELSIUS
-from core.settings import Limits
-from core.wire.arrow_batch import PREFIX, ArrowRows, BatchReader
-from core.wire.json_scanner import POSITION, JsonScanner, ScannedSamples
-from core.wire.message_block import KeyValues, MessageBlock
-from core.wire.messages import (
+from socast.core.batch import Batch, Floats, Ints, Lanes
+from socast.core.columns import KMH, ZERO_CELSIUS
+from socast.core.settings import Limits
+from socast.core.wire.arrow_batch import PREFIX, ArrowRows, BatchReader
+from socast.core.wire.json_scanner import POSITION, JsonScanner, ScannedSamples
+from socast.core.wire.message_block import KeyValues, MessageBlock
+from socast.core.wire.messages import (
     BATCH,
     IDENTITY,
     KINDS,
@@ -34,10 +34,10 @@ from core.wire.messages import (
     address,
     identity,
 )
-from core.wire.name_lookup import PENDING, NameLookup
-from core.wire.rate_limit import RateLimit
-from core.wire.rides import RideNames
-from core.wire.sample_losses import SampleLosses
+from socast.core.wire.name_lookup import PENDING, NameLookup
+from socast.core.wire.rate_limit import RateLimit
+from socast.core.wire.rides import RideNames
+from socast.core.wire.sample_losses import SampleLosses
 
 
 class Event(NamedTuple):
@@ -105,11 +105,11 @@ class Decoder:
     - `not_json`;
     - `wrong_type`: a field is missing or has the wrong type;
     - `empty_list`: a list or a batch has no samples;
-    - `not_arrow`, `compressed`: a batch is damaged, or is compressed, see `core.wire.arrow_batch`;
+    - `not_arrow`, `compressed`: a batch is damaged, or is compressed, see `socast.core.wire.arrow_batch`;
     - `key_mismatch`: the payload names another vehicle, station or model than its key;
     - `out_of_range`: a weather station has an impossible position or time;
     - `too_long`: a key or a text is too long;
-    - `too_large`, `too_many_samples`, `too_many_vehicles`, `rate_limited`: see `core.settings.Limits`.
+    - `too_large`, `too_many_samples`, `too_many_vehicles`, `rate_limited`: see `socast.core.settings.Limits`.
 
     Parameters
     ----------

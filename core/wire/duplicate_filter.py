@@ -23,13 +23,13 @@ from numba import njit
 from numpy.typing import NDArray
 from xxhash import xxh64_intdigest
 
-from core.batch import Lanes
-from core.settings import Limits
-from core.wire.arrow_batch import PREFIX, BatchReader, select_rows
-from core.wire.decoder import Refused
-from core.wire.message_block import KeyValues, MessageBlock
-from core.wire.messages import BATCH, LONGEST_KEY, Message
-from core.wire.text_hash import hash_texts
+from socast.core.batch import Lanes
+from socast.core.settings import Limits
+from socast.core.wire.arrow_batch import PREFIX, BatchReader, select_rows
+from socast.core.wire.decoder import Refused
+from socast.core.wire.message_block import KeyValues, MessageBlock
+from socast.core.wire.messages import BATCH, LONGEST_KEY, Message
+from socast.core.wire.text_hash import hash_texts
 
 PER_VEHICLE: Final = 1280
 """Number of messages that are remembered at least, per vehicle; an hour of samples every 3 s is 1,200."""

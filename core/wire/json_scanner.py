@@ -16,13 +16,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import NO_RIDE, Batch, Floats, Ints, grown
-from core.columns import TELEMETRY
-from core.compiled_cache import watch_sources
-from core.wire import name_lookup
-from core.wire.message_block import Bytes, MessageBlock
-from core.wire.messages import LONGEST_TEXT, Telemetry
-from core.wire.name_lookup import NAME, PENDING, NameLookup, is_ride_of
+from socast.core.batch import NO_RIDE, Batch, Floats, Ints, grown
+from socast.core.columns import TELEMETRY
+from socast.core.compiled_cache import watch_sources
+from socast.core.wire import name_lookup
+from socast.core.wire.message_block import Bytes, MessageBlock
+from socast.core.wire.messages import LONGEST_TEXT, Telemetry
+from socast.core.wire.name_lookup import NAME, PENDING, NameLookup, is_ride_of
 
 COLUMN_OF: Final = {"vehicle_id": "lane", "ride_id": "ride"} | {column.source: column.name for column in TELEMETRY}
 POSITION: Final = {field: Batch._fields.index(column) for field, column in COLUMN_OF.items()}

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import Ints
-from core.wire.messages import Message
+from socast.core.batch import Ints
+from socast.core.wire.messages import Message
 
 PADDING: Final = 32
 """Size of the buffer after the last payload, so that whole words can be read from any place of a payload. [B]"""

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from core.wire.decoder import Event
-from core.wire.messages import Vehicle, Weather, Wire
+from socast.core.wire.decoder import Event
+from socast.core.wire.messages import Vehicle, Weather, Wire
 
 
 class VehicleChange(NamedTuple):
@@ -74,7 +74,7 @@ class MessageOrder:
 
     Examples
     --------
-    >>> from core.wire.messages import Weather
+    >>> from socast.core.wire.messages import Weather
     >>> seen = Weather("yul", 0.0, 45.0, -73.0)
     >>> order = MessageOrder(3, [Event(1, -1, seen), Event(3, -1, seen)])
     >>> order.of_rows.tolist(), [order.of_event(number) for number in (0, 1)], order.size

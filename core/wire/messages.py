@@ -1,6 +1,6 @@
 """Structs of the messages on the wire, field by field, and the keys under which they travel.
 
-Names of fields carry their units. `core.wire.decoder` turns payloads into columns in SI units.
+Names of fields carry their units. `socast.core.wire.decoder` turns payloads into columns in SI units.
 """
 
 import re
@@ -122,7 +122,7 @@ class Ride(Wire):
 class Leg(Wire):
     """Leg of a plan: a ride, or a charge with `charge_to_soc_pct` in place of the distance.
 
-    `core.forecast.plan_checks` refuses a leg without a duration, and one that is neither a ride nor a charge.
+    `socast.core.forecast.plan_checks` refuses a leg without a duration, and one that is neither a ride nor a charge.
     """
 
     distance_km: Annotated[float | None, Meta(description="Distance of a ride. [km]")] = None
@@ -386,7 +386,7 @@ OF_VEHICLES: Final[dict[str, type[Wire]]] = {
 }
 """Last chunk of a vehicle's key -> struct of its message."""
 BATCH: Final = "batch"
-"""Last chunk of the key of a gateway's batches, whose payload is Arrow and no struct, see `core.wire.arrow_batch`."""
+"""Last chunk of the key of a gateway's batches, whose payload is Arrow, see `socast.core.wire.arrow_batch`."""
 KINDS: Final[dict[str, type[Wire]]] = OF_VEHICLES | {"weather": Weather, "errors": ModelErrors, "finding": Finding}
 """Kind of message -> its struct."""
 

@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import NO_RIDE, Floats, Ints, Lanes, grown
-from core.wire.messages import IDENTITY
+from socast.core.batch import NO_RIDE, Floats, Ints, Lanes, grown
+from socast.core.wire.messages import IDENTITY
 
 NAME: Final = 64
 """Size of the names of vehicles, and of the names of rides that are remembered. [B]"""

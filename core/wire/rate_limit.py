@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from core.batch import Floats, grown
-from core.wire.message_block import KeyValues, MessageBlock
-from core.wire.messages import Message
+from socast.core.batch import Floats, grown
+from socast.core.wire.message_block import KeyValues, MessageBlock
+from socast.core.wire.messages import Message
 
 MOST_KEYS: Final = 1 << 18
 """Number of keys from which on full buckets are forgotten."""

@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from math import inf
 from typing import Any, Final
 
-from core.batch import NO_RIDE
-from core.wire.messages import Ride
+from socast.core.batch import NO_RIDE
+from socast.core.wire.messages import Ride
 
 NAMES: Final = 10_000
 """Number of ride names that are remembered, in addition to `NAMES_PER_VEHICLE` per vehicle."""

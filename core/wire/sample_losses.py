@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import Batch, Ints, Lanes, grown, take_lanes
+from socast.core.batch import Batch, Ints, Lanes, grown, take_lanes
 
 SAMPLE_LOSS: Final = np.dtype(
     [

@@ -1,6 +1,7 @@
 """Read times, positions and displays of telemetry as columns, from single samples, lists and batches alike.
 
-It is for viewers and commands that need no more of a sample. `core.wire.decoder` decodes all fields for the pipeline.
+It is for viewers and commands that need no more of a sample. `socast.core.wire.decoder` decodes all fields for the
+pipeline.
 """
 
 from collections import Counter
@@ -14,12 +15,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Batch, Floats
-from core.settings import Limits
-from core.wire.arrow_batch import PREFIX, BatchError, read_rows
-from core.wire.json_scanner import POSITION
-from core.wire.messages import BATCH, IDENTITY, Message, address
-from core.wire.name_lookup import Texts
+from socast.core.batch import Batch, Floats
+from socast.core.settings import Limits
+from socast.core.wire.arrow_batch import PREFIX, BatchError, read_rows
+from socast.core.wire.json_scanner import POSITION
+from socast.core.wire.messages import BATCH, IDENTITY, Message, address
+from socast.core.wire.name_lookup import Texts
 
 LIMITS: Final = Limits()
 """Limits of a batch: size of its payload, and number of its rows."""

@@ -4,7 +4,7 @@ from typing import Any, Final
 
 import msgspec
 
-from core.wire.messages import KINDS, Wire
+from socast.core.wire.messages import KINDS, Wire
 
 _KEPT: Final[tuple[str, ...]] = ("title", "description", "type", "required")
 
@@ -15,7 +15,7 @@ def make_schema(kind: str) -> dict[str, Any]:
     Parameters
     ----------
     kind : str
-        Key of `core.wire.messages.KINDS`.
+        Key of `socast.core.wire.messages.KINDS`.
 
     Returns
     -------

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from string import ascii_letters, digits
 from typing import Final, Literal
 
-from core.errors import SettingsError
+from socast.core.errors import SettingsError
 
 MOST_SHARDS: Final = 100
 """Largest number of shards under a prefix, as two digits tell them apart."""

@@ -1,4 +1,4 @@
-"""The words with which `core.snapshot` declares the form of a saved state.
+"""The words with which `socast.core.snapshot` declares the form of a saved state.
 
 Each is a small object with a method `check`, which raises `Fault` if a value has another form.
 """

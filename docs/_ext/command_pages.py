@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, NamedTuple, get_args, get_origin
 import typer
 from markdown_text import code, paragraphs, plain, table
 
-from tools.cli import COMMANDS, application
+from socast.tools.cli import COMMANDS, application
 
 DOCS: Final = Path(__file__).parents[1]
 GUIDES: Final = (DOCS / "missing-effect.md", *sorted((DOCS / "guide").glob("*.md")))

@@ -5,9 +5,9 @@ from typing import Final
 
 from markdown_text import code, paragraphs, plain, table
 
-from core import effects as library
-from core.effects import Effect, Parameter
-from core.effects.declaration import Expectation
+from socast.core import effects as library
+from socast.core.effects import Effect, Parameter
+from socast.core.effects.declaration import Expectation
 
 SIGNS: Final = {1: "not negative", -1: "not positive", 0: "either"}
 

@@ -5,8 +5,8 @@ from math import isinf
 
 from markdown_text import code, plain, table
 
-from core import columns
-from core.columns import Column
+from socast.core import columns
+from socast.core.columns import Column
 
 
 def telemetry_columns() -> str:

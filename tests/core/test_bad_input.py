@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from core.columns import KMH
-from core.pipeline import Pipeline
-from core.wire.messages import Message
+from socast.core.columns import KMH
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Message
 from tests.support.telemetry import drive, leaf, make_message, observed, ran, telemetry
 
 FUZZED = 10_000

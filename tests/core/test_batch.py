@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from core.batch import Lanes, grown
+from socast.core.batch import Lanes, grown
 from tests.support.telemetry import decoded, drive, telemetry
 
 

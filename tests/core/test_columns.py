@@ -4,12 +4,12 @@ import pandas as pd
 import pint
 import pytest
 
-from core import columns
-from core.cleaning.quality import CAUSES
-from core.columns import RIDE_COLUMNS, SIGNALS, TELEMETRY, WINDOW_COLUMNS, expand_effect_columns
-from core.effects import list_tabulated
-from core.models.features import FEATURES
-from core.wire.messages import Telemetry
+from socast.core import columns
+from socast.core.cleaning.quality import CAUSES
+from socast.core.columns import RIDE_COLUMNS, SIGNALS, TELEMETRY, WINDOW_COLUMNS, expand_effect_columns
+from socast.core.effects import list_tabulated
+from socast.core.models.features import FEATURES
+from socast.core.wire.messages import Telemetry
 
 GROUPS = {"telemetry": TELEMETRY, "signals": SIGNALS, "rides": RIDE_COLUMNS, "windows": WINDOW_COLUMNS}
 

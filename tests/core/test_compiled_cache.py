@@ -9,12 +9,12 @@ from numba import njit
 from numba.core.caching import NullCache
 from numba.core.registry import CPUDispatcher
 
-import core
-from core.compiled_cache import watch_sources
+import socast.core
+from socast.core.compiled_cache import watch_sources
 
 
 def list_cached_functions():
-    names = [module.name for module in pkgutil.walk_packages(core.__path__, "core.")]
+    names = [module.name for module in pkgutil.walk_packages(socast.core.__path__, "socast.core.")]
     values = [value for name in names for value in vars(importlib.import_module(name)).values()]
     functions = {id(value): value for value in values if isinstance(value, CPUDispatcher)}
     return [function for function in functions.values() if not isinstance(function._cache, NullCache)]

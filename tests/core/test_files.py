@@ -9,16 +9,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core import models
-from core.cleaning.elevation_map import ElevationPlaces
-from core.errors import SocastError
-from core.files import replacing, write_whole
-from stream.elevation_files import write_places
-from stream.state_file import StateFile
-from tools.report.page import save
-from tools.terminal.findings_file import write_findings
-from tools.terminal.output import write_json
-from tools.terminal.parquet_table import ParquetTable
+from socast.core import models
+from socast.core.cleaning.elevation_map import ElevationPlaces
+from socast.core.errors import SocastError
+from socast.core.files import replacing, write_whole
+from socast.stream.elevation_files import write_places
+from socast.stream.state_file import StateFile
+from socast.tools.report.page import save
+from socast.tools.terminal.findings_file import write_findings
+from socast.tools.terminal.output import write_json
+from socast.tools.terminal.parquet_table import ParquetTable
 
 OLD = b"the content before"
 

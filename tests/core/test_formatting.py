@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.formatting import everyday, format_minus, format_range, rounded
+from socast.core.formatting import everyday, format_minus, format_range, rounded
 
 
 @pytest.mark.parametrize(

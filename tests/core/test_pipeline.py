@@ -4,11 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from core.cleaning.quality import CAUSES
-from core.errors import SettingsError, SocastError
-from core.models import BASIC_PHYSICAL
-from core.pipeline import Pipeline
-from core.settings import Settings
+from socast.core.cleaning.quality import CAUSES
+from socast.core.errors import SettingsError, SocastError
+from socast.core.models import BASIC_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
 from tests.support.telemetry import START, drive, leaf, make_message, observed, ran, telemetry
 
 NAMES = 400
@@ -119,7 +119,7 @@ def test_pipeline_without_tables_keeps_no_rides_or_windows():
 
 
 def test_number_of_kept_ride_names_is_limited(monkeypatch):
-    monkeypatch.setattr("core.wire.rides.NAMES", NAMES)
+    monkeypatch.setattr("socast.core.wire.rides.NAMES", NAMES)
     pipeline = Pipeline(keep_tables=False)
     columns, half = drive(3 * NAMES, speed=10.0), 3 * NAMES // 2
     columns["ride_id"] = np.array([f"r{i // 2}" for i in range(3 * NAMES)], dtype=object)

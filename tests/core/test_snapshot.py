@@ -2,9 +2,9 @@
 
 import pytest
 
-from core import snapshot
-from core.errors import SocastError
-from core.snapshot import open_snapshot, seal_snapshot
+from socast.core import snapshot
+from socast.core.errors import SocastError
+from socast.core.snapshot import open_snapshot, seal_snapshot
 
 STATE = {"model": "basic_physical/1", "effects": ["rolling"], "lanes": ["a"]}
 

@@ -5,7 +5,7 @@ import re
 import pytest
 import yaml
 
-from stream.metrics import METRICS, list_metric_names
+from socast.stream.metrics import METRICS, list_metric_names
 from tests.support.paths import ROOT
 from tests.support.promql import STANDARD, list_metrics
 

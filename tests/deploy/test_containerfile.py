@@ -6,8 +6,8 @@ import tomllib
 
 import typer
 
+from socast.tools.cli import application
 from tests.support.paths import ROOT
-from tools.cli import application
 
 TEXT = (ROOT / "deploy" / "Containerfile").read_text()
 LINES = re.sub(r"\\\n", "", TEXT).splitlines()

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import pytest
 
-from stream.metrics import BUILD, LAG, LOOP_AGE, METRICS, READY, list_metric_names
+from socast.stream.metrics import BUILD, LAG, LOOP_AGE, METRICS, READY, list_metric_names
 from tests.support.paths import ROOT
 from tests.support.promql import STANDARD, list_metrics
 

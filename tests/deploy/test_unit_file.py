@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import typer
 
-from stream.service_status import LIVE_S
+from socast.stream.service_status import LIVE_S
+from socast.tools.cli import application
 from tests.support.paths import ROOT
-from tools.cli import application
 
 UNIT = ROOT / "deploy" / "socast.service"
 MOST_EXPOSURE = 2.0

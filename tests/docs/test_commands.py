@@ -8,14 +8,14 @@ from statistics import mean
 
 import pytest
 
-from core import models
+from socast.core import models
+from socast.tools.simulator.trace import REFERENCE_DENSITY
 from tests.support import picture_figure
 from tests.support.commands import refused
 from tests.support.documented_commands import Shell, documented_commands, first_difference, prepare_folder
 from tests.support.error_figure import FIGURE, error_figure
 from tests.support.pages import PAGES, TUTORIAL, blocks, name_of, read
 from tests.support.paths import ROOT
-from tools.simulator.trace import REFERENCE_DENSITY
 
 pytestmark = pytest.mark.long
 COMMANDS = {

@@ -6,10 +6,10 @@ import shlex
 import pytest
 import typer
 
+from socast.tools.cli import COMMANDS, application
 from tests.support.documented_commands import documented_commands
 from tests.support.pages import GUIDES, PAGES, blocks, name_of, read, shown_calls
 from tests.support.paths import ROOT
-from tools.cli import COMMANDS, application
 
 CALLS = list(shown_calls())
 COMMAND_HELP = {name: typer.main.get_command(application(name)).commands[name] for name in COMMANDS}

@@ -3,12 +3,12 @@
 import re
 import xml.etree.ElementTree as ET
 
-from core import models
-from core.pipeline import Pipeline
-from stream.loop import Tally
+from socast.core import models
+from socast.core.pipeline import Pipeline
+from socast.stream.loop import Tally
+from socast.tools.terminal.model_comparison import DEFAULT_MODEL
 from tests.support.live_figure import FIGURE, live_figure
 from tests.support.paths import ROOT
-from tools.terminal.model_comparison import DEFAULT_MODEL
 
 
 def words(svg: str) -> set[str]:

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from core import models
+from socast.core import models
 from tests.support.documented_commands import Shell, documented_commands, prepare_folder
 from tests.support.own_car_figure import FIGURE, PAGE, find_change, own_car_figure
 from tests.support.own_car_file import FILE, HIDDEN, OPTIONS, SINCE, TRUTH

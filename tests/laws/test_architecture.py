@@ -11,18 +11,32 @@ from tests.support.paths import ROOT
 
 ORDER = (
     *(
-        "core.errors",
-        "core.columns",
-        "core.batch",
-        "core.settings",
-        "core.formatting",
-        "core.files",
-        "core.compiled_cache",
+        "socast.core.errors",
+        "socast.core.columns",
+        "socast.core.batch",
+        "socast.core.settings",
+        "socast.core.formatting",
+        "socast.core.files",
+        "socast.core.compiled_cache",
     ),
-    *("core.wire", "core.cleaning", "core.vehicles", "core.signals", "core.effects", "core.totals", "core.models"),
-    *("core.stats", "core.forecast", "core.monitoring", "core.snapshot", "core.pipeline"),
-    *("core.fit", "core.evaluate", "core.diagnose"),
-    *("stream", "tools", "socast"),
+    *(
+        "socast.core.wire",
+        "socast.core.cleaning",
+        "socast.core.vehicles",
+        "socast.core.signals",
+        "socast.core.effects",
+        "socast.core.totals",
+        "socast.core.models",
+    ),
+    *(
+        "socast.core.stats",
+        "socast.core.forecast",
+        "socast.core.monitoring",
+        "socast.core.snapshot",
+        "socast.core.pipeline",
+    ),
+    *("socast.core.fit", "socast.core.evaluate", "socast.core.diagnose"),
+    *("socast.stream", "socast.tools", "socast"),
 )
 """Packages and root modules; each may import itself and those before it."""
 MOST_PACKAGES, MOST_MODULES, MOST_LINES = 13, 9, 499
@@ -35,10 +49,16 @@ ONLY_IN = {
 """Library of a transport or of a format -> files that may import it."""
 CLOCKS = {"time", "threading", "asyncio", "socket"}
 """Modules that core must not import."""
-ONE_NAME = re.compile(r"\b(?:core|stream|tools|socast)(?:\.\w+)+")
+ONE_NAME = re.compile(r"\bsocast(?:\.\w+)+")
 
 SOURCES = sorted(path for package in ("core", "socast", "stream", "tools") for path in (ROOT / package).rglob("*.py"))
-MODULES = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in SOURCES}
+PLACES = {
+    path: Path("socast")
+    / path.relative_to(ROOT).relative_to("socast" if "socast" in path.relative_to(ROOT).parts else "")
+    for path in SOURCES
+}
+"""Files of the code -> where they are when the product is installed."""
+MODULES = {".".join(place.with_suffix("").parts).removesuffix(".__init__"): path for path, place in PLACES.items()}
 PAGE = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
 
 
@@ -83,18 +103,26 @@ def imported_modules(module: str) -> frozenset[str]:
 def place(module: str) -> int:
     """Return the place in `ORDER` of the package that a module belongs to."""
     parts = module.split(".")
-    return ORDER.index(".".join(parts[:2]) if parts[0] == "core" else parts[0])
+    inner = {"core": 3, "stream": 2, "tools": 2}.get(parts[1] if len(parts) > 1 else "", 1)
+    return ORDER.index(".".join(parts[:inner]))
 
 
 def test_no_import_runs_upward():
     upward = {
         (module, name)
-        for module in set(MODULES) - {"core"}
-        for name in imported_modules(module) - {"core"}
+        for module in set(MODULES) - {"socast.core"}
+        for name in imported_modules(module) - {"socast.core"}
         if place(name) > place(module)
     }
     assert upward == set()
-    assert imported_modules("core") == set()
+    assert imported_modules("socast.core") == set()
+
+
+def test_folders_are_imported_under_the_name_of_the_product():
+    """The folders `core`, `stream` and `tools` are installed in `socast`; a user's project may have such names."""
+    for module in MODULES:
+        names = {name.partition(".")[0] for name in import_names(module)}
+        assert names.isdisjoint({"core", "stream", "tools", "recordings"}), module
 
 
 def test_imports_have_no_cycle():
@@ -117,7 +145,7 @@ def test_transport_is_imported_only_in_its_files():
 
 
 def test_core_reads_no_clock():
-    readers = {module for module in MODULES if module.startswith("core") and CLOCKS & import_names(module)}
+    readers = {module for module in MODULES if module.startswith("socast.core") and CLOCKS & import_names(module)}
     assert readers == set()
 
 
@@ -130,7 +158,7 @@ def test_every_file_has_fewer_than_500_lines():
 def test_public_names_of_core_and_stream_are_unique():
     defined = defaultdict(list)
     for module in MODULES:
-        if module.startswith(("core", "stream")):
+        if module.startswith(("socast.core", "socast.stream")):
             for node in parse(module).body:
                 if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
                     defined[node.name].append(module)
@@ -145,8 +173,8 @@ def test_every_test_folder_mirrors_a_folder_of_the_code():
 
 
 def test_page_names_every_package_and_only_files_that_exist():
-    packages = {name for name in ORDER if (ROOT / name.replace(".", "/")).is_dir()}
-    missing = {name for name in packages if f"{name.replace('.', '/')}/" not in PAGE}
+    folders = {name.replace(".", "/").removeprefix("socast/") for name in ORDER}
+    missing = {folder for folder in folders if (ROOT / folder).is_dir() and f"{folder}/" not in PAGE}
     assert missing == set()
     files = set(re.findall(r"`((?:[\w.]+/)*\w+\.(?:py|toml|md|json))`", PAGE))
     known = {str(path.relative_to(ROOT)) for path in ROOT.rglob("*.*") if ".venv" not in path.parts}

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.fit.pooled import PooledRecipe
-from core.fit.recipes import RECIPES, LinearRecipe, make_product
-from core.models import ANY, LinearModel, make_physical_term
+from socast.core.fit.pooled import PooledRecipe
+from socast.core.fit.recipes import RECIPES, LinearRecipe, make_product
+from socast.core.models import ANY, LinearModel, make_physical_term
 from tests.support import pooled_rides
 from tests.support.planted_rides import MODELS, noisy, physical_energy
 

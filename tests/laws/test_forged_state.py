@@ -5,9 +5,9 @@ from typing import Final
 
 import pytest
 
-from core.errors import SocastError
-from core.pipeline import Pipeline
-from core.snapshot import SCHEMAS
+from socast.core.errors import SocastError
+from socast.core.pipeline import Pipeline
+from socast.core.snapshot import SCHEMAS
 from tests.support.forged_states import COMPONENTS, forge, make_content, make_pipeline, nest, run
 
 pytestmark = pytest.mark.long

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tools.bench.league.fault import are_compatible
-from tools.bench.league.faults import FAULTS
-from tools.bench.league.fleet import judge_stream, make_entry
-from tools.bench.league.laws import REPAIRED, RIGHT, WRONG
-from tools.bench.league.replay import find_difference
+from socast.tools.bench.league.fault import are_compatible
+from socast.tools.bench.league.faults import FAULTS
+from socast.tools.bench.league.fleet import judge_stream, make_entry
+from socast.tools.bench.league.laws import REPAIRED, RIGHT, WRONG
+from socast.tools.bench.league.replay import find_difference
 
 pytestmark = pytest.mark.long
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core import models
-from core.pipeline import Pipeline
-from core.wire.messages import Message
+from socast.core import models
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Message
 from tests.support.faulty_shifts import CARS, car, mixed, shift
 from tests.support.fleet_days import CARS as FLEET
 from tests.support.fleet_days import DAY as ONE_DAY

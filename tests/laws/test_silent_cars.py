@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.pipeline import Pipeline
-from core.settings import Limits
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Limits
 from tests.support.fleet_days import CARS, DAYS, SETTINGS, forecasts, learned, merged, shift
 from tests.support.telemetry import chunked, leaf, make_message
 

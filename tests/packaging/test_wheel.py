@@ -12,10 +12,13 @@ import pytest
 from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.long
+THEIRS = ("core", "recordings", "stream", "tools")
+"""Packages that the project of a user may have, too."""
 CODE = """
-import socast
+import core, recordings, socast, stream, tools
+assert all(package.OWNER == "the user" for package in (core, recordings, stream, tools))
 from importlib.resources import files
-recording = files("recordings").joinpath("shift.mcap")
+recording = files("socast").joinpath("recordings", "shift.mcap")
 tables = socast.make_tables(recording)
 model = socast.fit_model(tables.rides, "basic_physical")
 print(socast.__file__, len(tables.rides), len(model.predict(tables.rides)))
@@ -30,8 +33,7 @@ def environment(tmp_path_factory):
     source.mkdir()
     for name in ("README.md", "pyproject.toml"):
         shutil.copy(ROOT / name, source)
-    for name in ("core", "recordings", "socast", "stream", "tools"):
-        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "socast", source / "socast", ignore=shutil.ignore_patterns("__pycache__"))  # and its links
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, source]
     subprocess.run(build, check=True, capture_output=True)
@@ -42,6 +44,10 @@ def environment(tmp_path_factory):
     subprocess.run(install, check=True, capture_output=True)
     (site,) = (folder / "env" / "lib").glob("python*/site-packages")
     (site / "dependencies.pth").write_text(f"{Path(np.__file__).parents[1]}\n")
+    assert [path.name for path in site.glob("[!_]*") if path.is_dir() and not path.match("*.dist-info")] == ["socast"]
+    for name in THEIRS:
+        (site / name).mkdir()
+        (site / name / "__init__.py").write_text('OWNER = "the user"\n')
     copy_compiled_kernels(site)
     return folder / "env"
 
@@ -50,7 +56,7 @@ def copy_compiled_kernels(site):
     """Give the installed files this tree's compiled kernels; numba goes by a source file's time and size."""
     for cached in ROOT.glob("[cst]*/**/__pycache__/*.nb[ci]"):
         source = cached.parents[1] / f"{cached.name.partition('.')[0]}.py"
-        installed = site / source.relative_to(ROOT)
+        installed = site / "socast" / source.relative_to(ROOT)
         (installed.parent / "__pycache__").mkdir(exist_ok=True)
         shutil.copy2(cached, installed.parent / "__pycache__")
         stamp = source.stat().st_mtime_ns

@@ -10,12 +10,12 @@ from typing import Any
 import msgspec
 import pytest
 
-from core.errors import SettingsError, SocastError
-from core.wire.messages import Message
-from stream.checkpoints import SAVE_S, Checkpoints
-from stream.loop import Tally
-from stream.recorder import Recorder
-from stream.state_file import StateFile
+from socast.core.errors import SettingsError, SocastError
+from socast.core.wire.messages import Message
+from socast.stream.checkpoints import SAVE_S, Checkpoints
+from socast.stream.loop import Tally
+from socast.stream.recorder import Recorder
+from socast.stream.state_file import StateFile
 
 SENT = [Message(f"fleet/{'ab'[n % 2]}/telemetry", b"%d" % n, n) for n in range(12)]
 

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from core.pipeline import Pipeline
-from core.wire.messages import Message
-from stream import recorder, state_file
-from stream.checkpoints import Checkpoints
-from stream.mcap_reader import McapSource
-from stream.recorder import Recorder, list_recordings
-from stream.state_file import StateFile
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Message
+from socast.stream import recorder, state_file
+from socast.stream.checkpoints import Checkpoints
+from socast.stream.mcap_reader import McapSource
+from socast.stream.recorder import Recorder, list_recordings
+from socast.stream.state_file import StateFile
 from tests.support.faulty_shifts import decodable_shift
 
 pytestmark = pytest.mark.long

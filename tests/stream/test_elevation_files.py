@@ -6,9 +6,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from core.cleaning.elevation_map import ElevationPlaces
-from core.errors import SettingsError
-from stream.elevation_files import open_elevation, read_places, write_places
+from socast.core.cleaning.elevation_map import ElevationPlaces
+from socast.core.errors import SettingsError
+from socast.stream.elevation_files import open_elevation, read_places, write_places
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ import zipfile
 import numpy as np
 import pytest
 
-from core.errors import SettingsError
-from stream.elevation_files import open_elevation
-from stream.elevation_tiles import SD_TAG, TILE_SD, read_tile
+from socast.core.errors import SettingsError
+from socast.stream.elevation_files import open_elevation
+from socast.stream.elevation_tiles import SD_TAG, TILE_SD, read_tile
 from tests.support.ground import SRTM_NODES, hills, north_up, srtm_of_hills
 
 rasterio = pytest.importorskip("rasterio")

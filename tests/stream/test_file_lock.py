@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import SettingsError
-from stream.file_lock import FileLock
+from socast.core.errors import SettingsError
+from socast.stream.file_lock import FileLock
 
 HOLDER = """
 import sys
 from pathlib import Path
-from stream.file_lock import FileLock
+from socast.stream.file_lock import FileLock
 lock = FileLock(Path(sys.argv[1]), "cars")
 print("held", flush=True)
 sys.stdin.read()

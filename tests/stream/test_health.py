@@ -8,13 +8,13 @@ from threading import Event, Thread
 
 import pytest
 
-from core.errors import SettingsError
-from core.pipeline import Pipeline
-from stream.health import LOOPBACK_HOST, MOST_CLIENTS, HealthServer, HttpAddress, parse_http_address
-from stream.loop import Tally, run
-from stream.metrics import READY, make_registry
-from stream.service_snapshot import ServiceSnapshot
-from stream.service_status import LIVE_S, ServiceStatus, ServiceWatch
+from socast.core.errors import SettingsError
+from socast.core.pipeline import Pipeline
+from socast.stream.health import LOOPBACK_HOST, MOST_CLIENTS, HealthServer, HttpAddress, parse_http_address
+from socast.stream.loop import Tally, run
+from socast.stream.metrics import READY, make_registry
+from socast.stream.service_snapshot import ServiceSnapshot
+from socast.stream.service_status import LIVE_S, ServiceStatus, ServiceWatch
 from tests.support.service import FULL as WITH_OVERLAP
 from tests.support.service import Clock, ask_page, read_metrics
 from tests.support.zenoh_sessions import eventually
@@ -136,7 +136,7 @@ def test_other_pages_and_methods_are_refused(server):
 
 
 def test_clients_that_send_nothing_do_not_occupy_the_server_for_long(server, monkeypatch):
-    monkeypatch.setattr("stream.health._Handler.timeout", 0.2)
+    monkeypatch.setattr("socast.stream.health._Handler.timeout", 0.2)
     silent = [socket.create_connection(server.address) for _ in range(2 * MOST_CLIENTS)]
     assert eventually(lambda: try_page(server.address) == 200)
     for each in silent:

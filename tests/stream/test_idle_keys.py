@@ -1,6 +1,6 @@
 """Keys that were not used for long are given up, and no others."""
 
-from stream.idle_keys import IDLE_S, IdleKeys
+from socast.stream.idle_keys import IDLE_S, IdleKeys
 from tests.support.service import Clock
 
 

@@ -4,9 +4,9 @@ from threading import Event
 
 import pytest
 
-from core.wire.messages import Message
-from stream.latest_only_sink import LatestOnlySink
-from stream.memory import MemorySink
+from socast.core.wire.messages import Message
+from socast.stream.latest_only_sink import LatestOnlySink
+from socast.stream.memory import MemorySink
 
 
 class Slow(MemorySink):

@@ -14,18 +14,18 @@ from threading import Event
 
 import pytest
 
-from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.wire.messages import Message
-from stream.loop import collect_garbage_rarely, run, stop_on_signals
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from stream.memory import MemorySink, MemorySource
-from stream.recorder import Recorder, list_recordings
-from stream.source import stop_source
-from stream.structured_log import log_lines
-from stream.zenoh_session import Connection, Node
-from stream.zenoh_source import ZenohSource
+from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Message
+from socast.stream.loop import collect_garbage_rarely, run, stop_on_signals
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.stream.memory import MemorySink, MemorySource
+from socast.stream.recorder import Recorder, list_recordings
+from socast.stream.source import stop_source
+from socast.stream.structured_log import log_lines
+from socast.stream.zenoh_session import Connection, Node
+from socast.stream.zenoh_source import ZenohSource
 from tests.support.recorded_shift import shift
 
 pytestmark = pytest.mark.long
@@ -109,9 +109,9 @@ def test_publish_period_limits_errors_to_newest_of_each_model():
 
 PUBLISH = """
 import sys, time
-from stream.mcap_reader import McapSource
-from stream.zenoh_sink import ZenohSink
-from stream.zenoh_session import Connection, Node
+from socast.stream.mcap_reader import McapSource
+from socast.stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_session import Connection, Node
 with Node(Connection(connect=(sys.argv[1],))) as node:
     sink = ZenohSink(node)
     deadline = time.monotonic() + 20

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from core.wire.messages import Message
-from stream import mcap_sections
-from stream.mcap_format import MAGIC
-from stream.mcap_reader import McapSource
+from socast.core.wire.messages import Message
+from socast.stream import mcap_sections
+from socast.stream.mcap_format import MAGIC
+from socast.stream.mcap_reader import McapSource
+from socast.tools.commands.info import describe_recording
+from socast.tools.commands.tables import in_memory
 from tests.support.mcap_recordings import BEGIN, SECOND, make_telemetry, write_recording
-from tools.commands.info import describe_recording
-from tools.commands.tables import in_memory
 
 DAY_NS = 86_400 * SECOND
 

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from core.errors import RecordingError
-from core.wire.messages import Message
-from stream import mcap_channels, mcap_reader, waiting_messages
-from stream.mcap_format import (
+from socast.core.errors import RecordingError
+from socast.core.wire.messages import Message
+from socast.stream import mcap_channels, mcap_reader, waiting_messages
+from socast.stream.mcap_format import (
     CHANNEL,
     CHUNK,
     CHUNK_INDEX,
@@ -26,7 +26,7 @@ from stream.mcap_format import (
     SCHEMA,
     STATISTICS,
 )
-from stream.mcap_reader import McapSource
+from socast.stream.mcap_reader import McapSource
 from tests.support.mcap_recordings import BEGIN, SECOND, make_telemetry, write_recording
 
 SENT = make_telemetry(40, cars=1)

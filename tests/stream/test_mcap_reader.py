@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from core.errors import RecordingError
-from core.wire.messages import Message, Weather, encode
-from core.wire.schema import make_schema
-from stream.mcap_reader import McapSource
+from socast.core.errors import RecordingError
+from socast.core.wire.messages import Message, Weather, encode
+from socast.core.wire.schema import make_schema
+from socast.stream.mcap_reader import McapSource
 from tests.support.mcap_recordings import BEGIN, SECOND, make_telemetry, read_recording, write_recording
 
 

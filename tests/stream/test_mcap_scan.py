@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stream.mcap_format import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD, SCHEMA
-from stream.mcap_scan import scan_chunk
+from socast.stream.mcap_format import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD, SCHEMA
+from socast.stream.mcap_scan import scan_chunk
 
 
 def make_record(opcode, body, excess):

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from core.errors import RecordingError
-from core.wire.messages import Message
-from core.wire.schema import make_schema
-from stream.mcap_writer import McapSink
+from socast.core.errors import RecordingError
+from socast.core.wire.messages import Message
+from socast.core.wire.schema import make_schema
+from socast.stream.mcap_writer import McapSink
 from tests.support.mcap_recordings import BEGIN, SECOND, make_telemetry, read_recording, write_recording
 
 

@@ -4,8 +4,8 @@ from threading import Thread
 
 import pytest
 
-from core.wire.messages import Message
-from stream.message_queue import MessageQueue
+from socast.core.wire.messages import Message
+from socast.stream.message_queue import MessageQueue
 from tests.support.zenoh_sessions import eventually
 
 

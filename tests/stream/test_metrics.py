@@ -7,9 +7,9 @@ import pytest
 from prometheus_client.exposition import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
-from core.errors import SettingsError
-from stream.metrics import BUILD, LAG, LOOP_AGE, METRICS, READY, list_metric_names, make_registry
-from stream.service_snapshot import LAG_BUCKETS, LagCounts, ServiceSnapshot
+from socast.core.errors import SettingsError
+from socast.stream.metrics import BUILD, LAG, LOOP_AGE, METRICS, READY, list_metric_names, make_registry
+from socast.stream.service_snapshot import LAG_BUCKETS, LagCounts, ServiceSnapshot
 from tests.support.paths import ROOT
 from tests.support.service import FULL, read_metrics
 

@@ -7,12 +7,12 @@ import pytest
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
-from core.errors import SettingsError
-from stream.mqtt_source import Broker, MqttSource, parse_broker
-from stream.zenoh_session import find_free_port
+from socast.core.errors import SettingsError
+from socast.stream.mqtt_source import Broker, MqttSource, parse_broker
+from socast.stream.zenoh_session import find_free_port
+from socast.tools.security.certificates import Authority, now_utc
 from tests.support.mqtt_broker import MqttBroker, needs_mosquitto
 from tests.support.zenoh_sessions import eventually
-from tools.security.certificates import Authority, now_utc
 
 
 @pytest.fixture

@@ -6,15 +6,15 @@ from math import inf
 
 import pytest
 
-from core.errors import SettingsError
-from core.models import EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from stream.loop import Tally, run
-from stream.memory import MemorySink, MemorySource
-from stream.nightly_diagnosis import NightlyDiagnosis
+from socast.core.errors import SettingsError
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.stream.loop import Tally, run
+from socast.stream.memory import MemorySink, MemorySource
+from socast.stream.nightly_diagnosis import NightlyDiagnosis
+from socast.tools.terminal.findings_file import make_finding_fields
 from tests.support.findings import make_finding
 from tests.support.recorded_shift import make_two_days
-from tools.terminal.findings_file import make_finding_fields
 
 DAY = 86_400.0
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import RecordingError
-from core.models import EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.wire.messages import Message
-from stream.zenoh_receiver import _subscribe
-from stream.zenoh_sink import CACHE, ZenohSink
+from socast.core.errors import RecordingError
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Message
+from socast.stream.zenoh_receiver import _subscribe
+from socast.stream.zenoh_sink import CACHE, ZenohSink
 from tests.support.live_consumers import consumers
 from tests.support.outages import Outcome, compare_outcome, read_kept
 from tests.support.recorded_shift import shift

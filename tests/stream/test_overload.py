@@ -6,13 +6,13 @@ from threading import Event, Thread
 import msgspec
 import pytest
 
-from core.wire.message_block import MessageBlock
-from core.wire.messages import Message
-from stream import zenoh_source
-from stream.zenoh_receiver import BLOCK_BYTES, Received
-from stream.zenoh_session import Connection, Node, find_free_port
-from stream.zenoh_sink import ZenohSink
-from stream.zenoh_source import ZenohSource
+from socast.core.wire.message_block import MessageBlock
+from socast.core.wire.messages import Message
+from socast.stream import zenoh_source
+from socast.stream.zenoh_receiver import BLOCK_BYTES, Received
+from socast.stream.zenoh_session import Connection, Node, find_free_port
+from socast.stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_source import ZenohSource
 from tests.support.zenoh_sessions import eventually, router
 
 SAMPLE = {"vehicle_id": "a", "time_s": 1.7e9, "speed_kmh": 30.0, "note": "x" * 300}

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import msgspec
 import pytest
 
-from core.errors import ModelError
-from core.wire.messages import Leg, Outlook, encode
-from stream.loop import Tally
-from stream.query_service import LOG_S, SPEND_S, QueryService
+from socast.core.errors import ModelError
+from socast.core.wire.messages import Leg, Outlook, encode
+from socast.stream.loop import Tally
+from socast.stream.query_service import LOG_S, SPEND_S, QueryService
 from tests.support.outlooks import NOW, PLANNED, Fleet
 
 

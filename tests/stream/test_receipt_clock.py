@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stream.receipt_clock import SETTLE_S, SLEW, STEP_S, ReceiptClock
+from socast.stream.receipt_clock import SETTLE_S, SLEW, STEP_S, ReceiptClock
 
 SECOND = 1_000_000_000
 UNIX = 1_700_000_000 * SECOND

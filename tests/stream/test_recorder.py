@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import RecordingError, SettingsError
-from core.wire.messages import Message
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from stream.recorder import Place, Recorder, list_recordings
-from stream.source import merge_sources
+from socast.core.errors import RecordingError, SettingsError
+from socast.core.wire.messages import Message
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.stream.recorder import Place, Recorder, list_recordings
+from socast.stream.source import merge_sources
 
 SECOND = 1_000_000_000
 BEGIN = 1_769_903_999 * SECOND + 123_000_000  # 2026-01-31T23:59:59.123Z

@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from core.settings import Settings
-from stream.mcap_format import MAGIC, RECORD, decode_metadata
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from stream.recorder import Recorder
-from stream.recording_metadata import list_changed_settings, make_metadata
+from socast.core.settings import Settings
+from socast.stream.mcap_format import MAGIC, RECORD, decode_metadata
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.stream.recorder import Recorder
+from socast.stream.recording_metadata import list_changed_settings, make_metadata
+from socast.tools.simulator.settings import Faults, Simulation
 from tests.support.mcap_recordings import make_telemetry, read_recording, write_recording
 from tests.support.paths import ROOT
-from tools.simulator.settings import Faults, Simulation
 
 METADATA = make_metadata(
     "live", prefix="montreal/", models=["a/1", "b/2"], settings=list_changed_settings(Settings(window=5), Settings())

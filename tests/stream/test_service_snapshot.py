@@ -4,14 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.wire.messages import Message
-from stream.loop import Tally, run
-from stream.memory import MemorySink, MemorySource
-from stream.recorder import Recorder
-from stream.service_snapshot import LAG_BUCKETS, OF_SOURCE, LagMeter, SnapshotTaker
-from stream.service_status import ServiceStatus, ServiceWatch
+from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Message
+from socast.stream.loop import Tally, run
+from socast.stream.memory import MemorySink, MemorySource
+from socast.stream.recorder import Recorder
+from socast.stream.service_snapshot import LAG_BUCKETS, OF_SOURCE, LagMeter, SnapshotTaker
+from socast.stream.service_status import ServiceStatus, ServiceWatch
 from tests.support.recorded_shift import BEGIN, shift
 from tests.support.telemetry import drive, telemetry
 

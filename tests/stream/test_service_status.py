@@ -4,10 +4,10 @@ from threading import Event
 
 import pytest
 
-from stream.loop import Tally
-from stream.service_snapshot import ServiceSnapshot
-from stream.service_status import ServiceStatus, ServiceWatch
-from stream.systemd_notify import SystemdNotifier
+from socast.stream.loop import Tally
+from socast.stream.service_snapshot import ServiceSnapshot
+from socast.stream.service_status import ServiceStatus, ServiceWatch
+from socast.stream.systemd_notify import SystemdNotifier
 from tests.support.service import FULL, Clock, systemd_socket
 
 

@@ -9,14 +9,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from core.errors import SocastError
-from core.forecast.day_schema import CONTENT
-from core.forecast.shard_days import Contribution
-from core.pipeline import Pipeline
-from core.wire.arrow_batch import PREFIX, write_rows
-from core.wire.messages import Leg, Message, Plan
-from core.wire.shard import Shard
-from stream.sharded_pipeline import ShardedPipeline
+from socast.core.errors import SocastError
+from socast.core.forecast.day_schema import CONTENT
+from socast.core.forecast.shard_days import Contribution
+from socast.core.pipeline import Pipeline
+from socast.core.wire.arrow_batch import PREFIX, write_rows
+from socast.core.wire.messages import Leg, Message, Plan
+from socast.core.wire.shard import Shard
+from socast.stream.sharded_pipeline import ShardedPipeline
 from tests.support.divided_fleets import exchange, is_of, run_divided
 from tests.support.forged_states import find_parts, list_mutations, replace
 from tests.support.shards import make_night

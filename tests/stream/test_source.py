@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.errors import SettingsError
-from core.wire.messages import Message
-from stream.memory import MemorySink, MemorySource
-from stream.source import merge_sources, pace_source, stop_source
+from socast.core.errors import SettingsError
+from socast.core.wire.messages import Message
+from socast.stream.memory import MemorySink, MemorySource
+from socast.stream.source import merge_sources, pace_source, stop_source
 
 SECOND = 1_000_000_000
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import SettingsError, SocastError
-from stream.state_file import DAMAGED, PREVIOUS, StateFile
+from socast.core.errors import SettingsError, SocastError
+from socast.stream.state_file import DAMAGED, PREVIOUS, StateFile
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import logging
 
 import pytest
 
-from stream.structured_log import LineFormatter, flatten_counts
+from socast.stream.structured_log import LineFormatter, flatten_counts
 
 
 def test_nan_is_null_in_json_log_line():

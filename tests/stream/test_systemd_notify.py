@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from stream.systemd_notify import SystemdNotifier
+from socast.stream.systemd_notify import SystemdNotifier
 from tests.support.service import SystemdSocket, systemd_socket
 
 
@@ -74,7 +74,7 @@ def test_vanished_socket_is_logged_once(tmp_path, caplog, monkeypatch):
 
 
 def test_full_socket_delays_no_message_for_long(tmp_path, monkeypatch):
-    monkeypatch.setattr("stream.systemd_notify.SEND_S", 0.001)
+    monkeypatch.setattr("socast.stream.systemd_notify.SEND_S", 0.001)
     with systemd_socket(tmp_path) as (received, address):
         notifier = SystemdNotifier(address)
         for _ in range(1_000):

@@ -2,8 +2,8 @@
 
 from threading import Event, Thread
 
-from core.wire.messages import Message
-from stream.zenoh_delivery import ZenohDelivery
+from socast.core.wire.messages import Message
+from socast.stream.zenoh_delivery import ZenohDelivery
 from tests.support.router_process import RouterProcess
 from tests.support.zenoh_sessions import eventually
 

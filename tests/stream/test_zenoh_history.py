@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import zenoh
 
-from core.wire.arrow_batch import PREFIX
-from core.wire.messages import Message
-from stream.zenoh_history import (
+from socast.core.wire.arrow_batch import PREFIX
+from socast.core.wire.messages import Message
+from socast.stream.zenoh_history import (
     ANSWER_S,
     DOUBT_S,
     HOLD_S,
@@ -22,8 +22,8 @@ from stream.zenoh_history import (
     CacheHistory,
     merge_samples,
 )
-from stream.zenoh_session import Connection, Node
-from stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_session import Connection, Node
+from socast.stream.zenoh_sink import ZenohSink
 from tests.support.batched_recordings import make_batch
 from tests.support.zenoh_sessions import eventually, router
 

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from core.wire.messages import Message
-from stream import zenoh_observer
-from stream.zenoh_observer import ZenohObserver
-from stream.zenoh_sink import ZenohSink
+from socast.core.wire.messages import Message
+from socast.stream import zenoh_observer
+from socast.stream.zenoh_observer import ZenohObserver
+from socast.stream.zenoh_sink import ZenohSink
 from tests.support.zenoh_sessions import eventually, router
 
 

@@ -5,9 +5,9 @@ from contextlib import ExitStack
 
 import pytest
 
-from core.wire.shard import Shard
-from stream.zenoh_overlap import GRACE_S, REPEAT_S, Overlaps, OverlapWatch, Share, name_token, read_token
-from stream.zenoh_session import Connection, Node
+from socast.core.wire.shard import Shard
+from socast.stream.zenoh_overlap import GRACE_S, REPEAT_S, Overlaps, OverlapWatch, Share, name_token, read_token
+from socast.stream.zenoh_session import Connection, Node
 from tests.support.service import Clock
 from tests.support.zenoh_sessions import eventually, router
 

@@ -8,12 +8,12 @@ from threading import Event
 import msgspec
 import pytest
 
-from core.errors import AskError, SettingsError
-from core.wire.messages import Leg, Message, Outlook, encode
-from stream.zenoh_queryable import WAITING, ZenohQueryable, query_outlook
-from stream.zenoh_session import Connection, Node
-from stream.zenoh_sink import ZenohSink
-from stream.zenoh_source import ZenohSource
+from socast.core.errors import AskError, SettingsError
+from socast.core.wire.messages import Leg, Message, Outlook, encode
+from socast.stream.zenoh_queryable import WAITING, ZenohQueryable, query_outlook
+from socast.stream.zenoh_session import Connection, Node
+from socast.stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_source import ZenohSource
 from tests.support.outlooks import NOW, PLANNED
 from tests.support.zenoh_sessions import eventually, live, router
 

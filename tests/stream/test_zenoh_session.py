@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import SettingsError
-from stream.zenoh_session import (
+from socast.core.errors import SettingsError
+from socast.stream.zenoh_session import (
     LOOPBACK,
     Connection,
     Node,

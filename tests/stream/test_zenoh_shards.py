@@ -7,17 +7,17 @@ from threading import Event, Thread
 import msgspec
 import pytest
 
-from core.errors import AskError
-from core.wire.messages import Message, Outlook
-from core.wire.shard import By, Shard
-from stream.loop import run
-from stream.query_service import QueryService
-from stream.zenoh_observer import ZenohObserver
-from stream.zenoh_queryable import ZenohQueryable, query_outlook
-from stream.zenoh_session import Connection, Node
-from stream.zenoh_sink import ZenohSink
-from stream.zenoh_source import ZenohSource
-from stream.zenoh_standby import Standby
+from socast.core.errors import AskError
+from socast.core.wire.messages import Message, Outlook
+from socast.core.wire.shard import By, Shard
+from socast.stream.loop import run
+from socast.stream.query_service import QueryService
+from socast.stream.zenoh_observer import ZenohObserver
+from socast.stream.zenoh_queryable import ZenohQueryable, query_outlook
+from socast.stream.zenoh_session import Connection, Node
+from socast.stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_source import ZenohSource
+from socast.stream.zenoh_standby import Standby
 from tests.support.commands import refused
 from tests.support.shards import make_night, run_shards
 from tests.support.zenoh_sessions import Consumer, eventually, router

@@ -15,13 +15,13 @@ import zenoh
 from zenoh import SampleKind
 from zenoh.handlers import FifoChannel
 
-from core.errors import SettingsError
-from core.wire.messages import Message
-from stream.idle_keys import IdleKeys
-from stream.zenoh_receiver import CHANNEL, adapt_nap
-from stream.zenoh_session import Connection, Node, find_free_port
-from stream.zenoh_sink import ZenohSink
-from stream.zenoh_source import ZenohSource
+from socast.core.errors import SettingsError
+from socast.core.wire.messages import Message
+from socast.stream.idle_keys import IdleKeys
+from socast.stream.zenoh_receiver import CHANNEL, adapt_nap
+from socast.stream.zenoh_session import Connection, Node, find_free_port
+from socast.stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_source import ZenohSource
 from tests.support.service import Clock
 from tests.support.zenoh_sessions import eventually, router
 

@@ -7,10 +7,10 @@ import pytest
 from zenoh import SampleKind
 from zenoh.handlers import FifoChannel
 
-from core.wire.messages import Message
-from stream.idle_keys import IdleKeys
-from stream.zenoh_session import Connection, Node
-from stream.zenoh_standby import FENCE_S, LEASE_S, SETTLE_S, Election, FencedSink, Standby, TakeoverSink
+from socast.core.wire.messages import Message
+from socast.stream.idle_keys import IdleKeys
+from socast.stream.zenoh_session import Connection, Node
+from socast.stream.zenoh_standby import FENCE_S, LEASE_S, SETTLE_S, Election, FencedSink, Standby, TakeoverSink
 from tests.support.commands import refused
 from tests.support.takeovers import Takeovers
 from tests.support.zenoh_sessions import eventually, router

@@ -7,9 +7,9 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from core.wire.arrow_batch import write_rows
-from core.wire.messages import Message, Telemetry
-from stream.mcap_writer import McapSink
+from socast.core.wire.arrow_batch import write_rows
+from socast.core.wire.messages import Message, Telemetry
+from socast.stream.mcap_writer import McapSink
 
 GATEWAY = "fleet/depot-3/batch"
 """Key of the batches."""

@@ -44,7 +44,7 @@ class Visit:
     Parameters
     ----------
     browser : playwright.sync_api.Browser
-    server : tools.workbench.server.WorkbenchServer
+    server : socast.tools.workbench.server.WorkbenchServer
     size : dict
         Width and height of the window.
     scheme : str

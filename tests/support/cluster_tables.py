@@ -6,18 +6,18 @@ from typing import Any
 
 import pandas as pd
 
-from core import effects
-from core.models import EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.settings import Settings
-from core.wire.messages import Message
-from stream.mcap_reader import McapSource
+from socast.core import effects
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.core.wire.messages import Message
+from socast.stream.mcap_reader import McapSource
+from socast.tools.cluster.job import Job
+from socast.tools.cluster.runner import InProcessRunner, Runner
+from socast.tools.cluster.tables import make_tables
+from socast.tools.commands.tables import COUNTED_BY_NAME, tabulate
+from socast.tools.terminal.table_files import read
 from tests.support.mcap_recordings import BEGIN, SECOND, write_recording
-from tools.cluster.job import Job
-from tools.cluster.runner import InProcessRunner, Runner
-from tools.cluster.tables import make_tables
-from tools.commands.tables import COUNTED_BY_NAME, tabulate
-from tools.terminal.table_files import read
 
 Tables = tuple[pd.DataFrame, pd.DataFrame, dict[str, Any], list[list[str]]]
 

@@ -10,9 +10,9 @@ from typing import Any, Final
 
 import pytest
 
-from tools.cli import main
+from socast.tools.cli import main
 
-SOCAST: Final = (sys.executable, "-m", "tools.cli")
+SOCAST: Final = (sys.executable, "-m", "socast.tools.cli")
 """What starts the command line in a process of its own."""
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from core.diagnose.posterior.probabilities import NONE
+from socast.core.diagnose.posterior.probabilities import NONE
 
 
 def make_name(

@@ -1,4 +1,4 @@
-"""Make a diagnosis as `core.diagnose.diagnosis` returns it, for tests of reports."""
+"""Make a diagnosis as `socast.core.diagnose.diagnosis` returns it, for tests of reports."""
 
 from typing import Any
 

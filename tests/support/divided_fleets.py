@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from core.wire.messages import BATCH, Message
-from core.wire.shard import Shard
-from stream.sharded_pipeline import ShardedPipeline
+from socast.core.wire.messages import BATCH, Message
+from socast.core.wire.shard import Shard
+from socast.stream.sharded_pipeline import ShardedPipeline
 
 
 def is_of(message: Message, shard: Shard) -> bool:

@@ -13,9 +13,9 @@ from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
 
+from socast.tools.cli import main
 from tests.support.libraries import restored_libraries
 from tests.support.paths import ROOT
-from tools.cli import main
 
 PAGE = ROOT / "docs" / "missing-effect.md"
 """The tutorial."""

@@ -2,7 +2,7 @@
 
 GOOD = '''
 import numpy as np
-from core.effects import Parameter, effect
+from socast.core.effects import Parameter, effect
 
 @effect(coefficient="door area times flow", unit="W/K", low=0, high=500, source="Somebody 2020, p. 7", per="time",
         parameters={"inside": Parameter(294.15, "K", 288.15, 298.15)})

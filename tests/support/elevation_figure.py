@@ -1,7 +1,7 @@
 """Draw the elevation of a simulated ride: `python -m tests.support.elevation_figure` writes `docs/guide/elevation.svg`.
 
-Map and fleet are those of `tools.bench.elevation`: the map is learned from six days, and the ride is driven two months
-later. It is the one with the largest climb up to `HIGHEST` of those between `SHORTEST` and `LONGEST`.
+Map and fleet are those of `socast.tools.bench.elevation`: the map is learned from six days, and the ride is driven two
+months later. It is the one with the largest climb up to `HIGHEST` of those between `SHORTEST` and `LONGEST`.
 """
 
 import argparse
@@ -12,13 +12,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Lanes
-from core.cleaning.elevation_smoother import smooth_elevation
-from core.cleaning.kernel import Cleaner
-from core.settings import Settings
-from core.wire.decoder import Decoder
+from socast.core.batch import Floats, Lanes
+from socast.core.cleaning.elevation_smoother import smooth_elevation
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.settings import Settings
+from socast.core.wire.decoder import Decoder
+from socast.tools.bench import elevation as bench
 from tests.support.paths import ROOT
-from tools.bench import elevation as bench
 
 FIGURE: Final = ROOT / "docs" / "guide" / "elevation.svg"
 SEED: Final = 5001
@@ -53,7 +53,7 @@ def make_ride(keep: Path | None = None) -> FigureRide:
     Parameters
     ----------
     keep : Path, optional
-        Folder of learned maps, see `tools.bench.elevation`.
+        Folder of learned maps, see `socast.tools.bench.elevation`.
     """
     learned = bench.learn_map(SEED, keep)
     messages, truth = bench.simulate_days(SEED, *RIDE_DAY)

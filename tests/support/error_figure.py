@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from core import models
+from socast.core import models
 from tests.support.documented_commands import PAGE, documented_commands, prepare_folder, run_command
 from tests.support.paths import ROOT
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from core.evaluate.binning import SEASONS
+from socast.core.evaluate.binning import SEASONS
 
 RECIPES = {
     "basic_physical": "Basic Physical Model",

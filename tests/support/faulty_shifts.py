@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from core.wire.messages import Message
+from socast.core.wire.messages import Message
 from tests.support.telemetry import (
     drive,
     leaf,

@@ -3,8 +3,8 @@
 from datetime import date
 from typing import Any
 
-from core.diagnose.findings import FleetUse
-from core.wire.messages import Cause, Finding
+from socast.core.diagnose.findings import FleetUse
+from socast.core.wire.messages import Cause, Finding
 
 USE = FleetUse(energy=300.0, distance=2000.0, months=2.0, last_day=date(2018, 11, 30))
 """What a fleet used, 0.15 kWh per km."""

@@ -6,11 +6,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from core.forecast.day_rollover import WINDOW_SAMPLES
-from core.pipeline import Pipeline
-from core.settings import Settings
-from core.wire.messages import Forecast, Message
-from stream.mcap_writer import McapSink
+from socast.core.forecast.day_rollover import WINDOW_SAMPLES
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.core.wire.messages import Forecast, Message
+from socast.stream.mcap_writer import McapSink
 from tests.support.telemetry import START, Columns, leaf, make_message, observed, telemetry
 
 CARS = ("a", "b", "c", "d", "e", "f")

@@ -15,14 +15,14 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from core.errors import SocastError
-from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.snapshot import SCHEMAS
-from core.wire.shard import Shard
-from core.wire.state_schema import Anything, ByName, Many, Maybe, Named, Row, Schema
-from stream.mcap_reader import McapSource
-from stream.sharded_pipeline import ShardedPipeline
+from socast.core.errors import SocastError
+from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.snapshot import SCHEMAS
+from socast.core.wire.shard import Shard
+from socast.core.wire.state_schema import Anything, ByName, Many, Maybe, Named, Row, Schema
+from socast.stream.mcap_reader import McapSource
+from socast.stream.sharded_pipeline import ShardedPipeline
 from tests.support.paths import ROOT
 
 MESSAGES: Final = 250

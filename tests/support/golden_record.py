@@ -26,8 +26,8 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from stream.mcap_reader import McapSource
-from tools.cli import main as socast
+from socast.stream.mcap_reader import McapSource
+from socast.tools.cli import main as socast
 
 ROOT: Final = Path(__file__).parents[2]
 RECORD: Final = ROOT / "tests" / "laws" / "golden_record.json"

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from core.columns import EARTH_RADIUS
-from core.fit.elevation_learning import ElevationFixes
+from socast.core.columns import EARTH_RADIUS
+from socast.core.fit.elevation_learning import ElevationFixes
 from tests.support.telemetry import PLACE, drive
 
 SRTM_NODES = 1201

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from core.effects import registry
-from core.vehicles import catalogue
+from socast.core.effects import registry
+from socast.core.vehicles import catalogue
 
 
 @contextmanager

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from core import effects
-from core.columns import JOULES_PER_KWH
-from core.models import ANY, Fit, LinearModel, Term
-from core.models.trees import Trees
-from core.vehicles import AccessoryCurve, load_catalogue
+from socast.core import effects
+from socast.core.columns import JOULES_PER_KWH
+from socast.core.models import ANY, Fit, LinearModel, Term
+from socast.core.models.trees import Trees
+from socast.core.vehicles import AccessoryCurve, load_catalogue
 
 LEAF = load_catalogue()["nissan-leaf-2013"]
 

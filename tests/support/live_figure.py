@@ -11,15 +11,15 @@ from typing import Final
 
 from rich.console import Console
 
-from core import models
-from core.pipeline import BLOCK, Pipeline
-from stream.loop import Tally
-from stream.mcap_reader import McapSource
+from socast.core import models
+from socast.core.pipeline import BLOCK, Pipeline
+from socast.stream.loop import Tally
+from socast.stream.mcap_reader import McapSource
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.settings import Faults, Simulation
+from socast.tools.terminal.live_table import describe_counts, make_fleet_table
+from socast.tools.terminal.model_comparison import DEFAULT_MODEL
 from tests.support.paths import ROOT, SHIFT
-from tools.simulator.fleet import simulate
-from tools.simulator.settings import Faults, Simulation
-from tools.terminal.live_table import describe_counts, make_fleet_table
-from tools.terminal.model_comparison import DEFAULT_MODEL
 
 FIGURE: Final = ROOT / "docs" / "live.svg"
 EARLIER: Final = Simulation(

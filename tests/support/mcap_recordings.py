@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from core.wire.messages import Message, Telemetry, encode
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
+from socast.core.wire.messages import Message, Telemetry, encode
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
 
 SECOND = 1_000_000_000
 """One second. [ns]"""

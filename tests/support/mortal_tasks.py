@@ -4,7 +4,7 @@ import os
 import signal
 from pathlib import Path
 
-from core.errors import RecordingError
+from socast.core.errors import RecordingError
 
 
 def die_once(mark: Path, value: int) -> int:

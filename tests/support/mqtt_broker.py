@@ -8,7 +8,7 @@ from typing import Final, Self
 
 import pytest
 
-from stream.zenoh_session import find_free_port
+from socast.stream.zenoh_session import find_free_port
 from tests.support.zenoh_sessions import eventually
 
 MOSQUITTO: Final = shutil.which(

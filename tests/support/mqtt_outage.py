@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
-from stream.zenoh_session import Node
+from socast.stream.zenoh_session import Node
 from tests.support.mqtt_broker import MqttBroker
 from tests.support.paths import ROOT
 from tests.support.router_process import RouterProcess
@@ -176,7 +176,17 @@ class Outcome(NamedTuple):
 @contextmanager
 def bridge_process(broker: MqttBroker, endpoint: str, *options: str) -> Iterator[subprocess.Popen[str]]:
     """Run `socast bridge ovms` in a process of its own, with its log on standard error."""
-    command = [sys.executable, "-m", "tools.cli", "bridge", "ovms", "--broker", broker.url, "--connect", endpoint]
+    command = [
+        sys.executable,
+        "-m",
+        "socast.tools.cli",
+        "bridge",
+        "ovms",
+        "--broker",
+        broker.url,
+        "--connect",
+        endpoint,
+    ]
     process = subprocess.Popen([*command, "--json-log", *options], cwd=ROOT, stderr=subprocess.PIPE, text=True)
     try:
         yield process

@@ -17,11 +17,11 @@ import msgspec
 import numpy as np
 import psutil
 
-from core.columns import TELEMETRY
-from core.errors import AskError
-from core.pipeline import Pipeline
-from core.vehicles.catalogue import BOUNDS, load_catalogue
-from core.wire.messages import Forecast, Leg, Message, Outlook, Plan, encode
+from socast.core.columns import TELEMETRY
+from socast.core.errors import AskError
+from socast.core.pipeline import Pipeline
+from socast.core.vehicles.catalogue import BOUNDS, load_catalogue
+from socast.core.wire.messages import Forecast, Leg, Message, Outlook, Plan, encode
 from tests.support.fleet_days import CARS, DAY, DAYS, START, days, trained_pipeline
 from tests.support.telemetry import make_message, observed
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from core.fit.nested_effects import Gaussian, LevelSpreads, RideProducts, sum_products
+from socast.core.fit.nested_effects import Gaussian, LevelSpreads, RideProducts, sum_products
 
 SPREADS = LevelSpreads(0.8, 0.3, 0.2, 0.25, 0.15, 0.1)
 PRIOR = Gaussian(np.array([1.0, 0.5, 0.2]), np.diag([0.3, 0.2, 0.1]) ** 2)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from core.effects import get
+from socast.core.effects import get
 
 
 def power(name: str, **columns: float) -> float:

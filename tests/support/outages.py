@@ -26,23 +26,23 @@ from tempfile import TemporaryDirectory
 
 import msgspec
 
-from core.models import EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.snapshot import open_snapshot
-from core.wire.messages import Message, Telemetry
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from stream.recorder import list_recordings
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.snapshot import open_snapshot
+from socast.core.wire.messages import Message, Telemetry
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.stream.recorder import list_recordings
 from tests.support.commands import SOCAST
 from tests.support.router_process import RouterProcess
 from tests.support.zenoh_sessions import eventually
 
 PUBLISHER = """
 import sys
-from stream.mcap_reader import McapSource
-from stream.source import pace_source
-from stream.zenoh_sink import ZenohSink
-from stream.zenoh_session import Connection, Node
+from socast.stream.mcap_reader import McapSource
+from socast.stream.source import pace_source
+from socast.stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_session import Connection, Node
 with Node(Connection(connect=(sys.argv[1],))) as node:
     sink = ZenohSink(node)
     sys.stdin.readline()

@@ -4,9 +4,9 @@ from typing import Any
 
 import msgspec
 
-from core.errors import AskError
-from core.forecast.plan_checks import find_refusal
-from core.wire.messages import Interval, Leg, LegOutlook, Outlook, Plan
+from socast.core.errors import AskError
+from socast.core.forecast.plan_checks import find_refusal
+from socast.core.wire.messages import Interval, Leg, LegOutlook, Outlook, Plan
 
 NOW = 1_705_320_000.0
 """Time of the newest sample of every car. [s]"""

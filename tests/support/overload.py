@@ -23,7 +23,7 @@ import numpy as np
 import psutil
 import zenoh
 
-from stream.zenoh_session import Connection, Node, find_free_port
+from socast.stream.zenoh_session import Connection, Node, find_free_port
 from tests.support.commands import SOCAST
 from tests.support.zenoh_sessions import eventually
 

@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core import models
-from core.diagnose.diagnosis import diagnose
+from socast.core import models
+from socast.core.diagnose.diagnosis import diagnose
 from tests.support.documented_commands import documented_commands, prepare_folder, run_command
 from tests.support.paths import ROOT
 

@@ -13,8 +13,8 @@ from typing import Final
 
 import msgspec
 
-from core.wire.messages import Telemetry
-from stream.mcap_reader import McapSource
+from socast.core.wire.messages import Telemetry
+from socast.stream.mcap_reader import McapSource
 from tests.support.commands import done
 from tests.support.paths import ROOT
 

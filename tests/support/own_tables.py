@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 import pandas as pd
 
-from core.wire.messages import Telemetry
-from stream.mcap_reader import McapSource
+from socast.core.wire.messages import Telemetry
+from socast.stream.mcap_reader import McapSource
 
 START: Final = 1714572000.0
 """1 May 2024, 14:00 UTC. [Unix s]"""

@@ -11,12 +11,12 @@ from typing import Any, Final
 
 import pandas as pd
 
-from core import models
-from core.diagnose.diagnosis import diagnose
+from socast.core import models
+from socast.core.diagnose.diagnosis import diagnose
+from socast.tools.report.diagnosis.partial_figures import POWER, divide_units
+from socast.tools.report.diagnosis.sentences import format_unit
 from tests.support.documented_commands import PAGE, documented_commands, prepare_folder, run_command
 from tests.support.paths import ROOT
-from tools.report.diagnosis.partial_figures import POWER, divide_units
-from tools.report.diagnosis.sentences import format_unit
 
 FIGURE: Final = ROOT / "docs" / "missing-effect-picture.svg"
 WIDTH, HEIGHT = 820, 420

@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from core.columns import GRAVITY, KMH, ZERO_CELSIUS
-from core.fit.block_sums import build_design
-from core.fit.recipes import FITTED_TERMS, HISTOGRAM_COLUMNS
-from core.models.features import Columns
-from core.vehicles import AccessoryCurve, load_catalogue
+from socast.core.columns import GRAVITY, KMH, ZERO_CELSIUS
+from socast.core.fit.block_sums import build_design
+from socast.core.fit.recipes import FITTED_TERMS, HISTOGRAM_COLUMNS
+from socast.core.models.features import Columns
+from socast.core.vehicles import AccessoryCurve, load_catalogue
 
 PLANTED = AccessoryCurve(
     heating_full=ZERO_CELSIUS - 15.0,

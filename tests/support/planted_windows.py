@@ -5,14 +5,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from core.columns import GRAVITY
-from core.effects.road_load import ROAD_LOAD
-from core.fit.fitting import fit_terms
-from core.fit.recipes import LinearRecipe, make_term
-from core.fit.ride_blocks import RideFrame
-from core.models import LinearModel, make_physical_term
-from core.models.features import FEATURES, Columns
-from core.totals.measured_energy import METER_GAIN
+from socast.core.columns import GRAVITY
+from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.fit.fitting import fit_terms
+from socast.core.fit.recipes import LinearRecipe, make_term
+from socast.core.fit.ride_blocks import RideFrame
+from socast.core.models import LinearModel, make_physical_term
+from socast.core.models.features import FEATURES, Columns
+from socast.core.totals.measured_energy import METER_GAIN
 
 KINDS = ("kia-soul-ev-2015", "nissan-leaf-2016")
 BASE = {"rolling": 1.1, "climbing": 0.95, "aero_drag": 1.05, "inertia_positive": 1.1, "inertia_negative": 0.8}

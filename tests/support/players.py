@@ -5,11 +5,11 @@ from contextlib import contextmanager
 from math import inf
 from pathlib import Path
 
-from core.pipeline import Pipeline
+from socast.core.pipeline import Pipeline
+from socast.tools.workbench.fleet.board import Board
+from socast.tools.workbench.fleet.player import Player
 from tests.support.paths import RECORDINGS
 from tests.support.zenoh_sessions import eventually
-from tools.workbench.fleet.board import Board
-from tools.workbench.fleet.player import Player
 
 SHIFT = RECORDINGS / "shift.mcap"
 

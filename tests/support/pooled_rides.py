@@ -3,9 +3,9 @@
 import numpy as np
 import pandas as pd
 
-from core.fit.block_sums import build_design
-from core.fit.pooled import SHARED_TERMS, PooledRecipe
-from core.models.features import Columns
+from socast.core.fit.block_sums import build_design
+from socast.core.fit.pooled import SHARED_TERMS, PooledRecipe
+from socast.core.models.features import Columns
 from tests.support.planted_rides import rides
 
 TERMS = PooledRecipe("planted", "Planted").terms

@@ -3,7 +3,7 @@
 import openpyxl
 from typer.testing import CliRunner
 
-from tools.cli import application
+from socast.tools.cli import application
 
 VED_HEADER = (
     "DayNum,VehId,Trip,Timestamp(ms),Latitude[deg],Longitude[deg],Vehicle Speed[km/h],MAF[g/sec],Engine RPM[RPM],"

@@ -23,15 +23,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from core import effects
-from core.columns import KMH
-from core.fit.recipes import fit_to_windows
-from core.models.plausibility import list_implausible
-from core.pipeline import Pipeline
-from core.settings import Settings
-from tools.commands.import_drives import collect_drives
-from tools.importers.data_sets import DATA_SETS
-from tools.importers.drive import make_messages
+from socast.core import effects
+from socast.core.columns import KMH
+from socast.core.fit.recipes import fit_to_windows
+from socast.core.models.plausibility import list_implausible
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.tools.commands.import_drives import collect_drives
+from socast.tools.importers.data_sets import DATA_SETS
+from socast.tools.importers.drive import make_messages
 
 ROOT: Final = Path(__file__).parents[2]
 DATA: Final = ROOT.parent / "shared" / "data"
@@ -141,9 +141,9 @@ import sys, json, warnings
 import numpy as np, pandas as pd
 warnings.filterwarnings("ignore")
 try:
-    from core.fit.recipes import fit_to_windows as fit
+    from socast.core.fit.recipes import fit_to_windows as fit
 except ImportError:
-    from core.diagnose.dataset import fit_to_windows as fit
+    from socast.core.diagnose.dataset import fit_to_windows as fit
 rides, windows = (pd.read_parquet(path) for path in sys.argv[1:3])
 errors = []
 for train, test in json.load(open(sys.argv[3])):

@@ -2,8 +2,8 @@
 
 import json
 
-from core.columns import SECONDS_PER_DAY
-from core.wire.messages import Message, Telemetry, Vehicle, Weather, encode
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.wire.messages import Message, Telemetry, Vehicle, Weather, encode
 
 BEGIN = 1_516_017_600
 

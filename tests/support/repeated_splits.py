@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from core.stats.splits import split_by_ride
+from socast.core.stats.splits import split_by_ride
 
 
 def repeated(values, seed, repeats=10):

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from core.pipeline import Pipeline
-from core.wire.messages import Message
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Message
 from tests.support.telemetry import PERIOD, START, drive, leaf, make_message, telemetry, without
 
 SPEED = 10.0

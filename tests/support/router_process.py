@@ -5,13 +5,13 @@ import sys
 import time
 from typing import Self
 
-from core.errors import SettingsError
-from stream.zenoh_session import Connection, Node, find_free_port
+from socast.core.errors import SettingsError
+from socast.stream.zenoh_session import Connection, Node, find_free_port
 from tests.support.zenoh_sessions import eventually
 
 ROUTER = """
 import sys, time
-from stream.zenoh_session import Connection, Node
+from socast.stream.zenoh_session import Connection, Node
 with Node(Connection(listen=(sys.argv[1],), mode="router")):
     time.sleep(1e6)
 """

@@ -6,8 +6,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from stream.zenoh_session import Connection, Node, find_free_port
-from tools.security.folder import SecureFolder
+from socast.stream.zenoh_session import Connection, Node, find_free_port
+from socast.tools.security.folder import SecureFolder
 
 CARS = ("taxi-1", "taxi-7")
 EXPIRED, REVOKED = "taxi-8", "taxi-9"

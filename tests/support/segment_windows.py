@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from core.fit.segment_network import SEGMENT_FEATURES
+from socast.core.fit.segment_network import SEGMENT_FEATURES
 
 
 def segment_windows(rides=300, seed=1, models=("leaf", "soul")):

@@ -7,7 +7,7 @@ from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
-from stream.service_snapshot import ServiceSnapshot, VehicleSnapshot
+from socast.stream.service_snapshot import ServiceSnapshot, VehicleSnapshot
 
 FULL = ServiceSnapshot(
     messages=9,

@@ -17,11 +17,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from core.wire.messages import Message
-from core.wire.shard import Shard
-from stream.mcap_reader import McapSource
-from stream.sharded_pipeline import ShardedPipeline
-from stream.zenoh_sink import ZenohSink
+from socast.core.wire.messages import Message
+from socast.core.wire.shard import Shard
+from socast.stream.mcap_reader import McapSource
+from socast.stream.sharded_pipeline import ShardedPipeline
+from socast.stream.zenoh_sink import ZenohSink
 from tests.support.live_consumers import Start, consumers, logged
 from tests.support.router_process import RouterProcess
 from tests.support.zenoh_sessions import eventually

@@ -6,19 +6,19 @@ from datetime import UTC, datetime
 import msgspec
 import numpy as np
 
-from core.wire.messages import Telemetry, address
-from tools.simulator import physics
-from tools.simulator.cars import make_car
-from tools.simulator.fleet import simulate
-from tools.simulator.settings import (
+from socast.core.wire.messages import Telemetry, address
+from socast.tools.simulator import physics
+from socast.tools.simulator.cars import make_car
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.settings import (
     ALL_PHENOMENA,
     NO_FAULTS,
     Simulation,
 )
-from tools.simulator.shift import draw_orders, make_shift
-from tools.simulator.trace import make_trace
-from tools.simulator.truth import Truth
-from tools.simulator.weather import make_sky
+from socast.tools.simulator.shift import draw_orders, make_shift
+from socast.tools.simulator.trace import make_trace
+from socast.tools.simulator.truth import Truth
+from socast.tools.simulator.weather import make_sky
 
 WINTER = datetime(2018, 1, 16, 12, tzinfo=UTC)
 SUMMER = datetime(2018, 7, 16, 15, tzinfo=UTC)

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.forecast import filter_state, soc_filter, soc_reading
-from core.forecast.learning.car_driver import CAR_SD, DAY_FACTOR_SD
+from socast.core.forecast import filter_state, soc_filter, soc_reading
+from socast.core.forecast.learning.car_driver import CAR_SD, DAY_FACTOR_SD
 
 BEGIN = 1_516_017_600.0
 WITHIN = 1.6448536269514722

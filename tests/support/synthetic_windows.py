@@ -11,15 +11,15 @@ from functools import cache
 import numpy as np
 import pandas as pd
 
-from core import effects
-from core.columns import GRAVITY, STANDARD_AIR_DENSITY, ZERO_CELSIUS
-from core.diagnose.candidates import Candidates
-from core.diagnose.dataset import Windows, gather_windows
-from core.diagnose.projection import BaseProjection
-from core.fit.recipes import fit_to_windows
-from core.models import LinearModel
-from core.models.features import Columns
-from core.vehicles import VehicleModel, load_catalogue
+from socast.core import effects
+from socast.core.columns import GRAVITY, STANDARD_AIR_DENSITY, ZERO_CELSIUS
+from socast.core.diagnose.candidates import Candidates
+from socast.core.diagnose.dataset import Windows, gather_windows
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.fit.recipes import fit_to_windows
+from socast.core.models import LinearModel
+from socast.core.models.features import Columns
+from socast.core.vehicles import VehicleModel, load_catalogue
 
 START = 1_514_764_800.0
 """1 January 2018, midnight UTC."""

@@ -17,12 +17,12 @@ from tempfile import TemporaryDirectory
 from threading import Event, Thread
 from typing import Any
 
-from core.models import EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.wire.messages import Message
-from stream.health import HttpAddress
-from stream.zenoh_session import find_free_port
-from stream.zenoh_sink import ZenohSink
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Message
+from socast.stream.health import HttpAddress
+from socast.stream.zenoh_session import find_free_port
+from socast.stream.zenoh_sink import ZenohSink
 from tests.support.live_consumers import consumers, logged
 from tests.support.recorded_shift import shift
 from tests.support.router_process import RouterProcess

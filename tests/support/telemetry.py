@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from core.batch import Batch, Lanes
-from core.cleaning.clean_columns import Clean
-from core.cleaning.kernel import Cleaner
-from core.cleaning.quality import Quality
-from core.columns import EARTH_RADIUS
-from core.pipeline import Pipeline
-from core.settings import Settings
-from core.wire.decoder import Decoder
-from core.wire.messages import Message
+from socast.core.batch import Batch, Lanes
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import EARTH_RADIUS
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.messages import Message
 
 START = 1_705_305_600.0
 """15 January 2024, 08:00 UTC: winter."""

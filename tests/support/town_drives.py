@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import EARTH_RADIUS
+from socast.core.batch import Floats
+from socast.core.columns import EARTH_RADIUS
 from tests.support.telemetry import PLACE, START, Columns
 
 STEP = 0.1

@@ -23,7 +23,7 @@ class Client:
 
     Parameters
     ----------
-    server : tools.workbench.server.WorkbenchServer
+    server : socast.tools.workbench.server.WorkbenchServer
     enters : bool
         Whether it enters with the server's token first.
     """

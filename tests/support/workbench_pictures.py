@@ -6,13 +6,13 @@ from typing import Any, Final
 import numpy as np
 from PIL import Image
 
+from socast.tools.workbench.jobs import Jobs
+from socast.tools.workbench.json_routes import Workbench
+from socast.tools.workbench.workspace import Workspace
 from tests.support.browsers import Visit, open_browser
 from tests.support.paths import ROOT
 from tests.support.players import playing, stand_in_the_middle
 from tests.support.workbenches import serve
-from tools.workbench.jobs import Jobs
-from tools.workbench.json_routes import Workbench
-from tools.workbench.workspace import Workspace
 
 DOCS: Final = ROOT / "docs"
 SIZE: Final = {"width": 1280, "height": 860}

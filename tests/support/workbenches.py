@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from threading import Thread
 from typing import Any
 
+from socast.tools.workbench.server import WorkbenchServer
 from tests.support.zenoh_sessions import eventually
-from tools.workbench.server import WorkbenchServer
 
 
 @contextmanager

@@ -6,12 +6,12 @@ from contextlib import contextmanager
 from threading import Event, Thread
 from typing import Any
 
-from core.wire.messages import Message
-from stream.loop import run
-from stream.query_service import QueryService
-from stream.zenoh_queryable import ZenohQueryable
-from stream.zenoh_session import Connection, Node
-from stream.zenoh_source import ZenohSource
+from socast.core.wire.messages import Message
+from socast.stream.loop import run
+from socast.stream.query_service import QueryService
+from socast.stream.zenoh_queryable import ZenohQueryable
+from socast.stream.zenoh_session import Connection, Node
+from socast.stream.zenoh_source import ZenohSource
 from tests.support.outlooks import Fleet
 
 

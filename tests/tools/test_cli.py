@@ -17,23 +17,23 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from core.errors import SettingsError
-from core.models import EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.wire.messages import Forecast
-from stream.checkpoints import Checkpoints
-from stream.loop import Tally
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from stream.recorder import list_recordings
-from stream.recording_metadata import find_version
-from stream.state_file import StateFile
-from stream.zenoh_session import find_free_port
+from socast.core.errors import SettingsError
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Forecast
+from socast.stream.checkpoints import Checkpoints
+from socast.stream.loop import Tally
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.stream.recorder import list_recordings
+from socast.stream.recording_metadata import find_version
+from socast.stream.state_file import StateFile
+from socast.stream.zenoh_session import find_free_port
+from socast.tools.cli import COMMANDS, COMPLETION, application, main
 from tests.support.commands import SOCAST, called, refused
 from tests.support.live_consumers import consumers, logged
 from tests.support.recorded_shift import shift
 from tests.support.zenoh_sessions import eventually
-from tools.cli import COMMANDS, COMPLETION, application, main
 
 pytestmark = pytest.mark.long
 
@@ -59,7 +59,7 @@ HEAVY = {"filterpy", "joblib", "mcap", "numba", "pandas", "pint", "plotly", "sci
 )
 def test_commands_import_no_package_that_they_do_not_need(calls, not_imported):
     code = (
-        "import sys; from tools.cli import main\n"
+        "import sys; from socast.tools.cli import main\n"
         f"for call in {[call.split() for call in calls]}:\n"
         "    try: main(call)\n"
         "    except SystemExit as ended: assert ended.code == 0\n"
@@ -72,7 +72,7 @@ def test_commands_import_no_package_that_they_do_not_need(calls, not_imported):
 
 def test_process_ends_without_a_search_for_cycles():
     code = (
-        "import atexit, gc; from tools.cli import main\n"
+        "import atexit, gc; from socast.tools.cli import main\n"
         "atexit.register(lambda: print(gc.get_freeze_count() > 0))\n"
         "main(['--version'])"
     )
@@ -453,7 +453,7 @@ def test_demo_shows_cars_and_ends_with_a_verdict(recording, tmp_path):
 
 
 def test_closed_pipe_gives_no_traceback(recording):
-    command = f"{sys.executable} -m tools.cli info {recording} | head -1"
+    command = f"{sys.executable} -m socast.tools.cli info {recording} | head -1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60, check=False)
     assert "Traceback" not in done.stderr
     assert os.linesep in done.stdout

@@ -8,13 +8,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.settings import Limits
-from core.wire.arrow_batch import BatchError, read_rows, write_rows
-from core.wire.json_scanner import POSITION
-from core.wire.messages import IDENTITY, LONGEST_TEXT
-from core.wire.name_lookup import Texts
-from tools.anonymise.disguise import Disguise
+from socast.core.batch import Floats
+from socast.core.settings import Limits
+from socast.core.wire.arrow_batch import BatchError, read_rows, write_rows
+from socast.core.wire.json_scanner import POSITION
+from socast.core.wire.messages import IDENTITY, LONGEST_TEXT
+from socast.core.wire.name_lookup import Texts
+from socast.tools.anonymise.disguise import Disguise
 
 LIMITS: Final = Limits()
 """Limits of a batch, as consumers have them: size of its payload, and number of its rows."""
@@ -59,7 +59,7 @@ def rewrite_batch(payload: bytes, disguise: Disguise, rename: Callable[[str, str
     Raises
     ------
     BatchError
-        If the batch cannot be used at all, with the cause of `core.wire.arrow_batch.read_rows`, or `too_large`.
+        If the batch cannot be used at all, with the cause of `socast.core.wire.arrow_batch.read_rows`, or `too_large`.
     """
     if len(payload) > LIMITS.payload_bytes:
         raise BatchError("too_large")

@@ -12,8 +12,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from tools.anonymise.sphere_map import SphereMap, make_sphere_map
+from socast.core.batch import Floats
+from socast.tools.anonymise.sphere_map import SphereMap, make_sphere_map
 
 WEEK_S: Final = 7 * 86400
 """A week. [s]"""

@@ -5,9 +5,9 @@ from typing import Any, Final
 
 import msgspec
 
-from core.vehicles import load_catalogue
-from core.wire.arrow_batch import PREFIX, BatchError
-from core.wire.messages import (
+from socast.core.vehicles import load_catalogue
+from socast.core.wire.arrow_batch import PREFIX, BatchError
+from socast.core.wire.messages import (
     BATCH,
     Address,
     Message,
@@ -20,8 +20,8 @@ from core.wire.messages import (
     address,
     encode,
 )
-from tools.anonymise.batch_rewriter import rewrite_batch
-from tools.anonymise.disguise import Disguise
+from socast.tools.anonymise.batch_rewriter import rewrite_batch
+from socast.tools.anonymise.disguise import Disguise
 
 KEPT: Final[dict[str, type[Wire]]] = {
     "telemetry": Telemetry,

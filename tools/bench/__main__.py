@@ -11,17 +11,17 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from tools.bench.daily_update import measure_daily_update
-from tools.bench.filters import measure_filters
-from tools.bench.hidden.page import SECTION, read_section, replace_section
-from tools.bench.learning import measure_fit, measure_fit_memory
-from tools.bench.live import measure_batches, measure_live
-from tools.bench.measures import Measure, measure_arrays, measure_replay, measure_scale
-from tools.bench.nothing_hidden import SECTION as NOTHING
-from tools.bench.security import measure_security
-from tools.bench.siblings import SECTION as SIBLINGS
-from tools.bench.startup import measure_effects_start, measure_help_start, measure_version_start
-from tools.terminal.rich_table import Column, make_table
+from socast.tools.bench.daily_update import measure_daily_update
+from socast.tools.bench.filters import measure_filters
+from socast.tools.bench.hidden.page import SECTION, read_section, replace_section
+from socast.tools.bench.learning import measure_fit, measure_fit_memory
+from socast.tools.bench.live import measure_batches, measure_live
+from socast.tools.bench.measures import Measure, measure_arrays, measure_replay, measure_scale
+from socast.tools.bench.nothing_hidden import SECTION as NOTHING
+from socast.tools.bench.security import measure_security
+from socast.tools.bench.siblings import SECTION as SIBLINGS
+from socast.tools.bench.startup import measure_effects_start, measure_help_start, measure_version_start
+from socast.tools.terminal.rich_table import Column, make_table
 
 MEASURES: tuple[Callable[[], Measure], ...] = (
     measure_live,
@@ -38,12 +38,12 @@ MEASURES: tuple[Callable[[], Measure], ...] = (
     measure_version_start,
     measure_effects_start,
 )
-ROOT = Path(__file__).parent.parent.parent
+ROOT = Path(__file__).resolve().parent.parent.parent
 
 
 def main() -> None:
     """Run every measure, print the ratios, and write both files."""
-    argparse.ArgumentParser(prog="python -m tools.bench", description=__doc__).parse_args()
+    argparse.ArgumentParser(prog="python -m socast.tools.bench", description=__doc__).parse_args()
     console = Console()
     with Progress(console=Console(stderr=True), transient=True) as progress:
         measures = [measure() for measure in progress.track(MEASURES, description="measuring")]

@@ -1,8 +1,8 @@
 """Measure what a live consumer takes per sample and per car: processor time, memory, bytes of network and of disk.
 
-`python -m tools.bench.capacity --cars 1000 --rounds 100` prints one JSON object. Router, publisher and consumer are
-separate processes on loopback. Times are processor times, which other work changes less than the clock. A consumer that
-waits for samples takes processor time too: where the publisher is slow, its time per sample is too large.
+`python -m socast.tools.bench.capacity --cars 1000 --rounds 100` prints one JSON object. Router, publisher and consumer
+are separate processes on loopback. Times are processor times, which other work changes less than the clock. A consumer
+that waits for samples takes processor time too: where the publisher is slow, its time per sample is too large.
 """
 
 import argparse
@@ -18,9 +18,9 @@ from typing import Any
 
 import psutil
 
-from stream.zenoh_session import Connection, Node, find_free_port
-from stream.zenoh_sink import ZenohSink
-from tools.bench.fleet import make_rounds, make_vehicles
+from socast.stream.zenoh_session import Connection, Node, find_free_port
+from socast.stream.zenoh_sink import ZenohSink
+from socast.tools.bench.fleet import make_rounds, make_vehicles
 
 PATIENCE_S = 300.0
 WARM_UP = 20
@@ -85,7 +85,7 @@ def measure(cars: int, rounds: int, folder: Path) -> dict[str, Any]:
     time.sleep(3.0)
     log, kept = folder / "consumer.log", folder / "kept"
     files = "--record", kept, "--state", folder / "fleet.state", "--report", 1.0, "--max-vehicles", 10_000_000
-    command = [sys.executable, "-m", "tools.cli", "live", "--connect", endpoint, "--json-log", *map(str, files)]
+    command = [sys.executable, "-m", "socast.tools.cli", "live", "--connect", endpoint, "--json-log", *map(str, files)]
     with log.open("w") as file:
         consumer = subprocess.Popen(command, stderr=file, stdout=subprocess.DEVNULL)  # noqa: S603 - our own command
     publisher = context.Process(target=publish, args=(endpoint, cars, rounds, ready, go, stop))
@@ -134,7 +134,7 @@ def measure(cars: int, rounds: int, folder: Path) -> dict[str, Any]:
 
 def main() -> None:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(prog="python -m tools.bench.capacity", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m socast.tools.bench.capacity", description=__doc__)
     parser.add_argument("--cars", type=int, default=1000)
     parser.add_argument("--rounds", type=int, default=100, help="samples of each car")
     options = parser.parse_args()

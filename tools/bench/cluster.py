@@ -1,4 +1,4 @@
-"""Measure commands by workers against serial ones: `python -m tools.bench.cluster --cars 1000 --hours 42 --folder DIR`.
+"""Measure commands by workers with serial ones: `python -m socast.tools.bench.cluster --cars 9 --hours 9 --folder DIR`.
 
 The measure simulates a fleet by workers, and makes its tables three times: by workers, serially, and by workers of
 which one is killed. It then fits a model and evaluates recipes both ways, and simulates a few cars both ways. Commands
@@ -24,10 +24,10 @@ from typing import Any, Final, NamedTuple
 
 import pyarrow.parquet as pq
 
-from core.fit.ride_blocks import list_parts
-from tools.cluster.run import REPORT
-from tools.cluster.simulation import TRUTH
-from tools.commands.tables import QUALITY, RIDES, WINDOWS
+from socast.core.fit.ride_blocks import list_parts
+from socast.tools.cluster.run import REPORT
+from socast.tools.cluster.simulation import TRUTH
+from socast.tools.commands.tables import QUALITY, RIDES, WINDOWS
 
 LONGEST_SHIFT_H: Final = 8.0
 SAMPLES_PER_HOUR: Final = 1200
@@ -37,7 +37,7 @@ FEW_CARS: Final = 8
 """Number of cars that are simulated both ways."""
 RECIPE: Final = "hybrid"
 EVALUATED: Final = ("--recipes", "basic_physical,fitted_physical", "--repeats", "2")
-COMMAND: Final = [sys.executable, "-m", "tools.cli"]
+COMMAND: Final = [sys.executable, "-m", "socast.tools.cli"]
 
 
 class Run(NamedTuple):

@@ -1,4 +1,4 @@
-"""Measure how often intervals hold the true coefficients of simulated cars: `python -m tools.bench.coefficients`.
+"""Measure how often intervals hold the coefficients of simulated cars: `python -m socast.tools.bench.coefficients`.
 
 Each seed simulates a fleet of one vehicle model with the physics of `road_load`: a constant efficiency, and no effect
 that the model lacks. The true coefficients follow from the parameters of the cars. The simulator integrates motion and
@@ -20,22 +20,22 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from core import effects
-from core.columns import STANDARD_AIR_DENSITY
-from core.errors import SocastError
-from core.fit.recipes import fit_to_windows
-from core.models import ANY
-from core.pipeline import Pipeline
-from core.stats.clustered import compute_clustered_share
-from core.vehicles import load_catalogue
-from tools.bench.nothing_hidden import parse_seeds
-from tools.commands.fit import intervals
-from tools.simulator.fleet import simulate
-from tools.simulator.physics import ROTATING
-from tools.simulator.settings import NO_FAULTS, PLAIN_PHENOMENA, Simulation
-from tools.simulator.trace import REFERENCE_DENSITY
-from tools.simulator.truth import Truth
-from tools.terminal.rich_table import Column, make_table
+from socast.core import effects
+from socast.core.columns import STANDARD_AIR_DENSITY
+from socast.core.errors import SocastError
+from socast.core.fit.recipes import fit_to_windows
+from socast.core.models import ANY
+from socast.core.pipeline import Pipeline
+from socast.core.stats.clustered import compute_clustered_share
+from socast.core.vehicles import load_catalogue
+from socast.tools.bench.nothing_hidden import parse_seeds
+from socast.tools.commands.fit import intervals
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.physics import ROTATING
+from socast.tools.simulator.settings import NO_FAULTS, PLAIN_PHENOMENA, Simulation
+from socast.tools.simulator.trace import REFERENCE_DENSITY
+from socast.tools.simulator.truth import Truth
+from socast.tools.terminal.rich_table import Column, make_table
 
 SEEDS: Final = "3201-3260"
 """Seeds on which nothing was chosen; 3100 to 3135 served the development."""

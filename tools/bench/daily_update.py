@@ -8,14 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from core.columns import SECONDS_PER_DAY
-from core.forecast.learning.car_driver import KEPT_SHIFTS, ShiftPattern
-from core.forecast.learning.fleet import ShiftEnergy
-from core.forecast.learning.forecast_errors import RECORD_PERIOD, ForecastRecord
-from core.pipeline import Pipeline
-from tools.bench.filters import SHARE, WARM_UP, make_plans, make_trained_pipeline, push_rounds
-from tools.bench.fleet import START_S, make_vehicles
-from tools.bench.measures import Measure
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.forecast.learning.car_driver import KEPT_SHIFTS, ShiftPattern
+from socast.core.forecast.learning.fleet import ShiftEnergy
+from socast.core.forecast.learning.forecast_errors import RECORD_PERIOD, ForecastRecord
+from socast.core.pipeline import Pipeline
+from socast.tools.bench.filters import SHARE, WARM_UP, make_plans, make_trained_pipeline, push_rounds
+from socast.tools.bench.fleet import START_S, make_vehicles
+from socast.tools.bench.measures import Measure
 
 RIDES: Final = 10
 """Rides of a car per day, and as many idle periods."""

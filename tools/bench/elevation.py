@@ -1,4 +1,4 @@
-"""Measure what maps and two-sided smoothing of elevation bring: `python -m tools.bench.elevation`.
+"""Measure what maps and two-sided smoothing of elevation bring: `python -m socast.tools.bench.elevation`.
 
 Each seed simulates a fleet whose true elevation is known. A map is learned from six days. Two months later, models are
 fitted to some days and predict the rides of other days, and the state of charge at the end of shifts is forecast. The
@@ -19,23 +19,23 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core import effects
-from core.batch import Floats, Lanes
-from core.cleaning.elevation_map import ElevationMap, ElevationRaster
-from core.cleaning.kernel import Cleaner
-from core.fit.elevation_learning import learn_elevation, select_fixes
-from core.fit.recipes import get_recipe
-from core.pipeline import BLOCK, Pipeline
-from core.settings import Settings
-from core.wire.decoder import Decoder
-from core.wire.messages import Message
-from stream.elevation_files import read_places, write_places
-from stream.elevation_tiles import SRTM_VOID, TILE_SD
-from tools.commands.evaluate_soc import SocForecasts
-from tools.simulator.fleet import simulate
-from tools.simulator.settings import LOW, NIGHT, STEP, Faults, Simulation
-from tools.simulator.truth import Truth
-from tools.simulator.world import compute_elevation, to_plane, to_wgs84
+from socast.core import effects
+from socast.core.batch import Floats, Lanes
+from socast.core.cleaning.elevation_map import ElevationMap, ElevationRaster
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.fit.elevation_learning import learn_elevation, select_fixes
+from socast.core.fit.recipes import get_recipe
+from socast.core.pipeline import BLOCK, Pipeline
+from socast.core.settings import Settings
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.messages import Message
+from socast.stream.elevation_files import read_places, write_places
+from socast.stream.elevation_tiles import SRTM_VOID, TILE_SD
+from socast.tools.commands.evaluate_soc import SocForecasts
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.settings import LOW, NIGHT, STEP, Faults, Simulation
+from socast.tools.simulator.truth import Truth
+from socast.tools.simulator.world import compute_elevation, to_plane, to_wgs84
 
 SEEDS: Final = (5001, 5002, 5003, 5004, 5005, 5006)
 """Seeds on which nothing was chosen."""
@@ -298,7 +298,7 @@ def make_page(results: dict[int, dict[str, Any]]) -> str:
 
 def main(arguments: Iterable[str] | None = None) -> None:
     """Measure the fleets of some seeds, and print the tables."""
-    parser = argparse.ArgumentParser(prog="python -m tools.bench.elevation", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m socast.tools.bench.elevation", description=__doc__)
     parser.add_argument("seeds", nargs="*", type=int, default=SEEDS, help="seeds of the fleets")
     parser.add_argument("--keep", type=Path, help="folder in which learned maps are kept")
     parser.add_argument("--json", type=Path, help="file for the figures")

@@ -4,7 +4,7 @@ Each seed gives the fleet of the benchmark of hidden effects. Loads of random si
 each ride or vehicle-day, so that voltage and current contain them. Sizes are compared as mean powers, because the
 energy of a kind by catalogue differs from that of the simulated cars.
 
-Example: python -m tools.bench.error_location --seeds 7301-7320 --keep build/location --page
+Example: python -m socast.tools.bench.error_location --seeds 7301-7320 --keep build/location --page
 """
 
 import argparse
@@ -18,18 +18,18 @@ from typing import Any, Final
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
-from core.diagnose.dataset import gather_windows
-from core.diagnose.error_location.locate import ErrorLocation, locate_error
-from core.diagnose.projection import BaseProjection
-from core.errors import SocastError
-from core.fit.recipes import fit_to_windows
-from core.fit.ride_blocks import get_numbers
-from core.stats.clustered import compute_wilson_interval
-from tools.bench.hidden.cases import SeedData
-from tools.bench.hidden.page import get_marks, replace_section
-from tools.bench.hidden.random_loads import RandomLoad, measure_with_loads
-from tools.bench.nothing_hidden import PAGE, ROOT, parse_seeds
-from tools.terminal.rich_table import Column, make_table
+from socast.core.diagnose.dataset import gather_windows
+from socast.core.diagnose.error_location.locate import ErrorLocation, locate_error
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.errors import SocastError
+from socast.core.fit.recipes import fit_to_windows
+from socast.core.fit.ride_blocks import get_numbers
+from socast.core.stats.clustered import compute_wilson_interval
+from socast.tools.bench.hidden.cases import SeedData
+from socast.tools.bench.hidden.page import get_marks, replace_section
+from socast.tools.bench.hidden.random_loads import RandomLoad, measure_with_loads
+from socast.tools.bench.nothing_hidden import PAGE, ROOT, parse_seeds
+from socast.tools.terminal.rich_table import Column, make_table
 
 RECIPE: Final = "road_load"
 SECTION: Final = "bench-error-location"
@@ -241,7 +241,7 @@ def make_section(rows: dict[str, list[str]], seeds: str, records: Sequence[Recor
         "## Location of the error",
         "",
         (
-            f"Written by `python -m tools.bench.error_location --seeds {seeds} --page`. Fleets of 8 cars, about "
+            f"Written by `python -m socast.tools.bench.error_location --seeds {seeds} --page`. Fleets of 8 cars, about "
             f"{records[0]['rides']:,} rides each, with loads of random size in voltage and current. Right: all hidden "
             "loads are claimed at their level and kind, and nothing else. Intervals of shares are those of Wilson, at "
             f"95 %. Locating took {seconds[len(seconds) // 2]:.1f} s of processor time (median; at most "

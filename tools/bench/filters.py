@@ -6,14 +6,14 @@ from datetime import UTC, datetime
 from typing import Any, Final
 from unittest.mock import patch
 
-from core.forecast import engine, soc_filter
-from core.forecast.engine import ForecastEngine
-from core.pipeline import BLOCK, Pipeline
-from core.wire.messages import Leg, Message, Plan, encode
-from tools.bench.fleet import PERIOD_S, START_S, make_rounds, make_vehicles, name_car
-from tools.bench.measures import Measure, cut_blocks
-from tools.simulator.fleet import simulate
-from tools.simulator.settings import Simulation
+from socast.core.forecast import engine, soc_filter
+from socast.core.forecast.engine import ForecastEngine
+from socast.core.pipeline import BLOCK, Pipeline
+from socast.core.wire.messages import Leg, Message, Plan, encode
+from socast.tools.bench.fleet import PERIOD_S, START_S, make_rounds, make_vehicles, name_car
+from socast.tools.bench.measures import Measure, cut_blocks
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.settings import Simulation
 
 SHARE: Final = 0.02
 """Goal for the share of one processor core. [1]"""

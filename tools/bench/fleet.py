@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from core.wire.messages import Message, Telemetry, Vehicle, encode
+from socast.core.wire.messages import Message, Telemetry, Vehicle, encode
 
 START_S = 1_767_600_000.0
 PERIOD_S = 3.0

@@ -13,16 +13,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from sklearn.linear_model import LinearRegression
 
-from core import effects
-from core.fit.block_sums import build_design
-from core.fit.recipes import RECIPES, LinearRecipe
-from core.models import ANY, LinearModel
-from core.models.features import Columns
-from core.pipeline import BLOCK, Pipeline
-from tools.bench.measures import Measure, alternate_timings, cut_blocks, time_action
-from tools.commands.tables import ROW_GROUP
-from tools.simulator.fleet import simulate
-from tools.simulator.settings import Simulation
+from socast.core import effects
+from socast.core.fit.block_sums import build_design
+from socast.core.fit.recipes import RECIPES, LinearRecipe
+from socast.core.models import ANY, LinearModel
+from socast.core.models.features import Columns
+from socast.core.pipeline import BLOCK, Pipeline
+from socast.tools.bench.measures import Measure, alternate_timings, cut_blocks, time_action
+from socast.tools.commands.tables import ROW_GROUP
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.settings import Simulation
 
 MANY, FEW = 200_000, 20_000
 RECIPE: Final = "hybrid_interactions"
@@ -30,7 +30,7 @@ NOISE: Final = 0.02
 
 FIT: Final = """
 import sys
-from core.fit.recipes import RECIPES
+from socast.core.fit.recipes import RECIPES
 for path in sys.argv[1:]:
     RECIPES[{recipe!r}].fit_parquet(path)
     status = open("/proc/self/status").read()

@@ -10,17 +10,17 @@ from typing import Any, Final, TypeAlias
 import msgspec
 import pyarrow as pa
 
-from core.models import EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.wire.arrow_batch import write_rows
-from core.wire.messages import Message
-from stream.latest_only_sink import LatestOnlySink
-from stream.loop import PUBLISH_S, Tally, run
-from stream.zenoh_session import Connection, Node, find_free_port
-from stream.zenoh_sink import ZenohSink
-from stream.zenoh_source import ZenohSource
-from tools.bench.fleet import make_rounds, make_vehicles
-from tools.bench.measures import Measure, alternate_timings
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.wire.arrow_batch import write_rows
+from socast.core.wire.messages import Message
+from socast.stream.latest_only_sink import LatestOnlySink
+from socast.stream.loop import PUBLISH_S, Tally, run
+from socast.stream.zenoh_session import Connection, Node, find_free_port
+from socast.stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_source import ZenohSource
+from socast.tools.bench.fleet import make_rounds, make_vehicles
+from socast.tools.bench.measures import Measure, alternate_timings
 
 PATIENCE_S = 60.0
 WARM_UP = 20

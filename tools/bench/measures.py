@@ -11,15 +11,15 @@ from statistics import median
 import numpy as np
 from mcap.reader import make_reader
 
-from core.batch import Batch, Lanes
-from core.models import EXTENDED_PHYSICAL
-from core.pipeline import BLOCK, Pipeline
-from core.settings import Limits
-from core.wire.decoder import Decoder
-from core.wire.messages import Message
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from tools.bench.fleet import make_rounds, make_vehicles
+from socast.core.batch import Batch, Lanes
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.pipeline import BLOCK, Pipeline
+from socast.core.settings import Limits
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.messages import Message
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.tools.bench.fleet import make_rounds, make_vehicles
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,8 @@
 Each seed gives a small simulated fleet with plain physics. The command line of one or more source trees makes tables of
 the same recording, fits `road_load` and diagnoses it, so that two versions of the product can be compared.
 
-Example: python -m tools.bench.nothing_hidden --seeds 4001-4040 --keep build/nothing --tree before=../old --tree after=.
+Example: python -m socast.tools.bench.nothing_hidden --seeds 4001-4040 --keep build/nothing --tree before=../old --tree
+after=.
 """
 
 import argparse
@@ -20,11 +21,11 @@ from typing import Any, Final, NamedTuple
 
 from rich.console import Console
 
-from core.errors import SettingsError, SocastError
-from tools.bench.hidden.page import get_marks, replace_section
-from tools.terminal.rich_table import Column, make_table
+from socast.core.errors import SettingsError, SocastError
+from socast.tools.bench.hidden.page import get_marks, replace_section
+from socast.tools.terminal.rich_table import Column, make_table
 
-ROOT: Final = Path(__file__).parent.parent.parent
+ROOT: Final = Path(__file__).resolve().parent.parent.parent
 FLEET: Final = (
     *("--vehicles", "4", "--days", "12", "--day-step", "14", "--shift-hours", "1.5"),
     *("--phenomena", "plain,payload", "--faults", "unequipped=0"),
@@ -247,7 +248,7 @@ def run_command(tree: Path, words: Sequence[str]) -> None:
         If the command fails.
     """
     done = subprocess.run(  # noqa: S603 - the words are ours
-        [sys.executable, "-m", "tools.cli", *words],
+        [sys.executable, "-m", "socast.tools.cli", *words],
         cwd=tree,  # `-m` searches the working folder first
         env={**os.environ, "PYTHONPATH": str(tree)},
         capture_output=True,
@@ -332,7 +333,8 @@ def make_section(measured: Mapping[str, Sequence[Fleet]], description: str) -> s
         "## Nothing hidden",
         "",
         (
-            f"Written by `python -m tools.bench.nothing_hidden --page` on {count} simulated fleets without a hidden "
+            f"Written by `python -m socast.tools.bench.nothing_hidden --page` on {count} simulated fleets without a "
+            "hidden "
             f"effect ({description}), each diagnosed by the source trees in the heads of the columns. False names in "
             f"all fleets together: {names}. The table shows the z of each candidate beside the base: median (least to "
             "largest) over the fleets in which it can be identified."

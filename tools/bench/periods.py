@@ -1,4 +1,4 @@
-"""Measure what the period of the loggers costs in accuracy: `python -m tools.bench.periods`.
+"""Measure what the period of the loggers costs in accuracy: `python -m socast.tools.bench.periods`.
 
 The same simulated drives are logged with each period. A model is fitted to the rides of the first days, and predicts
 those of the other days. Rides are compared with the truth of the simulation. The cars are those of the default fleet,
@@ -15,13 +15,13 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.fit.recipes import get_recipe
-from core.wire.messages import Message
-from tools.bench.elevation import RECIPE, measure_forecasts, tabulate
-from tools.simulator.conditions import Conditions
-from tools.simulator.fleet import simulate
-from tools.simulator.settings import NIGHT, Simulation
-from tools.simulator.truth import Truth
+from socast.core.fit.recipes import get_recipe
+from socast.core.wire.messages import Message
+from socast.tools.bench.elevation import RECIPE, measure_forecasts, tabulate
+from socast.tools.simulator.conditions import Conditions
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.settings import NIGHT, Simulation
+from socast.tools.simulator.truth import Truth
 
 PERIODS: Final = (1.0, 3.0, 5.0, 10.0, 15.0, 30.0, 60.0, 0.0)
 """Periods of the loggers; 0 for loggers that send a sample when a value has changed. [s]"""
@@ -134,7 +134,7 @@ def make_page(results: dict[str, list[dict[str, Any]]]) -> str:
 
 def main(arguments: Iterable[str] | None = None) -> None:
     """Measure every period, and a fleet with all of them, and print the table."""
-    parser = argparse.ArgumentParser(prog="python -m tools.bench.periods", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m socast.tools.bench.periods", description=__doc__)
     parser.add_argument("seeds", nargs="*", type=int, default=SEEDS, help="seeds of the fleets")
     parser.add_argument("--json", type=Path, help="file for the figures")
     options = parser.parse_args(None if arguments is None else list(arguments))

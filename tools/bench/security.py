@@ -11,13 +11,13 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple
 
-from stream.zenoh_session import Connection, Node, find_free_port
-from stream.zenoh_sink import ZenohSink
-from tools.bench.fleet import make_rounds, make_vehicles, name_car
-from tools.bench.live import PATIENCE_S, WARM_UP, make_full_consumer
-from tools.bench.measures import Measure
-from tools.security.access import make_access_control
-from tools.security.folder import SecureFolder
+from socast.stream.zenoh_session import Connection, Node, find_free_port
+from socast.stream.zenoh_sink import ZenohSink
+from socast.tools.bench.fleet import make_rounds, make_vehicles, name_car
+from socast.tools.bench.live import PATIENCE_S, WARM_UP, make_full_consumer
+from socast.tools.bench.measures import Measure
+from socast.tools.security.access import make_access_control
+from socast.tools.security.folder import SecureFolder
 
 WAYS: Final = "plain", "certificates", "rules"
 """Plain TCP; mutual TLS; mutual TLS with access control."""

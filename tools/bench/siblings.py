@@ -4,7 +4,7 @@ Each seed gives a simulated fleet of eight cars of two models over ten months. I
 one car always, in one car from a date on, in one car as a leak of tyres, in all cars from a date on, or in a group of
 four cars from a date on. The model is fitted once, to the rides without a hidden effect.
 
-Example: python -m tools.bench.siblings --seeds 320-335 --keep build/siblings --page
+Example: python -m socast.tools.bench.siblings --seeds 320-335 --keep build/siblings --page
 """
 
 import argparse
@@ -20,19 +20,19 @@ import numpy as np
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
-from core.diagnose.dataset import gather_windows
-from core.diagnose.projection import BaseProjection
-from core.diagnose.siblings.deviations import MONTH, diagnose_deviations
-from core.errors import SettingsError
-from core.fit.recipes import fit_to_windows
-from core.stats.clustered import compute_wilson_interval
-from tools.bench.hidden.cases import BARE, Case, SeedData, get_right_names
-from tools.bench.hidden.drives import FLEET, Scope
-from tools.bench.hidden.page import get_marks, replace_section
-from tools.bench.hidden.parts import ABSORBED
-from tools.bench.nothing_hidden import PAGE, ROOT, parse_seeds
-from tools.simulator.hidden import EFFECTS
-from tools.simulator.settings import Hidden
+from socast.core.diagnose.dataset import gather_windows
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.siblings.deviations import MONTH, diagnose_deviations
+from socast.core.errors import SettingsError
+from socast.core.fit.recipes import fit_to_windows
+from socast.core.stats.clustered import compute_wilson_interval
+from socast.tools.bench.hidden.cases import BARE, Case, SeedData, get_right_names
+from socast.tools.bench.hidden.drives import FLEET, Scope
+from socast.tools.bench.hidden.page import get_marks, replace_section
+from socast.tools.bench.hidden.parts import ABSORBED
+from socast.tools.bench.nothing_hidden import PAGE, ROOT, parse_seeds
+from socast.tools.simulator.hidden import EFFECTS
+from socast.tools.simulator.settings import Hidden
 
 SECTION: Final = "bench-siblings"
 """Name of the section of the page."""
@@ -265,7 +265,8 @@ def make_section(lines: Sequence[str], seeds: str) -> str:
     """
     begin, end = get_marks(SECTION)
     text = (
-        f"Written by `python -m tools.bench.siblings --seeds {seeds} --page`: eight cars of two models, 39 shifts each "
+        f"Written by `python -m socast.tools.bench.siblings --seeds {seeds} --page`: eight cars of two models, 39 "
+        "shifts each "
         "over ten months, voltage and current, exact weather. Shares of the energy of the rides that have the effect. "
         "Constants of the method were chosen on seeds 200 to 209, and the check that leaves out single shifts on these "
         "and on seeds 300 to 304. Statements about causes and dates are counted where "

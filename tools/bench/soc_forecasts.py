@@ -4,7 +4,7 @@ Each seed gives the fleets of the chosen parts. Their messages pass the loop of 
 on nothing from its future. Outcomes are what healthy displays show, also where a display is faulty. Shares have
 Wilson's 95 % intervals for as many independent cases as the vehicle-days are worth.
 
-Example: python -m tools.bench.soc_forecasts --fleet autumn --seeds 1-2 --keep build/soc
+Example: python -m socast.tools.bench.soc_forecasts --fleet autumn --seeds 1-2 --keep build/soc
 """
 
 import argparse
@@ -18,26 +18,26 @@ from typing import Final
 import pandas as pd
 from rich.console import Console
 
-from core import models
-from core.evaluate.soc.baselines import compute_baselines, compute_leg_baselines
-from core.evaluate.soc.cases import select_cases
-from core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
-from core.evaluate.soc.planned_charges import select_charge_cases
-from core.pipeline import Pipeline
-from core.settings import Settings
-from core.wire.messages import Message
-from stream.loop import run
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from tools.bench.nothing_hidden import parse_seeds
-from tools.bench.soc_goals import COMPARED, Judged, Line, check_goals
-from tools.commands.evaluate_soc import SocForecasts
-from tools.simulator.fleet import simulate
-from tools.simulator.fleets import get_fleet
-from tools.simulator.preset import load_preset
-from tools.simulator.settings import Simulation
-from tools.simulator.truth import Truth
-from tools.terminal.model_comparison import DEFAULT_MODEL
+from socast.core import models
+from socast.core.evaluate.soc.baselines import compute_baselines, compute_leg_baselines
+from socast.core.evaluate.soc.cases import select_cases
+from socast.core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
+from socast.core.evaluate.soc.planned_charges import select_charge_cases
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.core.wire.messages import Message
+from socast.stream.loop import run
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.tools.bench.nothing_hidden import parse_seeds
+from socast.tools.bench.soc_goals import COMPARED, Judged, Line, check_goals
+from socast.tools.commands.evaluate_soc import SocForecasts
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.fleets import get_fleet
+from socast.tools.simulator.preset import load_preset
+from socast.tools.simulator.settings import Simulation
+from socast.tools.simulator.truth import Truth
+from socast.tools.terminal.model_comparison import DEFAULT_MODEL
 
 PARTS: Final = {
     "autumn": ("autumn", "autumn-heat"),

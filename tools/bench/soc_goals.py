@@ -7,14 +7,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.columns import SECONDS_PER_DAY
-from core.evaluate.binning import bin_values
-from core.evaluate.soc.baselines import PERSONS, REGRESSION
-from core.evaluate.soc.report import TEMPERATURES, compute_interval_score
-from core.evaluate.soc.reserve_risk import PLANNED, tabulate_levels
-from core.stats.clustered import compute_clustered_share
-from tools.simulator.fleets import COLD_SNAP, FLEETS
+from socast.core.batch import Floats
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.evaluate.binning import bin_values
+from socast.core.evaluate.soc.baselines import PERSONS, REGRESSION
+from socast.core.evaluate.soc.report import TEMPERATURES, compute_interval_score
+from socast.core.evaluate.soc.reserve_risk import PLANNED, tabulate_levels
+from socast.core.stats.clustered import compute_clustered_share
+from socast.tools.simulator.fleets import COLD_SNAP, FLEETS
 
 MAIN: Final = ("autumn", "small", "preset")
 """Fleets on which settled weather and all days count."""
@@ -53,17 +53,17 @@ class Judged:
     first_day_s : float
         Midnight before its first day. [Unix s]
     cases, unlearned : DataFrame
-        Forecasts with outcome and baselines, and those without an interval, of `core.evaluate.soc.cases`.
+        Forecasts with outcome and baselines, and those without an interval, of `socast.core.evaluate.soc.cases`.
     legs : DataFrame
         Legs with outcome and baselines.
     forecasts : DataFrame
         `COMPARED` of all forecasts.
     bounds : dict
-        Of `core.evaluate.soc.outcomes.count_impossible_bounds`.
+        Of `socast.core.evaluate.soc.outcomes.count_impossible_bounds`.
     seconds : float
         Time that simulation and forecasts took. [s]
     to_charge, over_charge : DataFrame
-        Forecasts around planned charges with outcome and baselines, of `core.evaluate.soc.planned_charges`.
+        Forecasts around planned charges with outcome and baselines, of `socast.core.evaluate.soc.planned_charges`.
     """
 
     fleet: str

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-from tools.bench.measures import Measure, alternate_timings, time_action
+from socast.tools.bench.measures import Measure, alternate_timings, time_action
 
 BARE = ("-c", "pass")
 """What the interpreter is started with for comparison."""
@@ -27,7 +27,7 @@ def measure_effects_start() -> Measure:
 
 def _start(words: str, goal: float, bound: str) -> Measure:
     """Measure a command that prints and ends, against `python -c pass`."""
-    command = ("-m", "tools.cli", *words.split())
+    command = ("-m", "socast.tools.cli", *words.split())
     for arguments in (BARE, command):
         _run(*arguments)  # the first run compiles modules to byte code
     bare_s, command_s = alternate_timings(

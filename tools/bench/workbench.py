@@ -1,7 +1,7 @@
 """Measure the workbench: processor time and bytes per browser for a large fleet, and the first load of its pages.
 
-`python -m tools.bench.workbench` prints the figures. The server runs in a process of its own. All cars of its board
-change every second, as if each car sent a sample and the service a forecast.
+`python -m socast.tools.bench.workbench` prints the figures. The server runs in a process of its own. All cars of its
+board change every second, as if each car sent a sample and the service a forecast.
 """
 
 import argparse
@@ -17,9 +17,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.errors import SettingsError
-from core.wire.messages import Forecast, Interval, Message, Outlook, QualityCounts, Telemetry, encode
-from tools.workbench.fleet.board import Board
+from socast.core.errors import SettingsError
+from socast.core.wire.messages import Forecast, Interval, Message, Outlook, QualityCounts, Telemetry, encode
+from socast.tools.workbench.fleet.board import Board
 
 CARS: Final = 1000
 ROUNDS: Final = 60
@@ -99,10 +99,10 @@ def make_fleet_messages(cars: int, second: float, rng: np.random.Generator) -> l
 
 def serve_cars(cars: int, entries: int) -> None:
     """Serve a board of cars that changes every second until the end of input, and print the first addresses."""
-    from tools.workbench.jobs import Jobs  # noqa: PLC0415 - an extra
-    from tools.workbench.json_routes import Workbench  # noqa: PLC0415 - an extra
-    from tools.workbench.server import WorkbenchServer  # noqa: PLC0415 - an extra
-    from tools.workbench.workspace import Workspace  # noqa: PLC0415 - an extra
+    from socast.tools.workbench.jobs import Jobs  # noqa: PLC0415 - an extra
+    from socast.tools.workbench.json_routes import Workbench  # noqa: PLC0415 - an extra
+    from socast.tools.workbench.server import WorkbenchServer  # noqa: PLC0415 - an extra
+    from socast.tools.workbench.workspace import Workspace  # noqa: PLC0415 - an extra
 
     rng, board = np.random.default_rng(7), Board()
     rounds = [make_fleet_messages(cars, float(second), rng) for second in range(ROUNDS)]
@@ -225,7 +225,7 @@ def measure_workbench(cars: int) -> dict[str, float]:
     cars : int
         Number of cars on the board.
     """
-    command = [sys.executable, "-m", "tools.bench.workbench", "--serve", "--cars", str(cars)]
+    command = [sys.executable, "-m", "socast.tools.bench.workbench", "--serve", "--cars", str(cars)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as server:  # noqa: S603
         assert server.stdout is not None
         address = server.stdout.readline().strip()
@@ -250,7 +250,7 @@ def measure_workbench(cars: int) -> dict[str, float]:
 
 def main() -> None:
     """Print the figures as JSON."""
-    parser = argparse.ArgumentParser(prog="python -m tools.bench.workbench", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m socast.tools.bench.workbench", description=__doc__)
     parser.add_argument("--cars", type=int, default=CARS)
     parser.add_argument("--serve", action="store_true", help="serve only; used by the measurement itself")
     given = parser.parse_args()

@@ -7,10 +7,10 @@ from math import inf
 from threading import Event
 from typing import Any, Final, Protocol
 
-from stream.loop import REPORT_S
-from stream.structured_log import event_fields, flatten_counts
-from stream.zenoh_delivery import ZenohDelivery
-from tools.bridge.row_assembler import RowAssembler
+from socast.stream.loop import REPORT_S
+from socast.stream.structured_log import event_fields, flatten_counts
+from socast.stream.zenoh_delivery import ZenohDelivery
+from socast.tools.bridge.row_assembler import RowAssembler
 
 LOOK_UP_S: Final = 0.1
 """Longest wait for signals before rows are looked at again. [s]"""

@@ -17,11 +17,11 @@ from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.errors import SettingsError
-from stream.mqtt_source import MOST_TAKEN, MqttMessage, MqttSource, Ticket
-from stream.structured_log import event_fields
-from tools.bridge.row_assembler import RowAssembler, Value
-from tools.bridge.signals import FIX, Signal, parse_number, read_signals
+from socast.core.errors import SettingsError
+from socast.stream.mqtt_source import MOST_TAKEN, MqttMessage, MqttSource, Ticket
+from socast.stream.structured_log import event_fields
+from socast.tools.bridge.row_assembler import RowAssembler, Value
+from socast.tools.bridge.signals import FIX, Signal, parse_number, read_signals
 
 TOPICS: Final = "ovms"
 """Default first levels of all topics."""
@@ -104,7 +104,7 @@ class OvmsReader:
 
 
 class OvmsSource:
-    """Feed the messages of a broker to a reader, as `tools.bridge.bridge_loop.SignalSource`.
+    """Feed the messages of a broker to a reader, as `socast.tools.bridge.bridge_loop.SignalSource`.
 
     Parameters
     ----------

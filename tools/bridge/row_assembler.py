@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Any, Final, NamedTuple
 
-from core.wire.messages import IDENTITY, Message, Telemetry, encode
-from tools.bridge.signals import FIX, FLAGS
-from tools.importers.table.column_map import NOMINAL_VOLTAGE
-from tools.importers.table.row_messages import DECIMALS_OF_TABLES, introduce_vehicle
-from tools.importers.table.sampling import find_holds
-from tools.importers.table.units import POWER
+from socast.core.wire.messages import IDENTITY, Message, Telemetry, encode
+from socast.tools.bridge.signals import FIX, FLAGS
+from socast.tools.importers.table.column_map import NOMINAL_VOLTAGE
+from socast.tools.importers.table.row_messages import DECIMALS_OF_TABLES, introduce_vehicle
+from socast.tools.importers.table.sampling import find_holds
+from socast.tools.importers.table.units import POWER
 
 PERIOD_S: Final = 1.0
 """Default time that a row covers. [s]"""
@@ -50,7 +50,7 @@ class Value(NamedTuple):
     vehicle : str
         Identity of the car.
     field : str
-        Field of a sample, `tools.importers.table.units.POWER` or `FIX`.
+        Field of a sample, `socast.tools.importers.table.units.POWER` or `FIX`.
     value : float
         Value in the unit of the wire contract; 0 or 1 for a truth value.
     received_s : float
@@ -106,7 +106,7 @@ class RowAssembler:
         Time that a row covers, which is the shortest time between two rows of a car. [s]
     hold_s : float
         Longest time for which a signal without news is held, if it changes fast; see
-        `tools.importers.table.sampling.find_holds`. [s]
+        `socast.tools.importers.table.sampling.find_holds`. [s]
     models : mapping of str to str
         Vehicle model by car; the key `*` is for all others. A car with a model is introduced by a vehicle message.
     nominal_voltage : float

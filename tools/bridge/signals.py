@@ -6,8 +6,8 @@ The presets of `socast import` say it; the same signals come from files there an
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
-from tools.importers.table.presets import get_preset
-from tools.importers.table.units import Conversion, find_conversion
+from socast.tools.importers.table.presets import get_preset
+from socast.tools.importers.table.units import Conversion, find_conversion
 
 FIX: Final = "fix"
 """Whether the receiver of positions has a fix; no field of a sample, but positions without one are left out."""
@@ -25,7 +25,7 @@ class Signal(NamedTuple):
     Parameters
     ----------
     field : str
-        Name of `tools.importers.table.units.FIELD_UNITS`, or `FIX`.
+        Name of `socast.tools.importers.table.units.FIELD_UNITS`, or `FIX`.
     conversion : Conversion
         From the unit and the sign of the source to those of the wire contract.
     rank : int

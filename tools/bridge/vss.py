@@ -17,11 +17,11 @@ from typing import Any, Final
 
 import msgspec
 
-from core.errors import SettingsError
-from core.wire.messages import IDENTITY
-from stream.zenoh_signals import MOST_TAKEN, SignalSample, ZenohSignals
-from tools.bridge.row_assembler import RowAssembler, Value
-from tools.bridge.signals import Signal, make_signal, parse_number, read_signals
+from socast.core.errors import SettingsError
+from socast.core.wire.messages import IDENTITY
+from socast.stream.zenoh_signals import MOST_TAKEN, SignalSample, ZenohSignals
+from socast.tools.bridge.row_assembler import RowAssembler, Value
+from socast.tools.bridge.signals import Signal, make_signal, parse_number, read_signals
 
 NEWEST: Final = 6
 """Default major version of VSS."""
@@ -120,7 +120,7 @@ class VssReader:
 
 
 class VssSource:
-    """Feed the samples of a subscriber to a reader, as `tools.bridge.bridge_loop.SignalSource`.
+    """Feed the samples of a subscriber to a reader, as `socast.tools.bridge.bridge_loop.SignalSource`.
 
     Zenoh keeps nothing for a subscriber, so nothing is acknowledged.
 

@@ -1,7 +1,7 @@
 """The third stage: the cars of a part go through the steps of the pipeline, in their order and with the shared events.
 
 The totals of rides and windows are written as they close, with their lanes in the whole fleet and their places among
-all messages. What the display of a car stands for is learned later, over all cars (`tools.cluster.displays`).
+all messages. What the display of a car stands for is learned later, over all cars (`socast.tools.cluster.displays`).
 """
 
 from collections import Counter
@@ -14,19 +14,19 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Batch, Floats, Ints
-from core.cleaning.quality import CAUSES
-from core.files import replacing
-from core.forecast.day_rollover import DailyUpdate
-from core.pipeline import Pipeline
-from core.settings import BOUNDS_OF_LIMITS, Limits
-from core.totals.accumulator import EDGES, Sums, Totals
-from core.totals.display_record import create_unknown_yields
-from core.wire.decoder import Event
-from core.wire.message_order import MessageOrder, Silence
-from core.wire.messages import KINDS, Vehicle, Weather
-from tools.cluster.decoding import decode_events, read_texts
-from tools.cluster.job import (
+from socast.core.batch import Batch, Floats, Ints
+from socast.core.cleaning.quality import CAUSES
+from socast.core.files import replacing
+from socast.core.forecast.day_rollover import DailyUpdate
+from socast.core.pipeline import Pipeline
+from socast.core.settings import BOUNDS_OF_LIMITS, Limits
+from socast.core.totals.accumulator import EDGES, Sums, Totals
+from socast.core.totals.display_record import create_unknown_yields
+from socast.core.wire.decoder import Event
+from socast.core.wire.message_order import MessageOrder, Silence
+from socast.core.wire.messages import KINDS, Vehicle, Weather
+from socast.tools.cluster.decoding import decode_events, read_texts
+from socast.tools.cluster.job import (
     COLUMNS,
     Job,
     load_surroundings,
@@ -35,7 +35,7 @@ from tools.cluster.job import (
     write_arrays,
     write_text,
 )
-from tools.cluster.ordering import Placed, Shared
+from socast.tools.cluster.ordering import Placed, Shared
 
 LEAST_ROWS: Final = 20_000
 """Number of samples that pass through the pipeline at a time."""

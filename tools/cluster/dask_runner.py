@@ -21,8 +21,8 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from core.errors import SettingsError
-from tools.cluster.runner import TaskRecord, run_task
+from socast.core.errors import SettingsError
+from socast.tools.cluster.runner import TaskRecord, run_task
 
 INSTALL: Final = 'pip install "socast[cluster]"'
 LOCAL: Final = "local"

@@ -1,7 +1,8 @@
 """The first stage: a span of time of all recordings is decoded, and its samples are parted by car.
 
 A span holds the messages of a time of receipt, in the order in which a serial reader yields them. Nothing here depends
-on another span: which samples were delivered before, and what else couples cars, `tools.cluster.ordering` decides.
+on another span: which samples were delivered before, and what else couples cars, `socast.tools.cluster.ordering`
+decides.
 """
 
 from collections import Counter
@@ -15,18 +16,18 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Batch, Ints, Lanes
-from core.files import replacing
-from core.forecast.weather_forecasts import WeatherForecasts
-from core.settings import BOUNDS_OF_LIMITS, Limits
-from core.signals.weather import Stations
-from core.wire.decoder import Decoder, Event, Refused
-from core.wire.duplicate_filter import DuplicateFilter
-from core.wire.message_block import MessageBlock
-from core.wire.messages import Message, Weather, address
-from stream.mcap_losses import Losses
-from stream.mcap_reader import McapSource
-from tools.cluster.job import Job, open_recording, write_arrays
+from socast.core.batch import Batch, Ints, Lanes
+from socast.core.files import replacing
+from socast.core.forecast.weather_forecasts import WeatherForecasts
+from socast.core.settings import BOUNDS_OF_LIMITS, Limits
+from socast.core.signals.weather import Stations
+from socast.core.wire.decoder import Decoder, Event, Refused
+from socast.core.wire.duplicate_filter import DuplicateFilter
+from socast.core.wire.message_block import MessageBlock
+from socast.core.wire.messages import Message, Weather, address
+from socast.stream.mcap_losses import Losses
+from socast.stream.mcap_reader import McapSource
+from socast.tools.cluster.job import Job, open_recording, write_arrays
 
 SPAN_BYTES: Final = 8 << 20
 """Size of the chunks of a span; 100,000 to 200,000 samples. [B]"""

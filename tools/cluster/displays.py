@@ -11,15 +11,15 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Ints
-from core.files import replacing
-from core.totals.accumulator import AMOUNTS, EDGES, Sums, Totals
-from core.totals.display_record import create_unknown_yields
-from core.totals.display_yield import DisplayYields
-from core.vehicles.fleet import UNKNOWN
-from tools.cluster.cleaning import END, count_columns, read_totals
-from tools.cluster.job import Job, read_arrays, read_rows, read_text, write_text
-from tools.cluster.ordering import Ordering
+from socast.core.batch import Ints
+from socast.core.files import replacing
+from socast.core.totals.accumulator import AMOUNTS, EDGES, Sums, Totals
+from socast.core.totals.display_record import create_unknown_yields
+from socast.core.totals.display_yield import DisplayYields
+from socast.core.vehicles.fleet import UNKNOWN
+from socast.tools.cluster.cleaning import END, count_columns, read_totals
+from socast.tools.cluster.job import Job, read_arrays, read_rows, read_text, write_text
+from socast.tools.cluster.ordering import Ordering
 
 RIDES_AT_A_TIME: Final = 4000
 """Number of rides that are learned from at a time."""

@@ -5,13 +5,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from core.evaluate.paper.protocol import EvaluationPlan, plan_evaluation, select_recipes, tabulate_runs
-from core.evaluate.paper.runs import call_in_one_thread
-from core.evaluate.paper.selection import MARGIN
-from core.vehicles import add_vehicles
-from tools.cluster.workers import Workers
-from tools.terminal.table_files import read
-from tools.terminal.vehicle_files import load_vehicle_file
+from socast.core.evaluate.paper.protocol import EvaluationPlan, plan_evaluation, select_recipes, tabulate_runs
+from socast.core.evaluate.paper.runs import call_in_one_thread
+from socast.core.evaluate.paper.selection import MARGIN
+from socast.core.vehicles import add_vehicles
+from socast.tools.cluster.workers import Workers
+from socast.tools.terminal.table_files import read
+from socast.tools.terminal.vehicle_files import load_vehicle_file
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class EvaluationJob:
     seed, repeats : int
     left_out_of_training : tuple of str
     removal_margin : float
-        As of `core.evaluate.paper.protocol.evaluate`.
+        As of `socast.core.evaluate.paper.protocol.evaluate`.
     vehicle_files : tuple of Path
         Files that a worker loads before its first task.
     run : str

@@ -11,16 +11,16 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from xxhash import xxh3_64_intdigest
 
-from core import effects, models
-from core.batch import Batch, Floats
-from core.cleaning.elevation_map import ElevationMap
-from core.files import replacing
-from core.settings import Settings
-from core.totals.context import Model
-from core.vehicles import add_vehicles
-from stream.elevation_files import open_elevation
-from stream.mcap_reader import McapSource
-from tools.terminal.vehicle_files import load_vehicle_file
+from socast.core import effects, models
+from socast.core.batch import Batch, Floats
+from socast.core.cleaning.elevation_map import ElevationMap
+from socast.core.files import replacing
+from socast.core.settings import Settings
+from socast.core.totals.context import Model
+from socast.core.vehicles import add_vehicles
+from socast.stream.elevation_files import open_elevation
+from socast.stream.mcap_reader import McapSource
+from socast.tools.terminal.vehicle_files import load_vehicle_file
 
 COLUMNS: Final = (*Batch._fields, "item")
 """Rows of the file of a span: the columns of a batch, and the number of the sample among those of the span."""

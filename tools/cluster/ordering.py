@@ -3,7 +3,7 @@
 Cars are coupled by
 
 - repeated messages: the memory of the filter turns over by the messages of all cars;
-- the fleet clock, by which a silent car is noticed (`core.cleaning.silences`);
+- the fleet clock, by which a silent car is noticed (`socast.core.cleaning.silences`);
 - the day, on which the cars vote, and with it the daily update;
 - the numbers of cars and of vehicle models, which are given in the order of their first message;
 - the drivers of rides, of which the oldest are forgotten, and the weather.
@@ -22,18 +22,18 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from core.batch import Batch, Ints, Lanes
-from core.cleaning.silences import INPUTS, FleetSilences
-from core.errors import RecordingError
-from core.forecast.day_rollover import DayRollover
-from core.settings import Limits
-from core.vehicles.fleet import TOO_MANY_MODELS, Cars, ReplacedKind
-from core.wire.duplicate_filter import DuplicateFilter
-from core.wire.message_order import VehicleChange
-from core.wire.messages import KINDS, Ride, Vehicle, Weather
-from core.wire.rides import RideDrivers
-from tools.cluster.decoding import EVENT, SAMPLE, Span, SpanEvent, decode_events, read_texts
-from tools.cluster.job import Job, read_arrays, read_columns, write_arrays
+from socast.core.batch import Batch, Ints, Lanes
+from socast.core.cleaning.silences import INPUTS, FleetSilences
+from socast.core.errors import RecordingError
+from socast.core.forecast.day_rollover import DayRollover
+from socast.core.settings import Limits
+from socast.core.vehicles.fleet import TOO_MANY_MODELS, Cars, ReplacedKind
+from socast.core.wire.duplicate_filter import DuplicateFilter
+from socast.core.wire.message_order import VehicleChange
+from socast.core.wire.messages import KINDS, Ride, Vehicle, Weather
+from socast.core.wire.rides import RideDrivers
+from socast.tools.cluster.decoding import EVENT, SAMPLE, Span, SpanEvent, decode_events, read_texts
+from socast.tools.cluster.job import Job, read_arrays, read_columns, write_arrays
 
 _COLUMNS: Final = [Batch._fields.index(name) for name in ("lane", *INPUTS)]
 

@@ -4,16 +4,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from core.errors import SettingsError
-from core.settings import Settings
-from stream.mcap_reader import McapSource
-from tools.cluster.dask_runner import ClusterPlace
-from tools.cluster.job import Job
-from tools.cluster.runner import TaskRecord
-from tools.cluster.tables import ClusterTables, choose_parts, make_tables
-from tools.cluster.workers import describe_tasks, open_workers
-from tools.terminal.output import write_json
-from tools.terminal.recordings import refuse_unusable
+from socast.core.errors import SettingsError
+from socast.core.settings import Settings
+from socast.stream.mcap_reader import McapSource
+from socast.tools.cluster.dask_runner import ClusterPlace
+from socast.tools.cluster.job import Job
+from socast.tools.cluster.runner import TaskRecord
+from socast.tools.cluster.tables import ClusterTables, choose_parts, make_tables
+from socast.tools.cluster.workers import describe_tasks, open_workers
+from socast.tools.terminal.output import write_json
+from socast.tools.terminal.recordings import refuse_unusable
 
 REPORT: Final = "cluster.json"
 """File beside the tables that says what ran where."""
@@ -32,7 +32,7 @@ def tabulate_by_workers(
     elevation_files: Sequence[Path] = (),
     on_end: Callable[[TaskRecord], None] | None = None,
 ) -> ClusterTables:
-    """Write the tables of recordings to a folder, see `tools.cluster.tables.make_tables`, and the report beside them.
+    """Write the tables of recordings to a folder, see `socast.tools.cluster.tables`, and the report beside them.
 
     Parameters
     ----------

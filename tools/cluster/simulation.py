@@ -13,15 +13,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-from core.files import replacing
-from stream.mcap_writer import McapSink
-from stream.recording_metadata import list_changed_settings, make_metadata
-from tools.cluster.workers import Workers
-from tools.simulator.car_files import CarFile, CarWriter, ShiftTruth, merge_cars, order_shifts, plan_merge
-from tools.simulator.fleet import PreparedFleet, describe_fleet, drive_car, make_fleet_sky, make_members
-from tools.simulator.settings import Simulation
-from tools.simulator.truth import Truth
-from tools.simulator.weather import merge_weather
+from socast.core.files import replacing
+from socast.stream.mcap_writer import McapSink
+from socast.stream.recording_metadata import list_changed_settings, make_metadata
+from socast.tools.cluster.workers import Workers
+from socast.tools.simulator.car_files import CarFile, CarWriter, ShiftTruth, merge_cars, order_shifts, plan_merge
+from socast.tools.simulator.fleet import PreparedFleet, describe_fleet, drive_car, make_fleet_sky, make_members
+from socast.tools.simulator.settings import Simulation
+from socast.tools.simulator.truth import Truth
+from socast.tools.simulator.weather import merge_weather
 
 DRIVE, WRITE = "drive", "write"
 """Stages: driving cars, by tasks; writing their messages, in the command itself."""

@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from core.cleaning.quality import CAUSES
-from core.totals.logger_faults import LoggerFaults, add_faults
-from stream.mcap_reader import McapSource
-from tools.cluster.cleaning import PartCounts, clean_part
-from tools.cluster.decoding import SPAN_BYTES, Span, decode_span, plan_spans
-from tools.cluster.displays import learn_displays
-from tools.cluster.job import Job
-from tools.cluster.ordering import Ordering
-from tools.cluster.runner import Runner
-from tools.cluster.writing import make_context, write_slice
+from socast.core.cleaning.quality import CAUSES
+from socast.core.totals.logger_faults import LoggerFaults, add_faults
+from socast.stream.mcap_reader import McapSource
+from socast.tools.cluster.cleaning import PartCounts, clean_part
+from socast.tools.cluster.decoding import SPAN_BYTES, Span, decode_span, plan_spans
+from socast.tools.cluster.displays import learn_displays
+from socast.tools.cluster.job import Job
+from socast.tools.cluster.ordering import Ordering
+from socast.tools.cluster.runner import Runner
+from socast.tools.cluster.writing import make_context, write_slice
 
 ROWS: Final = {"rides": 20_000, "windows": 50_000}
 """Number of rows of a file of each table."""
@@ -34,7 +34,7 @@ class ClusterTables:
     rides, windows : int
         Numbers of rows.
     quality : dict
-        Counters, as `core.pipeline.Pipeline.quality` returns them.
+        Counters, as `socast.core.pipeline.Pipeline.quality` returns them.
     """
 
     rides: int

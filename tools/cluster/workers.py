@@ -6,11 +6,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tools.cluster.dask_runner import ClusterPlace, open_runner
-from tools.cluster.runner import InProcessRunner, Runner, TaskRecord
-from tools.cluster.task_files import make_scratch
-from tools.terminal.cluster_option import show_stages
-from tools.terminal.output import write_json
+from socast.tools.cluster.dask_runner import ClusterPlace, open_runner
+from socast.tools.cluster.runner import InProcessRunner, Runner, TaskRecord
+from socast.tools.cluster.task_files import make_scratch
+from socast.tools.terminal.cluster_option import show_stages
+from socast.tools.terminal.output import write_json
 
 
 class Workers(NamedTuple):
@@ -58,7 +58,7 @@ def open_workers(
     Raises
     ------
     SettingsError
-        As of `tools.cluster.dask_runner.open_runner`.
+        As of `socast.tools.cluster.dask_runner.open_runner`.
     """
     with ExitStack() as ending:
         scratch = ending.enter_context(make_scratch(folder))

@@ -6,18 +6,18 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from core.pipeline import Pipeline
-from core.settings import BOUNDS_OF_LIMITS, Limits
-from core.totals.context import RunContext
-from core.totals.display_record import DISPLAY_YIELD
-from core.totals.logger_faults import LoggerFaults
-from core.totals.run_counters import RunCounters
-from core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
-from tools.cluster.cleaning import count_columns, read_totals
-from tools.cluster.displays import Slice
-from tools.cluster.job import Job, load_surroundings, read_rows, read_text
-from tools.cluster.ordering import Shared
-from tools.terminal.parquet_table import ParquetTable
+from socast.core.pipeline import Pipeline
+from socast.core.settings import BOUNDS_OF_LIMITS, Limits
+from socast.core.totals.context import RunContext
+from socast.core.totals.display_record import DISPLAY_YIELD
+from socast.core.totals.logger_faults import LoggerFaults
+from socast.core.totals.run_counters import RunCounters
+from socast.core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
+from socast.tools.cluster.cleaning import count_columns, read_totals
+from socast.tools.cluster.displays import Slice
+from socast.tools.cluster.job import Job, load_surroundings, read_rows, read_text
+from socast.tools.cluster.ordering import Shared
+from socast.tools.terminal.parquet_table import ParquetTable
 
 _MOST = Limits(vehicles=BOUNDS_OF_LIMITS["vehicles"][1], vehicle_models=BOUNDS_OF_LIMITS["vehicle_models"][1])
 

@@ -7,20 +7,20 @@ from typing import Annotated
 import pandas as pd
 import typer
 
-from core import models
-from core.diagnose.add import add
-from core.diagnose.add.terms import build_term_columns
-from core.diagnose.dataset import gather_windows
-from core.diagnose.ranking import LEAST_GAIN
-from core.errors import ModelError
-from core.fit.measured_rows import join_tables
-from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
-from core.models import LinearModel
-from core.settings import Settings
-from tools.commands.diagnose import LeastGain, read_files, read_tables
-from tools.commands.fit import inputs
-from tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables
-from tools.terminal.output import (
+from socast.core import models
+from socast.core.diagnose.add import add
+from socast.core.diagnose.add.terms import build_term_columns
+from socast.core.diagnose.dataset import gather_windows
+from socast.core.diagnose.ranking import LEAST_GAIN
+from socast.core.errors import ModelError
+from socast.core.fit.measured_rows import join_tables
+from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
+from socast.core.models import LinearModel
+from socast.core.settings import Settings
+from socast.tools.commands.diagnose import LeastGain, read_files, read_tables
+from socast.tools.commands.fit import inputs
+from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables
+from socast.tools.terminal.output import (
     EffectFiles,
     JsonFile,
     VehicleFiles,
@@ -60,7 +60,7 @@ def add_effect(
     json_file: JsonFile = None,
 ) -> None:
     """Add an effect to a model, refit it, and compare the errors on held-out days and vehicles."""
-    from tools.report import history  # noqa: PLC0415 - figures take seconds to import
+    from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
 
     refuse_cleaning_of_tables(inputs(data), settings)
     base = models.load(model)

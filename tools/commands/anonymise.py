@@ -10,19 +10,19 @@ import msgspec
 import numpy as np
 import typer
 
-from core.errors import SettingsError
-from core.wire.arrow_batch import PREFIX
-from core.wire.messages import Message, Weather, address
-from core.wire.sample_reader import SampleColumns, holds_samples, is_possible_fix, read_samples
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from stream.recording_metadata import make_metadata
-from stream.source import merge_sources
-from tools.anonymise.disguise import keeps_days, make_disguise
-from tools.anonymise.message_rewriter import MessageRewriter
-from tools.anonymise.sphere_map import find_centre
-from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
-from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
+from socast.core.errors import SettingsError
+from socast.core.wire.arrow_batch import PREFIX
+from socast.core.wire.messages import Message, Weather, address
+from socast.core.wire.sample_reader import SampleColumns, holds_samples, is_possible_fix, read_samples
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.stream.recording_metadata import make_metadata
+from socast.stream.source import merge_sources
+from socast.tools.anonymise.disguise import keeps_days, make_disguise
+from socast.tools.anonymise.message_rewriter import MessageRewriter
+from socast.tools.anonymise.sphere_map import find_centre
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
 
 HOUR_NS: Final = 3_600_000_000_000
 """An hour. [ns]"""

@@ -10,12 +10,12 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from core.errors import SettingsError, read_input
-from core.forecast.plan_checks import parse_leg, parse_plan, parse_vehicle
-from core.wire.messages import Interval, LegOutlook, Outlook
-from stream.zenoh_queryable import query_outlook
-from stream.zenoh_session import LOOPBACK, Connection, Node
-from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.core.errors import SettingsError, read_input
+from socast.core.forecast.plan_checks import parse_leg, parse_plan, parse_vehicle
+from socast.core.wire.messages import Interval, LegOutlook, Outlook
+from socast.stream.zenoh_queryable import query_outlook
+from socast.stream.zenoh_session import LOOPBACK, Connection, Node
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 
 LOW_RISK: Final = 0.05
 """Probability of falling below the reserve under which the answer is YES. [1]"""

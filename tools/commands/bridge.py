@@ -9,20 +9,20 @@ from typing import Annotated, Final
 
 import typer
 
-from core.errors import SettingsError, read_input, suggest_names
-from core.vehicles import load_catalogue
-from stream.loop import REPORT_S, stop_on_signals
-from stream.mqtt_source import Broker, MqttSource, check_broker
-from stream.structured_log import log_lines
-from stream.zenoh_delivery import ZenohDelivery
-from stream.zenoh_session import LOOPBACK, Connection, Node, parse_prefix
-from stream.zenoh_signals import ZenohSignals
-from tools.bridge.bridge_loop import SignalSource, run_bridge
-from tools.bridge.ovms import TOPICS, OvmsReader, OvmsSource
-from tools.bridge.row_assembler import HOLD_S, PERIOD_S, RowAssembler
-from tools.bridge.vss import NEWEST, VssReader, VssSource
-from tools.terminal.option_groups import insert_options
-from tools.terminal.output import VehicleFiles
+from socast.core.errors import SettingsError, read_input, suggest_names
+from socast.core.vehicles import load_catalogue
+from socast.stream.loop import REPORT_S, stop_on_signals
+from socast.stream.mqtt_source import Broker, MqttSource, check_broker
+from socast.stream.structured_log import log_lines
+from socast.stream.zenoh_delivery import ZenohDelivery
+from socast.stream.zenoh_session import LOOPBACK, Connection, Node, parse_prefix
+from socast.stream.zenoh_signals import ZenohSignals
+from socast.tools.bridge.bridge_loop import SignalSource, run_bridge
+from socast.tools.bridge.ovms import TOPICS, OvmsReader, OvmsSource
+from socast.tools.bridge.row_assembler import HOLD_S, PERIOD_S, RowAssembler
+from socast.tools.bridge.vss import NEWEST, VssReader, VssSource
+from socast.tools.terminal.option_groups import insert_options
+from socast.tools.terminal.output import VehicleFiles
 
 PASSWORD: Final = "SOCAST_MQTT_PASSWORD"  # noqa: S105 - the name of an environment variable
 """Environment variable with the password of the broker."""
@@ -184,7 +184,7 @@ def bridge_vss(
     origin = Connection(tuple(source or ()), mode="client", config=source_config) if given else options.connection
 
     def open_source(stack: ExitStack) -> SignalSource:
-        node = stack.enter_context(Node(origin))  # a session of its own, see `stream.zenoh_sink`
+        node = stack.enter_context(Node(origin))  # a session of its own, see `socast.stream.zenoh_sink`
         return VssSource(stack.enter_context(ZenohSignals(node, reader.name_keys())), reader)
 
     options.run(open_source)

@@ -2,17 +2,17 @@
 
 import pandas as pd
 
-from core.pipeline import Pipeline
-from core.settings import Settings
-from core.totals.logger_faults import list_facts
-from core.totals.run_counters import CarCounters
-from stream.elevation_files import open_elevation
-from tools.commands.tables import tabulate
-from tools.terminal.cleaning_options import insert_cleaning_options
-from tools.terminal.elevation_option import ElevationFiles
-from tools.terminal.fault_report import RIDE_COLUMNS, choose_next_step, describe_car, report_cars, show_cars
-from tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
-from tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.core.totals.logger_faults import list_facts
+from socast.core.totals.run_counters import CarCounters
+from socast.stream.elevation_files import open_elevation
+from socast.tools.commands.tables import tabulate
+from socast.tools.terminal.cleaning_options import insert_cleaning_options
+from socast.tools.terminal.elevation_option import ElevationFiles
+from socast.tools.terminal.fault_report import RIDE_COLUMNS, choose_next_step, describe_car, report_cars, show_cars
+from socast.tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
+from socast.tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
 
 
 @insert_cleaning_options

@@ -11,20 +11,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import typer
 
-from core import models
-from core.errors import ModelError, SettingsError
-from core.evaluate.compare.datasets import compare_datasets
-from core.evaluate.compare.models import ComparedRides, compare_predictions, select_rides
-from core.evaluate.compare.ride_trace import find_ride, trace_ride
-from core.evaluate.paper.results import to_json_values
-from core.models import BUILT_IN_MODELS, LinearModel
-from core.settings import Settings
-from tools.cluster.dask_runner import ClusterPlace
-from tools.commands.fit import RECORDING, Rides, inputs, ride_files
-from tools.commands.tables import WINDOWS, in_memory, tables_by_workers
-from tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables, word_settings
-from tools.terminal.cluster_option import insert_cluster_options
-from tools.terminal.output import (
+from socast.core import models
+from socast.core.errors import ModelError, SettingsError
+from socast.core.evaluate.compare.datasets import compare_datasets
+from socast.core.evaluate.compare.models import ComparedRides, compare_predictions, select_rides
+from socast.core.evaluate.compare.ride_trace import find_ride, trace_ride
+from socast.core.evaluate.paper.results import to_json_values
+from socast.core.models import BUILT_IN_MODELS, LinearModel
+from socast.core.settings import Settings
+from socast.tools.cluster.dask_runner import ClusterPlace
+from socast.tools.commands.fit import RECORDING, Rides, inputs, ride_files
+from socast.tools.commands.tables import WINDOWS, in_memory, tables_by_workers
+from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables, word_settings
+from socast.tools.terminal.cluster_option import insert_cluster_options
+from socast.tools.terminal.output import (
     EffectFiles,
     HtmlFile,
     JsonFile,
@@ -34,7 +34,7 @@ from tools.terminal.output import (
     show_report,
     write_json,
 )
-from tools.terminal.table_files import KEY, is_table, read
+from socast.tools.terminal.table_files import KEY, is_table, read
 
 
 @insert_cluster_options

@@ -13,19 +13,19 @@ from typing import Annotated, Final
 import typer
 from rich.console import Console
 
-from core.errors import SettingsError, SocastError
-from core.models import LinearModel
-from core.pipeline import Pipeline
-from core.settings import Settings
-from stream.latest_only_sink import LatestOnlySink
-from stream.loop import PUBLISH_S, Tally, combine_watches, run, stop_on_signals
-from stream.mcap_reader import McapSource
-from stream.structured_log import log_lines
-from stream.zenoh_session import Connection, Node
-from stream.zenoh_sink import ZenohSink
-from stream.zenoh_source import ZenohSource
-from tools.commands.info import describe_recording
-from tools.terminal.demo_verdict import (
+from socast.core.errors import SettingsError, SocastError
+from socast.core.models import LinearModel
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.stream.latest_only_sink import LatestOnlySink
+from socast.stream.loop import PUBLISH_S, Tally, combine_watches, run, stop_on_signals
+from socast.stream.mcap_reader import McapSource
+from socast.stream.structured_log import log_lines
+from socast.stream.zenoh_session import Connection, Node
+from socast.stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_source import ZenohSource
+from socast.tools.commands.info import describe_recording
+from socast.tools.terminal.demo_verdict import (
     compute_errors_pct,
     list_next_commands,
     make_car_records,
@@ -33,12 +33,12 @@ from tools.terminal.demo_verdict import (
     show_end,
     write_verdict,
 )
-from tools.terminal.kernels import compile_kernels
-from tools.terminal.live_table import LiveTable, add_predictions, make_ride_records
-from tools.terminal.model_comparison import DEFAULT_MODEL, ModelNames, load_models
-from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
-from tools.terminal.shift_outcomes import ShiftOutcomes
-from tools.terminal.warm_up import learn_from_recordings
+from socast.tools.terminal.kernels import compile_kernels
+from socast.tools.terminal.live_table import LiveTable, add_predictions, make_ride_records
+from socast.tools.terminal.model_comparison import DEFAULT_MODEL, ModelNames, load_models
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.shift_outcomes import ShiftOutcomes
+from socast.tools.terminal.warm_up import learn_from_recordings
 
 RECORDINGS: Final = Path(__file__).parents[2] / "recordings"
 SHIFT: Final = RECORDINGS / "shift.mcap"

@@ -10,33 +10,33 @@ import pandas as pd
 import typer
 from rich.console import Console
 
-from core import effects, models
-from core.diagnose.add import add
-from core.diagnose.add.holdout import select_final_days
-from core.diagnose.add.terms import build_term_columns
-from core.diagnose.dataset import gather_windows
-from core.diagnose.deviation_words import find_leading_deviation
-from core.diagnose.findings import list_findings, measure_fleet_use, merge_findings
-from core.diagnose.ranking import LEAST_GAIN
-from core.diagnose.siblings.groups import read_groups
-from core.effects.road_load import ROAD_LOAD
-from core.errors import ModelError, SettingsError
-from core.evaluate.paper.results import to_json_values
-from core.files import write_whole
-from core.fit.measured_rows import join_tables
-from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
-from core.fit.ride_blocks import get_names
-from core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
-from core.models.features import EFFECT_PREFIX, FEATURES, is_scope
-from core.settings import Settings
-from core.wire.messages import Finding
-from tools.cluster.dask_runner import ClusterPlace
-from tools.commands.fit import RECORDING, Rides, inputs
-from tools.commands.tables import WINDOWS, in_memory, tables_by_workers
-from tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables, word_settings
-from tools.terminal.cluster_option import insert_cluster_options
-from tools.terminal.findings_file import read_findings, show_changes, write_findings
-from tools.terminal.output import (
+from socast.core import effects, models
+from socast.core.diagnose.add import add
+from socast.core.diagnose.add.holdout import select_final_days
+from socast.core.diagnose.add.terms import build_term_columns
+from socast.core.diagnose.dataset import gather_windows
+from socast.core.diagnose.deviation_words import find_leading_deviation
+from socast.core.diagnose.findings import list_findings, measure_fleet_use, merge_findings
+from socast.core.diagnose.ranking import LEAST_GAIN
+from socast.core.diagnose.siblings.groups import read_groups
+from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.errors import ModelError, SettingsError
+from socast.core.evaluate.paper.results import to_json_values
+from socast.core.files import write_whole
+from socast.core.fit.measured_rows import join_tables
+from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
+from socast.core.fit.ride_blocks import get_names
+from socast.core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
+from socast.core.models.features import EFFECT_PREFIX, FEATURES, is_scope
+from socast.core.settings import Settings
+from socast.core.wire.messages import Finding
+from socast.tools.cluster.dask_runner import ClusterPlace
+from socast.tools.commands.fit import RECORDING, Rides, inputs
+from socast.tools.commands.tables import WINDOWS, in_memory, tables_by_workers
+from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables, word_settings
+from socast.tools.terminal.cluster_option import insert_cluster_options
+from socast.tools.terminal.findings_file import read_findings, show_changes, write_findings
+from socast.tools.terminal.output import (
     EffectFiles,
     HtmlFile,
     JsonFile,
@@ -47,7 +47,7 @@ from tools.terminal.output import (
     show_report,
     write_json,
 )
-from tools.terminal.table_files import KEY, is_table, read
+from socast.tools.terminal.table_files import KEY, is_table, read
 
 ENERGY_COLUMNS = (
     "energy_kwh",
@@ -142,7 +142,7 @@ def diagnose_rides(
     write_json(json_file, "diagnose", result)
     show_report("diagnosis.page", result, html_file, json_file, suggested=_write_suggestion(result, suggest))
     if html_file is not None:
-        from tools.report.diagnosis.page import print_links  # noqa: PLC0415 - figures take seconds to import
+        from socast.tools.report.diagnosis.page import print_links  # noqa: PLC0415 - figures take seconds to import
 
         print_links(result, html_file, console)
     if findings:
@@ -341,7 +341,7 @@ def _diagnose(
     leave_out: Collection[str] | None = None,
 ) -> dict[str, Any]:
     """Return the diagnosis as JSON values."""
-    from core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
+    from socast.core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
 
     result: dict[str, Any] = to_json_values(
         diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain, groups=groups)
@@ -351,7 +351,7 @@ def _diagnose(
 
 def _word_result(result: dict[str, Any]) -> dict[str, list[str]]:
     """Return the sentences with which the report of a diagnosis begins and ends, for JSON."""
-    from tools.report.diagnosis import sentences  # noqa: PLC0415 - tables of reports take a second to import
+    from socast.tools.report.diagnosis import sentences  # noqa: PLC0415 - tables of reports take a second to import
 
     return {"headline": sentences.describe_verdict(result), "next_step": sentences.describe_next_step(result)}
 
@@ -360,8 +360,8 @@ def _auto(
     model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, least_gain: float, console: Console
 ) -> tuple[LinearModel, dict[str, Any]]:
     """Return the model after the last step of the loop, and the last diagnosis."""
-    from tools.report import history  # noqa: PLC0415 - figures take seconds to import
-    from tools.report.diagnosis import page  # noqa: PLC0415 - figures take seconds to import
+    from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
+    from socast.tools.report.diagnosis import page  # noqa: PLC0415 - figures take seconds to import
 
     final = select_final_days(model.history, get_names(rides, "date"))
     rows, diagnosed = join_tables(rides, windows), gather_windows(rides, windows, model).rides

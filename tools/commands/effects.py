@@ -7,15 +7,15 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from core import effects
-from core.columns import SIGNALS
-from core.effects import Effect, Parameter
-from core.errors import SettingsError
-from core.files import write_whole
-from core.formatting import everyday
-from tools.terminal.effect_template import blank, from_effect
-from tools.terminal.output import EffectFiles, JsonFile, check_outputs, make_console, write_json
-from tools.terminal.rich_table import Column, make_description, make_table
+from socast.core import effects
+from socast.core.columns import SIGNALS
+from socast.core.effects import Effect, Parameter
+from socast.core.errors import SettingsError
+from socast.core.files import write_whole
+from socast.core.formatting import everyday
+from socast.tools.terminal.effect_template import blank, from_effect
+from socast.tools.terminal.output import EffectFiles, JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.rich_table import Column, make_description, make_table
 
 app = typer.Typer(help="The physical effects that models are made of, and your own.", no_args_is_help=True)
 

@@ -8,20 +8,20 @@ from typing import Annotated, Any, Final
 import numpy as np
 import typer
 
-from core.batch import Lanes
-from core.cleaning.elevation_map import ElevationPlaces
-from core.cleaning.kernel import Cleaner
-from core.errors import SettingsError
-from core.fit.elevation_learning import ElevationFixes, MapSummary, join_fixes, learn_elevation, select_fixes
-from core.settings import Settings
-from core.wire.decoder import Decoder
-from stream.elevation_files import SUFFIX, read_places, write_places
-from stream.mcap_reader import McapSource
-from stream.source import merge_sources
-from tools.terminal.cleaning_options import insert_cleaning_options
-from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
-from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
-from tools.terminal.rich_table import make_description
+from socast.core.batch import Lanes
+from socast.core.cleaning.elevation_map import ElevationPlaces
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.errors import SettingsError
+from socast.core.fit.elevation_learning import ElevationFixes, MapSummary, join_fixes, learn_elevation, select_fixes
+from socast.core.settings import Settings
+from socast.core.wire.decoder import Decoder
+from socast.stream.elevation_files import SUFFIX, read_places, write_places
+from socast.stream.mcap_reader import McapSource
+from socast.stream.source import merge_sources
+from socast.tools.terminal.cleaning_options import insert_cleaning_options
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
+from socast.tools.terminal.rich_table import make_description
 
 app = typer.Typer(help="Maps of elevation, learned from the fleet's own fixes.", no_args_is_help=True)
 

@@ -12,22 +12,22 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from core.errors import SettingsError
-from core.evaluate.paper.protocol import SEGMENTS, tabulate_runs
-from core.evaluate.paper.runs import run_in_parallel
-from core.evaluate.paper.selection import MARGIN
-from core.fit import segment_network
-from core.fit.recipes import RECIPES
-from core.fit.window_recipe import WindowRecipe
-from core.stats.splits import REPEATS
-from tools.cluster.dask_runner import ClusterPlace
-from tools.cluster.evaluation import EvaluationJob, evaluate_by_workers, plan_job
-from tools.cluster.workers import open_workers
-from tools.commands.fit import Tables, ride_files
-from tools.commands.tables import WINDOWS
-from tools.terminal.cluster_option import insert_cluster_options
-from tools.terminal.output import HtmlFile, JsonFile, VehicleFiles, check_outputs, make_console, write_json
-from tools.terminal.table_files import KEY, is_table
+from socast.core.errors import SettingsError
+from socast.core.evaluate.paper.protocol import SEGMENTS, tabulate_runs
+from socast.core.evaluate.paper.runs import run_in_parallel
+from socast.core.evaluate.paper.selection import MARGIN
+from socast.core.fit import segment_network
+from socast.core.fit.recipes import RECIPES
+from socast.core.fit.window_recipe import WindowRecipe
+from socast.core.stats.splits import REPEATS
+from socast.tools.cluster.dask_runner import ClusterPlace
+from socast.tools.cluster.evaluation import EvaluationJob, evaluate_by_workers, plan_job
+from socast.tools.cluster.workers import open_workers
+from socast.tools.commands.fit import Tables, ride_files
+from socast.tools.commands.tables import WINDOWS
+from socast.tools.terminal.cluster_option import insert_cluster_options
+from socast.tools.terminal.output import HtmlFile, JsonFile, VehicleFiles, check_outputs, make_console, write_json
+from socast.tools.terminal.table_files import KEY, is_table
 
 LEAST_REPEATS = 2
 """Smallest number of repeats that gives an interval."""
@@ -159,8 +159,8 @@ def running() -> Iterator[Callable[[int, int], None]]:
 
 def _report(result: dict[str, Any], html_file: Path | None, json_file: Path | None) -> None:
     """Write the HTML page and print the tables."""
-    from tools.report import page  # noqa: PLC0415 - figures take seconds to import
-    from tools.report.evaluation import terminal  # noqa: PLC0415 - figures take seconds to import
+    from socast.tools.report import page  # noqa: PLC0415 - figures take seconds to import
+    from socast.tools.report.evaluation import terminal  # noqa: PLC0415 - figures take seconds to import
 
     console = make_console(json_file)
     if html_file:

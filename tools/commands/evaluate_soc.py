@@ -8,23 +8,23 @@ from typing import Annotated, Any, NamedTuple
 import pandas as pd
 import typer
 
-from core import models
-from core.errors import SettingsError
-from core.evaluate.paper.results import to_json_values
-from core.evaluate.soc.legs import RIDE_COLUMNS, LegRecorder, match_legs_to_rides
-from core.evaluate.soc.plans import PlanRecorder
-from core.evaluate.soc.query_times import QueryTimes
-from core.evaluate.soc.report import evaluate_soc
-from core.pipeline import Pipeline
-from core.settings import Settings
-from core.wire.messages import Message
-from stream.elevation_files import open_elevation
-from stream.source import Source, merge_sources
-from tools.terminal.cleaning_options import insert_cleaning_options
-from tools.terminal.elevation_option import ElevationFiles, warn_outside
-from tools.terminal.forecast_run import run_forecasts
-from tools.terminal.model_comparison import DEFAULT_MODEL
-from tools.terminal.output import (
+from socast.core import models
+from socast.core.errors import SettingsError
+from socast.core.evaluate.paper.results import to_json_values
+from socast.core.evaluate.soc.legs import RIDE_COLUMNS, LegRecorder, match_legs_to_rides
+from socast.core.evaluate.soc.plans import PlanRecorder
+from socast.core.evaluate.soc.query_times import QueryTimes
+from socast.core.evaluate.soc.report import evaluate_soc
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.core.wire.messages import Message
+from socast.stream.elevation_files import open_elevation
+from socast.stream.source import Source, merge_sources
+from socast.tools.terminal.cleaning_options import insert_cleaning_options
+from socast.tools.terminal.elevation_option import ElevationFiles, warn_outside
+from socast.tools.terminal.forecast_run import run_forecasts
+from socast.tools.terminal.model_comparison import DEFAULT_MODEL
+from socast.tools.terminal.output import (
     EffectFiles,
     HtmlFile,
     JsonFile,
@@ -35,11 +35,11 @@ from tools.terminal.output import (
     show_report,
     write_json,
 )
-from tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
+from socast.tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
 
 
 class SocTables(NamedTuple):
-    """Hold what `core.evaluate.soc.report.evaluate_soc` evaluates: forecasts, shifts, legs and plans."""
+    """Hold what `socast.core.evaluate.soc.report.evaluate_soc` evaluates: forecasts, shifts, legs and plans."""
 
     outlooks: pd.DataFrame
     shifts: pd.DataFrame
@@ -101,7 +101,7 @@ class SocForecasts:
         return SocTables(pd.concat(self._outlooks, ignore_index=True), shifts, legs, self._plans.table())
 
     def evaluated(self, displays: pd.DataFrame | None = None) -> dict[str, Any]:
-        """Return the evaluation of all forecasts, see `core.evaluate.soc.report.evaluate_soc`."""
+        """Return the evaluation of all forecasts, see `socast.core.evaluate.soc.report.evaluate_soc`."""
         return evaluate_soc(*self.tables(), displays)
 
 

@@ -11,26 +11,26 @@ from msgspec import UNSET
 from rich.console import Console
 from scipy.special import stdtrit
 
-from core import models
-from core.columns import ZERO_CELSIUS
-from core.errors import SettingsError, suggest_names
-from core.fit.pooled import adapt
-from core.fit.recipes import RECIPES, LinearRecipe, Recipe, get_recipe
-from core.fit.ride_blocks import RideParquet
-from core.fit.window_recipe import WindowRecipe
-from core.formatting import format_minus
-from core.models import ANY, LinearModel, Term
-from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
-from core.models.plausibility import describe_implausible, get_plausible_ranges, is_within, list_implausible
-from core.vehicles import AccessoryCurve
-from tools.cluster.dask_runner import ClusterPlace
-from tools.cluster.workers import open_workers
-from tools.commands.tables import RIDES, WINDOWS
-from tools.terminal.cluster_option import insert_cluster_options
-from tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
-from tools.terminal.recordings import refuse_duplicates
-from tools.terminal.rich_table import Column, make_table
-from tools.terminal.table_files import PARQUET, is_table, is_window_table, read
+from socast.core import models
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.errors import SettingsError, suggest_names
+from socast.core.fit.pooled import adapt
+from socast.core.fit.recipes import RECIPES, LinearRecipe, Recipe, get_recipe
+from socast.core.fit.ride_blocks import RideParquet
+from socast.core.fit.window_recipe import WindowRecipe
+from socast.core.formatting import format_minus
+from socast.core.models import ANY, LinearModel, Term
+from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
+from socast.core.models.plausibility import describe_implausible, get_plausible_ranges, is_within, list_implausible
+from socast.core.vehicles import AccessoryCurve
+from socast.tools.cluster.dask_runner import ClusterPlace
+from socast.tools.cluster.workers import open_workers
+from socast.tools.commands.tables import RIDES, WINDOWS
+from socast.tools.terminal.cluster_option import insert_cluster_options
+from socast.tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
+from socast.tools.terminal.recordings import refuse_duplicates
+from socast.tools.terminal.rich_table import Column, make_table
+from socast.tools.terminal.table_files import PARQUET, is_table, is_window_table, read
 
 Tables = Annotated[
     list[Path],

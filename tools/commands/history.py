@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from core import models
-from tools.terminal.output import EffectFiles, HtmlFile, JsonFile, check_outputs, show_report, write_json
+from socast.core import models
+from socast.tools.terminal.output import EffectFiles, HtmlFile, JsonFile, check_outputs, show_report, write_json
 
 
 def show_history(
@@ -16,7 +16,7 @@ def show_history(
     _: EffectFiles = None,
 ) -> None:
     """Show the history of a model: every effect that was tried, and the error after each step against the noise."""
-    from tools.report import history  # noqa: PLC0415 - figures take seconds to import
+    from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
 
     loaded = models.load(model)
     check_outputs([Path(model)], html_file, json_file)

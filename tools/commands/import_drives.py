@@ -10,16 +10,16 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from core.errors import ImportFileError, SettingsError
-from stream.mcap_writer import McapSink
-from stream.recording_metadata import make_metadata
-from tools.importers.data_sets import DATA_SETS, DataSet, get_data_set
-from tools.importers.drive import Drive, ReadOptions, make_messages, sort_drives
-from tools.importers.published import list_files
-from tools.importers.synthetic_shifts import START_SOC, SyntheticShift, concatenate_drives, make_plans
-from tools.importers.table.presets import load_presets
-from tools.terminal.output import HtmlFile, VehicleFiles
-from tools.terminal.table_import import TABLE_KINDS, TableImport, check_recording, import_tables
+from socast.core.errors import ImportFileError, SettingsError
+from socast.stream.mcap_writer import McapSink
+from socast.stream.recording_metadata import make_metadata
+from socast.tools.importers.data_sets import DATA_SETS, DataSet, get_data_set
+from socast.tools.importers.drive import Drive, ReadOptions, make_messages, sort_drives
+from socast.tools.importers.published import list_files
+from socast.tools.importers.synthetic_shifts import START_SOC, SyntheticShift, concatenate_drives, make_plans
+from socast.tools.importers.table.presets import load_presets
+from socast.tools.terminal.output import HtmlFile, VehicleFiles
+from socast.tools.terminal.table_import import TABLE_KINDS, TableImport, check_recording, import_tables
 
 Step = TypeVar("Step")
 PERIOD_S = 3.0

@@ -10,11 +10,11 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from core.wire.messages import BATCH, OF_VEHICLES, address
-from stream.mcap_reader import McapSource
-from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
-from tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
-from tools.terminal.rich_table import Column, make_table
+from socast.core.wire.messages import BATCH, OF_VEHICLES, address
+from socast.stream.mcap_reader import McapSource
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
+from socast.tools.terminal.rich_table import Column, make_table
 
 MOST_TOPICS = 30
 """Largest number of topics shown on a terminal; the JSON report has all."""

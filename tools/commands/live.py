@@ -5,18 +5,18 @@ from typing import Annotated
 
 import typer
 
-from core.errors import SettingsError
-from core.settings import Limits
-from core.wire.shard import By, parse_shard
-from stream.loop import REPORT_S
-from stream.structured_log import log_lines
-from stream.zenoh_session import Connection
-from tools.terminal.connection_options import insert_connection_options
-from tools.terminal.forecast_options import ForecastOptions, insert_forecast_options
-from tools.terminal.limit_options import insert_limit_options
-from tools.terminal.live_service import LiveOptions, serve
-from tools.terminal.recording_options import RecordingOptions, insert_recording_options
-from tools.terminal.settings_file import SettingsFile
+from socast.core.errors import SettingsError
+from socast.core.settings import Limits
+from socast.core.wire.shard import By, parse_shard
+from socast.stream.loop import REPORT_S
+from socast.stream.structured_log import log_lines
+from socast.stream.zenoh_session import Connection
+from socast.tools.terminal.connection_options import insert_connection_options
+from socast.tools.terminal.forecast_options import ForecastOptions, insert_forecast_options
+from socast.tools.terminal.limit_options import insert_limit_options
+from socast.tools.terminal.live_service import LiveOptions, serve
+from socast.tools.terminal.recording_options import RecordingOptions, insert_recording_options
+from socast.tools.terminal.settings_file import SettingsFile
 
 
 @insert_recording_options

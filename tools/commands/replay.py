@@ -10,27 +10,27 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from core.errors import SettingsError
-from core.settings import Settings
-from stream.loop import stop_on_signals
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from stream.source import Source, merge_sources, pace_source, stop_source
-from stream.zenoh_session import Connection, Node, parse_prefix
-from stream.zenoh_sink import ZenohSink
-from tools.foxglove.recording import FoxgloveRecording
-from tools.terminal.elevation_option import warn_outside
-from tools.terminal.forecast_options import (
+from socast.core.errors import SettingsError
+from socast.core.settings import Settings
+from socast.stream.loop import stop_on_signals
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.stream.source import Source, merge_sources, pace_source, stop_source
+from socast.stream.zenoh_session import Connection, Node, parse_prefix
+from socast.stream.zenoh_sink import ZenohSink
+from socast.tools.foxglove.recording import FoxgloveRecording
+from socast.tools.terminal.elevation_option import warn_outside
+from socast.tools.terminal.forecast_options import (
     ForecastOptions,
     describe_forecasts,
     insert_forecast_options,
     make_pipeline,
 )
-from tools.terminal.forecast_run import run_forecasts
-from tools.terminal.live_table import add_predictions, make_ride_records, show_rides
-from tools.terminal.model_comparison import load_models, make_records, show_models
-from tools.terminal.output import JsonFile, check_outputs, make_console, parse_speed, write_json
-from tools.terminal.recordings import (
+from socast.tools.terminal.forecast_run import run_forecasts
+from socast.tools.terminal.live_table import add_predictions, make_ride_records, show_rides
+from socast.tools.terminal.model_comparison import load_models, make_records, show_models
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, parse_speed, write_json
+from socast.tools.terminal.recordings import (
     Recordings,
     open_recordings,
     refuse_unusable,
@@ -38,7 +38,7 @@ from tools.terminal.recordings import (
     warn_of_loggers,
     warn_of_losses,
 )
-from tools.terminal.shift_outcomes import ShiftOutcomes, show_outcomes
+from socast.tools.terminal.shift_outcomes import ShiftOutcomes, show_outcomes
 
 SUBSCRIBER_S = 10.0
 """Longest wait for a subscriber before publishing begins without one. [s]"""

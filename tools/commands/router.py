@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from stream.loop import stop_on_signals
-from stream.structured_log import event_fields, log_lines
-from stream.zenoh_session import LOOPBACK, Connection, Node
+from socast.stream.loop import stop_on_signals
+from socast.stream.structured_log import event_fields, log_lines
+from socast.stream.zenoh_session import LOOPBACK, Connection, Node
 
 _log = logging.getLogger("socast.router")
 

@@ -8,13 +8,13 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from core.errors import SettingsError, read_input
-from tools.security.access import CONSUMER, GATEWAY
-from tools.security.certificates import Issued, now_utc
-from tools.security.folder import RENEW_DAYS, ROUTER, SecureFolder, shorten_name
-from tools.security.zenoh_settings import PORT
-from tools.terminal.output import JsonFile, check_outputs, make_console, write_json
-from tools.terminal.rich_table import Column, make_table
+from socast.core.errors import SettingsError, read_input
+from socast.tools.security.access import CONSUMER, GATEWAY
+from socast.tools.security.certificates import Issued, now_utc
+from socast.tools.security.folder import RENEW_DAYS, ROUTER, SecureFolder, shorten_name
+from socast.tools.security.zenoh_settings import PORT
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.rich_table import Column, make_table
 
 DAYS = 365.0
 """Default validity of certificates. [d]"""

@@ -7,20 +7,20 @@ from typing import Annotated
 
 import typer
 
-from core.errors import SettingsError
-from core.pipeline import Pipeline
-from core.wire.shard import By, Shard
-from stream.mcap_reader import McapSource
-from stream.structured_log import log_lines
-from stream.zenoh_session import LOOPBACK, Connection
-from tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
-from tools.terminal.kernels import compile_kernels
-from tools.terminal.model_comparison import load_models
-from tools.terminal.recordings import refuse_duplicates
-from tools.workbench.fleet.board import Board
-from tools.workbench.fleet.observer import Observer
-from tools.workbench.fleet.player import Player
-from tools.workbench.fleet.source import FleetSource
+from socast.core.errors import SettingsError
+from socast.core.pipeline import Pipeline
+from socast.core.wire.shard import By, Shard
+from socast.stream.mcap_reader import McapSource
+from socast.stream.structured_log import log_lines
+from socast.stream.zenoh_session import LOOPBACK, Connection
+from socast.tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
+from socast.tools.terminal.kernels import compile_kernels
+from socast.tools.terminal.model_comparison import load_models
+from socast.tools.terminal.recordings import refuse_duplicates
+from socast.tools.workbench.fleet.board import Board
+from socast.tools.workbench.fleet.observer import Observer
+from socast.tools.workbench.fleet.player import Player
+from socast.tools.workbench.fleet.source import FleetSource
 
 PORT = 8137
 """Port of the workbench if the command line names none."""
@@ -77,11 +77,11 @@ def serve(
     socast serve --live --connect tcp/router.example:7447 --prefix montreal
     """
     try:
-        from tools.workbench.fleet.tiles import TileFile  # noqa: PLC0415 - an extra
-        from tools.workbench.jobs import Jobs  # noqa: PLC0415 - an extra
-        from tools.workbench.json_routes import Workbench  # noqa: PLC0415 - an extra
-        from tools.workbench.server import WorkbenchServer, make_announcer  # noqa: PLC0415 - an extra
-        from tools.workbench.workspace import Given, Workspace  # noqa: PLC0415 - an extra
+        from socast.tools.workbench.fleet.tiles import TileFile  # noqa: PLC0415 - an extra
+        from socast.tools.workbench.jobs import Jobs  # noqa: PLC0415 - an extra
+        from socast.tools.workbench.json_routes import Workbench  # noqa: PLC0415 - an extra
+        from socast.tools.workbench.server import WorkbenchServer, make_announcer  # noqa: PLC0415 - an extra
+        from socast.tools.workbench.workspace import Given, Workspace  # noqa: PLC0415 - an extra
     except ModuleNotFoundError as error:
         raise SettingsError(
             f"socast serve needs the package {error.name}; install it with: pip install 'socast[workbench]'"

@@ -7,18 +7,18 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from core.errors import RecordingError, SettingsError
-from tools.cluster.dask_runner import ClusterPlace
-from tools.cluster.simulation import write_recording
-from tools.cluster.workers import open_workers
-from tools.simulator.bent_shapes import BENT
-from tools.simulator.conditions import CONDITION_NAMES, parse_conditions
-from tools.simulator.fleet import prepare_fleet
-from tools.simulator.fleets import FLEETS, get_fleet
-from tools.simulator.hidden import EFFECTS
-from tools.simulator.hidden_shapes import OTHER
-from tools.simulator.preset import PRESETS, load_preset, refuse_unused_settings
-from tools.simulator.settings import (
+from socast.core.errors import RecordingError, SettingsError
+from socast.tools.cluster.dask_runner import ClusterPlace
+from socast.tools.cluster.simulation import write_recording
+from socast.tools.cluster.workers import open_workers
+from socast.tools.simulator.bent_shapes import BENT
+from socast.tools.simulator.conditions import CONDITION_NAMES, parse_conditions
+from socast.tools.simulator.fleet import prepare_fleet
+from socast.tools.simulator.fleets import FLEETS, get_fleet
+from socast.tools.simulator.hidden import EFFECTS
+from socast.tools.simulator.hidden_shapes import OTHER
+from socast.tools.simulator.preset import PRESETS, load_preset, refuse_unused_settings
+from socast.tools.simulator.settings import (
     CHARGING,
     DEFAULT_MODELS,
     DEFAULT_RIDES,
@@ -33,8 +33,8 @@ from tools.simulator.settings import (
     parse_phenomena,
     parse_start,
 )
-from tools.simulator.truth import Truth
-from tools.terminal.cluster_option import insert_cluster_options
+from socast.tools.simulator.truth import Truth
+from socast.tools.terminal.cluster_option import insert_cluster_options
 
 FIRST_DAY = "2018-01-15"
 

@@ -10,21 +10,21 @@ import pandas as pd
 import typer
 from rich.console import Console
 
-from core import effects, models
-from core.errors import SettingsError
-from core.models import EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.settings import Settings
-from stream.elevation_files import open_elevation
-from stream.mcap_reader import McapSource
-from stream.source import merge_sources
-from tools.cluster.dask_runner import ClusterPlace
-from tools.cluster.run import REPORT, tabulate_by_workers
-from tools.terminal.cleaning_options import insert_cleaning_options
-from tools.terminal.cluster_option import insert_cluster_options
-from tools.terminal.elevation_option import ElevationFiles, warn_outside
-from tools.terminal.model_comparison import DEFAULT_MODEL
-from tools.terminal.output import (
+from socast.core import effects, models
+from socast.core.errors import SettingsError
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.stream.elevation_files import open_elevation
+from socast.stream.mcap_reader import McapSource
+from socast.stream.source import merge_sources
+from socast.tools.cluster.dask_runner import ClusterPlace
+from socast.tools.cluster.run import REPORT, tabulate_by_workers
+from socast.tools.terminal.cleaning_options import insert_cleaning_options
+from socast.tools.terminal.cluster_option import insert_cluster_options
+from socast.tools.terminal.elevation_option import ElevationFiles, warn_outside
+from socast.tools.terminal.model_comparison import DEFAULT_MODEL
+from socast.tools.terminal.output import (
     EffectFiles,
     JsonFile,
     ModelName,
@@ -34,8 +34,8 @@ from tools.terminal.output import (
     select_model_files,
     write_json,
 )
-from tools.terminal.parquet_table import ParquetTable
-from tools.terminal.recordings import (
+from socast.tools.terminal.parquet_table import ParquetTable
+from socast.tools.terminal.recordings import (
     Recordings,
     open_recordings,
     refuse_unusable,
@@ -43,8 +43,8 @@ from tools.terminal.recordings import (
     warn_of_loggers,
     warn_of_losses,
 )
-from tools.terminal.rich_table import Column, make_table
-from tools.terminal.table_files import read as read_tables
+from socast.tools.terminal.rich_table import Column, make_table
+from socast.tools.terminal.table_files import read as read_tables
 
 RECORDING = ".mcap"
 RIDES, WINDOWS, QUALITY = "rides.parquet", "windows.parquet", "quality.json"

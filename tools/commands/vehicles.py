@@ -8,13 +8,13 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from core.errors import CatalogueError, SettingsError
-from core.files import write_whole
-from core.vehicles import VehicleModel, is_drag_area_assumed, list_assumed, load_catalogue, read_data_sheets
-from core.wire.messages import IDENTITY
-from tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
-from tools.terminal.rich_table import Column, make_table
-from tools.terminal.vehicle_files import load_vehicle_file, make_data_sheet
+from socast.core.errors import CatalogueError, SettingsError
+from socast.core.files import write_whole
+from socast.core.vehicles import VehicleModel, is_drag_area_assumed, list_assumed, load_catalogue, read_data_sheets
+from socast.core.wire.messages import IDENTITY
+from socast.tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
+from socast.tools.terminal.rich_table import Column, make_table
+from socast.tools.terminal.vehicle_files import load_vehicle_file, make_data_sheet
 
 app = typer.Typer(help="The vehicle catalogue, and cars of your own.", no_args_is_help=True)
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, Final
 
-from tools.foxglove.schemas import INFO, LOCATION, LOG
+from socast.tools.foxglove.schemas import INFO, LOCATION, LOG
 
 MOST_CARS: Final = 20
 """Largest number of cars that have a tab."""

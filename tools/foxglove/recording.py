@@ -4,15 +4,15 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from core.errors import RecordingError
-from core.files import write_whole
-from core.wire.messages import Message, address
-from stream.closeable import Closeable
-from stream.mcap_writer import McapSink
-from stream.source import Source
-from tools.foxglove.layout import make_layout
-from tools.foxglove.schemas import SCHEMAS
-from tools.foxglove.topics import ViewerTopics
+from socast.core.errors import RecordingError
+from socast.core.files import write_whole
+from socast.core.wire.messages import Message, address
+from socast.stream.closeable import Closeable
+from socast.stream.mcap_writer import McapSink
+from socast.stream.source import Source
+from socast.tools.foxglove.layout import make_layout
+from socast.tools.foxglove.schemas import SCHEMAS
+from socast.tools.foxglove.topics import ViewerTopics
 
 
 class FoxgloveRecording(Closeable):
@@ -25,7 +25,7 @@ class FoxgloveRecording(Closeable):
     path : Path
         The recording.
     metadata : mapping of str to str
-        What made it, see `stream.recording_metadata.make_metadata`.
+        What made it, see `socast.stream.recording_metadata.make_metadata`.
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:

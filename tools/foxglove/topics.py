@@ -8,10 +8,10 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from core.wire.messages import Finding, Forecast, Message, address
-from core.wire.sample_reader import holds_samples, read_samples
-from tools.commands.ask import HIGH_RISK, LOW_RISK
-from tools.foxglove.schemas import ERROR, INFO, LOCATION, LOG, WARNING, LocationFix, Log, Timestamp
+from socast.core.wire.messages import Finding, Forecast, Message, address
+from socast.core.wire.sample_reader import holds_samples, read_samples
+from socast.tools.commands.ask import HIGH_RISK, LOW_RISK
+from socast.tools.foxglove.schemas import ERROR, INFO, LOCATION, LOG, WARNING, LocationFix, Log, Timestamp
 
 LATEST_S: Final = 2.0**32
 """Unix time from which on a clock is not believed. [s]"""
@@ -22,7 +22,7 @@ QUALITY_WORDS: Final = {
     "gap": (WARNING, "gaps between samples"),
     "out_of_range": (WARNING, "samples with a value out of range"),
 }
-"""Counter of `core.wire.messages.QualityCounts` -> level and words of its warning."""
+"""Counter of `socast.core.wire.messages.QualityCounts` -> level and words of its warning."""
 LEVEL_OF_STATUS: Final = {"proposed": INFO, "sure": WARNING, "gone": INFO}
 """Status of a finding -> level of its warning."""
 _LOST: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)

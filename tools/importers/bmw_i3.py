@@ -36,9 +36,9 @@ import numpy as np
 import openpyxl
 from openpyxl.utils.exceptions import InvalidFileException
 
-from core.errors import ImportFileError
-from tools.importers.drive import LONGEST_DRIVE, Drive, ReadOptions
-from tools.importers.published import BMW_I3, read_table, strip_suffixes
+from socast.core.errors import ImportFileError
+from socast.tools.importers.drive import LONGEST_DRIVE, Drive, ReadOptions
+from socast.tools.importers.published import BMW_I3, read_table, strip_suffixes
 
 MODEL: Final = "bmw-i3-2014"
 TIME_ZONE: Final = "Europe/Berlin"

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Final, NamedTuple
 from zoneinfo import ZoneInfo
 
-from core.errors import SettingsError
-from tools.importers import bmw_i3, twizy, ved
-from tools.importers.drive import Drive, ReadOptions
-from tools.importers.published import BMW_I3, TWIZY, VED, TableFormat
+from socast.core.errors import SettingsError
+from socast.tools.importers import bmw_i3, twizy, ved
+from socast.tools.importers.drive import Drive, ReadOptions
+from socast.tools.importers.published import BMW_I3, TWIZY, VED, TableFormat
 
 
 class DataSet(NamedTuple):

@@ -8,10 +8,10 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
-from core.batch import Floats
-from core.columns import SECONDS_PER_DAY
-from core.wire.messages import Message, Plan, Ride, Telemetry, Vehicle, Weather, encode
-from tools.importers.resample import compute_window_means, find_valid_rows, make_grid
+from socast.core.batch import Floats
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.wire.messages import Message, Plan, Ride, Telemetry, Vehicle, Weather, encode
+from socast.tools.importers.resample import compute_window_means, find_valid_rows, make_grid
 
 LONGEST_DRIVE: Final = SECONDS_PER_DAY
 """A file with a longer drive holds something else. [s]"""

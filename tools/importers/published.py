@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import pandas as pd
 
-from core.errors import LARGEST_INPUT, ImportFileError, read_input
+from socast.core.errors import LARGEST_INPUT, ImportFileError, read_input
 
 SUFFIXES: Final = (".csv", ".csv.gz")
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints
 
 LONGEST_HOLD = 30.0
 """A row is valid until the next one. If the next one is later than this, the time between is a gap. [s]"""

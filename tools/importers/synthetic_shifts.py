@@ -12,11 +12,11 @@ from zlib import crc32
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import SECONDS_PER_DAY
-from core.wire.messages import Leg, Message, Plan
-from tools.importers.drive import Drive, make_message, move_drive
-from tools.importers.resample import LONGEST_HOLD
+from socast.core.batch import Floats
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.wire.messages import Leg, Message, Plan
+from socast.tools.importers.drive import Drive, make_message, move_drive
+from socast.tools.importers.resample import LONGEST_HOLD
 
 PAUSE: Final = 300.0
 """Time between two rides of a shift. [s]"""

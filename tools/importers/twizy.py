@@ -27,11 +27,11 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.errors import ImportFileError
-from core.wire.messages import Weather
-from tools.importers.drive import LONGEST_DRIVE, Drive, ReadOptions
-from tools.importers.published import TWIZY, read_table, strip_suffixes
+from socast.core.batch import Floats
+from socast.core.errors import ImportFileError
+from socast.core.wire.messages import Weather
+from socast.tools.importers.drive import LONGEST_DRIVE, Drive, ReadOptions
+from socast.tools.importers.published import TWIZY, read_table, strip_suffixes
 
 MODEL: Final = "renault-twizy-2012"
 TIME_ZONE: Final = "Africa/Casablanca"

@@ -33,9 +33,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from core.errors import ImportFileError
-from tools.importers.drive import LONGEST_DRIVE, Drive, ReadOptions
-from tools.importers.published import ENGINE_COLUMNS, VED, read_table
+from socast.core.errors import ImportFileError
+from socast.tools.importers.drive import LONGEST_DRIVE, Drive, ReadOptions
+from socast.tools.importers.published import ENGINE_COLUMNS, VED, read_table
 
 MODEL: Final = "nissan-leaf-2013"
 TIME_ZONE: Final = "UTC"

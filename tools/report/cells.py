@@ -2,9 +2,9 @@
 
 from typing import Any, Final, NamedTuple
 
-from core.evaluate.paper.published import PublishedFigure
-from core.formatting import format_minus, format_range
-from tools.report.evaluation.result import get_half_width, get_number
+from socast.core.evaluate.paper.published import PublishedFigure
+from socast.core.formatting import format_minus, format_range
+from socast.tools.report.evaluation.result import get_half_width, get_number
 
 PAPER_NOTE: Final = (
     "In parentheses: figures of the paper. They are from other data (the rides of one company), for orientation only."

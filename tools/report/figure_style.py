@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 import plotly.io
 from plotly.subplots import make_subplots
 
-from tools.report.evaluation.result import WAYS, Result, get_recipes, get_title, list_vehicle_models
+from socast.tools.report.evaluation.result import WAYS, Result, get_recipes, get_title, list_vehicle_models
 
 plotly.io.templates.default = None  # `LAYOUT` stands for it
 

@@ -8,17 +8,17 @@ import plotly.graph_objects as go
 from rich.console import Console
 from rich.text import Text
 
-from core.evaluate.paper.results import to_json_values
-from core.formatting import format_minus
-from core.models import LinearModel
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_signed
-from tools.report.diagnosis.sentences import describe_coefficient, format_energy
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import get_half_width, get_mapping, get_number
-from tools.report.evaluation.sections import Section
-from tools.report.evaluation.terminal import print_section
-from tools.report.figure_style import REFERENCE_LINE, draw_curve, escape_label, get_style, make_figure
-from tools.report.page import render_document, save
+from socast.core.evaluate.paper.results import to_json_values
+from socast.core.formatting import format_minus
+from socast.core.models import LinearModel
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_signed
+from socast.tools.report.diagnosis.sentences import describe_coefficient, format_energy
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import get_half_width, get_mapping, get_number
+from socast.tools.report.evaluation.sections import Section
+from socast.tools.report.evaluation.terminal import print_section
+from socast.tools.report.figure_style import REFERENCE_LINE, draw_curve, escape_label, get_style, make_figure
+from socast.tools.report.page import render_document, save
 
 Entry = Mapping[str, Any]
 

@@ -6,15 +6,15 @@ from pathlib import Path
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from core.vehicles import load_catalogue
-from tools.importers.table.agreement_sums import CarSums
-from tools.importers.table.import_summary import ImportSummary, list_lines
-from tools.importers.table.sign_evidence import estimate_capacity
-from tools.report.cells import Cell, ReportTable, Row
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.sections import Section
-from tools.report.figure_style import REFERENCE_LINE, apply_layout, draw_dots, escape_label, get_style
-from tools.report.page import escape_text, render_document, save
+from socast.core.vehicles import load_catalogue
+from socast.tools.importers.table.agreement_sums import CarSums
+from socast.tools.importers.table.import_summary import ImportSummary, list_lines
+from socast.tools.importers.table.sign_evidence import estimate_capacity
+from socast.tools.report.cells import Cell, ReportTable, Row
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.sections import Section
+from socast.tools.report.figure_style import REFERENCE_LINE, apply_layout, draw_dots, escape_label, get_style
+from socast.tools.report.page import escape_text, render_document, save
 
 TITLE = "Imported data"
 CAPTION = (

@@ -11,15 +11,15 @@ from typing import Any, Final
 
 from plotly.offline import get_plotlyjs
 
-from core.errors import SettingsError
-from core.evaluate.paper import published
-from core.evaluate.paper.results import to_json_values
-from core.files import write_whole
-from tools.report.cells import Cell, ReportTable, Row
-from tools.report.evaluation.illustrations import Illustration, build_illustrations
-from tools.report.evaluation.result import Result, get_mapping
-from tools.report.evaluation.sections import Section, build_sections
-from tools.terminal.output import REPORT_VERSIONS
+from socast.core.errors import SettingsError
+from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.results import to_json_values
+from socast.core.files import write_whole
+from socast.tools.report.cells import Cell, ReportTable, Row
+from socast.tools.report.evaluation.illustrations import Illustration, build_illustrations
+from socast.tools.report.evaluation.result import Result, get_mapping
+from socast.tools.report.evaluation.sections import Section, build_sections
+from socast.tools.terminal.output import REPORT_VERSIONS
 
 TITLE: Final = "Evaluation of consumption models"
 
@@ -100,7 +100,7 @@ def render_document(
     Parameters
     ----------
     report : str
-        Name of the report, a key of `tools.terminal.output.REPORT_VERSIONS`.
+        Name of the report, a key of `socast.tools.terminal.output.REPORT_VERSIONS`.
     title : str
         Title of the page.
     lead, foot : str
@@ -157,7 +157,7 @@ def keep_units(text: str) -> str:
 
 def _shipped(name: str) -> str:
     """Return a file of this package."""
-    return resources.files("tools.report").joinpath(name).read_text(encoding="utf-8")
+    return resources.files("socast.tools.report").joinpath(name).read_text(encoding="utf-8")
 
 
 def _lead(result: Result) -> str:

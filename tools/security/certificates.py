@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final, NamedTuple, Self
 
-from core.errors import SettingsError
+from socast.core.errors import SettingsError
 
 try:
     from cryptography import x509

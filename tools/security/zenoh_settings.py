@@ -4,8 +4,8 @@ from base64 import b64encode
 from collections.abc import Sequence
 from typing import Any, Final
 
-from stream.zenoh_session import limit_sizes
-from tools.security.certificates import Credential
+from socast.stream.zenoh_session import limit_sizes
+from socast.tools.security.certificates import Credential
 
 PORT: Final = 7447
 """Default port of a Zenoh router."""
@@ -27,7 +27,7 @@ def make_router_settings(
     port : int
         TCP port at which it listens on all interfaces.
     access_control : dict
-        Rules, see `tools.security.access`.
+        Rules, see `socast.tools.security.access`.
 
     Returns
     -------

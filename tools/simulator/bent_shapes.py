@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from tools.simulator.hidden import EFFECTS, EffectInputs, PowerFunction, apply_lag
+from socast.core.batch import Floats
+from socast.tools.simulator.hidden import EFFECTS, EffectInputs, PowerFunction, apply_lag
 
 BENT: Final = "~bent"
 """Text between the name of an effect and the number of its bent shape."""

@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Ints
-from core.errors import SettingsError
-from tools.simulator.hidden import EffectInputs
-from tools.simulator.hidden_shapes import get_power
-from tools.simulator.settings import STEP, Hidden
-from tools.simulator.shift import NO_RIDE
+from socast.core.batch import Floats, Ints
+from socast.core.errors import SettingsError
+from socast.tools.simulator.hidden import EffectInputs
+from socast.tools.simulator.hidden_shapes import get_power
+from socast.tools.simulator.settings import STEP, Hidden
+from socast.tools.simulator.shift import NO_RIDE
 
 
 class EffectEnergies(NamedTuple):

@@ -14,8 +14,8 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from core.batch import Ints
-from core.wire.messages import Message
+from socast.core.batch import Ints
+from socast.core.wire.messages import Message
 
 KINDS: Final = ("telemetry", "vehicle", "ride", "plan")
 """Kinds of the messages of a car; a row holds the position."""

@@ -8,8 +8,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from core.errors import SettingsError
-from core.vehicles import load_catalogue
+from socast.core.errors import SettingsError
+from socast.core.vehicles import load_catalogue
 
 
 class Car(NamedTuple):

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, NamedTuple
 
-from core.errors import SettingsError
+from socast.core.errors import SettingsError
 
 FROZEN, ABSENT, JUMPING = "frozen", "absent", "jumping"
 DISPLAY_FAULTS: Final = (FROZEN, ABSENT, JUMPING)

@@ -5,11 +5,11 @@ from typing import Final
 
 import numpy as np
 
-from core.wire.messages import Leg, Message, Plan, Ride, Vehicle, Wire, encode
-from tools.simulator.cars import Car
-from tools.simulator.conditions import Conditions
-from tools.simulator.settings import STEP
-from tools.simulator.shift import Interlude, Shift
+from socast.core.wire.messages import Leg, Message, Plan, Ride, Vehicle, Wire, encode
+from socast.tools.simulator.cars import Car
+from socast.tools.simulator.conditions import Conditions
+from socast.tools.simulator.settings import STEP
+from socast.tools.simulator.shift import Interlude, Shift
 
 RESERVE: Final = 10.0
 """State of charge that dispatch keeps as a reserve. [%]"""

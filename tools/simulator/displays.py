@@ -9,11 +9,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numba import njit
 
-from core.batch import Floats
-from tools.simulator.cars import Car
-from tools.simulator.conditions import ABSENT, FROZEN, JUMPING
-from tools.simulator.physics import State
-from tools.simulator.settings import STEP
+from socast.core.batch import Floats
+from socast.tools.simulator.cars import Car
+from socast.tools.simulator.conditions import ABSENT, FROZEN, JUMPING
+from socast.tools.simulator.physics import State
+from socast.tools.simulator.settings import STEP
 
 RELAXATION: Final = 6 * 3600.0
 """Time constant with which the count is corrected by the voltage at rest. [s]"""

@@ -5,10 +5,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numba import njit
 
-from core.batch import Floats
-from core.columns import KMH
-from tools.simulator.settings import STEP
-from tools.simulator.world import BOULEVARD, EXPRESSWAY, RESIDENTIAL, Route
+from socast.core.batch import Floats
+from socast.core.columns import KMH
+from socast.tools.simulator.settings import STEP
+from socast.tools.simulator.world import BOULEVARD, EXPRESSWAY, RESIDENTIAL, Route
 
 REACTION: Final = 1.5
 """Time constant with which the speed that a driver wants follows mood and traffic. [s]

@@ -9,23 +9,23 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import SECONDS_PER_DAY
-from core.wire.messages import Message
-from tools.simulator import calibration, displays, habits, physics
-from tools.simulator import preset as presets
-from tools.simulator.cars import Car, make_car
-from tools.simulator.conditions import NO_CONDITIONS
-from tools.simulator.dispatch import make_dispatch
-from tools.simulator.hidden import EffectInputs
-from tools.simulator.hidden_shapes import get_power
-from tools.simulator.logger import Equipment, log_shift, make_equipment
-from tools.simulator.preset import Fleet, PlannedCar, PlannedShift
-from tools.simulator.settings import NIGHT, UTC_OFFSET, Simulation
-from tools.simulator.shift import Orders, Shift, draw_orders, make_shift, stop_shift
-from tools.simulator.trace import Trace, make_trace
-from tools.simulator.truth import Truth
-from tools.simulator.weather import Sky, make_sky, merge_weather
+from socast.core.batch import Floats
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.wire.messages import Message
+from socast.tools.simulator import calibration, displays, habits, physics
+from socast.tools.simulator import preset as presets
+from socast.tools.simulator.cars import Car, make_car
+from socast.tools.simulator.conditions import NO_CONDITIONS
+from socast.tools.simulator.dispatch import make_dispatch
+from socast.tools.simulator.hidden import EffectInputs
+from socast.tools.simulator.hidden_shapes import get_power
+from socast.tools.simulator.logger import Equipment, log_shift, make_equipment
+from socast.tools.simulator.preset import Fleet, PlannedCar, PlannedShift
+from socast.tools.simulator.settings import NIGHT, UTC_OFFSET, Simulation
+from socast.tools.simulator.shift import Orders, Shift, draw_orders, make_shift, stop_shift
+from socast.tools.simulator.trace import Trace, make_trace
+from socast.tools.simulator.truth import Truth
+from socast.tools.simulator.weather import Sky, make_sky, merge_weather
 
 PILOT: Final = 240
 """Largest number of shifts, evenly spread, that are driven to calibrate hidden effects."""
@@ -122,7 +122,7 @@ def simulate(simulation: Simulation, truth: Truth | None = None) -> Iterator[Mes
     Notes
     -----
     The messages depend on the settings and the seed alone. Each shift of each car has its own random stream. Memory
-    holds a shift of every car; `tools.cluster.simulation` writes fleets of any size.
+    holds a shift of every car; `socast.tools.cluster.simulation` writes fleets of any size.
     """
     record = Truth() if truth is None else truth
     fleet = prepare_fleet(simulation)

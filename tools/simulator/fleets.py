@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.errors import SettingsError
-from tools.simulator.conditions import (
+from socast.core.errors import SettingsError
+from socast.tools.simulator.conditions import (
     ABSENT,
     FROZEN,
     JUMPING,
@@ -21,7 +21,7 @@ from tools.simulator.conditions import (
     Newcomers,
     Spell,
 )
-from tools.simulator.settings import ALL_PHENOMENA, LOW, NIGHT, Faults, Simulation
+from socast.tools.simulator.settings import ALL_PHENOMENA, LOW, NIGHT, Faults, Simulation
 
 COLD_SNAP: Final = Spell(day=32, kelvin=-15.0, days=4)
 HEAT_WAVE: Final = Spell(day=32, kelvin=10.0, days=4)

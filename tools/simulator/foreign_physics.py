@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numba import njit
 
-from core.columns import ZERO_CELSIUS
+from socast.core.columns import ZERO_CELSIUS
 
 AIR_SHARE: Final = 0.2
 """Share of the heat capacity of the cabin that is in its air. [1]"""

@@ -5,11 +5,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.vehicles import load_catalogue
-from tools.simulator.cars import Car
-from tools.simulator.conditions import Conditions, Newcomers
-from tools.simulator.driver import DrivingStyle, make_style
-from tools.simulator.shift import Orders
+from socast.core.vehicles import load_catalogue
+from socast.tools.simulator.cars import Car
+from socast.tools.simulator.conditions import Conditions, Newcomers
+from socast.tools.simulator.driver import DrivingStyle, make_style
+from socast.tools.simulator.shift import Orders
 
 DRIVERS_PER_CAR: Final = 1.6
 STRANGER: Final = 0.15

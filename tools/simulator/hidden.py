@@ -11,12 +11,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import GRAVITY
-from tools.simulator.cars import Car
-from tools.simulator.physics import COMFORT, PERSON, WHEEL, State
-from tools.simulator.settings import STEP
-from tools.simulator.trace import REFERENCE_DENSITY, Trace
+from socast.core.batch import Floats
+from socast.core.columns import GRAVITY
+from socast.tools.simulator.cars import Car
+from socast.tools.simulator.physics import COMFORT, PERSON, WHEEL, State
+from socast.tools.simulator.settings import STEP
+from socast.tools.simulator.trace import REFERENCE_DENSITY, Trace
 
 
 class EffectInputs(NamedTuple):

@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import GRAVITY, ZERO_CELSIUS
-from core.errors import SettingsError
-from tools.simulator.bent_shapes import BENT, bend_shape
-from tools.simulator.hidden import (
+from socast.core.batch import Floats
+from socast.core.columns import GRAVITY, ZERO_CELSIUS
+from socast.core.errors import SettingsError
+from socast.tools.simulator.bent_shapes import BENT, bend_shape
+from socast.tools.simulator.hidden import (
     EFFECTS,
     EffectInputs,
     PowerFunction,
@@ -20,8 +20,8 @@ from tools.simulator.hidden import (
     compute_braking_power,
     compute_rolling_power,
 )
-from tools.simulator.physics import COMFORT, PERSON, WHEEL
-from tools.simulator.trace import REFERENCE_DENSITY
+from socast.tools.simulator.physics import COMFORT, PERSON, WHEEL
+from socast.tools.simulator.trace import REFERENCE_DENSITY
 
 OTHER: Final = "~other"
 """Suffix of the name of an effect that selects its other shape."""

@@ -7,16 +7,16 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from core.batch import Floats, Ints
-from core.columns import KMH
-from core.wire.messages import Message, Telemetry
-from tools.simulator.cars import Car
-from tools.simulator.physics import State
-from tools.simulator.settings import PERIOD, STEP, Faults
-from tools.simulator.shift import NO_RIDE, Shift
-from tools.simulator.trace import Trace
-from tools.simulator.weather import draw_autoregressive
-from tools.simulator.world import to_wgs84
+from socast.core.batch import Floats, Ints
+from socast.core.columns import KMH
+from socast.core.wire.messages import Message, Telemetry
+from socast.tools.simulator.cars import Car
+from socast.tools.simulator.physics import State
+from socast.tools.simulator.settings import PERIOD, STEP, Faults
+from socast.tools.simulator.shift import NO_RIDE, Shift
+from socast.tools.simulator.trace import Trace
+from socast.tools.simulator.weather import draw_autoregressive
+from socast.tools.simulator.world import to_wgs84
 
 FIELDS: Final = Telemetry.__struct_fields__
 LACK_PROBABILITY: Final = {

@@ -8,10 +8,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numba import njit
 
-from core.batch import Floats
-from core.columns import GRAVITY
-from tools.simulator.cars import Car
-from tools.simulator.foreign_physics import (
+from socast.core.batch import Floats
+from socast.core.columns import GRAVITY
+from socast.tools.simulator.cars import Car
+from socast.tools.simulator.foreign_physics import (
     AIR_SHARE,
     CONTACT,
     compute_cabin_loss,
@@ -22,9 +22,9 @@ from tools.simulator.foreign_physics import (
     compute_heat_pump_cop,
     compute_resistance_ratio,
 )
-from tools.simulator.settings import STEP, Phenomena
-from tools.simulator.shift import CHARGER
-from tools.simulator.trace import REFERENCE_DENSITY, Trace
+from socast.tools.simulator.settings import STEP, Phenomena
+from socast.tools.simulator.shift import CHARGER
+from socast.tools.simulator.trace import REFERENCE_DENSITY, Trace
 
 WHEEL: Final = (
     "rolling",

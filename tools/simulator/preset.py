@@ -14,12 +14,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from core.batch import Floats, Ints
-from core.errors import SettingsError
-from tools.simulator.cars import Car, age_car
-from tools.simulator.driver import DrivingStyle, make_style
-from tools.simulator.settings import UTC_OFFSET, Faults
-from tools.simulator.shift import Orders
+from socast.core.batch import Floats, Ints
+from socast.core.errors import SettingsError
+from socast.tools.simulator.cars import Car, age_car
+from socast.tools.simulator.driver import DrivingStyle, make_style
+from socast.tools.simulator.settings import UTC_OFFSET, Faults
+from socast.tools.simulator.shift import Orders
 
 PRESETS: Final = ("teo",)
 """Names of the presets that come with the product."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from typing import Final, NamedTuple
 
-from core.errors import SettingsError
-from tools.simulator.conditions import NO_CONDITIONS, Conditions
+from socast.core.errors import SettingsError
+from socast.tools.simulator.conditions import NO_CONDITIONS, Conditions
 
 STEP: Final = 0.5
 """Time step of the physics. [s]"""

@@ -5,12 +5,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Ints
-from core.wire.messages import Leg
-from tools.simulator.cars import Car
-from tools.simulator.driver import DrivingStyle, compute_congestion, drive_route, make_style
-from tools.simulator.settings import STEP, UTC_OFFSET, Faults
-from tools.simulator.world import Route, compute_elevation, draw_destination, find_crossing, make_route, to_plane
+from socast.core.batch import Floats, Ints
+from socast.core.wire.messages import Leg
+from socast.tools.simulator.cars import Car
+from socast.tools.simulator.driver import DrivingStyle, compute_congestion, drive_route, make_style
+from socast.tools.simulator.settings import STEP, UTC_OFFSET, Faults
+from socast.tools.simulator.world import Route, compute_elevation, draw_destination, find_crossing, make_route, to_plane
 
 CHARGER: Final = 44e3
 """Power of a fast charger. [W]"""

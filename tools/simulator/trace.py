@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import ZERO_CELSIUS
-from tools.simulator.settings import STEP
-from tools.simulator.shift import NO_RIDE, Shift, Timeline
-from tools.simulator.weather import Sky, compute_sun_height
-from tools.simulator.world import TURN, compute_elevation, is_in_tunnel, to_plane
+from socast.core.batch import Floats
+from socast.core.columns import ZERO_CELSIUS
+from socast.tools.simulator.settings import STEP
+from socast.tools.simulator.shift import NO_RIDE, Shift, Timeline
+from socast.tools.simulator.weather import Sky, compute_sun_height
+from socast.tools.simulator.world import TURN, compute_elevation, is_in_tunnel, to_plane
 
 REFERENCE_DENSITY = 1.2
 """Density of air if it does not vary. [kg/m^3]"""

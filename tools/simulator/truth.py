@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from core.batch import Floats
-from core.errors import SettingsError
-from core.files import write_whole
-from tools.simulator.calibration import EffectEnergies
-from tools.simulator.car_files import ShiftTruth
-from tools.simulator.cars import Car
-from tools.simulator.conditions import NO_CONDITIONS
-from tools.simulator.logger import Equipment
-from tools.simulator.physics import PARTS, State
-from tools.simulator.settings import PERIOD, PRESET_SETTINGS, STEP, Simulation
-from tools.simulator.shift import Shift
-from tools.simulator.world import compute_elevation, to_plane
+from socast.core.batch import Floats
+from socast.core.errors import SettingsError
+from socast.core.files import write_whole
+from socast.tools.simulator.calibration import EffectEnergies
+from socast.tools.simulator.car_files import ShiftTruth
+from socast.tools.simulator.cars import Car
+from socast.tools.simulator.conditions import NO_CONDITIONS
+from socast.tools.simulator.logger import Equipment
+from socast.tools.simulator.physics import PARTS, State
+from socast.tools.simulator.settings import PERIOD, PRESET_SETTINGS, STEP, Simulation
+from socast.tools.simulator.shift import Shift
+from socast.tools.simulator.world import compute_elevation, to_plane
 
 KWH = 3.6e6
 DISPLAY_STEPS = 120

@@ -13,12 +13,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numba import njit
 
-from core.batch import Floats
-from core.columns import SECONDS_PER_DAY
-from core.wire.messages import Message, Weather, encode
-from tools.simulator.conditions import Spell
-from tools.simulator.settings import UTC_OFFSET, Simulation
-from tools.simulator.world import ORIGIN
+from socast.core.batch import Floats
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.wire.messages import Message, Weather, encode
+from socast.tools.simulator.conditions import Spell
+from socast.tools.simulator.settings import UTC_OFFSET, Simulation
+from socast.tools.simulator.world import ORIGIN
 
 HOUR: Final = 3600.0
 DAYTIME: Final = (7.0, 19.0)

@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import EARTH_RADIUS, KMH
+from socast.core.batch import Floats
+from socast.core.columns import EARTH_RADIUS, KMH
 
 ORIGIN: Final = (45.505, -73.595)
 """Latitude and longitude of the centre. [deg]"""

@@ -6,10 +6,10 @@ from typing import Annotated, Final
 
 import typer
 
-from core.columns import KMH
-from core.errors import SettingsError
-from core.settings import LIMITS, Settings
-from tools.terminal.option_groups import insert_options
+from socast.core.columns import KMH
+from socast.core.errors import SettingsError
+from socast.core.settings import LIMITS, Settings
+from socast.tools.terminal.option_groups import insert_options
 
 _KM: Final = 1000.0
 _DEFAULTS: Final = Settings()

@@ -10,10 +10,10 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from core.errors import SettingsError
-from tools.cluster.dask_runner import ClusterPlace, parse_place
-from tools.terminal.option_groups import insert_options
-from tools.terminal.output import check_outputs
+from socast.core.errors import SettingsError
+from socast.tools.cluster.dask_runner import ClusterPlace, parse_place
+from socast.tools.terminal.option_groups import insert_options
+from socast.tools.terminal.output import check_outputs
 
 WORKER_MEMORY_GB = 2.0
 

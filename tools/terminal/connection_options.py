@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from stream.zenoh_session import LOOPBACK, Connection, Mode
-from tools.terminal.option_groups import insert_options
+from socast.stream.zenoh_session import LOOPBACK, Connection, Mode
+from socast.tools.terminal.option_groups import insert_options
 
 
 def make_connection(

@@ -9,9 +9,9 @@ import pandas as pd
 from rich.console import Console
 from rich.text import Text
 
-from core.models import LinearModel
-from core.models.interval import ANY
-from tools.terminal.rich_table import Column, make_table
+from socast.core.models import LinearModel
+from socast.core.models.interval import ANY
+from socast.tools.terminal.rich_table import Column, make_table
 
 HALF_STEP: Final = 0.5
 """Half of the coarsest step of a display, within which an outcome counts as inside its interval. [%]"""

@@ -5,9 +5,9 @@ import inspect
 from textwrap import dedent
 from types import ModuleType
 
-from core.effects.declaration import Effect, Parameter
-from core.effects.source_file import render_source
-from core.errors import EffectError
+from socast.core.effects.declaration import Effect, Parameter
+from socast.core.effects.source_file import render_source
+from socast.core.errors import EffectError
 
 
 def blank(name: str = "my_effect") -> str:

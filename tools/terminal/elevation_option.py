@@ -29,7 +29,7 @@ def describe_outside(quality: Mapping[str, Any]) -> str:
     Parameters
     ----------
     quality : mapping
-        Counters of `core.pipeline.Pipeline.quality`.
+        Counters of `socast.core.pipeline.Pipeline.quality`.
 
     Examples
     --------
@@ -53,7 +53,7 @@ def warn_outside(quality: Mapping[str, Any]) -> None:
     Parameters
     ----------
     quality : mapping
-        Counters of `core.pipeline.Pipeline.quality`.
+        Counters of `socast.core.pipeline.Pipeline.quality`.
     """
     if line := describe_outside(quality):
         Console(stderr=True).print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)

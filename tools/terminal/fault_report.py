@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from core.batch import Ints
-from core.cleaning.faults import FAULTS, LoggerFault
-from core.cleaning.quality import CAUSES, Quality
-from tools.terminal.rich_table import Column, make_table
+from socast.core.batch import Ints
+from socast.core.cleaning.faults import FAULTS, LoggerFault
+from socast.core.cleaning.quality import CAUSES, Quality
+from socast.tools.terminal.rich_table import Column, make_table
 
 MOST_SHOWN: Final = 12
 """Largest number of cars with a table of their own, those that lose most first."""

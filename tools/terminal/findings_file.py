@@ -7,10 +7,10 @@ from typing import Any
 import msgspec
 from rich.console import Console
 
-from core.diagnose.findings import list_changes
-from core.errors import SettingsError, read_input
-from core.wire.messages import Finding
-from tools.terminal.output import write_json
+from socast.core.diagnose.findings import list_changes
+from socast.core.errors import SettingsError, read_input
+from socast.core.wire.messages import Finding
+from socast.tools.terminal.output import write_json
 
 
 class _Content(msgspec.Struct):

@@ -8,21 +8,21 @@ from typing import Annotated, Any
 
 import typer
 
-from core.models import LinearModel
-from core.pipeline import Pipeline
-from core.settings import Limits, Settings
-from core.wire.shard import Shard
-from stream.elevation_files import open_elevation
-from stream.mcap_reader import McapSource
-from stream.recording_metadata import list_changed_settings, make_metadata
-from stream.sharded_pipeline import ShardedPipeline
-from stream.zenoh_session import parse_prefix
-from tools.terminal.cleaning_options import insert_cleaning_options
-from tools.terminal.elevation_option import ElevationFiles
-from tools.terminal.model_comparison import ModelNames
-from tools.terminal.option_groups import insert_options
-from tools.terminal.output import EffectFiles, VehicleFiles, select_model_files
-from tools.terminal.warm_up import WarmUp, learn_from_recordings
+from socast.core.models import LinearModel
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Limits, Settings
+from socast.core.wire.shard import Shard
+from socast.stream.elevation_files import open_elevation
+from socast.stream.mcap_reader import McapSource
+from socast.stream.recording_metadata import list_changed_settings, make_metadata
+from socast.stream.sharded_pipeline import ShardedPipeline
+from socast.stream.zenoh_session import parse_prefix
+from socast.tools.terminal.cleaning_options import insert_cleaning_options
+from socast.tools.terminal.elevation_option import ElevationFiles
+from socast.tools.terminal.model_comparison import ModelNames
+from socast.tools.terminal.option_groups import insert_options
+from socast.tools.terminal.output import EffectFiles, VehicleFiles, select_model_files
+from socast.tools.terminal.warm_up import WarmUp, learn_from_recordings
 
 Prefix = Annotated[
     str, typer.Option(metavar="P", help="Key chunks before `fleet`, `weather` and `models`, such as montreal.")
@@ -169,7 +169,7 @@ def describe_forecasts(
     Returns
     -------
     dict of str to str
-        See `stream.recording_metadata.make_metadata`.
+        See `socast.stream.recording_metadata.make_metadata`.
     """
     return make_metadata(
         command,

@@ -3,12 +3,12 @@
 from collections.abc import Callable, Sequence
 from math import inf
 
-from core.pipeline import Pipeline
-from stream.loop import Tally, run
-from stream.mcap_reader import McapSource
-from stream.source import Sink, Source, merge_sources
-from tools.terminal.live_table import LiveTable
-from tools.terminal.recordings import show_progress
+from socast.core.pipeline import Pipeline
+from socast.stream.loop import Tally, run
+from socast.stream.mcap_reader import McapSource
+from socast.stream.source import Sink, Source, merge_sources
+from socast.tools.terminal.live_table import LiveTable
+from socast.tools.terminal.recordings import show_progress
 
 
 def run_forecasts(

@@ -20,19 +20,19 @@ from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 
-from core.batch import Lanes
-from core.cleaning.silences import FleetSilences, select_inputs
-from core.models import EXTENDED_PHYSICAL, Model
-from core.models.trees import Trees
-from core.pipeline import Pipeline
-from core.settings import Limits, Settings
-from core.wire.arrow_batch import write_rows
-from core.wire.decoder import Decoder
-from core.wire.message_block import MessageBlock
-from core.wire.messages import Message, Telemetry, Weather, encode
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from stream.structured_log import log_lines
+from socast.core.batch import Lanes
+from socast.core.cleaning.silences import FleetSilences, select_inputs
+from socast.core.models import EXTENDED_PHYSICAL, Model
+from socast.core.models.trees import Trees
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Limits, Settings
+from socast.core.wire.arrow_batch import write_rows
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.message_block import MessageBlock
+from socast.core.wire.messages import Message, Telemetry, Weather, encode
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.stream.structured_log import log_lines
 
 INTERVAL_S: Final = 2.0
 """Time between two reports of the progress. [s]"""
@@ -110,7 +110,9 @@ class _Progress(event.Listener):
 
 def list_kernels() -> set[Dispatcher]:
     """Return the compiled functions of the modules imported so far that numba keeps in its cache."""
-    modules = [module for name, module in list(sys.modules.items()) if name.partition(".")[0] in {"core", "stream"}]
+    modules = [
+        module for name, module in list(sys.modules.items()) if name.startswith(("socast.core.", "socast.stream."))
+    ]
     found = {each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)}
     return {each for each in found if isinstance(getattr(each, "_cache", None), FunctionCache)}
 
@@ -171,7 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         Command line; it takes `--help` only. By default that of the process.
     """
     about = "Compile the kernels and keep them in the cache, so that later starts need no compilation."
-    argparse.ArgumentParser(prog="python -m tools.terminal.kernels", description=about).parse_args(arguments)
+    argparse.ArgumentParser(prog="python -m socast.tools.terminal.kernels", description=about).parse_args(arguments)
     log_lines()
     begun = time.monotonic()
     count = compile_kernels()

@@ -5,10 +5,10 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from core.pipeline import Pipeline
-from core.settings import BOUNDS_OF_LIMITS, LIVE_KEY_RATE, Limits
-from stream.structured_log import event_fields
-from tools.terminal.option_groups import insert_options
+from socast.core.pipeline import Pipeline
+from socast.core.settings import BOUNDS_OF_LIMITS, LIVE_KEY_RATE, Limits
+from socast.stream.structured_log import event_fields
+from socast.tools.terminal.option_groups import insert_options
 
 _DEFAULTS: Final = Limits()
 _log = logging.getLogger("socast.live")

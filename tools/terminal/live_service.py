@@ -9,40 +9,40 @@ from pathlib import Path
 from threading import Event
 from typing import Final
 
-from core.columns import SECONDS_PER_DAY
-from core.errors import SettingsError
-from core.models import LinearModel
-from core.pipeline import Pipeline
-from core.settings import LIVE_KEY_RATE, Limits
-from core.wire.messages import Message
-from core.wire.shard import Shard
-from stream.checkpoints import Checkpoints
-from stream.idle_keys import IdleKeys
-from stream.latest_only_sink import LatestOnlySink
-from stream.loop import PUBLISH_S, REPORT_S, Watch, act_on_hangup, combine_watches, run, stop_on_signals
-from stream.query_service import QueryService, QuerySource
-from stream.recorder import Recorder
-from stream.recording_metadata import list_changed_settings
-from stream.service_monitor import ServiceMonitor
-from stream.service_snapshot import SnapshotTaker
-from stream.source import Sink
-from stream.state_file import StateFile
-from stream.structured_log import event_fields
-from stream.zenoh_overlap import OverlapWatch
-from stream.zenoh_queryable import ZenohQueryable
-from stream.zenoh_session import Connection, Node
-from stream.zenoh_shards import ShardedSource
-from stream.zenoh_sink import ZenohSink
-from stream.zenoh_source import ZenohSource
-from stream.zenoh_standby import LEASE_S, FencedSink, Standby, StandbyQueryable, TakeoverSink
-from tools.terminal.forecast_options import ForecastOptions, describe_forecasts, make_pipeline
-from tools.terminal.kernels import compile_kernels
-from tools.terminal.limit_options import LimitLog
-from tools.terminal.live_table import LiveTable
-from tools.terminal.model_comparison import load_models
-from tools.terminal.night_watch import check_watch, make_nightly_diagnosis
-from tools.terminal.recording_options import RecordingOptions
-from tools.terminal.ride_log import RideLog
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.errors import SettingsError
+from socast.core.models import LinearModel
+from socast.core.pipeline import Pipeline
+from socast.core.settings import LIVE_KEY_RATE, Limits
+from socast.core.wire.messages import Message
+from socast.core.wire.shard import Shard
+from socast.stream.checkpoints import Checkpoints
+from socast.stream.idle_keys import IdleKeys
+from socast.stream.latest_only_sink import LatestOnlySink
+from socast.stream.loop import PUBLISH_S, REPORT_S, Watch, act_on_hangup, combine_watches, run, stop_on_signals
+from socast.stream.query_service import QueryService, QuerySource
+from socast.stream.recorder import Recorder
+from socast.stream.recording_metadata import list_changed_settings
+from socast.stream.service_monitor import ServiceMonitor
+from socast.stream.service_snapshot import SnapshotTaker
+from socast.stream.source import Sink
+from socast.stream.state_file import StateFile
+from socast.stream.structured_log import event_fields
+from socast.stream.zenoh_overlap import OverlapWatch
+from socast.stream.zenoh_queryable import ZenohQueryable
+from socast.stream.zenoh_session import Connection, Node
+from socast.stream.zenoh_shards import ShardedSource
+from socast.stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_source import ZenohSource
+from socast.stream.zenoh_standby import LEASE_S, FencedSink, Standby, StandbyQueryable, TakeoverSink
+from socast.tools.terminal.forecast_options import ForecastOptions, describe_forecasts, make_pipeline
+from socast.tools.terminal.kernels import compile_kernels
+from socast.tools.terminal.limit_options import LimitLog
+from socast.tools.terminal.live_table import LiveTable
+from socast.tools.terminal.model_comparison import load_models
+from socast.tools.terminal.night_watch import check_watch, make_nightly_diagnosis
+from socast.tools.terminal.recording_options import RecordingOptions
+from socast.tools.terminal.ride_log import RideLog
 
 UNCOUNTED: Final = 2.0
 """Ratio to `--max-payload-bytes` above which Zenoh drops a payload, before the consumer could count it. [1]"""

@@ -15,17 +15,17 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from core.evaluate.ride_filter import name_rides
-from core.forecast.status import VehicleStatus
-from core.formatting import format_minus
-from core.monitoring.shadow import ShadowModels
-from core.pipeline import Pipeline
-from core.vehicles.catalogue import OVERRIDES
-from stream.loop import Tally
-from tools.terminal.model_comparison import WIDE, ErrorCourses, make_models_table
-from tools.terminal.output import make_console
-from tools.terminal.rich_table import Column, make_table
-from tools.terminal.small_pictures import draw_charge
+from socast.core.evaluate.ride_filter import name_rides
+from socast.core.forecast.status import VehicleStatus
+from socast.core.formatting import format_minus
+from socast.core.monitoring.shadow import ShadowModels
+from socast.core.pipeline import Pipeline
+from socast.core.vehicles.catalogue import OVERRIDES
+from socast.stream.loop import Tally
+from socast.tools.terminal.model_comparison import WIDE, ErrorCourses, make_models_table
+from socast.tools.terminal.output import make_console
+from socast.tools.terminal.rich_table import Column, make_table
+from socast.tools.terminal.small_pictures import draw_charge
 
 REDRAW_S = 0.25
 """Time between two updates of the table on a terminal. [s]"""
@@ -426,7 +426,7 @@ def describe_counts(tally: Tally, quality: dict[str, Any]) -> str:
     tally : Tally
         Counts of the loop so far.
     quality : dict
-        Counters of `core.pipeline.Pipeline.quality`.
+        Counters of `socast.core.pipeline.Pipeline.quality`.
 
     Returns
     -------

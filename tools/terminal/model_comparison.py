@@ -10,12 +10,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from core import models
-from core.formatting import format_minus
-from core.models import LinearModel
-from core.wire.messages import Gain, ModelErrors, RideErrors
-from tools.terminal.rich_table import Column, make_table
-from tools.terminal.small_pictures import draw_course
+from socast.core import models
+from socast.core.formatting import format_minus
+from socast.core.models import LinearModel
+from socast.core.wire.messages import Gain, ModelErrors, RideErrors
+from socast.tools.terminal.rich_table import Column, make_table
+from socast.tools.terminal.small_pictures import draw_course
 
 DEFAULT_MODEL: Final = "extended_physical"
 """The model if the command line names none."""

@@ -2,16 +2,16 @@
 
 from pathlib import Path
 
-from core.errors import SettingsError
-from core.pipeline import Pipeline
-from stream.nightly_diagnosis import NightlyDiagnosis
-from stream.source import Sink
-from stream.zenoh_session import parse_prefix
-from tools.terminal.diagnosis_process import DiagnosisProcess
-from tools.terminal.findings_file import make_finding_fields, read_findings
-from tools.terminal.forecast_options import ForecastOptions
-from tools.terminal.model_comparison import DEFAULT_MODEL
-from tools.terminal.output import check_outputs
+from socast.core.errors import SettingsError
+from socast.core.pipeline import Pipeline
+from socast.stream.nightly_diagnosis import NightlyDiagnosis
+from socast.stream.source import Sink
+from socast.stream.zenoh_session import parse_prefix
+from socast.tools.terminal.diagnosis_process import DiagnosisProcess
+from socast.tools.terminal.findings_file import make_finding_fields, read_findings
+from socast.tools.terminal.forecast_options import ForecastOptions
+from socast.tools.terminal.model_comparison import DEFAULT_MODEL
+from socast.tools.terminal.output import check_outputs
 
 
 def check_watch(options: ForecastOptions, record: Path | None, watch: Path | None) -> None:

@@ -13,8 +13,8 @@ import msgspec
 import typer
 from rich.console import Console
 
-from core.errors import SettingsError
-from core.files import write_whole
+from socast.core.errors import SettingsError
+from socast.core.files import write_whole
 
 STANDARD_OUTPUT: Final = Path("-")
 """The file name that means standard output."""
@@ -54,7 +54,7 @@ PIPE_WIDTH: Final = 120
 def _load_effects(files: list[Path] | None) -> list[Path] | None:
     """Load files of effects before the command starts, so that it knows these effects."""
     if files:
-        from core import effects  # noqa: PLC0415 - takes 0.2 s to import, and most commands are given no file
+        from socast.core import effects  # noqa: PLC0415 - takes 0.2 s to import, and most commands are given no file
 
         for file in files:
             effects.load_file(file)
@@ -64,8 +64,8 @@ def _load_effects(files: list[Path] | None) -> list[Path] | None:
 def _load_vehicles(files: list[Path] | None) -> list[Path] | None:
     """Add the cars of data sheets to the catalogue before the command starts."""
     if files:
-        from core.vehicles import add_vehicles  # noqa: PLC0415 - most commands are given no file
-        from tools.terminal.vehicle_files import load_vehicle_file  # noqa: PLC0415 - ditto
+        from socast.core.vehicles import add_vehicles  # noqa: PLC0415 - most commands are given no file
+        from socast.tools.terminal.vehicle_files import load_vehicle_file  # noqa: PLC0415 - ditto
 
         for file in files:
             add_vehicles(load_vehicle_file(file))
@@ -192,7 +192,8 @@ def show_report(name: str, result: Any, html_file: Path | None, json_file: Path 
     Parameters
     ----------
     name : str
-        Module of `tools.report` that shows the result. It is imported here, because figures take seconds to import.
+        Module of `socast.tools.report` that shows the result. It is imported here, because figures take seconds to
+        import.
     result : Any
         Result in the form that the module's `show` and `write` take.
     html_file : Path, optional
@@ -202,7 +203,7 @@ def show_report(name: str, result: Any, html_file: Path | None, json_file: Path 
     options : Any
         Further arguments of `show` and `write`.
     """
-    shown, console = import_module(f"tools.report.{name}"), make_console(json_file)
+    shown, console = import_module(f"socast.tools.report.{name}"), make_console(json_file)
     if html_file:
         shown.write(result, html_file, **options)
     shown.show(result, console, **options)
@@ -222,7 +223,7 @@ def select_model_files(given: Iterable[str]) -> list[Path]:
     -------
     list of Path
     """
-    from core.models import BUILT_IN_MODELS  # noqa: PLC0415 - imports numba, which `socast effects` does without
+    from socast.core.models import BUILT_IN_MODELS  # noqa: PLC0415 - imports numba, which `socast effects` does without
 
     return [Path(name) for name in given if name not in BUILT_IN_MODELS]
 

@@ -9,8 +9,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from core.errors import SettingsError
-from core.files import replacing
+from socast.core.errors import SettingsError
+from socast.core.files import replacing
 
 
 class ParquetTable:

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from stream.recorder import FILE_BYTES, FILE_S, FLUSH_S, Recorder
-from tools.terminal.option_groups import insert_options
+from socast.stream.recorder import FILE_BYTES, FILE_S, FLUSH_S, Recorder
+from socast.tools.terminal.option_groups import insert_options
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from core.errors import RecordingError, SettingsError
-from core.totals.logger_faults import describe_faults
-from stream.mcap_reader import McapSource
+from socast.core.errors import RecordingError, SettingsError
+from socast.core.totals.logger_faults import describe_faults
+from socast.stream.mcap_reader import McapSource
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="MCAP recordings.", show_default=False)]
 
@@ -118,7 +118,7 @@ def warn_of_loggers(quality: Mapping[str, Any]) -> None:
     Parameters
     ----------
     quality : mapping
-        Counters of `core.pipeline.Pipeline.quality`.
+        Counters of `socast.core.pipeline.Pipeline.quality`.
     """
     for line in describe_faults(quality["logger_faults"]):
         Console(stderr=True).print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)

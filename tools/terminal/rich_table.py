@@ -11,7 +11,7 @@ from rich.table import Column as TableColumn
 from rich.table import Table
 from rich.text import Text
 
-from tools.terminal.unbroken_text import ANY, LOOSE, WHOLE, UnbrokenText, measure_parts
+from socast.tools.terminal.unbroken_text import ANY, LOOSE, WHOLE, UnbrokenText, measure_parts
 
 LEAST_WIDTH: Final = 6
 """Width down to which words are broken before numbers are. [characters]"""

@@ -5,10 +5,10 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from core.pipeline import Pipeline
-from stream.structured_log import event_fields, flatten_counts
-from tools.terminal.live_table import add_predictions, make_ride_records
-from tools.terminal.model_comparison import make_log_fields
+from socast.core.pipeline import Pipeline
+from socast.stream.structured_log import event_fields, flatten_counts
+from socast.tools.terminal.live_table import add_predictions, make_ride_records
+from socast.tools.terminal.model_comparison import make_log_fields
 
 TAKE_S: Final = 1.0
 """Time between two checks for rides that have ended. [s]"""

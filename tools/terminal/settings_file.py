@@ -15,7 +15,7 @@ from typing import Annotated, Any, Final, Union, get_args, get_origin
 
 import typer
 
-from core.errors import SettingsError, read_input
+from socast.core.errors import SettingsError, read_input
 
 _PLACES: Final = "socast.settings_places"
 """Key under which the context of a command keeps where each setting stands."""

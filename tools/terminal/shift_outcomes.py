@@ -8,10 +8,10 @@ import pandas as pd
 from rich.console import Console
 from rich.text import Text
 
-from core.evaluate.soc.cases import MOST_FORECAST_AGE, SHIFT_KEY
-from core.forecast.plan_tracker import CUT_SHORT_MARGIN
-from core.pipeline import Pipeline
-from tools.terminal.rich_table import Column, make_table
+from socast.core.evaluate.soc.cases import MOST_FORECAST_AGE, SHIFT_KEY
+from socast.core.forecast.plan_tracker import CUT_SHORT_MARGIN
+from socast.core.pipeline import Pipeline
+from socast.tools.terminal.rich_table import Column, make_table
 
 AHEAD: Final = {"2h": 7200.0, "1h": 3600.0}
 """Lead times before a shift's end at which the report evaluates its forecast. [s]"""

@@ -8,8 +8,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from core.errors import ModelError
-from core.fit.ride_blocks import list_parts
+from socast.core.errors import ModelError
+from socast.core.fit.ride_blocks import list_parts
 
 PARQUET: Final = ".parquet"
 """End of the name of a table."""

@@ -5,18 +5,18 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from core.errors import ImportFileError, SettingsError
-from core.files import write_whole
-from tools.importers.table.column_map import FileFormat, parse_map, read_map
-from tools.importers.table.conversion import convert_tables, open_tables
-from tools.importers.table.guess import guess_map
-from tools.importers.table.import_summary import describe_missing, print_summary
-from tools.importers.table.map_text import describe_preset, describe_unread, make_guess_table, write_map_text
-from tools.importers.table.presets import Preset, get_preset
-from tools.importers.table.sampling import Sampling, find_holds
-from tools.importers.table.skipped_files import SkippedFiles
-from tools.importers.table.table_file import KINDS, TableFile, list_tables, open_table
-from tools.terminal.output import check_outputs, make_console
+from socast.core.errors import ImportFileError, SettingsError
+from socast.core.files import write_whole
+from socast.tools.importers.table.column_map import FileFormat, parse_map, read_map
+from socast.tools.importers.table.conversion import convert_tables, open_tables
+from socast.tools.importers.table.guess import guess_map
+from socast.tools.importers.table.import_summary import describe_missing, print_summary
+from socast.tools.importers.table.map_text import describe_preset, describe_unread, make_guess_table, write_map_text
+from socast.tools.importers.table.presets import Preset, get_preset
+from socast.tools.importers.table.sampling import Sampling, find_holds
+from socast.tools.importers.table.skipped_files import SkippedFiles
+from socast.tools.importers.table.table_file import KINDS, TableFile, list_tables, open_table
+from socast.tools.terminal.output import check_outputs, make_console
 
 TABLE_KINDS = tuple(KINDS)
 """Kinds of tables that `socast import` reads with a map."""
@@ -93,7 +93,7 @@ def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
     summary = convert_tables(tables, columns, out, _list_settings(kind, options), skipped)
     print_summary(summary, console)
     if options.html_file is not None:
-        from tools.report.imported import write  # noqa: PLC0415 - figures take seconds to import
+        from socast.tools.report.imported import write  # noqa: PLC0415 - figures take seconds to import
 
         write(summary, options.html_file)
         console.print(f"report in {options.html_file}", markup=False, highlight=False, soft_wrap=True)

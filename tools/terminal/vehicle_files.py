@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from core.errors import CatalogueError, read_input
-from core.vehicles import VehicleModel, read_data_sheets
+from socast.core.errors import CatalogueError, read_input
+from socast.core.vehicles import VehicleModel, read_data_sheets
 
 LARGEST_FILE: Final = 1 << 20
 """Largest file of data sheets. [B]"""
@@ -17,7 +17,7 @@ def load_vehicle_file(file: Path) -> Mapping[str, VehicleModel]:
     Parameters
     ----------
     file : Path
-        TOML file, see `core.vehicles.read_data_sheets`.
+        TOML file, see `socast.core.vehicles.read_data_sheets`.
 
     Raises
     ------

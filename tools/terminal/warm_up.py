@@ -8,15 +8,15 @@ from typing import Annotated
 
 import typer
 
-from core.cleaning.elevation_map import ElevationMap
-from core.errors import SettingsError
-from core.models import Model
-from core.pipeline import Pipeline
-from core.settings import Settings
-from stream.loop import collect_garbage_rarely
-from stream.mcap_reader import McapSource
-from stream.source import merge_sources
-from tools.terminal.recordings import open_recordings, show_progress, warn_of_losses
+from socast.core.cleaning.elevation_map import ElevationMap
+from socast.core.errors import SettingsError
+from socast.core.models import Model
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.stream.loop import collect_garbage_rarely
+from socast.stream.mcap_reader import McapSource
+from socast.stream.source import merge_sources
+from socast.tools.terminal.recordings import open_recordings, show_progress, warn_of_losses
 
 WarmUp = Annotated[
     list[Path] | None,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from threading import Lock, Thread
 from typing import Any, Final
 
-from core.errors import SocastError
+from socast.core.errors import SocastError
 
 MOST_KEPT: Final = 16
 """Number of jobs whose results are kept; the oldest is forgotten when another begins."""

@@ -4,10 +4,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from core.errors import SocastError
-from tools.workbench.fleet.source import FleetSource
-from tools.workbench.fleet.tiles import TileFile
-from tools.workbench.jobs import Jobs
+from socast.core.errors import SocastError
+from socast.tools.workbench.fleet.source import FleetSource
+from socast.tools.workbench.fleet.tiles import TileFile
+from socast.tools.workbench.jobs import Jobs
 
 
 class NotFoundError(SocastError):

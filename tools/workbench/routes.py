@@ -12,13 +12,13 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 
-from core.errors import SocastError
-from tools.workbench.access import refuse
-from tools.workbench.fleet.feed import FleetFeed
-from tools.workbench.fleet.routes import ROUTES as FLEET_ROUTES
-from tools.workbench.fleet.tiles import TileFile
-from tools.workbench.json_routes import JsonRequest, JsonRoute, NotFoundError, Workbench
-from tools.workbench.loop.routes import ROUTES as LOOP_ROUTES
+from socast.core.errors import SocastError
+from socast.tools.workbench.access import refuse
+from socast.tools.workbench.fleet.feed import FleetFeed
+from socast.tools.workbench.fleet.routes import ROUTES as FLEET_ROUTES
+from socast.tools.workbench.fleet.tiles import TileFile
+from socast.tools.workbench.json_routes import JsonRequest, JsonRoute, NotFoundError, Workbench
+from socast.tools.workbench.loop.routes import ROUTES as LOOP_ROUTES
 
 STATIC: Final = Path(__file__).parent / "static"
 """Folder of the pages, styles and scripts."""

@@ -14,10 +14,10 @@ from typing import Any, Final
 
 import uvicorn
 
-from core.errors import SettingsError
-from tools.workbench.access import ENTRY, AccessControl, Sessions, is_any, is_loopback
-from tools.workbench.json_routes import Workbench
-from tools.workbench.routes import make_application
+from socast.core.errors import SettingsError
+from socast.tools.workbench.access import ENTRY, AccessControl, Sessions, is_any, is_loopback
+from socast.tools.workbench.json_routes import Workbench
+from socast.tools.workbench.routes import make_application
 
 STOP_S: Final = 1
 """Longest time that open connections are given at the end. [s]"""

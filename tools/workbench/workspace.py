@@ -11,16 +11,16 @@ from typing import Any, Final, NamedTuple
 
 import pandas as pd
 
-from core.diagnose.dataset import Windows, gather_windows
-from core.errors import ModelError, SettingsError, SocastError
-from core.evaluate.paper.results import to_json_values
-from core.fit.recipes import fit_to_windows
-from core.models import BUILT_IN_MODELS, EXTENDED_PHYSICAL, LinearModel
-from tools.commands.compare import named
-from tools.commands.diagnose import check_tables, list_lacking_effects, read_both_tables
-from tools.commands.fit import RECORDING, inputs
-from tools.workbench.loop.model_tree import ModelNode, ModelTree
-from tools.workbench.loop.own_effects import OwnEffects
+from socast.core.diagnose.dataset import Windows, gather_windows
+from socast.core.errors import ModelError, SettingsError, SocastError
+from socast.core.evaluate.paper.results import to_json_values
+from socast.core.fit.recipes import fit_to_windows
+from socast.core.models import BUILT_IN_MODELS, EXTENDED_PHYSICAL, LinearModel
+from socast.tools.commands.compare import named
+from socast.tools.commands.diagnose import check_tables, list_lacking_effects, read_both_tables
+from socast.tools.commands.fit import RECORDING, inputs
+from socast.tools.workbench.loop.model_tree import ModelNode, ModelTree
+from socast.tools.workbench.loop.own_effects import OwnEffects
 
 FIRST_RECIPE: Final = "road_load"
 """Recipe of the first model where none is given: textbook physics, in which an effect may be missing."""
@@ -217,7 +217,7 @@ class Workspace:
 
     def diagnose(self, node: ModelNode, report: Report = lambda *_: None) -> dict[str, Any]:
         """Return the diagnosis of a model, which is made once for each model and table."""
-        from core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
+        from socast.core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
 
         if (known := self.find_diagnosis(node)) is not None:
             return known

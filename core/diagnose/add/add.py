@@ -8,7 +8,8 @@ The resulting model is fitted to all windows. An effect helps if all of the foll
 - on these vehicle-days, the error of whole rides does not clearly grow.
 
 The trial also reports the error with everything refitted without the held-out days or vehicles
-(`core.diagnose.add.holdout`). With few days, a model then extrapolates and errs much with and without the effect.
+(`socast.core.diagnose.add.holdout`). With few days, a model then extrapolates and errs much with and without the
+effect.
 
 With many dates, every fifth date is a final hold-out. The decision does not use these dates; each step reports their
 error once. Evaluate on the final hold-out once; do not tune on it.
@@ -22,8 +23,8 @@ import msgspec
 import numpy as np
 import pandas as pd
 
-from core import effects
-from core.diagnose.add.holdout import (
+from socast.core import effects
+from socast.core.diagnose.add.holdout import (
     Mask,
     RideRows,
     compare_by_condition,
@@ -35,7 +36,7 @@ from core.diagnose.add.holdout import (
     split_into_day_folds,
     split_into_vehicle_folds,
 )
-from core.diagnose.add.refit import (
+from socast.core.diagnose.add.refit import (
     RefittedPair,
     TermAddition,
     assess_addition,
@@ -43,7 +44,7 @@ from core.diagnose.add.refit import (
     project_plain,
     refit_with,
 )
-from core.diagnose.add.terms import (
+from socast.core.diagnose.add.terms import (
     build_effect_term,
     describe_coefficient,
     describe_scope,
@@ -51,19 +52,19 @@ from core.diagnose.add.terms import (
     is_additive,
     warn_if_implausible,
 )
-from core.diagnose.ranking import LEAST_GAIN, LEVEL
-from core.effects import Effect
-from core.errors import ModelError
-from core.evaluate.paper.results import to_json_values
-from core.fit.block_sums import build_design
-from core.fit.calibration import add_interval
-from core.fit.measurement_noise import compute_noise_floor
-from core.fit.recipes import RECIPES
-from core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
-from core.fit.window_recipe import WindowRecipe
-from core.formatting import format_minus, rounded
-from core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamp
-from core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope, list_raw_columns
+from socast.core.diagnose.ranking import LEAST_GAIN, LEVEL
+from socast.core.effects import Effect
+from socast.core.errors import ModelError
+from socast.core.evaluate.paper.results import to_json_values
+from socast.core.fit.block_sums import build_design
+from socast.core.fit.calibration import add_interval
+from socast.core.fit.measurement_noise import compute_noise_floor
+from socast.core.fit.recipes import RECIPES
+from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
+from socast.core.fit.window_recipe import WindowRecipe
+from socast.core.formatting import format_minus, rounded
+from socast.core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamp
+from socast.core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope, list_raw_columns
 
 ADDED: Final = "add"
 REFUSED: Final = "refused"
@@ -113,9 +114,9 @@ def add_effect(
     effect : str
         Name of an effect or of a variant.
     columns : sequence of str
-        Columns of the term, see `core.diagnose.add.terms.build_term_columns`.
+        Columns of the term, see `socast.core.diagnose.add.terms.build_term_columns`.
     joined : DataFrame
-        Windows, as `core.fit.measured_rows.join_tables` returns them.
+        Windows, as `socast.core.fit.measured_rows.join_tables` returns them.
     rides : DataFrame, optional
         The ride table. The interval of the model needs it, and so does a model with terms that hold for whole rides
         only.

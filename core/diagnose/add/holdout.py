@@ -18,15 +18,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.diagnose.add.refit import TermAddition, hide_vehicle_models, refit_with
-from core.errors import ModelError
-from core.fit.measurement_noise import compute_noise_variance
-from core.fit.ride_blocks import ENERGY, get_names, get_numbers
-from core.models import VEHICLE_MODEL
-from core.stats.clustered import assign_vehicle_days, compute_clustered_mean
-from core.stats.scores import UNKNOWN
-from core.stats.splits import split_by_vehicle
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.add.refit import TermAddition, hide_vehicle_models, refit_with
+from socast.core.errors import ModelError
+from socast.core.fit.measurement_noise import compute_noise_variance
+from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers
+from socast.core.models import VEHICLE_MODEL
+from socast.core.stats.clustered import assign_vehicle_days, compute_clustered_mean
+from socast.core.stats.scores import UNKNOWN
+from socast.core.stats.splits import split_by_vehicle
 
 FOLDS: Final = 5
 LEAST_DATES: Final = 20
@@ -84,7 +84,7 @@ def group_rows_by_ride(rows: pd.DataFrame, rides: pd.DataFrame | None = None) ->
     Parameters
     ----------
     rows : (n,) DataFrame
-        Windows, as `core.fit.measured_rows.join_tables` returns them, or a ride table.
+        Windows, as `socast.core.fit.measured_rows.join_tables` returns them, or a ride table.
     rides : DataFrame, optional
         The ride table, for the measurement noise of whole rides. By default, the variances of the windows are summed.
 

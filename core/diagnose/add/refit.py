@@ -1,10 +1,10 @@
 """Refit a model with one more effect: first the coefficient of the effect, then all other terms around it.
 
-The coefficient is estimated as in the diagnosis (`core.diagnose.projection`): with the measurement weights, on what the
-terms of the model cannot explain. All vehicle models share one coefficient unless theirs differ by more than chance.
-Then each has its own, shrunk towards the common one in proportion to its uncertainty. The other terms are then fitted
-to the energy less that of the effect, with priors where the model had them. The same holds for effects that were added
-before, all beside each other.
+The coefficient is estimated as in the diagnosis (`socast.core.diagnose.projection`): with the measurement weights, on
+what the terms of the model cannot explain. All vehicle models share one coefficient unless theirs differ by more than
+chance. Then each has its own, shrunk towards the common one in proportion to its uncertainty. The other terms are then
+fitted to the energy less that of the effect, with priors where the model had them. The same holds for effects that were
+added before, all beside each other.
 
 References
 ----------
@@ -22,20 +22,20 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from core.batch import Floats, Ints
-from core.diagnose.candidates import compute_least_coefficients
-from core.diagnose.dataset import Windows
-from core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
-from core.diagnose.projection import BaseProjection, orthonormalise
-from core.diagnose.ranking import sum_over_clusters
-from core.fit.block_sums import build_design, limit_to_one_thread
-from core.fit.fitting import fit_terms
-from core.fit.recipes import LinearRecipe
-from core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers
-from core.fit.window_fit import fit_rows
-from core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
-from core.models.features import Columns
-from core.stats.clustered import assign_vehicle_days
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.candidates import compute_least_coefficients
+from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
+from socast.core.diagnose.projection import BaseProjection, orthonormalise
+from socast.core.diagnose.ranking import sum_over_clusters
+from socast.core.fit.block_sums import build_design, limit_to_one_thread
+from socast.core.fit.fitting import fit_terms
+from socast.core.fit.recipes import LinearRecipe
+from socast.core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers
+from socast.core.fit.window_fit import fit_rows
+from socast.core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
+from socast.core.models.features import Columns
+from socast.core.stats.clustered import assign_vehicle_days
 
 LEAST_LEFT: Final = 1e-5
 """Share of a column that must remain off the terms of the model for the column to have a coefficient."""
@@ -81,8 +81,8 @@ class TermAddition(NamedTuple):
     added : Term
         The term to add.
     has_priors : bool
-        Whether the original terms are fitted to windows with priors and within their ranges (`core.fit.window_fit`), as
-        those of the recipe `road_load`; otherwise by least squares.
+        Whether the original terms are fitted to windows with priors and within their ranges
+        (`socast.core.fit.window_fit`), as those of the recipe `road_load`; otherwise by least squares.
     """
 
     base: tuple[Term, ...]
@@ -157,7 +157,7 @@ def hide_vehicle_models(rows: pd.DataFrame, kinds: Collection[str]) -> pd.DataFr
 
 
 def convert_to_windows(rows: pd.DataFrame) -> Windows:
-    """Return rows as `core.diagnose.dataset.Windows` with predictions of zero."""
+    """Return rows as `socast.core.diagnose.dataset.Windows` with predictions of zero."""
     ride = pd.factorize(rows["ride_key"])[0]
     return Windows(
         table=rows,
@@ -324,7 +324,7 @@ class AdditionEvidence(NamedTuple):
 
 
 def assess_addition(change: TermAddition, base: BaseProjection, *, sign: int, seed: int) -> AdditionEvidence:
-    """Return the evidence in rows for a term that a model lacks, by the same test as `core.diagnose.forward_selection`.
+    """Return the evidence in rows for a term that a model lacks, by the test of `forward_selection`.
 
     Parameters
     ----------

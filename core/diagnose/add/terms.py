@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from core import effects
-from core.diagnose.add.refit import CoefficientEstimate
-from core.effects import Effect
-from core.errors import ModelError
-from core.models import LinearModel, Term
-from core.models.features import (
+from socast.core import effects
+from socast.core.diagnose.add.refit import CoefficientEstimate
+from socast.core.effects import Effect
+from socast.core.errors import ModelError
+from socast.core.models import LinearModel, Term
+from socast.core.models.features import (
     ACCESSORIES_COLUMN,
     EFFECT_PREFIX,
     SINCE_SCOPE,

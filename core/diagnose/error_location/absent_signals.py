@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.fit.ride_blocks import get_names, get_numbers
+from socast.core.fit.ride_blocks import get_names, get_numbers
 
 LEAST_KNOWN: Final = 0.5
 """Share of the rides in which a signal must be known."""

@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.fit.ride_blocks import get_numbers
+from socast.core.batch import Floats
+from socast.core.fit.ride_blocks import get_numbers
 
 BEGINNING: Final = 300.0
 """Time constant with which a load at the beginning of a ride decays. [s]"""

@@ -14,20 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from core.diagnose.dataset import Windows
-from core.diagnose.error_location.absent_signals import count_absent_signals
-from core.diagnose.error_location.floors import FLOORS
-from core.diagnose.error_location.kinds import Kind
-from core.diagnose.error_location.location_model import (
+from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.error_location.absent_signals import count_absent_signals
+from socast.core.diagnose.error_location.floors import FLOORS
+from socast.core.diagnose.error_location.kinds import Kind
+from socast.core.diagnose.error_location.location_model import (
     LocationModel,
     build_car_model,
     build_location_model,
     get_drivers,
 )
-from core.diagnose.error_location.selection import RIVAL, LoadSearch, Place, SelectedLoad
-from core.diagnose.projection import BaseProjection
-from core.diagnose.variances import Variances
-from core.fit.measurement_noise import compute_noise_variance
+from socast.core.diagnose.error_location.selection import RIVAL, LoadSearch, Place, SelectedLoad
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.variances import Variances
+from socast.core.fit.measurement_noise import compute_noise_variance
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class LocatedLoad:
     level : str
         `car`, `driver`, `date`, `day` (of one vehicle), or `ride`.
     kind : str
-        Name of the kind, see `core.diagnose.error_location.kinds.KINDS`.
+        Name of the kind, see `socast.core.diagnose.error_location.kinds.KINDS`.
     size, low, high : float
         Standard deviation between the units, and its 95 % interval. [unit]
     unit : str

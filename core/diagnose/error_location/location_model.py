@@ -6,14 +6,14 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats, Ints
-from core.diagnose.dataset import Windows
-from core.diagnose.error_location.kinds import KindColumns, gather_kinds
-from core.diagnose.error_location.window_noise import LAGS, WindowNoise, estimate_window_noise
-from core.diagnose.mixed_model import FixedColumns, MixedModel
-from core.diagnose.projection import BaseProjection, Rows, orthonormalise
-from core.diagnose.variances import Variances, estimate_variances
-from core.fit.ride_blocks import get_names
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.error_location.kinds import KindColumns, gather_kinds
+from socast.core.diagnose.error_location.window_noise import LAGS, WindowNoise, estimate_window_noise
+from socast.core.diagnose.mixed_model import FixedColumns, MixedModel
+from socast.core.diagnose.projection import BaseProjection, Rows, orthonormalise
+from socast.core.diagnose.variances import Variances, estimate_variances
+from socast.core.fit.ride_blocks import get_names
 
 ROUNDS: Final = 2
 """Number of times that the noise of windows is estimated anew beside the loads of rides and days."""

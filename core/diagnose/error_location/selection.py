@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.diagnose.error_location.floors import DISTORTED, FLOORS
-from core.diagnose.error_location.location_model import LocationModel
-from core.diagnose.variances import Variances, estimate_variances, find_interval
+from socast.core.batch import Floats
+from socast.core.diagnose.error_location.floors import DISTORTED, FLOORS
+from socast.core.diagnose.error_location.location_model import LocationModel
+from socast.core.diagnose.variances import Variances, estimate_variances, find_interval
 
 Place = tuple[int, int]
 """Level and kind."""

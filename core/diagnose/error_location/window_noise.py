@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import LinAlgError, cholesky_banded, solve_banded
 
-from core.batch import Floats, Ints
-from core.fit.row_noise import build_variance_parts, compute_robust_weights, estimate_variance
+from socast.core.batch import Floats, Ints
+from socast.core.fit.row_noise import build_variance_parts, compute_robust_weights, estimate_variance
 
 LAGS: Final = 3
 """Number of following windows with which a window is correlated."""

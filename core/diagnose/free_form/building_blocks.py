@@ -2,7 +2,8 @@
 
 A carrier is a power whose energy per unit of a coefficient is in the window table: constant, rolling, drag,
 accelerating, braking, climbing, descending, and an energy at each stop. A variable is a property of a window that an
-effect may read; unknown values are replaced as for effects (`core.signals.signals`). Both have a unit and source code.
+effect may read; unknown values are replaced as for effects (`socast.core.signals.signals`). Both have a unit and source
+code.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,11 +12,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Table
-from core.columns import GRAVITY, KMH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
-from core.effects.declaration import Parameter
-from core.signals.signals import CIVIL_DUSK, HALF_CHARGED, NIGHT, STANDARD_AMBIENT
-from core.signals.sun import sine_of_elevation
+from socast.core.batch import Floats, Table
+from socast.core.columns import GRAVITY, KMH, STANDARD_AIR_DENSITY, ZERO_CELSIUS
+from socast.core.effects.declaration import Parameter
+from socast.core.signals.signals import CIVIL_DUSK, HALF_CHARGED, NIGHT, STANDARD_AMBIENT
+from socast.core.signals.sun import sine_of_elevation
 
 _GRAVITY: Final = MappingProxyType({"gravity": Parameter(GRAVITY, "m/s^2")})
 _AIR: Final = MappingProxyType({"air_density_standard": Parameter(STANDARD_AIR_DENSITY, "kg/m^3")})
@@ -33,7 +34,7 @@ class Carrier(NamedTuple):
     unit : str
         Unit of the factor that makes it a power in watt, as pint spells it.
     arguments : tuple of str
-        Columns (`core.columns.SIGNALS`) that it reads.
+        Columns (`socast.core.columns.SIGNALS`) that it reads.
     code : str
         Expression of these columns; empty for a power of 1 W.
     energy : callable
@@ -43,7 +44,7 @@ class Carrier(NamedTuple):
     alike : str
         Effect of the library with the same shape without modulators.
     per : str
-        Reference of the coefficient, see `core.effects.effect`.
+        Reference of the coefficient, see `socast.core.effects.effect`.
     """
 
     name: str
@@ -67,14 +68,14 @@ class Variable(NamedTuple):
     unit : str
         Unit as pint spells it; `1` for a pure number.
     arguments : tuple of str
-        Columns (`core.columns.SIGNALS`) that it reads.
+        Columns (`socast.core.columns.SIGNALS`) that it reads.
     code : str
         Expression of these columns.
     value : callable
         Value in each row of the window table, (n,) float, never NaN: unknown values are replaced as for effects
-        (`core.signals.signals`).
+        (`socast.core.signals.signals`).
     shapes : tuple of str
-        Functions of it that are tried, see `core.diagnose.free_form.terms`.
+        Functions of it that are tried, see `socast.core.diagnose.free_form.terms`.
     follows : str
         Name of a simpler variable with which it is correlated, if any.
     """
@@ -105,7 +106,7 @@ def _pack(table: Table) -> Floats:
 
 
 def _darkness(table: Table) -> Floats:
-    """Return `core.signals.signals.darkness` at the middle of each window."""
+    """Return `socast.core.signals.signals.darkness` at the middle of each window."""
     time = _numbers(table, "start_s") + 0.5 * _numbers(table, "duration_s")
     latitude, longitude = (np.radians(np.asarray(table[f"{name}_start_deg"])) for name in ("latitude", "longitude"))
     depth = np.nan_to_num(-sine_of_elevation(time, latitude, longitude))

@@ -1,7 +1,7 @@
 """Suggest a free-form term for structure that no effect of the library explains.
 
-Every carrier is multiplied by every modulator (`core.diagnose.free_form.terms`), and the best of these terms by a
-second modulator. All terms are projected off what the model can refit. They are compared by the fall of the weighted
+Every carrier is multiplied by every modulator (`socast.core.diagnose.free_form.terms`), and the best of these terms by
+a second modulator. All terms are projected off what the model can refit. They are compared by the fall of the weighted
 squared residual on held-out clusters, with model and term refitted without them. A simpler form of the best term is
 preferred if it is within one standard error [1]_.
 
@@ -23,10 +23,10 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from core.batch import Floats, Ints
-from core.diagnose.free_form import suggestion
-from core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES, Carrier
-from core.diagnose.free_form.terms import FreeTerm, Modulator, list_modulators
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.free_form import suggestion
+from socast.core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES, Carrier
+from socast.core.diagnose.free_form.terms import FreeTerm, Modulator, list_modulators
 
 PIECES: Final = 10
 """Number of pieces to which the clusters are assigned."""
@@ -166,7 +166,7 @@ def suggest_term(
     Parameters
     ----------
     windows : DataFrame
-        n rows of the window table, see `core.fit.measured_rows.join_tables`.
+        n rows of the window table, see `socast.core.fit.measured_rows.join_tables`.
     residual : (n,) float
         Measured less predicted energy. [kWh]
     weight : (n,) float

@@ -2,9 +2,9 @@
 
 from typing import Final, NamedTuple
 
-from core.diagnose.free_form.terms import FreeTerm, Modulator
-from core.effects.declaration import Parameter
-from core.effects.source_file import render_source
+from socast.core.diagnose.free_form.terms import FreeTerm, Modulator
+from socast.core.effects.declaration import Parameter
+from socast.core.effects.source_file import render_source
 
 ROOM_FOR: Final = 5.0
 """Factor on either side of the fitted coefficient within which it is plausible, until the author declares a range."""

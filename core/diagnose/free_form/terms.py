@@ -15,8 +15,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from core.diagnose.free_form.building_blocks import Carrier, Variable
+from socast.core.batch import Floats
+from socast.core.diagnose.free_form.building_blocks import Carrier, Variable
 
 QUANTILES: Final = (0.1, 0.25, 0.5, 0.75, 0.9)
 """Quantiles of the windows at which limits and scales are tried."""

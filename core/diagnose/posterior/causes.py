@@ -1,7 +1,7 @@
 """Compare all causes of a residual: no effect, each effect, two effects, and an effect that is not in the library.
 
 Each effect is represented by its forms and their bends (`families`), the unknown cause by plain shapes
-(`core.diagnose.plain_shapes`). `probabilities` turns the log evidence of each into a probability.
+(`socast.core.diagnose.plain_shapes`). `probabilities` turns the log evidence of each into a probability.
 
 What samples every few seconds distort most is the square of the driving power. A distortion of that form, with a prior
 size, is integrated over in all comparisons.
@@ -16,19 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from core.batch import Floats
-from core.diagnose.candidates import Candidates
-from core.diagnose.plain_shapes import build_plain_shapes
-from core.diagnose.posterior.families import BEND, Families, build_families
-from core.diagnose.posterior.marginal_likelihood import (
+from socast.core.batch import Floats
+from socast.core.diagnose.candidates import Candidates
+from socast.core.diagnose.plain_shapes import build_plain_shapes
+from socast.core.diagnose.posterior.families import BEND, Families, build_families
+from socast.core.diagnose.posterior.marginal_likelihood import (
     ABSENT,
     LogDensity,
     LogEvidence,
     Products,
     compute_marginal_likelihood,
 )
-from core.diagnose.projection import BaseProjection
-from core.effects.declaration import VARIANT
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.effects.declaration import VARIANT
 
 LEAST_LEFT: Final = 0.005
 """Share of the squared size of a form that the terms of the model must be unable to explain."""

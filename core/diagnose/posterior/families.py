@@ -19,13 +19,13 @@ from typing import Final
 
 import numpy as np
 
-from core import effects
-from core.batch import Floats, Ints
-from core.diagnose.candidates import Candidates
-from core.diagnose.dataset import Windows
-from core.diagnose.projection import BaseProjection
-from core.effects.declaration import VARIANT, Effect
-from core.fit.ride_blocks import get_numbers
+from socast.core import effects
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.candidates import Candidates
+from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.effects.declaration import VARIANT, Effect
+from socast.core.fit.ride_blocks import get_numbers
 
 BEND: Final = 0.25
 """Prior standard deviation of each bend of an effect, relative to the effect. [1]"""

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
+from socast.core.batch import Floats
 
 SMALLEST: Final = 5e-4
 LARGEST: Final = 0.25

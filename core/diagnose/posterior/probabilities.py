@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
-from core.diagnose.posterior.causes import CauseEvidence, SelectedForm
+from socast.core.diagnose.posterior.causes import CauseEvidence, SelectedForm
 
 NONE: Final = "none"
 SEVERAL: Final = "several"

@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from core.batch import Floats, Ints
-from core.diagnose.siblings.scan import Scan
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.siblings.scan import Scan
 
 CREDIBLE: Final = 0.9
 """Probability that a credible set holds."""

@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from core.batch import Floats, Ints
-from core.diagnose.siblings.scan import Scan, build_changes
-from core.diagnose.siblings.shift_scores import ShiftScores
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.siblings.scan import Scan, build_changes
+from socast.core.diagnose.siblings.shift_scores import ShiftScores
 
 DRAWS: Final = 1000
 """Number of draws."""

@@ -14,27 +14,27 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import ndtr
 
-from core import effects
-from core.batch import Floats, Ints
-from core.columns import SECONDS_PER_DAY
-from core.diagnose.add.refit import CoefficientEstimate
-from core.diagnose.add.terms import describe_coefficient
-from core.diagnose.candidates import Candidates, build_candidates
-from core.diagnose.deviation_words import has_certain_size
-from core.diagnose.projection import BaseProjection
-from core.diagnose.siblings.causes import (
+from socast.core import effects
+from socast.core.batch import Floats, Ints
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.diagnose.add.refit import CoefficientEstimate
+from socast.core.diagnose.add.terms import describe_coefficient
+from socast.core.diagnose.candidates import Candidates, build_candidates
+from socast.core.diagnose.deviation_words import has_certain_size
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.siblings.causes import (
     average_places,
     select_credible_range,
     select_credible_set,
     weigh_causes,
     weigh_dates,
 )
-from core.diagnose.siblings.groups import list_groups
-from core.diagnose.siblings.search import Question, Search, find_deviations, make_shift_weights
-from core.diagnose.siblings.spread import SiblingBase, estimate_spread_without
-from core.diagnose.siblings.sums import DIRECTIONS, Siblings, gather_siblings
-from core.models import LinearModel
-from core.models.features import EFFECT_PREFIX, SINCE_SCOPE, VEHICLE_SCOPE
+from socast.core.diagnose.siblings.groups import list_groups
+from socast.core.diagnose.siblings.search import Question, Search, find_deviations, make_shift_weights
+from socast.core.diagnose.siblings.spread import SiblingBase, estimate_spread_without
+from socast.core.diagnose.siblings.sums import DIRECTIONS, Siblings, gather_siblings
+from socast.core.models import LinearModel
+from socast.core.models.features import EFFECT_PREFIX, SINCE_SCOPE, VEHICLE_SCOPE
 
 MONTH: Final = 365.25 / 12.0
 """Length of a month. [days]"""
@@ -62,7 +62,7 @@ def diagnose_deviations(
     without : collection of str
         Effects of the library that are not tested.
     of_vehicle : mapping of str to str, optional
-        Group of each vehicle, see `core.diagnose.siblings.groups`.
+        Group of each vehicle, see `socast.core.diagnose.siblings.groups`.
 
     Returns
     -------

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.diagnose.dataset import Windows
-from core.diagnose.siblings.sums import Siblings
-from core.errors import ModelError
+from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.siblings.sums import Siblings
+from socast.core.errors import ModelError
 
 COLUMNS: Final = ("vehicle_id", "group")
 DRIVER: Final = "driver_id"

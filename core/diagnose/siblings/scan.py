@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, stdtr
 
-from core.batch import Floats, Ints
-from core.columns import SECONDS_PER_DAY
-from core.diagnose.siblings.shift_scores import Projected, ShiftScores
-from core.diagnose.siblings.spread import PRIOR_CARS, SiblingBase
-from core.diagnose.siblings.sums import Siblings
+from socast.core.batch import Floats, Ints
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.diagnose.siblings.shift_scores import Projected, ShiftScores
+from socast.core.diagnose.siblings.spread import PRIOR_CARS, SiblingBase
+from socast.core.diagnose.siblings.sums import Siblings
 
 Change = Literal["step", "ramp"]
 Kind = Literal["always"] | Change

@@ -7,14 +7,14 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.diagnose.siblings.causes import average_places
-from core.diagnose.siblings.chance import estimate_chance
-from core.diagnose.siblings.groups import Group
-from core.diagnose.siblings.scan import Scan, make_weights, scan_always, scan_changes, scan_group
-from core.diagnose.siblings.spread import SiblingBase, estimate_spread, estimate_spread_without
-from core.diagnose.siblings.sums import Siblings
-from core.stats.multiple_testing import adjust_false_discovery
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.siblings.causes import average_places
+from socast.core.diagnose.siblings.chance import estimate_chance
+from socast.core.diagnose.siblings.groups import Group
+from socast.core.diagnose.siblings.scan import Scan, make_weights, scan_always, scan_changes, scan_group
+from socast.core.diagnose.siblings.spread import SiblingBase, estimate_spread, estimate_spread_without
+from socast.core.diagnose.siblings.sums import Siblings
+from socast.core.stats.multiple_testing import adjust_false_discovery
 
 LEVELS: Final = {"always": 0.01, "change": 0.04, "all": 0.03, "group": 0.02}
 """Expected share of false deviations: of cars always, of changes of one car, of changes of all cars, of groups."""

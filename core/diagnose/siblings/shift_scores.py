@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
+from socast.core.batch import Floats
 
 RANK: Final = 1e-9
 """Share of the largest product below which a candidate, or a combination of candidates, is absent from a shift."""

@@ -15,9 +15,9 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats, Ints
-from core.diagnose.siblings.shift_scores import Projected, ShiftScores
-from core.diagnose.siblings.sums import Siblings
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.siblings.shift_scores import Projected, ShiftScores
+from socast.core.diagnose.siblings.sums import Siblings
 
 PRIOR_CARS: Final = 4.0
 """Number of cars that the expected spread counts as (ν0)."""

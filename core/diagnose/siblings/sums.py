@@ -15,15 +15,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.diagnose.candidates import Candidates
-from core.diagnose.dataset import Windows
-from core.diagnose.mixed_model import FixedColumns, MixedModel
-from core.diagnose.projection import BaseProjection, orthonormalise
-from core.diagnose.sweep import sum_ride_products, sum_units, sweep
-from core.diagnose.variances import estimate_variances
-from core.fit.distortions import gather_distortions
-from core.fit.ride_blocks import get_names, get_numbers
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.candidates import Candidates
+from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.mixed_model import FixedColumns, MixedModel
+from socast.core.diagnose.projection import BaseProjection, orthonormalise
+from socast.core.diagnose.sweep import sum_ride_products, sum_units, sweep
+from socast.core.diagnose.variances import estimate_variances
+from socast.core.fit.distortions import gather_distortions
+from socast.core.fit.ride_blocks import get_names, get_numbers
 
 DIRECTIONS: Final = {
     "rolling": 0.05,

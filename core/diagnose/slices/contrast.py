@@ -24,7 +24,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints
 
 PRIOR: Final = 4.0
 """Degrees of freedom of the expected variance. Simulated errors without structure, also with cars and weather whose

@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.fit.ride_blocks import get_names, get_numbers
+from socast.core.batch import Floats
+from socast.core.fit.ride_blocks import get_names, get_numbers
 
 Masks = NDArray[np.bool_]
 

@@ -1,13 +1,13 @@
 """Find slices of the rides for which the bias of a model differs from that for the other rides, and describe them.
 
-A slice is a conjunction of at most three conditions (`core.diagnose.slices.predicates`). A beam search on one half of
-the vehicle-days finds the slices whose bias is largest relative to its standard error. The other half confirms them,
-and only its results are reported. Then the halves swap roles. The days of a vehicle are assigned to the halves in pairs
-of neighbours, so that both halves contain every vehicle and season.
+A slice is a conjunction of at most three conditions (`socast.core.diagnose.slices.predicates`). A beam search on one
+half of the vehicle-days finds the slices whose bias is largest relative to its standard error. The other half confirms
+them, and only its results are reported. Then the halves swap roles. The days of a vehicle are assigned to the halves in
+pairs of neighbours, so that both halves contain every vehicle and season.
 
-A slice is compared with the other rides by vehicle-days (`core.diagnose.slices.contrast`). The confirming half keeps
-the false discovery rate of Benjamini and Hochberg at half the level, so that both directions together keep it at the
-level, whatever their dependence. Slices are ranked by the half that found them, because those ranked first by the
+A slice is compared with the other rides by vehicle-days (`socast.core.diagnose.slices.contrast`). The confirming half
+keeps the false discovery rate of Benjamini and Hochberg at half the level, so that both directions together keep it at
+the level, whatever their dependence. Slices are ranked by the half that found them, because those ranked first by the
 confirming half would look better there than they are.
 
 References
@@ -26,12 +26,12 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
-from core.batch import Floats, Ints
-from core.diagnose.slices.contrast import compute_contrast
-from core.diagnose.slices.predicates import Masks, RideCondition, list_conditions, read_dates, read_start_s
-from core.fit.ride_blocks import get_names
-from core.stats.multiple_testing import adjust_false_discovery
-from core.stats.scores import Estimate
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.slices.contrast import compute_contrast
+from socast.core.diagnose.slices.predicates import Masks, RideCondition, list_conditions, read_dates, read_start_s
+from socast.core.fit.ride_blocks import get_names
+from socast.core.stats.multiple_testing import adjust_false_discovery
+from socast.core.stats.scores import Estimate
 
 LONGEST: Final = 3
 """Maximum number of conditions of a slice."""

@@ -11,14 +11,14 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats, Ints
-from core.evaluate.binning import bin_rides
-from core.evaluate.compare.models import ComparedRides
-from core.evaluate.ride_filter import IDENTITY_COLUMNS
-from core.models import LinearModel
-from core.stats.clustered import compute_clustered_mean, compute_clustered_ratio, subtract
-from core.stats.multiple_testing import adjust_false_discovery
-from core.stats.scores import Estimate
+from socast.core.batch import Floats, Ints
+from socast.core.evaluate.binning import bin_rides
+from socast.core.evaluate.compare.models import ComparedRides
+from socast.core.evaluate.ride_filter import IDENTITY_COLUMNS
+from socast.core.models import LinearModel
+from socast.core.stats.clustered import compute_clustered_mean, compute_clustered_ratio, subtract
+from socast.core.stats.multiple_testing import adjust_false_discovery
+from socast.core.stats.scores import Estimate
 
 PROPERTIES: Final = (
     ("distance", "km", "distance_km", ""),

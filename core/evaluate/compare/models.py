@@ -2,7 +2,7 @@
 
 Nothing is fitted here. All models are evaluated on the same rides, those that each of them predicts, so that models are
 compared ride by ride. Rides of one vehicle on one day are correlated; the intervals allow for that
-(`core.stats.clustered`).
+(`socast.core.stats.clustered`).
 """
 
 from collections.abc import Mapping
@@ -12,18 +12,18 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.errors import ModelError
-from core.evaluate.binning import bin_rides
-from core.evaluate.paper.held_out import word_limited
-from core.evaluate.relative_errors import compute_relative_figures, compute_share_below_least
-from core.evaluate.ride_filter import find_exclusion_reasons, name_rides
-from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
-from core.models import ANY, LinearModel
-from core.models.plausibility import describe_implausible, describe_limited
-from core.stats import multiple_testing, scores
-from core.stats.clustered import assign_vehicle_days, compute_clustered_mean, compute_clustered_ratio
-from core.stats.scores import Codes, Estimate
+from socast.core.batch import Floats
+from socast.core.errors import ModelError
+from socast.core.evaluate.binning import bin_rides
+from socast.core.evaluate.paper.held_out import word_limited
+from socast.core.evaluate.relative_errors import compute_relative_figures, compute_share_below_least
+from socast.core.evaluate.ride_filter import find_exclusion_reasons, name_rides
+from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
+from socast.core.models import ANY, LinearModel
+from socast.core.models.plausibility import describe_implausible, describe_limited
+from socast.core.stats import multiple_testing, scores
+from socast.core.stats.clustered import assign_vehicle_days, compute_clustered_mean, compute_clustered_ratio
+from socast.core.stats.scores import Codes, Estimate
 
 MOST_WORST_RIDES: Final = 10
 """Number of rides of largest error that are listed."""
@@ -80,7 +80,7 @@ def select_rides(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Comp
     Parameters
     ----------
     rides : (n, columns) DataFrame
-        A ride table, as `core.totals.tables.ride_table` makes it.
+        A ride table, as `socast.core.totals.tables.ride_table` makes it.
     models : mapping of str to LinearModel
         Models by label.
 

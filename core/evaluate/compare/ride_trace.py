@@ -15,14 +15,14 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.errors import ModelError
-from core.evaluate.compare import ride_wind
-from core.evaluate.compare.models import RIDE_PROPERTIES
-from core.evaluate.ride_filter import RIDE_NAME_COLUMNS
-from core.models import LinearModel
-from core.models.features import EFFECT_PREFIX
-from core.totals.tables import HISTOGRAM
+from socast.core.batch import Floats
+from socast.core.errors import ModelError
+from socast.core.evaluate.compare import ride_wind
+from socast.core.evaluate.compare.models import RIDE_PROPERTIES
+from socast.core.evaluate.ride_filter import RIDE_NAME_COLUMNS
+from socast.core.models import LinearModel
+from socast.core.models.features import EFFECT_PREFIX
+from socast.core.totals.tables import HISTOGRAM
 
 LEAST_SHARE: Final = 0.5
 """Share of the ride's error that a span must hold to count as a divergence."""

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
+from socast.core.batch import Floats
 
 LEAST_DISPLACEMENT_DEG: Final = 3e-4
 """Displacement below which a window has no course, about 30 m. [degree of latitude]"""

@@ -5,11 +5,11 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from core.errors import SocastError
-from core.evaluate.ride_filter import LEAST_RIDES, EvaluatedRides
-from core.fit.recipes import RECIPES
-from core.models import BASIC_PHYSICAL
-from core.stats.scores import compute_group_means
+from socast.core.errors import SocastError
+from socast.core.evaluate.ride_filter import LEAST_RIDES, EvaluatedRides
+from socast.core.fit.recipes import RECIPES
+from socast.core.models import BASIC_PHYSICAL
+from socast.core.stats.scores import compute_group_means
 
 RECIPE: Final = "extended_physical"
 BIN_K: Final = 2.0
@@ -29,8 +29,8 @@ def compute_figure_1(evaluated: EvaluatedRides) -> dict[str, Any]:
     -------
     dict
         Vehicle model to `points` and `curve`. Each point has `ambient_c`, `power_w` and `rides` of a temperature bin;
-        the curve has the seven numbers of `core.vehicles.AccessoryCurve` in K and W. Powers are those of a vehicle
-        whose accessory scale is 1.
+        the curve has the seven numbers of `socast.core.vehicles.AccessoryCurve` in K and W. Powers are those of a
+        vehicle whose accessory scale is 1.
     """
     rides: Any = evaluated.rides
     try:

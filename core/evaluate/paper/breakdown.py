@@ -6,12 +6,12 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.evaluate.binning import Binning, bin_seasons
-from core.evaluate.paper.held_out import HeldOutPredictions
-from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, EvaluatedRides
-from core.stats import scores
-from core.stats.scores import Codes
+from socast.core.batch import Floats
+from socast.core.evaluate.binning import Binning, bin_seasons
+from socast.core.evaluate.paper.held_out import HeldOutPredictions
+from socast.core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, EvaluatedRides
+from socast.core.stats import scores
+from socast.core.stats.scores import Codes
 
 TEMPERATURES: Final = tuple(range(-35, 45, 5))
 """Edges of the temperature bins; the first and last bin are open. [°C]"""

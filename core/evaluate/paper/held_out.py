@@ -7,11 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.evaluate.paper.runs import Prediction
-from core.evaluate.paper.vehicle_weights import weigh_vehicle_models
-from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
-from core.stats.scores import Codes, Estimate, average_over_repeats, combine_strata, compute_group_means
+from socast.core.batch import Floats
+from socast.core.evaluate.paper.runs import Prediction
+from socast.core.evaluate.paper.vehicle_weights import weigh_vehicle_models
+from socast.core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
+from socast.core.stats.scores import Codes, Estimate, average_over_repeats, combine_strata, compute_group_means
 
 MOST_UNPREDICTED: Final = 0.05
 """Share of rides without a prediction above which a recipe is left out of the comparison."""

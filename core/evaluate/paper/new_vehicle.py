@@ -17,15 +17,15 @@ from zlib import crc32
 
 import numpy as np
 
-from core.batch import Floats
-from core.errors import SettingsError, SocastError
-from core.evaluate.paper.held_out import HeldOutPredictions
-from core.evaluate.paper.published import find_paper_key
-from core.evaluate.paper.results import REFERENCE, compute_pooled_average, compute_reductions
-from core.evaluate.paper.runs import EvaluatedRecipe, FittedModel
-from core.evaluate.ride_filter import LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
-from core.stats.scores import average_over_repeats, compute_group_means
-from core.stats.splits import Positions, Split
+from socast.core.batch import Floats
+from socast.core.errors import SettingsError, SocastError
+from socast.core.evaluate.paper.held_out import HeldOutPredictions
+from socast.core.evaluate.paper.published import find_paper_key
+from socast.core.evaluate.paper.results import REFERENCE, compute_pooled_average, compute_reductions
+from socast.core.evaluate.paper.runs import EvaluatedRecipe, FittedModel
+from socast.core.evaluate.ride_filter import LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
+from socast.core.stats.scores import average_over_repeats, compute_group_means
+from socast.core.stats.splits import Positions, Split
 
 RIDE_COUNTS: Final = (0, 1, 3, 10, 30, 100)
 """Numbers of rides of the new vehicle model that are used."""

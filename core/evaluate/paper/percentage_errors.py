@@ -10,19 +10,19 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.evaluate.paper.held_out import HeldOutPredictions
-from core.evaluate.paper.results import compute_reductions
-from core.evaluate.relative_errors import (
+from socast.core.batch import Floats
+from socast.core.evaluate.paper.held_out import HeldOutPredictions
+from socast.core.evaluate.paper.results import compute_reductions
+from socast.core.evaluate.relative_errors import (
     LEAST_ENERGY,
     compute_relative_figures,
     compute_share_below_least,
     divide_by_floor,
 )
-from core.evaluate.ride_filter import EvaluatedRides
-from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
-from core.fit.recipes import BASELINES
-from core.stats.scores import average_over_repeats, compute_mae, compute_mape, compute_wmape
+from socast.core.evaluate.ride_filter import EvaluatedRides
+from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
+from socast.core.fit.recipes import BASELINES
+from socast.core.stats.scores import average_over_repeats, compute_mae, compute_mape, compute_wmape
 
 CLUSTER_COLUMNS: Final = {"vehicle": "vehicle_id", "date": "date"}
 """Kind of split -> column of the units that it holds out together, within which errors resemble each other."""

@@ -11,19 +11,19 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.errors import ModelError, SettingsError, suggest_names
-from core.evaluate.paper import breakdown, new_vehicle, percentage_errors, results, selection
-from core.evaluate.paper.accessories import compute_figure_1
-from core.evaluate.paper.held_out import HeldOutPredictions, select_comparable
-from core.evaluate.paper.runs import EvaluatedRecipe, Prediction, Progress, plan_runs, run_in_parallel
-from core.evaluate.ride_filter import EvaluatedRides, filter_rides
-from core.fit.recipes import RECIPES
-from core.fit.segment_network import SegmentRecipe, build_segments
-from core.fit.window_recipe import RecipeWithWindows, WindowRecipe
-from core.models import BUILT_IN_MODELS, HILLS_OF_BUILT_IN
-from core.models.features import list_raw_columns
-from core.stats.scores import compute_widening
-from core.stats.splits import REPEATS, TEST_SHARE, Split, split_by_date, split_by_ride, split_by_vehicle
+from socast.core.errors import ModelError, SettingsError, suggest_names
+from socast.core.evaluate.paper import breakdown, new_vehicle, percentage_errors, results, selection
+from socast.core.evaluate.paper.accessories import compute_figure_1
+from socast.core.evaluate.paper.held_out import HeldOutPredictions, select_comparable
+from socast.core.evaluate.paper.runs import EvaluatedRecipe, Prediction, Progress, plan_runs, run_in_parallel
+from socast.core.evaluate.ride_filter import EvaluatedRides, filter_rides
+from socast.core.fit.recipes import RECIPES
+from socast.core.fit.segment_network import SegmentRecipe, build_segments
+from socast.core.fit.window_recipe import RecipeWithWindows, WindowRecipe
+from socast.core.models import BUILT_IN_MODELS, HILLS_OF_BUILT_IN
+from socast.core.models.features import list_raw_columns
+from socast.core.stats.scores import compute_widening
+from socast.core.stats.splits import REPEATS, TEST_SHARE, Split, split_by_date, split_by_ride, split_by_vehicle
 
 SEGMENTS: Final = "segment_network"
 """Name of the reference recipe that needs the window table."""
@@ -145,7 +145,7 @@ def evaluate(
     Parameters
     ----------
     rides : (n, columns) DataFrame
-        A ride table, as `core.totals.tables.ride_table` makes it.
+        A ride table, as `socast.core.totals.tables.ride_table` makes it.
     recipes : mapping of str to EvaluatedRecipe
         Recipes of `select_recipes`.
     seed : int

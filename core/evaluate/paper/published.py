@@ -13,7 +13,7 @@ from typing import Final, Literal, NamedTuple
 import msgspec
 
 WEIGHTED: Final = "weighted"
-"""Row of Tables 4 to 11: mean over vehicle models, with the weights of `core.evaluate.paper.vehicle_weights`."""
+"""Row of Tables 4 to 11: mean over vehicle models, with the weights of `socast.core.evaluate.paper.vehicle_weights`."""
 AVERAGE: Final = "average"
 """Column of Tables 3 to 11: mean over clusters."""
 
@@ -128,7 +128,7 @@ def load_paper() -> Paper:
     >>> [table.number for table in load_paper().tables if table.quantity == "mae"]
     [5, 6, 7, 8, 9, 10, 11]
     """
-    text = resources.files("core.evaluate.paper").joinpath("paper.toml").read_text(encoding="utf-8")
+    text = resources.files("socast.core.evaluate.paper").joinpath("paper.toml").read_text(encoding="utf-8")
     return msgspec.convert(tomllib.loads(text), Paper)
 
 

@@ -6,8 +6,8 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.evaluate.paper.held_out import (
+from socast.core.batch import Floats
+from socast.core.evaluate.paper.held_out import (
     HeldOutPredictions,
     average_over_clusters,
     average_over_vehicle_models,
@@ -16,9 +16,9 @@ from core.evaluate.paper.held_out import (
     estimate_cells,
     tabulate_estimates,
 )
-from core.evaluate.ride_filter import CLUSTERS, SCORED_CLUSTERS, EvaluatedRides
-from core.stats import multiple_testing
-from core.stats.scores import Estimate, average_over_repeats, combine_strata, compute_group_means
+from socast.core.evaluate.ride_filter import CLUSTERS, SCORED_CLUSTERS, EvaluatedRides
+from socast.core.stats import multiple_testing
+from socast.core.stats.scores import Estimate, average_over_repeats, combine_strata, compute_group_means
 
 REFERENCE: Final = "basic_physical"
 """Recipe to which reductions refer."""

@@ -13,11 +13,11 @@ import pandas as pd
 from joblib import Parallel, delayed, parallel_config
 from threadpoolctl import threadpool_limits
 
-from core.batch import Floats
-from core.errors import SocastError
-from core.evaluate.ride_filter import EvaluatedRides
-from core.models import LinearModel
-from core.stats.splits import Positions, Split
+from socast.core.batch import Floats
+from socast.core.errors import SocastError
+from socast.core.evaluate.ride_filter import EvaluatedRides
+from socast.core.models import LinearModel
+from socast.core.stats.splits import Positions, Split
 
 LEVEL: Final = 0.9
 """Probability of the prediction intervals."""
@@ -65,7 +65,7 @@ class Prediction(NamedTuple):
     problem : str
         Reason why there is no prediction at all; otherwise empty.
     limited : int
-        Number of predictions that stopped at the limit of the model, see `core.models.limit`.
+        Number of predictions that stopped at the limit of the model, see `socast.core.models.limit`.
     """
 
     rows: Positions

@@ -12,8 +12,8 @@ same order, those of physics last.
 Half of the rides rank the terms. The other half measures the cost of removing them, so no term is chosen and evaluated
 on the same rides. Columns are standardised, and fitted for each vehicle model separately, as in the hybrid model. The
 rank of a term follows from the root mean square of its coefficients over vehicle models, weighted by their rides.
-Collinear terms share what they explain (`core.fit.regression`), so each of them appears weaker than it is, and one of
-them can always be removed.
+Collinear terms share what they explain (`socast.core.fit.regression`), so each of them appears weaker than it is, and
+one of them can always be removed.
 
 References
 ----------
@@ -30,17 +30,17 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.feature_selection import RFE, RFECV
 from sklearn.model_selection import KFold
 
-from core.batch import Floats
-from core.evaluate.ride_filter import EvaluatedRides
-from core.fit.block_sums import build_design
-from core.fit.fitting import ROUNDING
-from core.fit.recipes import LinearRecipe
-from core.fit.regression import Moments, solve
-from core.models import ANY, Term
-from core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns
-from core.stats.multiple_testing import SIGNIFICANCE
-from core.stats.scores import Codes, Estimate, average_over_repeats
-from core.stats.splits import Positions, Split, split_by_ride
+from socast.core.batch import Floats
+from socast.core.evaluate.ride_filter import EvaluatedRides
+from socast.core.fit.block_sums import build_design
+from socast.core.fit.fitting import ROUNDING
+from socast.core.fit.recipes import LinearRecipe
+from socast.core.fit.regression import Moments, solve
+from socast.core.models import ANY, Term
+from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns
+from socast.core.stats.multiple_testing import SIGNIFICANCE
+from socast.core.stats.scores import Codes, Estimate, average_over_repeats
+from socast.core.stats.splits import Positions, Split, split_by_ride
 
 RECIPE: Final = "hybrid_full"
 """Recipe with every term; `hybrid` lacks those that the paper removed."""

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from core.batch import Floats
+from socast.core.batch import Floats
 
 
 def weigh_vehicle_models(rides: Sequence[float], known: Sequence[bool]) -> Floats:

@@ -5,7 +5,7 @@
 - `model_mean`: the mean energy of the vehicle model per kilometre of ride, times the kilometres still planned. The mean
   covers shifts that ended before this one began. It includes idling and empty trips, as the outcome does.
 - `rating`: the official rating times the same kilometres. US labels include charging losses.
-- `regression`: see `core.evaluate.soc.regression`. It alone has an interval.
+- `regression`: see `socast.core.evaluate.soc.regression`. It alone has an interval.
 
 All baselines start from the filtered state of charge, which is more accurate than the display, and are limited to 0 to
 100 %.
@@ -19,10 +19,10 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.evaluate.soc.cases import SHIFT_KEY, normalise_keys
-from core.evaluate.soc.regression import compute_regression
-from core.vehicles import load_catalogue
+from socast.core.batch import Floats
+from socast.core.evaluate.soc.cases import SHIFT_KEY, normalise_keys
+from socast.core.evaluate.soc.regression import compute_regression
+from socast.core.vehicles import load_catalogue
 
 PERSONS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -51,11 +51,11 @@ def compute_baselines(
     Parameters
     ----------
     cases : (n, columns) DataFrame
-        Forecasts of `core.evaluate.soc.cases.select_cases`.
+        Forecasts of `socast.core.evaluate.soc.cases.select_cases`.
     outlooks, shifts : DataFrame
         All forecasts and all ended shifts of the pipeline.
     plans : DataFrame, optional
-        Plans, as `core.evaluate.soc.plans.PlanRecorder.table` returns them.
+        Plans, as `socast.core.evaluate.soc.plans.PlanRecorder.table` returns them.
 
     Returns
     -------
@@ -76,11 +76,11 @@ def compute_leg_baselines(
     Parameters
     ----------
     cases : (n, columns) DataFrame
-        Legs of `core.evaluate.soc.legs.match_legs_to_rides`.
+        Legs of `socast.core.evaluate.soc.legs.match_legs_to_rides`.
     outlooks, shifts : DataFrame
         All forecasts and all ended shifts.
     plans : DataFrame, optional
-        Plans, as `core.evaluate.soc.plans.PlanRecorder.table` returns them.
+        Plans, as `socast.core.evaluate.soc.plans.PlanRecorder.table` returns them.
 
     Returns
     -------

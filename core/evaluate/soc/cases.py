@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.columns import SECONDS_PER_DAY
-from core.forecast.plan_tracker import CUT_SHORT_MARGIN
-from core.stats.clustered import assign_vehicle_days
+from socast.core.batch import Floats
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.forecast.plan_tracker import CUT_SHORT_MARGIN
+from socast.core.stats.clustered import assign_vehicle_days
 
 HOURS_AHEAD: Final = (0, 1, 2, 4, 6)
 """Times before a shift's end, measured from its last sample. [h]"""

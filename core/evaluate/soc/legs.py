@@ -1,9 +1,9 @@
 """Evaluate forecasts of single legs up to the next charge.
 
 Where a vehicle charges during its shift, the forecast of the shift's end cannot be evaluated, because it states the
-outcome without a charge. The answer to a query (`core.forecast.what_if`) states the charge at the end of each leg, and
-legs that end before the charge can be evaluated. Queries are therefore made throughout the shift
-(`core.evaluate.soc.query_times`), and each leg is compared with the ride that it became.
+outcome without a charge. The answer to a query (`socast.core.forecast.what_if`) states the charge at the end of each
+leg, and legs that end before the charge can be evaluated. Queries are therefore made throughout the shift
+(`socast.core.evaluate.soc.query_times`), and each leg is compared with the ride that it became.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,13 +14,13 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.columns import SECONDS_PER_DAY
-from core.errors import AskError
-from core.evaluate.soc.cases import normalise_keys
-from core.evaluate.soc.query_times import QUERY_INTERVAL
-from core.forecast.plan_tracker import SHORTEST_RIDE
-from core.stats.clustered import assign_vehicle_days
-from core.wire.messages import Outlook
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.errors import AskError
+from socast.core.evaluate.soc.cases import normalise_keys
+from socast.core.evaluate.soc.query_times import QUERY_INTERVAL
+from socast.core.forecast.plan_tracker import SHORTEST_RIDE
+from socast.core.stats.clustered import assign_vehicle_days
+from socast.core.wire.messages import Outlook
 
 LEAST_INTERVAL: Final = QUERY_INTERVAL / 2.0
 """Time of a vehicle that must pass between two recorded answers, as late samples may call for a query twice. [s]"""
@@ -64,7 +64,7 @@ class LegRecorder:
         Parameters
         ----------
         vehicle_id : str
-            Vehicle that `core.evaluate.soc.query_times.QueryTimes` has found due.
+            Vehicle that `socast.core.evaluate.soc.query_times.QueryTimes` has found due.
         """
         try:
             answer = self._ask(vehicle_id)

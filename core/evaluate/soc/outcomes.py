@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.evaluate.soc.cases import normalise_keys
+from socast.core.evaluate.soc.cases import normalise_keys
 
 MOST_APART: Final = 3600.0
 """Largest difference between the begin of a shift and that of its display. [s]"""
@@ -59,7 +59,7 @@ def count_impossible_bounds(outlooks: pd.DataFrame, plans: pd.DataFrame | None =
     outlooks : DataFrame
         All forecasts.
     plans : DataFrame, optional
-        Plans, as `core.evaluate.soc.plans.PlanRecorder.table` returns them; they tell of charges ahead.
+        Plans, as `socast.core.evaluate.soc.plans.PlanRecorder.table` returns them; they tell of charges ahead.
 
     Returns
     -------

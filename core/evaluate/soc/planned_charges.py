@@ -1,10 +1,10 @@
 """Evaluate forecasts where a plan has a charge: until the next charge, and over it to the end of the shift.
 
-Both are evaluated like forecasts for the end of a shift (`core.evaluate.soc.cases`). Until the next charge, the part of
-a shift before each charge takes the place of the shift, and the last reading before the charge is the outcome. The time
-of a charge is not planned. A forecast is therefore selected by the time ahead that it tells, and not by the time until
-the charge, which would select forecasts by what followed. Over a planned charge, the outcome is that of the shift,
-whether or not the car has charged.
+Both are evaluated like forecasts for the end of a shift (`socast.core.evaluate.soc.cases`). Until the next charge, the
+part of a shift before each charge takes the place of the shift, and the last reading before the charge is the outcome.
+The time of a charge is not planned. A forecast is therefore selected by the time ahead that it tells, and not by the
+time until the charge, which would select forecasts by what followed. Over a planned charge, the outcome is that of the
+shift, whether or not the car has charged.
 """
 
 from typing import Final
@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.evaluate.soc.baselines import BASELINES, compute_baselines, compute_rate_baselines
-from core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, normalise_keys, select_cases
-from core.evaluate.soc.regression import REGRESSION_COLUMNS
+from socast.core.batch import Floats
+from socast.core.evaluate.soc.baselines import BASELINES, compute_baselines, compute_rate_baselines
+from socast.core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, normalise_keys, select_cases
+from socast.core.evaluate.soc.regression import REGRESSION_COLUMNS
 
 MOST_CHARGES: Final = 1000
 """Number of charges in a shift from which their numbers would no longer be unique."""
@@ -118,8 +118,8 @@ def compute_over_charge_baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, s
     Returns
     -------
     (n, columns) DataFrame
-        The columns of `core.evaluate.soc.baselines.compute_baselines`: consumption by kilometre from the planned charge
-        on; NaN of baselines that know no charge. [%]
+        The columns of `socast.core.evaluate.soc.baselines.compute_baselines`: consumption by kilometre from the planned
+        charge on; NaN of baselines that know no charge. [%]
     """
     told = normalise_keys(outlooks)[[*SHIFT_KEY, "time_s", "charge_to_pct", "charge_km"]]
     told = told.drop_duplicates([*SHIFT_KEY, "time_s"])
@@ -145,13 +145,13 @@ def select_charge_cases(
     outlooks, shifts : DataFrame
         All forecasts and all ended shifts of a pipeline.
     plans : DataFrame, optional
-        Plans, as `core.evaluate.soc.plans.PlanRecorder.table` returns them.
+        Plans, as `socast.core.evaluate.soc.plans.PlanRecorder.table` returns them.
 
     Returns
     -------
     dict of str to DataFrame
         `to the charge` and `over the charge`, those of them that have forecasts: cases as in
-        `core.evaluate.soc.cases.ForecastCases`, with a column for each baseline.
+        `socast.core.evaluate.soc.cases.ForecastCases`, with a column for each baseline.
     """
     if not len(outlooks) or not outlooks["charge_planned"].any():
         return {}

@@ -9,7 +9,7 @@ from typing import Any, Final
 import msgspec
 import pandas as pd
 
-from core.wire.messages import Message, address
+from socast.core.wire.messages import Message, address
 
 PLAN_COLUMNS: Final = ("vehicle_id", "time_s", "plan_km", "plan_drive_s", "charge_ahead", "charge_to_pct")
 """Columns of recorded plans: kilometres and time of all rides, whether a charge is planned, and up to which charge."""

@@ -13,9 +13,9 @@ from typing import Final
 
 import msgspec
 
-from core.wire.arrow_batch import PREFIX
-from core.wire.messages import BATCH, Message, address
-from core.wire.sample_reader import read_samples
+from socast.core.wire.arrow_batch import PREFIX
+from socast.core.wire.messages import BATCH, Message, address
+from socast.core.wire.sample_reader import read_samples
 
 QUERY_INTERVAL: Final = 1800.0
 """Length of a slot. [s]"""

@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.columns import SECONDS_PER_DAY
-from core.evaluate.soc.cases import SHIFT_KEY, normalise_keys
+from socast.core.batch import Floats
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.evaluate.soc.cases import SHIFT_KEY, normalise_keys
 
 FEWEST_SHIFTS: Final = 10
 """Number of earlier shifts from which the regression is fitted."""
@@ -30,7 +30,7 @@ DAY_ENERGY: Final = 40.0
 """Energies that pull the factors of a car and of a day towards 1. [kWh]
 
 They and `RIDGE` make the regression about as good as it gets on the fleets `autumn` and `autumn-short` with seed 1 and
-`small` with seeds 1 and 2 (see `tools.simulator.fleets`).
+`small` with seeds 1 and 2 (see `socast.tools.simulator.fleets`).
 """
 DAY_FACTOR: Final = (0.5, 2.0)
 """Limits of the factor of a day. [1]"""
@@ -53,12 +53,12 @@ def compute_regression(
     Parameters
     ----------
     cases : (n, columns) DataFrame
-        Forecasts of `core.evaluate.soc.cases.select_cases`; or legs of `core.evaluate.soc.legs.match_legs_to_rides`,
-        whose end replaces that of the shift.
+        Forecasts of `socast.core.evaluate.soc.cases.select_cases`; or legs of
+        `socast.core.evaluate.soc.legs.match_legs_to_rides`, whose end replaces that of the shift.
     outlooks, shifts : DataFrame
         All forecasts and all ended shifts of the pipeline.
     plans : DataFrame, optional
-        Plans, as `core.evaluate.soc.plans.PlanRecorder.table` returns them; they tell hours of driving.
+        Plans, as `socast.core.evaluate.soc.plans.PlanRecorder.table` returns them; they tell hours of driving.
 
     Returns
     -------

@@ -13,17 +13,17 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.errors import ModelError
-from core.evaluate.binning import bin_values
-from core.evaluate.soc.baselines import BASELINES, PERSONS, compute_baselines, compute_leg_baselines
-from core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, ForecastCases, normalise_keys, select_cases
-from core.evaluate.soc.legs import MINUTES
-from core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
-from core.evaluate.soc.planned_charges import select_charge_cases
-from core.evaluate.soc.reserve_risk import evaluate_reserve_risk
-from core.stats.clustered import compute_clustered_mean, compute_clustered_share
-from core.stats.scores import Codes
+from socast.core.batch import Floats, Ints
+from socast.core.errors import ModelError
+from socast.core.evaluate.binning import bin_values
+from socast.core.evaluate.soc.baselines import BASELINES, PERSONS, compute_baselines, compute_leg_baselines
+from socast.core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, ForecastCases, normalise_keys, select_cases
+from socast.core.evaluate.soc.legs import MINUTES
+from socast.core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
+from socast.core.evaluate.soc.planned_charges import select_charge_cases
+from socast.core.evaluate.soc.reserve_risk import evaluate_reserve_risk
+from socast.core.stats.clustered import compute_clustered_mean, compute_clustered_share
+from socast.core.stats.scores import Codes
 
 NOMINAL: Final = 0.90
 """Nominal share of outcomes inside the interval."""
@@ -96,11 +96,11 @@ def evaluate_soc(
     shifts : DataFrame
         All shifts that have ended, as `Pipeline.take_shifts` returns them.
     legs : DataFrame, optional
-        Single legs, as `core.evaluate.soc.legs.match_legs_to_rides` returns them.
+        Single legs, as `socast.core.evaluate.soc.legs.match_legs_to_rides` returns them.
     plans : DataFrame, optional
-        Plans, as `core.evaluate.soc.plans.PlanRecorder.table` returns them.
+        Plans, as `socast.core.evaluate.soc.plans.PlanRecorder.table` returns them.
     displays : DataFrame, optional
-        What healthy displays show, see `core.evaluate.soc.outcomes.replace_outcomes`; it is the outcome then.
+        What healthy displays show, see `socast.core.evaluate.soc.outcomes.replace_outcomes`; it is the outcome then.
 
     Returns
     -------
@@ -179,7 +179,7 @@ def compute_leg_figures(
     Parameters
     ----------
     legs : DataFrame
-        Legs, as `core.evaluate.soc.legs.match_legs_to_rides` returns them.
+        Legs, as `socast.core.evaluate.soc.legs.match_legs_to_rides` returns them.
     outlooks, shifts : DataFrame
         All forecasts, and all shifts that have ended.
     plans : DataFrame, optional
@@ -213,7 +213,7 @@ def compute_charge_figures(cases: pd.DataFrame) -> list[dict[str, Any]]:
     Parameters
     ----------
     cases : DataFrame
-        Cases of `core.evaluate.soc.planned_charges.select_charge_cases`.
+        Cases of `socast.core.evaluate.soc.planned_charges.select_charge_cases`.
     """
     hours, gathered = cases["hours"].to_numpy(), FigureCases.gather(cases)
     bins = [

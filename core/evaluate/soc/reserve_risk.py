@@ -6,7 +6,7 @@ these; it follows from their interval: two halves of normal distributions meet a
 `soc_p05_pct`, the upper one with 5 % above `soc_p95_pct`.
 
 Baselines have no risk. Each is given the risk that follows from its earlier errors
-(`core.evaluate.soc.baselines.compute_empirical_risk`).
+(`socast.core.evaluate.soc.baselines.compute_empirical_risk`).
 """
 
 from collections.abc import Sequence
@@ -18,11 +18,11 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from core.batch import Floats
-from core.evaluate.soc.baselines import BASELINES, REGRESSION, compute_empirical_risk
-from core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY
-from core.stats.clustered import compute_clustered_ratio, compute_clustered_share
-from core.stats.scores import Codes
+from socast.core.batch import Floats
+from socast.core.evaluate.soc.baselines import BASELINES, REGRESSION, compute_empirical_risk
+from socast.core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY
+from socast.core.stats.clustered import compute_clustered_ratio, compute_clustered_share
+from socast.core.stats.scores import Codes
 
 LEVELS: Final = (20, 30, 40, 50, 60)
 """Levels that stand in for a reserve. [%]"""
@@ -44,7 +44,7 @@ def evaluate_reserve_risk(cases: pd.DataFrame) -> dict[str, Any]:
     Parameters
     ----------
     cases : (n, columns) DataFrame
-        Forecasts of `core.evaluate.soc.cases.select_cases`, with the columns of the baselines.
+        Forecasts of `socast.core.evaluate.soc.cases.select_cases`, with the columns of the baselines.
 
     Returns
     -------

@@ -13,9 +13,9 @@ from math import log, nan
 from statistics import fmean, median
 from typing import Any, Final, NamedTuple
 
-from core.batch import Ints, take_keys
-from core.forecast.filter_state import CAPACITY_SD, DEFAULT_QUANTUM
-from core.forecast.soc_filter import DRIVER_SD, ENERGY_SD
+from socast.core.batch import Ints, take_keys
+from socast.core.forecast.filter_state import CAPACITY_SD, DEFAULT_QUANTUM
+from socast.core.forecast.soc_filter import DRIVER_SD, ENERGY_SD
 
 CAR_SD: Final = 0.08
 """Standard deviation of the consumption of cars of a model about its mean. [1]"""

@@ -18,9 +18,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.forecast.conformal import DAY_MEMORY
-from core.totals.exact_sums import DaySums, FloatSums
+from socast.core.batch import Floats
+from socast.core.forecast.conformal import DAY_MEMORY
+from socast.core.totals.exact_sums import DaySums, FloatSums
 
 CENTRE: Final = 0.8
 """Planned charge at which the slope has no effect. [1]"""

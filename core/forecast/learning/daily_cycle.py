@@ -9,10 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import SECONDS_PER_DAY
-from core.forecast.conformal import DAY_MEMORY
-from core.totals.exact_sums import DaySums, FloatSums
+from socast.core.batch import Floats
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.forecast.conformal import DAY_MEMORY
+from socast.core.totals.exact_sums import DaySums, FloatSums
 
 HOURS: Final = 24
 """Number of hours of a day."""

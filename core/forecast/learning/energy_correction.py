@@ -19,10 +19,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from core.forecast.conformal import DAY_MEMORY, weigh_day
-from core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
-from core.totals.exact_sums import DaySums, FloatSums
+from socast.core.batch import Floats
+from socast.core.forecast.conformal import DAY_MEMORY, weigh_day
+from socast.core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
+from socast.core.totals.exact_sums import DaySums, FloatSums
 
 MILD: Final = 14.0, 21.0
 """Temperatures between which neither cold nor heat counts. [°C]"""

@@ -1,19 +1,19 @@
 """Tables of leg energy of a vehicle model before its first rides: the official consumption and the climate by physics.
 
 A plan of the first day must have a forecast too. Driving takes the official consumption without charging losses.
-Heating, air conditioning and standby take the power of the reference car, as in `core.vehicles`. Until the tables are
-learned, the same figures replace the energy that the model predicts, so that the filter compares the measured energy
-with the tables of the forecast. Official cycles differ from city traffic, and cars of one model from each other: most
-of that is the same for a whole shift, and the first kilometres reveal it.
+Heating, air conditioning and standby take the power of the reference car, as in `socast.core.vehicles`. Until the
+tables are learned, the same figures replace the energy that the model predicts, so that the filter compares the
+measured energy with the tables of the forecast. Official cycles differ from city traffic, and cars of one model from
+each other: most of that is the same for a whole shift, and the first kilometres reveal it.
 """
 
 from typing import Final
 
 import numpy as np
 
-from core.columns import ZERO_CELSIUS
-from core.forecast.learning.leg_energy import PACES, TEMPERATURES, LegEnergyTables
-from core.vehicles import ACCESSORIES, VehicleModel
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.forecast.learning.leg_energy import PACES, TEMPERATURES, LegEnergyTables
+from socast.core.vehicles import ACCESSORIES, VehicleModel
 
 DRIVING_SHARE: Final = 0.75
 """Share of the official consumption that driving takes: less charging losses and the accessories of the cycle. [1]

@@ -1,7 +1,7 @@
 """Statistics of a fleet: collected through the day, applied by the daily update.
 
 They hold the consumption of rides and idle periods (`ride_stats`), the consumption factors of cars and drivers and the
-usual pattern of each car's shifts (`car_driver`), and the errors of forecasts (`core.forecast.conformal` and
+usual pattern of each car's shifts (`car_driver`), and the errors of forecasts (`socast.core.forecast.conformal` and
 `forecast_errors`). All of them take effect when the next day begins. So a forecast depends on the day, and not on which
 other cars sent samples a moment earlier.
 """
@@ -12,25 +12,25 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints, grown, take_lanes
-from core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals, check_scores
-from core.forecast.filter_state import LOG_FACTOR_PRIOR
-from core.forecast.learning.car_driver import ConsumptionFactors, GuestShift, LogFactor, ShiftPattern
-from core.forecast.learning.charged_soc import ChargedSoc
-from core.forecast.learning.daily_cycle import DailyCycle
-from core.forecast.learning.energy_correction import EnergyCorrection
-from core.forecast.learning.first_tables import make_first_tables
-from core.forecast.learning.forecast_errors import ShiftErrors
-from core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
-from core.forecast.learning.ride_stats import ModelSums, RideStatistics
-from core.forecast.outlook import UsualConsumption, compute_temperature_weights
-from core.forecast.soc_filter import WARM_UP_TIME
-from core.totals.accumulator import Totals
-from core.totals.context import RunContext
-from core.totals.exact_sums import DaySums, ExactSums, FloatSums
-from core.totals.measured_energy import compute_largest_energy, measure_energy
-from core.totals.tables import unfit_reason
-from core.vehicles.fleet import UNKNOWN
+from socast.core.batch import Floats, Ints, grown, take_lanes
+from socast.core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals, check_scores
+from socast.core.forecast.filter_state import LOG_FACTOR_PRIOR
+from socast.core.forecast.learning.car_driver import ConsumptionFactors, GuestShift, LogFactor, ShiftPattern
+from socast.core.forecast.learning.charged_soc import ChargedSoc
+from socast.core.forecast.learning.daily_cycle import DailyCycle
+from socast.core.forecast.learning.energy_correction import EnergyCorrection
+from socast.core.forecast.learning.first_tables import make_first_tables
+from socast.core.forecast.learning.forecast_errors import ShiftErrors
+from socast.core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
+from socast.core.forecast.learning.ride_stats import ModelSums, RideStatistics
+from socast.core.forecast.outlook import UsualConsumption, compute_temperature_weights
+from socast.core.forecast.soc_filter import WARM_UP_TIME
+from socast.core.totals.accumulator import Totals
+from socast.core.totals.context import RunContext
+from socast.core.totals.exact_sums import DaySums, ExactSums, FloatSums
+from socast.core.totals.measured_energy import compute_largest_energy, measure_energy
+from socast.core.totals.tables import unfit_reason
+from socast.core.vehicles.fleet import UNKNOWN
 
 ACCEPTED_UNFITNESS: Final = (None, "too_long")
 """Reasons for which a ride may be unfit for training and still counts: errands of hours belong to shifts."""

@@ -1,7 +1,7 @@
 """Evaluate forecasts against the charge at the end of their shift, and learn from the errors.
 
 The log keeps one forecast of each car every ten minutes. When the shift has ended, as planned or in silence, the errors
-over the forecasts' own standard deviations go to `core.forecast.conformal`. A forecast of the charge at the next
+over the forecasts' own standard deviations go to `socast.core.forecast.conformal`. A forecast of the charge at the next
 planned charge is evaluated when the car comes to charge. A forecast without a planned charge is not evaluated if the
 car charged between it and the end, as no plan announced it. Nor is one with a frozen, absent or jumping reading in
 between, because the reading then is no outcome; nor is a forecast below an empty battery: the car stops there, and the
@@ -16,9 +16,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints, grown, take_keys, take_lanes
-from core.forecast.conformal import OVER_CHARGE, TO_CHARGE
-from core.forecast.learning.energy_correction import PartForecasts
+from socast.core.batch import Floats, Ints, grown, take_keys, take_lanes
+from socast.core.forecast.conformal import OVER_CHARGE, TO_CHARGE
+from socast.core.forecast.learning.energy_correction import PartForecasts
 
 RECORD_PERIOD: Final = 600.0
 """Time between two recorded forecasts of a car. [s]"""
@@ -36,7 +36,7 @@ class ForecastRecord(NamedTuple):
     end : float
         The end of the shift that it is for; infinite with `TO_CHARGE`. [s]
     basis : int
-        See `core.forecast.conformal`.
+        See `socast.core.forecast.conformal`.
     ahead_km : float
         Distance that the energy ahead would usually drive. [km]
     ambient_c, ahead_c : float

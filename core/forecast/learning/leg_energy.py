@@ -1,15 +1,15 @@
 """Energy of a leg of given distance and duration, by vehicle model, pace and outside temperature.
 
 A plan states how far and how long a leg is, not how often the car accelerates nor how much it heats. That is known from
-earlier rides (`core.forecast.learning.ride_stats`) at knots of pace and temperature. Between two knots the values are
-interpolated linearly.
+earlier rides (`socast.core.forecast.learning.ride_stats`) at knots of pace and temperature. Between two knots the
+values are interpolated linearly.
 """
 
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
+from socast.core.batch import Floats
 
 PACES: Final = np.array([1.0, 1.5, 2.2, 3.0, 4.3, 7.5, 15.0])
 """Knots of pace. The energy per kilometre grows linearly with the time per kilometre. [min/km]"""

@@ -1,11 +1,11 @@
 """Compute the tables of leg energy from sums over rides and idle periods.
 
 The model predicts a ride of typical length for each pace and temperature, with the mean amounts of the rides there or
-at the nearest temperature (`core.forecast.learning.temperature_transfer`). The measured over the predicted energy of
-rides and idle periods corrects it: first by a factor and a power for each temperature, then by a factor for each pace.
-Averages blur quantities that change fast with pace or temperature, so `fit_leg_energy` then fits the rides as sums of
-their terms. A waiting car takes the mean power of cars that stood, with the corrected model as prior; an empty way to a
-ride takes the energy of idle periods beyond that.
+at the nearest temperature (`socast.core.forecast.learning.temperature_transfer`). The measured over the predicted
+energy of rides and idle periods corrects it: first by a factor and a power for each temperature, then by a factor for
+each pace. Averages blur quantities that change fast with pace or temperature, so `fit_leg_energy` then fits the rides
+as sums of their terms. A waiting car takes the mean power of cars that stood, with the corrected model as prior; an
+empty way to a ride takes the energy of idle periods beyond that.
 """
 
 from dataclasses import replace
@@ -14,20 +14,20 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints, Lanes
-from core.columns import GRAVITY
-from core.forecast.learning.leg_energy import PACES, TEMPERATURES, TYPICAL_KM, LegEnergyTables
-from core.forecast.learning.temperature_transfer import (
+from socast.core.batch import Floats, Ints, Lanes
+from socast.core.columns import GRAVITY
+from socast.core.forecast.learning.leg_energy import PACES, TEMPERATURES, TYPICAL_KM, LegEnergyTables
+from socast.core.forecast.learning.temperature_transfer import (
     Corrections,
     fit_corrections,
     make_standing_amounts,
     shift_amounts,
 )
-from core.totals.accumulator import AMOUNTS, EDGES, Totals
-from core.totals.context import RunContext
-from core.totals.display_record import create_unknown_yields
-from core.totals.tables import model_columns
-from core.vehicles.fleet import CarParameters
+from socast.core.totals.accumulator import AMOUNTS, EDGES, Totals
+from socast.core.totals.context import RunContext
+from socast.core.totals.display_record import create_unknown_yields
+from socast.core.totals.tables import model_columns
+from socast.core.vehicles.fleet import CarParameters
 
 GRID: Final = len(PACES), len(TEMPERATURES)
 """Shape of a table by pace and temperature."""

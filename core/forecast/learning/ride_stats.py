@@ -2,8 +2,8 @@
 
 The sums of a ride are added to the two paces and two temperatures around its own, with bilinear weights. Beside the
 amounts stand the sums for a regression of measured on predicted energy and, once there are tables, for a regression of
-measured energy on the terms of the tables. `core.forecast.learning.leg_energy_fit` turns these sums into the tables of
-leg energy.
+measured energy on the terms of the tables. `socast.core.forecast.learning.leg_energy_fit` turns these sums into the
+tables of leg energy.
 """
 
 from collections.abc import Sequence
@@ -12,11 +12,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.columns import ZERO_CELSIUS
-from core.forecast.learning.first_tables import FIRST_RELATIVE_SD
-from core.forecast.learning.leg_energy import LEAST_KM, PACES, TEMPERATURES, LegEnergyTables, compute_knot_weights
-from core.forecast.learning.leg_energy_fit import (
+from socast.core.batch import Floats
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.forecast.learning.first_tables import FIRST_RELATIVE_SD
+from socast.core.forecast.learning.leg_energy import (
+    LEAST_KM,
+    PACES,
+    TEMPERATURES,
+    LegEnergyTables,
+    compute_knot_weights,
+)
+from socast.core.forecast.learning.leg_energy_fit import (
     CELLS,
     ENERGY_SUMS,
     FIT_TERMS,
@@ -31,10 +37,10 @@ from core.forecast.learning.leg_energy_fit import (
     build_leg_energy_tables,
     fit_leg_energy,
 )
-from core.forecast.soc_filter import ENERGY_SD
-from core.totals.accumulator import EDGES, Totals
-from core.totals.context import RunContext
-from core.totals.exact_sums import DaySums, ExactSums, FloatSums
+from socast.core.forecast.soc_filter import ENERGY_SD
+from socast.core.totals.accumulator import EDGES, Totals
+from socast.core.totals.context import RunContext
+from socast.core.totals.exact_sums import DaySums, ExactSums, FloatSums
 
 LEAST_RIDES: Final = 12
 """Rides of a vehicle model below which it has no tables of its own."""

@@ -13,15 +13,15 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import core.effects
-from core.batch import Floats
-from core.columns import GRAVITY, SIGNALS, STANDARD_AIR_DENSITY, ZERO_CELSIUS
-from core.effects import Effect
-from core.forecast.learning.leg_energy import TEMPERATURES
-from core.totals.accumulator import AMOUNTS
-from core.totals.context import RunContext
-from core.vehicles import ACCESSORIES
-from core.vehicles.fleet import CarParameters
+import socast.core.effects
+from socast.core.batch import Floats
+from socast.core.columns import GRAVITY, SIGNALS, STANDARD_AIR_DENSITY, ZERO_CELSIUS
+from socast.core.effects import Effect
+from socast.core.forecast.learning.leg_energy import TEMPERATURES
+from socast.core.totals.accumulator import AMOUNTS
+from socast.core.totals.context import RunContext
+from socast.core.vehicles import ACCESSORIES
+from socast.core.vehicles.fleet import CarParameters
 
 FACTOR_SD: Final = 0.3
 """Standard deviation of the factor of the model's energy, before any data. [1]"""
@@ -252,7 +252,7 @@ def make_standing_amounts(width: int, celsius: Floats, context: RunContext, car:
 def _list_effects(context: RunContext) -> list[tuple[int, Effect]]:
     """Return the effects that the model reads, each with its place among the sums; those of other models may fail."""
     read = set(context.model.effects)
-    return [(len(AMOUNTS) + i, core.effects.get(name)) for i, name in enumerate(context.effects) if name in read]
+    return [(len(AMOUNTS) + i, socast.core.effects.get(name)) for i, name in enumerate(context.effects) if name in read]
 
 
 class _SteadyDrive(Mapping[str, Floats]):

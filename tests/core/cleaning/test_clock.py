@@ -1,13 +1,13 @@
-"""Test the repair of time against the accuracy that the docstring of `core.cleaning.clock` states."""
+"""Test the repair of time against the accuracy that the docstring of `socast.core.cleaning.clock` states."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.cleaning.clean_columns import Clean
-from core.cleaning.quality import Quality
-from core.settings import Settings
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.quality import Quality
+from socast.core.settings import Settings
 from tests.support.telemetry import PERIOD, START, cleaned, count, drive, joined, picked, without
 
 N = 800

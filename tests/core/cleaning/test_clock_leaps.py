@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.cleaning.kernel import Cleaner
-from core.cleaning.quality import Quality
-from core.settings import Settings
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.cleaning.quality import Quality
+from socast.core.settings import Settings
 from tests.core.cleaning.test_clock import WITH_SEQ, cruise, jittered, truth
 from tests.support.telemetry import PERIOD, START, cleaned, count, decoded, joined, picked, telemetry, without
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from core.batch import Lanes
-from core.cleaning.elevation_map import ElevationMap, ElevationRaster
-from core.cleaning.elevation_smoother import smooth_elevation
-from core.cleaning.kernel import Cleaner
-from core.cleaning.quality import Quality
-from core.pipeline import Pipeline
-from core.settings import Settings
+from socast.core.batch import Lanes
+from socast.core.cleaning.elevation_map import ElevationMap, ElevationRaster
+from socast.core.cleaning.elevation_smoother import smooth_elevation
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.cleaning.quality import Quality
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
 from tests.support.ground import hills, hilly_drive
 from tests.support.telemetry import PLACE, count, decoded, drive, joined, ran, telemetry, without
 

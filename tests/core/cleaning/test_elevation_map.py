@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.cleaning.elevation_map import ElevationMap, ElevationPlaces, ElevationRaster, MapLookup, name_tile
+from socast.core.cleaning.elevation_map import ElevationMap, ElevationPlaces, ElevationRaster, MapLookup, name_tile
 from tests.support.telemetry import decoded, drive, telemetry
 
 STEP = 1e-5

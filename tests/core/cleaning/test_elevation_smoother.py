@@ -5,8 +5,8 @@ import pytest
 from filterpy.common import Q_continuous_white_noise, van_loan_discretization
 from filterpy.kalman import KalmanFilter
 
-from core.cleaning.elevation_filter import FAR, LENGTH, STEEP, UNIT_NOISE, RideSteps
-from core.cleaning.elevation_smoother import (
+from socast.core.cleaning.elevation_filter import FAR, LENGTH, STEEP, UNIT_NOISE, RideSteps
+from socast.core.cleaning.elevation_smoother import (
     CORRELATION_TIME,
     ROUGHNESS,
     find_noise,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.cleaning.quality import Quality
+from socast.core.cleaning.quality import Quality
 from tests.core.cleaning.test_position_filter import clean
 from tests.support.telemetry import count
 from tests.support.town_drives import town_drive, with_noise

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.cleaning.fleet_clock import STALLED, advance_fleet_clock, new_fleet_clock
-from core.pipeline import Pipeline
-from core.settings import Settings
+from socast.core.cleaning.fleet_clock import STALLED, advance_fleet_clock, new_fleet_clock
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
 from tests.support.ride_streams import count_ended, in_order, sent
 from tests.support.telemetry import PERIOD, START, leaf, ran
 

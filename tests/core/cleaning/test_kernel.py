@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.batch import Batch, Lanes
-from core.cleaning.clean_columns import Clean
-from core.cleaning.kernel import Cleaner
-from core.cleaning.quality import Quality
-from core.columns import TELEMETRY
-from core.settings import Settings
-from core.wire.decoder import Decoder
+from socast.core.batch import Batch, Lanes
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import TELEMETRY
+from socast.core.settings import Settings
+from socast.core.wire.decoder import Decoder
 from tests.support.paths import ROOT
 from tests.support.telemetry import PERIOD, cleaned, count, decoded, drive, picked, telemetry, without
 
@@ -283,17 +283,19 @@ def test_kernel_is_recompiled_when_one_of_its_modules_changes(tmp_path):
     """Numba itself checks only the file of the kernel, not the files that it imports."""
     Cleaner(Settings()).clean(decoded(telemetry(full())), 1)  # compiled at the latest now
     source = ROOT / "core"
-    core = tmp_path / "core"
+    core = tmp_path / "socast" / "core"
+    core.mkdir(parents=True)
+    (core.parent / "__init__.py").touch()
     for file in [*source.glob("*.py"), *source.glob("cleaning/*.py"), *source.glob("cleaning/__pycache__/*.nb?")]:
         copy = core / file.relative_to(source)
         copy.parent.mkdir(parents=True, exist_ok=True)
         copy.write_bytes(file.read_bytes())
     print_cached = (
-        "from core.cleaning import kernel;"
+        "from socast.core.cleaning import kernel;"
         "print(kernel.__file__, kernel.clean_rows._cache._cache_file._load_index() != {});"
     )
     compile_it = (
-        "from core.settings import Settings; from core.batch import Batch; import numpy as np;"
+        "from socast.core.settings import Settings; from socast.core.batch import Batch; import numpy as np;"
         "z = np.zeros(2, np.int64); f = [np.full(2, np.nan) for _ in Batch._fields[2:]]; f[0] = 1.7e9 + np.arange(2);"
         "kernel.Cleaner(Settings()).clean(Batch(z, z, *f), 1)"
     )

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from core.cleaning.kernel import Cleaner
-from core.cleaning.quality import Quality
-from core.settings import Settings
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.cleaning.quality import Quality
+from socast.core.settings import Settings
 from tests.support.telemetry import PERIOD, cleaned, count, decoded, drive, telemetry, without
 
 N = 400

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.cleaning.quality import Quality
-from core.columns import EARTH_RADIUS, KMH
-from core.settings import Settings
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import EARTH_RADIUS, KMH
+from socast.core.settings import Settings
 from tests.support.telemetry import PERIOD, PLACE, cleaned, count, drive, joined, picked, without
 
 N = 400

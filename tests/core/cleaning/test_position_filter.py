@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.cleaning import position_filter
-from core.cleaning.kernel import STATE, Cleaner, new_lane_state
-from core.cleaning.position_smoother import OF_FIX, describe_motion, make_filter
-from core.cleaning.quality import Quality
-from core.settings import Settings
+from socast.core.cleaning import position_filter
+from socast.core.cleaning.kernel import STATE, Cleaner, new_lane_state
+from socast.core.cleaning.position_smoother import OF_FIX, describe_motion, make_filter
+from socast.core.cleaning.quality import Quality
+from socast.core.settings import Settings
 from tests.support.telemetry import Columns, count, decoded, picked, telemetry, without
 from tests.support.town_drives import town_drive, with_noise
 

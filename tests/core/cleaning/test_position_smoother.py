@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from core.cleaning.position_smoother import find_lengths, smooth_motion, smooth_path
-from core.cleaning.quality import Quality
+from socast.core.cleaning.position_smoother import find_lengths, smooth_motion, smooth_path
+from socast.core.cleaning.quality import Quality
 from tests.core.cleaning.test_fix_motion import read
 from tests.core.cleaning.test_position_filter import clean
 from tests.support.telemetry import Columns, drive, without

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.cleaning.quality import Quality
+from socast.core.cleaning.quality import Quality
 from tests.support.telemetry import PERIOD, cleaned, count, drive, joined, leaf, picked, ran, telemetry, without
 
 N = 400

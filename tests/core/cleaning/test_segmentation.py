@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.settings import Settings
+from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
 from tests.support.ride_streams import count_ended, dispatched, in_order, sent, shift
 from tests.support.telemetry import PERIOD, START, drive, joined, leaf, make_message, picked, ran, telemetry, without
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from core.cleaning.quality import Quality
-from core.totals.tables import MOST_MISTIMED
+from socast.core.cleaning.quality import Quality
+from socast.core.totals.tables import MOST_MISTIMED
 from tests.support.telemetry import PERIOD, START, cleaned, count, drive, joined, leaf, ran, telemetry, without
 
 N = 300

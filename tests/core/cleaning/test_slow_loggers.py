@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.cleaning.clock import LONGEST_SILENCE
-from core.cleaning.kernel import Cleaner
-from core.cleaning.meters import find_variance_factor
-from core.cleaning.quality import Quality
-from core.columns import EARTH_RADIUS
-from core.settings import Settings
+from socast.core.cleaning.clock import LONGEST_SILENCE
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.cleaning.meters import find_variance_factor
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import EARTH_RADIUS
+from socast.core.settings import Settings
 from tests.support.real_fits import DATA
 from tests.support.telemetry import PLACE, START, count, decoded, drive, leaf, picked, ran, telemetry
 

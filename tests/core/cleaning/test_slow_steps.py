@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.columns import EARTH_RADIUS
+from socast.core.columns import EARTH_RADIUS
 from tests.support.telemetry import PLACE, START, drive, leaf, ran, telemetry
 
 STEP = 60.0

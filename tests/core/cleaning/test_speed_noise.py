@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.cleaning.kernel import Cleaner
-from core.cleaning.quality import Quality
-from core.columns import KMH
-from core.settings import Settings
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import KMH
+from socast.core.settings import Settings
 from tests.support.telemetry import cleaned, count, decoded, telemetry
 
 SEEDS = st.integers(0, 10_000)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from core.cleaning.quality import Quality
-from core.columns import EARTH_RADIUS
-from core.settings import Settings
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import EARTH_RADIUS
+from socast.core.settings import Settings
 from tests.support.telemetry import cleaned, count, drive, leaf, ran, telemetry, without
 
 N = 500

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core import effects
-from core.diagnose.candidates import LEAST_SHARE, build_candidates
-from core.effects.road_load import ROAD_LOAD
-from core.fit.fitting import fit_terms
-from core.fit.recipes import ROAD_LOAD_TERMS, LinearRecipe
-from core.fit.ride_blocks import RideFrame
-from core.models import make_physical_term
+from socast.core import effects
+from socast.core.diagnose.candidates import LEAST_SHARE, build_candidates
+from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.fit.fitting import fit_terms
+from socast.core.fit.recipes import ROAD_LOAD_TERMS, LinearRecipe
+from socast.core.fit.ride_blocks import RideFrame
+from socast.core.models import make_physical_term
 from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows
 
 

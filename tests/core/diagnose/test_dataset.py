@@ -5,13 +5,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.diagnose.dataset import (
+from socast.core.diagnose.dataset import (
     LEAST_DAYS,
     LEAST_RIDES,
     gather_windows,
 )
-from core.errors import ModelError
-from core.fit.recipes import fit_to_windows
+from socast.core.errors import ModelError
+from socast.core.fit.recipes import fit_to_windows
 from tests.support.synthetic_windows import make_tables, make_windows
 
 CARS, DAYS, RIDES, WINDOWS = 3, 6, 3, 8

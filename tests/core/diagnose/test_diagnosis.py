@@ -10,22 +10,22 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core import effects
-from core.diagnose import diagnosis as diagnosing
-from core.diagnose.add.holdout import drop_dates, select_final_days
-from core.diagnose.candidates import build_candidates
-from core.diagnose.dataset import LEAST_RIDES, gather_windows
-from core.diagnose.diagnosis import diagnose
-from core.diagnose.siblings.deviations import keep_declared_values
-from core.effects.road_load import ROAD_LOAD
-from core.errors import ModelError
-from core.fit.recipes import fit_to_windows
-from core.models.features import list_raw_columns
+from socast.core import effects
+from socast.core.diagnose import diagnosis as diagnosing
+from socast.core.diagnose.add.holdout import drop_dates, select_final_days
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.dataset import LEAST_RIDES, gather_windows
+from socast.core.diagnose.diagnosis import diagnose
+from socast.core.diagnose.siblings.deviations import keep_declared_values
+from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.errors import ModelError
+from socast.core.fit.recipes import fit_to_windows
+from socast.core.models.features import list_raw_columns
+from socast.tools.bench.hidden import cases
+from socast.tools.bench.hidden.cases import Case, SeedData
+from socast.tools.simulator.settings import Hidden
 from tests.support.diagnosis_result import make_diagnosis as made_up
 from tests.support.synthetic_windows import make_tables, make_windows
-from tools.bench.hidden import cases
-from tools.bench.hidden.cases import Case, SeedData
-from tools.simulator.settings import Hidden
 
 pytestmark = pytest.mark.long
 

@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.diagnose.candidates import build_candidates
-from core.diagnose.episodes import find_episodes
-from core.diagnose.projection import BaseProjection
-from core.fit.ride_blocks import get_numbers
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.episodes import find_episodes
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.fit.ride_blocks import get_numbers
 from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows
 
 

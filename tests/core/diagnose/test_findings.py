@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy.special import logsumexp
 
-from core.diagnose.findings import (
+from socast.core.diagnose.findings import (
     SURE,
     compute_sure_evidence,
     list_changes,
@@ -16,8 +16,8 @@ from core.diagnose.findings import (
     measure_fleet_use,
     merge_findings,
 )
-from core.diagnose.siblings.scan import Scan, build_changes
-from core.wire.messages import address
+from socast.core.diagnose.siblings.scan import Scan, build_changes
+from socast.core.wire.messages import address
 from tests.support.diagnosis_result import make_deviation, make_diagnosis, make_missing_effect
 from tests.support.findings import USE, make_finding
 

@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from core import effects
-from core.diagnose.candidates import Candidates, build_candidates
-from core.diagnose.evidence import ClusterSums
-from core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
-from core.diagnose.posterior.probabilities import SEVERAL, Causes
-from core.diagnose.projection import BaseProjection
+from socast.core import effects
+from socast.core.diagnose.candidates import Candidates, build_candidates
+from socast.core.diagnose.evidence import ClusterSums
+from socast.core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
+from socast.core.diagnose.posterior.probabilities import SEVERAL, Causes
+from socast.core.diagnose.projection import BaseProjection
 from tests.support.synthetic_windows import (
     compute_coefficients,
     gather_with_model,

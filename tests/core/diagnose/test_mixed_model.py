@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from core.diagnose.mixed_model import FixedColumns, MixedModel
-from core.diagnose.sweep import sum_ride_products, sum_units, sweep
-from core.diagnose.variances import estimate_variances, find_interval
+from socast.core.diagnose.mixed_model import FixedColumns, MixedModel
+from socast.core.diagnose.sweep import sum_ride_products, sum_units, sweep
+from socast.core.diagnose.variances import estimate_variances, find_interval
 
 CARS, DATES, RIDES, WINDOWS, EFFECTS = 3, 5, 3, 4, 2
 N = CARS * DATES * RIDES * WINDOWS

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.diagnose.noise import estimate_window_variance
-from core.fit.row_noise import LEAST_SHARE, compute_robust_weights
+from socast.core.diagnose.noise import estimate_window_variance
+from socast.core.fit.row_noise import LEAST_SHARE, compute_robust_weights
 from tests.support.synthetic_windows import METER_SD, gather_with_model, make_tables, make_windows
 
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.diagnose.candidates import build_candidates
-from core.diagnose.evidence import ClusterSums
-from core.diagnose.projection import BaseProjection
-from core.diagnose.ranking import (
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.evidence import ClusterSums
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.ranking import (
     LEVEL,
     Ranking,
     ResidualSpace,

@@ -16,23 +16,23 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core import effects
-from core.columns import KMH
-from core.diagnose.add import add
-from core.diagnose.add.holdout import group_rows_by_ride, predict_held_out
-from core.diagnose.add.refit import TermAddition, refit, refit_with
-from core.diagnose.add.terms import build_effect_term, build_term_columns
-from core.diagnose.diagnosis import diagnose
-from core.fit.measured_rows import join_tables
-from core.fit.recipes import fit_to_windows
-from core.models import ANY, LinearModel
-from core.models.features import EFFECT_PREFIX
-from core.pipeline import Pipeline
-from core.settings import Settings
+from socast.core import effects
+from socast.core.columns import KMH
+from socast.core.diagnose.add import add
+from socast.core.diagnose.add.holdout import group_rows_by_ride, predict_held_out
+from socast.core.diagnose.add.refit import TermAddition, refit, refit_with
+from socast.core.diagnose.add.terms import build_effect_term, build_term_columns
+from socast.core.diagnose.diagnosis import diagnose
+from socast.core.fit.measured_rows import join_tables
+from socast.core.fit.recipes import fit_to_windows
+from socast.core.models import ANY, LinearModel
+from socast.core.models.features import EFFECT_PREFIX
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.tools.commands.import_drives import collect_drives
+from socast.tools.importers.data_sets import DATA_SETS
+from socast.tools.importers.drive import make_messages
 from tests.support.paths import ROOT
-from tools.commands.import_drives import collect_drives
-from tools.importers.data_sets import DATA_SETS
-from tools.importers.drive import make_messages
 
 DATA = ROOT.parent / "shared" / "data"
 pytestmark = [

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from core.diagnose.candidates import build_candidates
-from core.diagnose.evidence import ClusterSums
-from core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
-from core.diagnose.projection import BaseProjection, orthonormalise
-from core.diagnose.residual_structure import (
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.evidence import ClusterSums
+from socast.core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
+from socast.core.diagnose.projection import BaseProjection, orthonormalise
+from socast.core.diagnose.residual_structure import (
     FEATURES,
     LEAST_TAKEN,
     PlainShapes,

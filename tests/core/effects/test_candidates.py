@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.columns import SIGNALS
-from core.effects import CANDIDATES, check_effect, get, get_library, group_by_topic, list_tabulated
-from core.effects.road_load import ROAD_LOAD
-from core.effects.verification import ORDINARY_DRIVING
-from core.errors import EffectError
+from socast.core.columns import SIGNALS
+from socast.core.effects import CANDIDATES, check_effect, get, get_library, group_by_topic, list_tabulated
+from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.effects.verification import ORDINARY_DRIVING
+from socast.core.errors import EffectError
 
 EACH = [effect for names in CANDIDATES.values() for effect in names]
 ALL = pytest.mark.parametrize("each", EACH, ids=lambda e: e.name)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from core.effects import Parameter, effect
-from core.errors import EffectError
+from socast.core.effects import Parameter, effect
+from socast.core.errors import EffectError
 
 
 def declare(**changes):

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from core.effects import get, get_library, load_file, registry
-from core.errors import EffectError
+from socast.core.effects import get, get_library, load_file, registry
+from socast.core.errors import EffectError
 from tests.support.effect_files import GOOD
 from tests.support.one_row import power
 
@@ -69,7 +69,7 @@ def test_existing_name_is_refused_and_the_library_stays_unchanged(write):
         ("def f(:\n  pass\n", ":1: not Python: "),
         ("x = 1\0", ": not Python: "),
         ("", ": holds no effect"),
-        ("from core.effects.road_load import rolling\n", ": holds no effect"),
+        ("from socast.core.effects.road_load import rolling\n", ": holds no effect"),
         ("import math\nimport socket\n", ":2: imports socket; an effect may import only"),
         ("from urllib.request import urlopen\n", ":1: imports urllib.request; "),
         ("from . import other\n", ":1: imports .; "),
@@ -102,7 +102,7 @@ def test_existing_name_is_refused_and_the_library_stays_unchanged(write):
         ),
         (GOOD.replace('"W/K"', '"W"'), ": effect door_loss: function gives [K]"),
         (
-            "from core.effects import effect\n@effect\ndef f(speed):\n    pass\n",
+            "from socast.core.effects import effect\n@effect\ndef f(speed):\n    pass\n",
             ":2: @effect has too many arguments without a name: write @effect(coefficient=",
         ),
         (
@@ -114,7 +114,7 @@ def test_existing_name_is_refused_and_the_library_stays_unchanged(write):
             "@effect lacks source: write @effect(coefficient=..., unit=..., low=..., high=..., source=...)",
         ),
         (
-            "from core.effects import Parameter\nlimit = Parameter(3.0)\n",
+            "from socast.core.effects import Parameter\nlimit = Parameter(3.0)\n",
             ':2: Parameter lacks unit: write Parameter(value, "unit", low, high, grid=(...))',
         ),
     ],

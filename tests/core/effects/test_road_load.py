@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.columns import GRAVITY
-from core.effects import check_effect, get, get_library
-from core.effects.road_load import ROAD_LOAD, STANDARD_AIR_DENSITY
-from core.effects.verification import ORDINARY_DRIVING
-from core.vehicles import ACCESSORIES
+from socast.core.columns import GRAVITY
+from socast.core.effects import check_effect, get, get_library
+from socast.core.effects.road_load import ROAD_LOAD, STANDARD_AIR_DENSITY
+from socast.core.effects.verification import ORDINARY_DRIVING
+from socast.core.vehicles import ACCESSORIES
 
 ALL = pytest.mark.parametrize("each", ROAD_LOAD, ids=lambda e: e.name)
 

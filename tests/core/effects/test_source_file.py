@@ -2,9 +2,9 @@
 
 import pytest
 
-from core.effects import Parameter, registry
-from core.effects.source_file import render_source
-from core.errors import EffectError
+from socast.core.effects import Parameter, registry
+from socast.core.effects.source_file import render_source
+from socast.core.errors import EffectError
 
 
 def suggestion(**changes):

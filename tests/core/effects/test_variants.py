@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.columns import JOULES_PER_KWH
-from core.effects import get, get_library, list_tabulated
-from core.pipeline import Pipeline
+from socast.core.columns import JOULES_PER_KWH
+from socast.core.effects import get, get_library, list_tabulated
+from socast.core.pipeline import Pipeline
 from tests.support.telemetry import drive, leaf, observed, ran, telemetry, without
 
 

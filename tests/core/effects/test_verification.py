@@ -2,17 +2,17 @@
 
 import pytest
 
-from core.columns import SIGNALS
-from core.effects import Effect, check_effect, load_file, registry
-from core.effects.declaration import SIGNAL_UNITS
-from core.effects.verification import ORDINARY_DRIVING
-from core.errors import EffectError
+from socast.core.columns import SIGNALS
+from socast.core.effects import Effect, check_effect, load_file, registry
+from socast.core.effects.declaration import SIGNAL_UNITS
+from socast.core.effects.verification import ORDINARY_DRIVING
+from socast.core.errors import EffectError
 
 # Each case below introduces one error into this effect
 
 GOOD = '''
 import numpy as np
-from core.effects import Parameter, effect
+from socast.core.effects import Parameter, effect
 
 @effect(coefficient="door area times flow", unit="W/K", low=0, high=500, source="Somebody 2020, p. 7", per="time",
         parameters={"inside": Parameter(294.15, "K", 288.15, 298.15)})
@@ -141,7 +141,7 @@ def test_zero_needs_no_unit(tmp_path):
 
 FULL = """
 import numpy as np
-from core.effects import Parameter, effect
+from socast.core.effects import Parameter, effect
 
 @effect(coefficient="share", unit="1", low=0, high=1, source="Somebody 2020, p. 7",
         parameters={"full": Parameter(0.9, "1", 0.5, 1.0)})

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.evaluate.binning import bin_rides, compute_local_hour
+from socast.core.evaluate.binning import bin_rides, compute_local_hour
 from tests.support.planted_rides import planted
 
 

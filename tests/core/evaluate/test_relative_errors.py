@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.evaluate.relative_errors import (
+from socast.core.evaluate.relative_errors import (
     LEAST_ENERGY,
     compute_relative_figures,
     compute_share_below_least,

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from core.columns import ZERO_CELSIUS
-from core.fit.accessory_curve import TemperatureBins, compute_slopes
-from core.fit.recipes import RECIPES
-from core.vehicles import ACCESSORIES, AccessoryCurve
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.fit.accessory_curve import TemperatureBins, compute_slopes
+from socast.core.fit.recipes import RECIPES
+from socast.core.vehicles import ACCESSORIES, AccessoryCurve
 from tests.support.planted_rides import noisy, physical_energy, rides
 
 MODEL = ("kia-soul-ev-2015",)

@@ -6,8 +6,8 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from core.errors import ModelError
-from core.fit.block_file import IN_MEMORY, BlockFile
+from socast.core.errors import ModelError
+from socast.core.fit.block_file import IN_MEMORY, BlockFile
 
 COLUMNS = ("energy_kwh", "lost_m")
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.errors import ModelError
-from core.fit.calibration import (
+from socast.core.errors import ModelError
+from socast.core.fit.calibration import (
     LEAST_CALIBRATION_RIDES,
     QUANTILE_LEVELS,
     HeldOutErrors,
@@ -16,12 +16,12 @@ from core.fit.calibration import (
     assign_folds,
     calibrate_interval,
 )
-from core.fit.fitting import fit_terms
-from core.fit.recipes import RECIPES, LinearRecipe, make_term
-from core.fit.ride_blocks import RideFrame
-from core.models import BASIC_PHYSICAL, decode_model, encode_model
-from core.models.features import Columns
-from core.models.interval import ANY, PredictionInterval
+from socast.core.fit.fitting import fit_terms
+from socast.core.fit.recipes import RECIPES, LinearRecipe, make_term
+from socast.core.fit.ride_blocks import RideFrame
+from socast.core.models import BASIC_PHYSICAL, decode_model, encode_model
+from socast.core.models.features import Columns
+from socast.core.models.interval import ANY, PredictionInterval
 from tests.support.planted_rides import MODELS
 from tests.support.pooled_rides import differing, fleet, measured, planted
 
@@ -158,7 +158,7 @@ def small() -> pd.DataFrame:
 def test_leverage_gives_the_error_of_a_fit_without_the_ride(small, monkeypatch):
     seen = {}
     monkeypatch.setattr(
-        "core.fit.calibration.calibrate_interval", lambda known, other: seen.update(own=known, other=other)
+        "socast.core.fit.calibration.calibrate_interval", lambda known, other: seen.update(own=known, other=other)
     )
     model = fit_terms(PLAIN, RideFrame(small))
     add_interval(model, small)
@@ -172,7 +172,7 @@ def test_leverage_gives_the_error_of_a_fit_without_the_ride(small, monkeypatch):
 def test_leverage_gives_the_errors_of_a_fit_without_the_vehicle_model(small, monkeypatch):
     seen = {}
     monkeypatch.setattr(
-        "core.fit.calibration.calibrate_interval", lambda known, other: seen.update(own=known, other=other)
+        "socast.core.fit.calibration.calibrate_interval", lambda known, other: seen.update(own=known, other=other)
     )
     add_interval(fit_terms(PLAIN, RideFrame(small)), small)
     of_model = small["vehicle_model"] == MODELS[1]

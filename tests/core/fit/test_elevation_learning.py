@@ -5,11 +5,11 @@ import pytest
 from scipy.sparse.linalg import cg
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from core.cleaning.kernel import Cleaner
-from core.errors import RecordingError
-from core.fit import elevation_learning
-from core.fit.elevation_learning import join_fixes, learn_elevation, select_fixes
-from core.settings import Settings
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.errors import RecordingError
+from socast.core.fit import elevation_learning
+from socast.core.fit.elevation_learning import join_fixes, learn_elevation, select_fixes
+from socast.core.settings import Settings
 from tests.support.ground import hills, hilly_drive, street_fixes
 from tests.support.telemetry import decoded, telemetry, without
 
@@ -94,7 +94,7 @@ def test_too_few_fixes_are_refused_with_the_remedy():
 
 
 def test_equations_that_are_not_solved_are_an_error_with_the_remedy(monkeypatch):
-    monkeypatch.setattr("core.fit.elevation_learning.MOST_STEPS", 3)
+    monkeypatch.setattr("socast.core.fit.elevation_learning.MOST_STEPS", 3)
     with pytest.raises(RecordingError, match=r"^no map: after 3 steps .* above 0.0001; learn from fewer days"):
         learn_elevation(street_fixes(12))
 

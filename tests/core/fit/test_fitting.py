@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from core.fit.fitting import fit_terms
-from core.fit.recipes import RECIPES
-from core.fit.ride_blocks import RideFrame
-from core.models import ANY
+from socast.core.fit.fitting import fit_terms
+from socast.core.fit.recipes import RECIPES
+from socast.core.fit.ride_blocks import RideFrame
+from socast.core.models import ANY
 from tests.support.planted_rides import MODELS, noisy, physical_energy, rides
 
 RECIPE = RECIPES["hybrid_interactions"]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from core.fit.level_spreads import differentiate_level_evidence, estimate_spreads
-from core.fit.nested_effects import LevelSpreads, RideProducts
+from socast.core.fit.level_spreads import differentiate_level_evidence, estimate_spreads
+from socast.core.fit.nested_effects import LevelSpreads, RideProducts
 from tests.support.nested_rows import PRIOR, SPREADS, Rows
 
 

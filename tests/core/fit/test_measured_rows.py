@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.errors import ModelError
-from core.fit.measured_rows import RIDE_COLUMNS, join_tables
-from core.fit.measurement_noise import is_metered
+from socast.core.errors import ModelError
+from socast.core.fit.measured_rows import RIDE_COLUMNS, join_tables
+from socast.core.fit.measurement_noise import is_metered
 from tests.support.synthetic_windows import make_tables, make_windows
 
 CARS, DAYS, RIDES, WINDOWS = 3, 6, 3, 8

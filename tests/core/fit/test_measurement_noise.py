@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
+from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
 
 METERED = pd.DataFrame(
     {

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from core.fit.nested_effects import (
+from socast.core.fit.nested_effects import (
     EXPECTED_LEVELS,
     RideProducts,
     compute_coefficients,

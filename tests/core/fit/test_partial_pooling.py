@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from core.fit.partial_pooling import (
+from socast.core.fit.partial_pooling import (
     Prior,
     build_covariance,
     compute_column_scale,

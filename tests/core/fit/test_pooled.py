@@ -5,11 +5,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.errors import ModelError
-from core.fit.pooled import EFFICIENCY, LEAST_POOLED_RIDES, POOLED_RECIPES, SHARED_TERMS, TREE_FEATURES, adapt
-from core.fit.recipes import RECIPES
-from core.models import ANY, BASIC_PHYSICAL, decode_model, encode_model
-from core.models.features import ANSWERS, Columns, list_raw_columns
+from socast.core.errors import ModelError
+from socast.core.fit.pooled import EFFICIENCY, LEAST_POOLED_RIDES, POOLED_RECIPES, SHARED_TERMS, TREE_FEATURES, adapt
+from socast.core.fit.recipes import RECIPES
+from socast.core.models import ANY, BASIC_PHYSICAL, decode_model, encode_model
+from socast.core.models.features import ANSWERS, Columns, list_raw_columns
 from tests.support.planted_rides import MODELS
 from tests.support.pooled_rides import PHYSICS, differing, fleet, measured, planted
 

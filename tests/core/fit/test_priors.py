@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core import effects
-from core.columns import ZERO_CELSIUS
-from core.effects.declaration import Expectation
-from core.effects.road_load import ROAD_LOAD
-from core.errors import EffectError
-from core.fit.priors import (
+from socast.core import effects
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.effects.declaration import Expectation
+from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.errors import EffectError
+from socast.core.fit.priors import (
     build_curve,
     build_curve_prior,
     build_prior,
@@ -18,10 +18,10 @@ from core.fit.priors import (
     find_limits,
     flatten_curve,
 )
-from core.fit.recipes import ROAD_LOAD_TERMS, make_term
-from core.models import Term
-from core.models.features import Columns
-from core.vehicles import ACCESSORIES
+from socast.core.fit.recipes import ROAD_LOAD_TERMS, make_term
+from socast.core.models import Term
+from socast.core.models.features import Columns
+from socast.core.vehicles import ACCESSORIES
 
 TABLE = Columns(pd.DataFrame({"rolling_resistance": [0.008, 0.010], "drag_area_m2": [0.7, 0.7], "effect_standby": 1.0}))
 

@@ -7,8 +7,8 @@ The bars are the errors of the best earlier fit of these tables: least squares o
 
 import pytest
 
-from core.fit.recipes import fit_to_windows
-from core.models.plausibility import list_implausible
+from socast.core.fit.recipes import fit_to_windows
+from socast.core.models.plausibility import list_implausible
 from tests.support.real_fits import DATA, RECIPE, evaluate_fits, load_tables
 
 pytestmark = [

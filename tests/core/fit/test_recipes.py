@@ -4,10 +4,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.errors import ModelError
-from core.fit.recipes import BASELINES, BASIC_PART, FITTED_TERMS, HISTOGRAM_COLUMNS, RECIPES, LinearRecipe, get_recipe
-from core.models import ANY, BASIC_PHYSICAL, decode_model, encode_model
-from core.models.features import ANSWERS
+from socast.core.errors import ModelError
+from socast.core.fit.recipes import (
+    BASELINES,
+    BASIC_PART,
+    FITTED_TERMS,
+    HISTOGRAM_COLUMNS,
+    RECIPES,
+    LinearRecipe,
+    get_recipe,
+)
+from socast.core.models import ANY, BASIC_PHYSICAL, decode_model, encode_model
+from socast.core.models.features import ANSWERS
 from tests.support.planted_rides import MODELS, noisy, physical_energy, rides
 
 pytestmark = pytest.mark.long

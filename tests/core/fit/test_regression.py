@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.linear_model import LinearRegression
 
-from core.fit.regression import GROUPS, ClusterScores, Influence, Moments, assign_groups, solve, sum_scores
+from socast.core.fit.regression import GROUPS, ClusterScores, Influence, Moments, assign_groups, solve, sum_scores
 
 
 def moments_of(*blocks) -> Moments:

@@ -7,10 +7,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.errors import ModelError
-from core.fit.fitting import fit_terms
-from core.fit.recipes import RECIPES
-from core.fit.ride_blocks import RideFrame, RideParquet, ThinnedRides, convert_to_arrays, get_names, select_trainable
+from socast.core.errors import ModelError
+from socast.core.fit.fitting import fit_terms
+from socast.core.fit.recipes import RECIPES
+from socast.core.fit.ride_blocks import (
+    RideFrame,
+    RideParquet,
+    ThinnedRides,
+    convert_to_arrays,
+    get_names,
+    select_trainable,
+)
 from tests.support.planted_rides import noisy, physical_energy, rides
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.fit.row_noise import expect_label_variance
+from socast.core.fit.row_noise import expect_label_variance
 
 N = 400
 

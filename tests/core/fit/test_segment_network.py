@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from core.errors import ModelError
-from core.fit.segment_network import SEGMENT_FEATURES, SegmentRecipe, build_segments, share_out_energy
+from socast.core.errors import ModelError
+from socast.core.fit.segment_network import SEGMENT_FEATURES, SegmentRecipe, build_segments, share_out_energy
 from tests.support.segment_windows import segment_windows
 
 

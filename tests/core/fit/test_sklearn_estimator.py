@@ -7,8 +7,8 @@ from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import KFold, cross_val_score
 
-from core.errors import ModelError
-from core.fit.sklearn_estimator import RecipeRegressor
+from socast.core.errors import ModelError
+from socast.core.fit.sklearn_estimator import RecipeRegressor
 from tests.support.planted_rides import noisy, physical_energy, rides
 
 

@@ -10,9 +10,18 @@ from hypothesis import strategies as st
 from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
-from core.fit import trees as fitting
-from core.fit.trees import LEARNING_RATE, LEAVES, SHRINKAGE, TREES, assign_bins, boost, compute_bin_edges, fit_trees
-from core.models.trees import LEAF, Trees
+from socast.core.fit import trees as fitting
+from socast.core.fit.trees import (
+    LEARNING_RATE,
+    LEAVES,
+    SHRINKAGE,
+    TREES,
+    assign_bins,
+    boost,
+    compute_bin_edges,
+    fit_trees,
+)
+from socast.core.models.trees import LEAF, Trees
 from tests.support.tree_features import NAMES, answers, features
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -4,14 +4,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core import effects
-from core.errors import ModelError
-from core.fit.priors import build_prior, find_limits
-from core.fit.recipes import ROAD_LOAD_TERMS, fit_to_windows, get_recipe
-from core.fit.window_recipe import RecipeWithWindows
-from core.models import ANY, LinearModel
-from core.models.features import Columns
-from core.models.plausibility import describe_limited, list_implausible
+from socast.core import effects
+from socast.core.errors import ModelError
+from socast.core.fit.priors import build_prior, find_limits
+from socast.core.fit.recipes import ROAD_LOAD_TERMS, fit_to_windows, get_recipe
+from socast.core.fit.window_recipe import RecipeWithWindows
+from socast.core.models import ANY, LinearModel
+from socast.core.models.features import Columns
+from socast.core.models.plausibility import describe_limited, list_implausible
 from tests.support.synthetic_windows import BASE, make_tables, make_windows
 
 KIND = "kia-soul-ev-2015"

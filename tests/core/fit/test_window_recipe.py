@@ -5,10 +5,10 @@ import pytest
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
-from core.errors import ModelError
-from core.fit.recipes import RECIPES, get_recipe
-from core.fit.sklearn_estimator import RecipeRegressor
-from core.fit.window_recipe import RecipeWithWindows, WindowRecipe
+from socast.core.errors import ModelError
+from socast.core.fit.recipes import RECIPES, get_recipe
+from socast.core.fit.sklearn_estimator import RecipeRegressor
+from socast.core.fit.window_recipe import RecipeWithWindows, WindowRecipe
 from tests.support.synthetic_windows import make_tables, make_windows
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.forecast.conformal import (
+from socast.core.forecast.conformal import (
     DISTANCE_CLASSES,
     LARGEST_ADAPTATION,
     LEVELS,
@@ -18,7 +18,7 @@ from core.forecast.conformal import (
     compute_quantiles,
     count_scores,
 )
-from core.forecast.outlook import MeanAndSd, compute_reserve_risk
+from socast.core.forecast.outlook import MeanAndSd, compute_reserve_risk
 
 BOUND_LEVELS = LOWER_LEVEL, UPPER_LEVEL
 PLACE = (0, 3, 3)

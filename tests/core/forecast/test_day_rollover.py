@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.columns import SECONDS_PER_DAY as DAY
-from core.forecast.day_rollover import RECENT_SAMPLES, WINDOW_SAMPLES, DayRollover
+from socast.core.columns import SECONDS_PER_DAY as DAY
+from socast.core.forecast.day_rollover import RECENT_SAMPLES, WINDOW_SAMPLES, DayRollover
 
 YEAR = 365.0 * DAY
 ROLLOVER = -1024.0 * 7.0 * DAY

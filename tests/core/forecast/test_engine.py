@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.forecast import filter_state, soc_filter, soc_reading
-from core.forecast.engine import SHORT_SHIFT
-from core.forecast.learning.car_driver import DRIVER_SD, compute_driver_code
-from core.forecast.outlook import OVERTIME, PLAN_LEAD
-from core.forecast.soc_ahead import EMPTY_SOC
-from core.pipeline import Pipeline
+from socast.core.forecast import filter_state, soc_filter, soc_reading
+from socast.core.forecast.engine import SHORT_SHIFT
+from socast.core.forecast.learning.car_driver import DRIVER_SD, compute_driver_code
+from socast.core.forecast.outlook import OVERTIME, PLAN_LEAD
+from socast.core.forecast.soc_ahead import EMPTY_SOC
+from socast.core.pipeline import Pipeline
 from tests.support.fleet_days import (
     CAPACITY,
     CARS,

@@ -6,7 +6,7 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from core.forecast import filter_state, soc_filter, soc_reading
+from socast.core.forecast import filter_state, soc_filter, soc_reading
 from tests.support.soc_shifts import (
     BEGIN,
     CAPACITY,

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from core.models import EXTENDED_PHYSICAL
-from core.settings import Settings
-from core.wire.messages import Forecast
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.settings import Settings
+from socast.core.wire.messages import Forecast
 from tests.support.fleet_days import DAYS, forecasts, shift, trained_pipeline
 from tests.support.telemetry import PERIOD, START, drive, leaf, make_message, ran, telemetry, without
 

@@ -6,10 +6,10 @@ import scipy.integrate
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.columns import ZERO_CELSIUS
-from core.forecast.learning.fleet import SHIFT_PATTERN
-from core.forecast.learning.leg_energy import RECOVERED_SHARE, STEEPEST_DESCENT, TEMPERATURES
-from core.forecast.outlook import (
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.forecast.learning.fleet import SHIFT_PATTERN
+from socast.core.forecast.learning.leg_energy import RECOVERED_SHARE, STEEPEST_DESCENT, TEMPERATURES
+from socast.core.forecast.outlook import (
     DEFAULT_RESERVE,
     FACTOR_DECAY_TIME,
     OVERTIME,
@@ -24,9 +24,9 @@ from core.forecast.outlook import (
     fill_from_history,
     schedule_plan,
 )
-from core.forecast.planned_legs import PLAN_PROGRESS, compute_planned_legs
-from core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
-from core.wire.messages import Leg, Plan
+from socast.core.forecast.planned_legs import PLAN_PROGRESS, compute_planned_legs
+from socast.core.forecast.soc_filter import CONSUMPTION_WANDER, ENERGY_SD
+from socast.core.wire.messages import Leg, Plan
 from tests.support.fleet_days import DAY, DAYS, LEG, LEGS, RESERVE, SHIFT, START, speeds, trained_pipeline
 
 BEGIN = START + DAY * DAYS

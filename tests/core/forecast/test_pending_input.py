@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import core.pipeline
-from core.forecast.engine import PendingInput
-from core.forecast.plan_tracker import DriverNamed, PlanArrival
-from core.totals.accumulator import Accumulator, join_totals
-from core.vehicles.fleet import ReplacedKind
+import socast.core.pipeline
+from socast.core.forecast.engine import PendingInput
+from socast.core.forecast.plan_tracker import DriverNamed, PlanArrival
+from socast.core.totals.accumulator import Accumulator, join_totals
+from socast.core.vehicles.fleet import ReplacedKind
 from tests.support.fleet_days import CARS, DAYS, merged, plan, shift, trained_pipeline
 from tests.support.telemetry import START, chunked, leaf, make_message, observed
 
@@ -61,7 +61,7 @@ def test_blocks_of_few_rows_change_no_forecast(cuts):
 
 def in_blocks(block, messages, cuts):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(core.pipeline, "BLOCK", block)
+        patch.setattr(socast.core.pipeline, "BLOCK", block)
         return whole(messages, cuts)
 
 

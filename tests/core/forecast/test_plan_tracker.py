@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.forecast.outlook import OVERTIME
-from core.forecast.plan_tracker import PLAN_LAG, PROLONGATION, SHORTEST_RIDE
-from core.pipeline import Pipeline
+from socast.core.forecast.outlook import OVERTIME
+from socast.core.forecast.plan_tracker import PLAN_LAG, PROLONGATION, SHORTEST_RIDE
+from socast.core.pipeline import Pipeline
 from tests.support.fleet_days import (
     CARS,
     DAY,

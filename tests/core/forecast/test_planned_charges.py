@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.forecast.conformal import BY_PLAN, OVER_CHARGE, TO_CHARGE
-from core.wire.messages import Plan
+from socast.core.forecast.conformal import BY_PLAN, OVER_CHARGE, TO_CHARGE
+from socast.core.wire.messages import Plan
 from tests.support.fleet_days import (
     CARS,
     CHARGED_LEG,

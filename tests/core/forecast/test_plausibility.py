@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from core.forecast.plausibility import withhold_implausible
-from core.forecast.soc_filter import BEYOND_MARGIN
-from core.wire.messages import Interval, LegOutlook, Outlook
+from socast.core.forecast.plausibility import withhold_implausible
+from socast.core.forecast.soc_filter import BEYOND_MARGIN
+from socast.core.wire.messages import Interval, LegOutlook, Outlook
 from tests.support.fleet_days import CARS, DAY, DAYS, columns, days, forecasts, leaf, shift, trained_pipeline
 from tests.support.telemetry import drive, ran, telemetry
 

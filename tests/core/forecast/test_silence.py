@@ -2,11 +2,11 @@
 
 import pytest
 
-from core.pipeline import Pipeline
-from core.wire.messages import Leg
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Leg
+from socast.tools.commands.ask import verdict
 from tests.support.fleet_days import DAYS, LEG, RIDE, columns, shift, trained_pipeline
 from tests.support.telemetry import make_message
-from tools.commands.ask import verdict
 
 CAR = "c"
 BEGIN = float(columns(CAR, DAYS)["time_s"][0])

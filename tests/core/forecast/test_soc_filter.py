@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from core.forecast import filter_state, outlook, soc_filter, soc_reading
+from socast.core.forecast import filter_state, outlook, soc_filter, soc_reading
 from tests.support.soc_shifts import (
     BEGIN,
     CAPACITY,

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.forecast.filter_state import CLOSED_SHIFT
-from core.forecast.tables import tabulate_outlooks, tabulate_shifts
+from socast.core.forecast.filter_state import CLOSED_SHIFT
+from socast.core.forecast.tables import tabulate_outlooks, tabulate_shifts
 from tests.support.fleet_days import DAYS, RESERVE, SHIFT, columns, days, forecasts, shift, trained_pipeline
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from core.columns import SECONDS_PER_DAY
-from core.forecast.learning.daily_cycle import DailyCycle
-from core.forecast.weather_forecasts import MOST_STATIONS, MOST_TIMES, ForecastArrival, WeatherForecasts
-from core.pipeline import Pipeline
-from core.wire.messages import Weather
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.forecast.learning.daily_cycle import DailyCycle
+from socast.core.forecast.weather_forecasts import MOST_STATIONS, MOST_TIMES, ForecastArrival, WeatherForecasts
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Weather
 from tests.support.fleet_days import DAY, DAYS, SETTINGS, START, days, forecasts, shift, trained_pipeline
 from tests.support.telemetry import chunked, observed
 

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import astuple
 
-from core.errors import AskError
-from core.forecast.outlook import DEFAULT_RESERVE
-from core.forecast.plan_tracker import LONGEST_SHIFT
-from core.wire.messages import Interval, Leg, Plan, encode
+from socast.core.errors import AskError
+from socast.core.forecast.outlook import DEFAULT_RESERVE
+from socast.core.forecast.plan_tracker import LONGEST_SHIFT
+from socast.core.wire.messages import Interval, Leg, Plan, encode
 from tests.support.fleet_days import (
     CARS,
     DAY,

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.models import BASIC_PHYSICAL, derived_features
-from core.models.derived_features import DERIVED_COLUMNS
-from core.models.features import Columns, get_unit, list_raw_columns
+from socast.core.models import BASIC_PHYSICAL, derived_features
+from socast.core.models.derived_features import DERIVED_COLUMNS
+from socast.core.models.features import Columns, get_unit, list_raw_columns
 from tests.support.pooled_rides import fleet
 
 TABLE = fleet(200, 1)

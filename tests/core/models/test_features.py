@@ -5,13 +5,20 @@ import pandas as pd
 import pint
 import pytest
 
-from core.columns import ZERO_CELSIUS
-from core.errors import EffectError, ModelError
-from core.fit.recipes import RECIPES
-from core.models.derived_features import DERIVED_COLUMNS
-from core.models.features import FEATURES, Columns, derive_coefficient_unit, get_unit, list_raw_columns, parse_since
-from core.pipeline import Pipeline
-from core.totals.tables import model_columns
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.errors import EffectError, ModelError
+from socast.core.fit.recipes import RECIPES
+from socast.core.models.derived_features import DERIVED_COLUMNS
+from socast.core.models.features import (
+    FEATURES,
+    Columns,
+    derive_coefficient_unit,
+    get_unit,
+    list_raw_columns,
+    parse_since,
+)
+from socast.core.pipeline import Pipeline
+from socast.core.totals.tables import model_columns
 from tests.support.planted_rides import PLANTED, rides
 
 TERMS = sorted({term.columns for recipe in RECIPES.values() for term in getattr(recipe, "terms", ())})

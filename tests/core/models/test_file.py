@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.errors import ModelError
-from core.models import (
+from socast.core.errors import ModelError
+from socast.core.models import (
     ANY,
     BASIC_PHYSICAL,
     BUILT_IN_MODELS,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from core.models.interval import ANY, PredictionInterval
+from socast.core.models.interval import ANY, PredictionInterval
 
 
 @pytest.mark.parametrize(

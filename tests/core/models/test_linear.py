@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.columns import GRAVITY, JOULES_PER_KWH, ZERO_CELSIUS
-from core.effects.road_load import STANDARD_AIR_DENSITY
-from core.errors import ModelError
-from core.fit.recipes import FITTED_TERMS, get_recipe
-from core.models import ANY, BASIC_PHYSICAL, CORRECTION, EXTENDED_PHYSICAL, Fit, Term
-from core.vehicles import ACCESSORIES
+from socast.core.columns import GRAVITY, JOULES_PER_KWH, ZERO_CELSIUS
+from socast.core.effects.road_load import STANDARD_AIR_DENSITY
+from socast.core.errors import ModelError
+from socast.core.fit.recipes import FITTED_TERMS, get_recipe
+from socast.core.models import ANY, BASIC_PHYSICAL, CORRECTION, EXTENDED_PHYSICAL, Fit, Term
+from socast.core.vehicles import ACCESSORIES
 from tests.support.linear_models import CURVE, FLEET, LEAF, STUMP, fleet, make_model, model_of, ride_columns, steps
 from tests.support.planted_rides import planted
 

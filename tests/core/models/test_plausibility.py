@@ -3,8 +3,8 @@
 import msgspec
 import pytest
 
-from core.models import ANY, BASIC_PHYSICAL, Fit, Term
-from core.models.plausibility import (
+from socast.core.models import ANY, BASIC_PHYSICAL, Fit, Term
+from socast.core.models.plausibility import (
     compute_plausible_range,
     describe_implausible,
     get_plausible_ranges,

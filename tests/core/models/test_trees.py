@@ -6,9 +6,9 @@ import pandas as pd
 import pytest
 from threadpoolctl import threadpool_limits
 
-from core.errors import ModelError
-from core.fit.trees import fit_trees
-from core.models.trees import LEAF, Trees
+from socast.core.errors import ModelError
+from socast.core.fit.trees import fit_trees
+from socast.core.models.trees import LEAF, Trees
 from tests.support.tree_features import NAMES, answers, features
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from core.models import EXTENDED_PHYSICAL
-from core.monitoring.running_error import ModelMonitor
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.monitoring.running_error import ModelMonitor
 
 
 def test_vehicle_day_ends_at_an_unpredicted_ride_of_the_next_day():

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core import effects
-from core.effects import registry
-from core.errors import ModelError, SocastError
-from core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
-from core.models.interval import PredictionInterval
-from core.monitoring.shadow import MOST_VEHICLE_MODELS, EndedRides, ShadowModels
-from core.pipeline import Pipeline
-from core.wire.messages import ModelErrors
+from socast.core import effects
+from socast.core.effects import registry
+from socast.core.errors import ModelError, SocastError
+from socast.core.models import ANY, BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term
+from socast.core.models.interval import PredictionInterval
+from socast.core.monitoring.shadow import MOST_VEHICLE_MODELS, EndedRides, ShadowModels
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import ModelErrors
 from tests.support.faulty_shifts import mixed, shift
 from tests.support.telemetry import START, chunked, drive, make_message, profile, telemetry, without
 

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.cleaning.quality import Quality
-from core.columns import GRAVITY, SIGNALS
-from core.signals.signals import STEEPEST, Signals, flag_ambient
-from core.signals.weather import Stations
-from core.vehicles.fleet import CarParameters
-from core.wire.messages import Weather
+from socast.core.cleaning.quality import Quality
+from socast.core.columns import GRAVITY, SIGNALS
+from socast.core.signals.signals import STEEPEST, Signals, flag_ambient
+from socast.core.signals.weather import Stations
+from socast.core.vehicles.fleet import CarParameters
+from socast.core.wire.messages import Weather
 from tests.support.telemetry import PERIOD, START, cleaned, drive, picked
 
 N = 200

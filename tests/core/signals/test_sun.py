@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.signals.sun import sine_of_elevation
+from socast.core.signals.sun import sine_of_elevation
 
 
 def elevation(times, latitude, longitude):

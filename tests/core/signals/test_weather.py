@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.settings import Limits
-from core.signals.weather import CLEARING, DRYING, KEPT, THAWING, Sky, Stations, held, snow_left, water_left
-from core.wire.messages import Weather
+from socast.core.settings import Limits
+from socast.core.signals.weather import CLEARING, DRYING, KEPT, THAWING, Sky, Stations, held, snow_left, water_left
+from socast.core.wire.messages import Weather
 from tests.support.telemetry import PERIOD, PLACE, START, drive, leaf, observed, ran, telemetry, without
 
 

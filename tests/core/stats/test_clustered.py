@@ -6,8 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from core.stats.clustered import compute_clustered_mean, compute_clustered_ratio, compute_clustered_share, subtract
-from core.stats.scores import Estimate
+from socast.core.stats.clustered import (
+    compute_clustered_mean,
+    compute_clustered_ratio,
+    compute_clustered_share,
+    subtract,
+)
+from socast.core.stats.scores import Estimate
 
 
 @given(

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from core.stats.confidence_sequence import EVERYWHERE, LEVEL, MIXTURE, ClusterMoments, MeanInterval, compute_reach
+from socast.core.stats.confidence_sequence import (
+    EVERYWHERE,
+    LEVEL,
+    MIXTURE,
+    ClusterMoments,
+    MeanInterval,
+    compute_reach,
+)
 
 LENGTH = 400
 RUNS = 1500

@@ -5,14 +5,14 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from core.stats.multiple_testing import (
+from socast.core.stats.multiple_testing import (
     adjust_differences,
     adjust_false_discovery,
     adjust_holm,
     list_pairs,
     select_dominating,
 )
-from core.stats.scores import UNKNOWN, Estimate, average_over_repeats
+from socast.core.stats.scores import UNKNOWN, Estimate, average_over_repeats
 from tests.support.repeated_splits import repeated
 
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from core.stats import scores
-from core.stats.scores import Estimate, average_over_repeats, combine_strata, compute_widening
+from socast.core.stats import scores
+from socast.core.stats.scores import Estimate, average_over_repeats, combine_strata, compute_widening
 from tests.support.repeated_splits import repeated
 
 ENERGIES = arrays(np.float64, st.integers(1, 60), elements=st.floats(-5.0, 50.0))

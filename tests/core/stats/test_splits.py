@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.stats.splits import split_by_date, split_by_ride, split_by_vehicle
+from socast.core.stats.splits import split_by_date, split_by_ride, split_by_vehicle
 
 STRATA = st.lists(st.tuples(st.sampled_from(["leaf", "soul", "s"]), st.integers(0, 6)), min_size=1, max_size=300)
 CARS = st.lists(st.tuples(st.sampled_from(["leaf", "soul"]), st.integers(0, 7)), min_size=1, max_size=200)

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from core import effects
-from core.columns import JOULES_PER_KWH, KMH, SPEED_BINS
-from core.pipeline import Pipeline
-from core.signals.signals import Signals
-from core.signals.weather import Stations
-from core.totals.accumulator import AMOUNTS, Accumulator
-from core.totals.tables import HISTOGRAM
-from core.vehicles import load_catalogue
-from core.vehicles.fleet import CarParameters
+from socast.core import effects
+from socast.core.columns import JOULES_PER_KWH, KMH, SPEED_BINS
+from socast.core.pipeline import Pipeline
+from socast.core.signals.signals import Signals
+from socast.core.signals.weather import Stations
+from socast.core.totals.accumulator import AMOUNTS, Accumulator
+from socast.core.totals.tables import HISTOGRAM
+from socast.core.vehicles import load_catalogue
+from socast.core.vehicles.fleet import CarParameters
 from tests.support.telemetry import PERIOD, cleaned, drive, joined, leaf, observed, ran, telemetry, without
 
 N = 500

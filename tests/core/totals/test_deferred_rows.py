@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.cleaning.kernel import Cleaner
-from core.errors import SettingsError
-from core.pipeline import Pipeline
-from core.settings import Settings
-from core.signals.weather import Sky
-from core.totals.clean_rows import CleanRows
-from core.totals.deferred_rows import DeferredRows
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.errors import SettingsError
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.core.signals.weather import Sky
+from socast.core.totals.clean_rows import CleanRows
+from socast.core.totals.deferred_rows import DeferredRows
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.settings import Faults, Simulation
 from tests.support.telemetry import chunked, decoded, drive, leaf, telemetry
-from tools.simulator.fleet import simulate
-from tools.simulator.settings import Faults, Simulation
 
 CARS = ("a", "b", "c")
 
@@ -156,7 +156,7 @@ def test_snapshot_of_a_pipeline_holds_the_deferred_rows():
 
 
 def test_names_of_deferred_rides_are_kept(monkeypatch):
-    monkeypatch.setattr("core.wire.rides.NAMES", 400)
+    monkeypatch.setattr("socast.core.wire.rides.NAMES", 400)
     columns = drive(1040, speed=10.0)
     columns["ride_id"] = np.array([f"r{i // 2}" for i in range(1040)], dtype=object)
     messages = telemetry(columns)

@@ -6,16 +6,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.cleaning.quality import CAUSES
-from core.columns import JOULES_PER_KWH
-from core.pipeline import Pipeline
-from core.totals.accumulator import AMOUNTS, EDGES, Accumulator, Sums, Totals
-from core.totals.display_record import create_unknown_yields
-from core.totals.display_yield import READING_SDS, RELEARN_AFTER, DisplayYields
-from core.totals.measured_energy import RIDE_SD, find_usable_capacity, measure_by_soc
-from core.vehicles.fleet import Cars
-from core.wire.message_order import VehicleChange
-from core.wire.messages import Vehicle
+from socast.core.cleaning.quality import CAUSES
+from socast.core.columns import JOULES_PER_KWH
+from socast.core.pipeline import Pipeline
+from socast.core.totals.accumulator import AMOUNTS, EDGES, Accumulator, Sums, Totals
+from socast.core.totals.display_record import create_unknown_yields
+from socast.core.totals.display_yield import READING_SDS, RELEARN_AFTER, DisplayYields
+from socast.core.totals.measured_energy import RIDE_SD, find_usable_capacity, measure_by_soc
+from socast.core.vehicles.fleet import Cars
+from socast.core.wire.message_order import VehicleChange
+from socast.core.wire.messages import Vehicle
 from tests.core.totals.test_measured_energy import shift
 from tests.support.telemetry import chunked, leaf, ran, telemetry
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.totals.exact_sums import ExactSums
+from socast.core.totals.exact_sums import ExactSums
 
 VALUES = st.lists(st.floats(-1e25, 1e25), min_size=1, max_size=30)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from core.cleaning.clock import ROLLOVER
-from core.totals.logger_faults import describe_faults, list_facts
+from socast.core.cleaning.clock import ROLLOVER
+from socast.core.totals.logger_faults import describe_faults, list_facts
 from tests.support.telemetry import PERIOD, drive, joined, leaf, ran, telemetry, without
 
 N = 300

@@ -7,12 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from core.cleaning.meters import POWER_SPREAD, UNSEEN_TIME
-from core.cleaning.quality import CAUSES
-from core.totals.display_yield import READING_SDS
-from core.totals.measured_energy import METER_GAIN, RIDE_SD
-from core.totals.tables import HISTOGRAM, is_winter
-from core.vehicles import OCCUPANT_MASS, load_catalogue
+from socast.core.cleaning.meters import POWER_SPREAD, UNSEEN_TIME
+from socast.core.cleaning.quality import CAUSES
+from socast.core.totals.display_yield import READING_SDS
+from socast.core.totals.measured_energy import METER_GAIN, RIDE_SD
+from socast.core.totals.tables import HISTOGRAM, is_winter
+from socast.core.vehicles import OCCUPANT_MASS, load_catalogue
 from tests.support.telemetry import PERIOD, START, drive, leaf, make_message, observed, ran, telemetry, without
 
 pytestmark = pytest.mark.long

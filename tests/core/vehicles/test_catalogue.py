@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.columns import ZERO_CELSIUS
-from core.errors import CatalogueError
-from core.vehicles.catalogue import (
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.errors import CatalogueError
+from socast.core.vehicles.catalogue import (
     ACCESSORIES,
     BOUNDS,
     OUT_OF_RANGE,
@@ -21,7 +21,7 @@ from core.vehicles.catalogue import (
     read_catalogue,
     vehicle_model,
 )
-from core.wire.messages import Vehicle
+from socast.core.wire.messages import Vehicle
 
 KEYS = {
     "nissan-leaf-2013",

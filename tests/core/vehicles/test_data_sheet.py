@@ -2,10 +2,10 @@
 
 import pytest
 
-from core.errors import CatalogueError
-from core.vehicles import add_vehicles, list_assumed, load_catalogue, read_data_sheets
-from core.vehicles.catalogue import vehicle_model
-from core.wire.messages import Vehicle
+from socast.core.errors import CatalogueError
+from socast.core.vehicles import add_vehicles, list_assumed, load_catalogue, read_data_sheets
+from socast.core.vehicles.catalogue import vehicle_model
+from socast.core.wire.messages import Vehicle
 
 SHEET = "[my-car]\nmass_kg = 1800\nnominal_capacity_kwh = 60\n"
 

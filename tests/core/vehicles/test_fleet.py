@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.vehicles import load_catalogue
-from core.vehicles.fleet import UNKNOWN, CarParameters, Cars, ReplacedKind
-from core.wire.message_order import VehicleChange
-from core.wire.messages import Vehicle
+from socast.core.vehicles import load_catalogue
+from socast.core.vehicles.fleet import UNKNOWN, CarParameters, Cars, ReplacedKind
+from socast.core.wire.message_order import VehicleChange
+from socast.core.wire.messages import Vehicle
 from tests.support.telemetry import chunked, drive, leaf, make_message, ran, telemetry
 
 

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.batch import Lanes
-from core.pipeline import Pipeline
-from core.settings import Limits
-from core.wire.arrow_batch import PREFIX, BatchError, read_rows, read_times, select_rows, write_rows
-from core.wire.decoder import Decoder
-from core.wire.messages import Message, Telemetry
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
+from socast.core.batch import Lanes
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Limits
+from socast.core.wire.arrow_batch import PREFIX, BatchError, read_rows, read_times, select_rows, write_rows
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.messages import Message, Telemetry
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
 from tests.support.telemetry import chunked, drive, make_message, telemetry
 
 GATEWAY = "fleet/depot/batch"

@@ -8,12 +8,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from core.batch import Lanes
-from core.settings import Limits
-from core.wire.arrow_batch import BatchError, read_rows, select_rows, write_rows
-from core.wire.decoder import Decoder
-from core.wire.duplicate_filter import DuplicateFilter
-from core.wire.messages import Message
+from socast.core.batch import Lanes
+from socast.core.settings import Limits
+from socast.core.wire.arrow_batch import BatchError, read_rows, select_rows, write_rows
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.duplicate_filter import DuplicateFilter
+from socast.core.wire.messages import Message
 
 GATEWAY = "fleet/depot/batch"
 ROWS = 20_000

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.batch import NO_RIDE, Lanes
-from core.wire.decoder import Decoder
-from core.wire.messages import KINDS, Message, Telemetry, Vehicle, Weather, address, encode
-from core.wire.schema import make_schema
+from socast.core.batch import NO_RIDE, Lanes
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.messages import KINDS, Message, Telemetry, Vehicle, Weather, address, encode
+from socast.core.wire.schema import make_schema
 from tests.support.telemetry import chunked, drive, leaf, make_message, observed, telemetry
 
 KEY = "fleet/a/telemetry"

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.batch import Lanes
-from core.pipeline import Pipeline
-from core.settings import Limits
-from core.wire import duplicate_filter
-from core.wire.decoder import Refused
-from core.wire.duplicate_filter import LEAST, PER_VEHICLE, DuplicateFilter
-from core.wire.messages import Message
+from socast.core.batch import Lanes
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Limits
+from socast.core.wire import duplicate_filter
+from socast.core.wire.decoder import Refused
+from socast.core.wire.duplicate_filter import LEAST, PER_VEHICLE, DuplicateFilter
+from socast.core.wire.messages import Message
 from tests.support.faulty_shifts import decodable_shift
 from tests.support.telemetry import chunked, drive, make_message, observed, telemetry
 

@@ -6,12 +6,12 @@ from random import Random
 import numpy as np
 import pytest
 
-from core.batch import Lanes
-from core.wire.decoder import Decoder
-from core.wire.json_scanner import JsonScanner
-from core.wire.message_block import PADDING, MessageBlock, MessageColumns
-from core.wire.messages import Message, Telemetry, encode
-from core.wire.name_lookup import NameLookup
+from socast.core.batch import Lanes
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.json_scanner import JsonScanner
+from socast.core.wire.message_block import PADDING, MessageBlock, MessageColumns
+from socast.core.wire.messages import Message, Telemetry, encode
+from socast.core.wire.name_lookup import NameLookup
 
 CARS = "a", "taxi-7", "x" * 64
 FIELDS = Telemetry.__struct_fields__
@@ -78,7 +78,7 @@ def scan_payloads(lanes, payloads):
 def decode_all(scanner, lists):
     """Decode lists of messages with a kind of scanner; return all that the decoder gave and its state."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("core.wire.decoder.JsonScanner", scanner)
+        patch.setattr("socast.core.wire.decoder.JsonScanner", scanner)
         decoder = Decoder(Lanes())
     out = []
     for messages in lists:

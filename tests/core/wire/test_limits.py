@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from core.batch import Lanes
-from core.errors import SettingsError
-from core.pipeline import Pipeline
-from core.settings import Limits
-from core.wire import rate_limit
-from core.wire.decoder import Decoder
-from core.wire.messages import Message
-from core.wire.rate_limit import RateLimit
+from socast.core.batch import Lanes
+from socast.core.errors import SettingsError
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Limits
+from socast.core.wire import rate_limit
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.messages import Message
+from socast.core.wire.rate_limit import RateLimit
 from tests.support.telemetry import drive, leaf, make_message, observed, ran, telemetry
 
 SECOND = 10**9

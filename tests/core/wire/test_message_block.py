@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.wire.message_block import PADDING, KeyValues, MessageBlock
-from core.wire.messages import Message
+from socast.core.wire.message_block import PADDING, KeyValues, MessageBlock
+from socast.core.wire.messages import Message
 
 MESSAGES = st.lists(
     st.builds(Message, st.sampled_from(["a", "b", "c", "fleet/é"]), st.binary(max_size=9), st.integers(0, 2**64 - 1)),

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.wire.messages import (
+from socast.core.wire.messages import (
     OF_VEHICLES,
     Cause,
     Finding,

@@ -1,8 +1,8 @@
 """The driver of a ride is the one that was reported last before its end, whenever the ride is looked up."""
 
-from core.wire import rides
-from core.wire.messages import Ride
-from core.wire.rides import RideDrivers
+from socast.core.wire import rides
+from socast.core.wire.messages import Ride
+from socast.core.wire.rides import RideDrivers
 
 
 def report(drivers, ride, driver, place, lane=0):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.pipeline import Pipeline
+from socast.core.pipeline import Pipeline
 from tests.support.faulty_shifts import shift
 from tests.support.telemetry import drive, telemetry
 

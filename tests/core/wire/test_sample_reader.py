@@ -5,8 +5,8 @@ from collections import Counter
 import msgspec
 import numpy as np
 
-from core.wire.messages import Message
-from core.wire.sample_reader import read_samples
+from socast.core.wire.messages import Message
+from socast.core.wire.sample_reader import read_samples
 from tests.support.batched_recordings import make_batch
 
 SAMPLES = [

@@ -5,10 +5,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from core.batch import Lanes
-from core.wire.decoder import Decoder
-from core.wire.messages import KINDS, Finding, Leg, LegOutlook, Message, Outlook, Ride, Telemetry, Wire
-from core.wire.schema import describe_struct, make_schema
+from socast.core.batch import Lanes
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.messages import KINDS, Finding, Leg, LegOutlook, Message, Outlook, Ride, Telemetry, Wire
+from socast.core.wire.schema import describe_struct, make_schema
 
 STRUCTS = KINDS | {"outlook": Outlook, "leg": Leg, "leg_outlook": LegOutlook}
 PLAIN = {"string": "x", "number": 1.0, "integer": 1, "boolean": True, "array": []}

@@ -7,10 +7,10 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.errors import SettingsError
-from core.pipeline import Pipeline
-from core.wire.messages import IDENTITY
-from core.wire.shard import MOST_SHARDS, Shard, parse_shard
+from socast.core.errors import SettingsError
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import IDENTITY
+from socast.core.wire.shard import MOST_SHARDS, Shard, parse_shard
 from tests.support.faulty_shifts import CARS, shift
 
 NAMES = st.from_regex(IDENTITY, fullmatch=True)

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from xxhash import xxh64_intdigest
 
-from core.wire.message_block import MessageBlock
-from core.wire.messages import Message
-from core.wire.text_hash import hash_texts
+from socast.core.wire.message_block import MessageBlock
+from socast.core.wire.messages import Message
+from socast.core.wire.text_hash import hash_texts
 
 texts = st.one_of(st.binary(max_size=40), st.integers(0, 300).map(lambda size: bytes(range(256))[:size] * 2))
 

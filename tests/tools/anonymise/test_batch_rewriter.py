@@ -9,14 +9,14 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
-from core.pipeline import Pipeline
-from core.wire.arrow_batch import PREFIX, read_rows, write_rows
-from core.wire.messages import Message, Telemetry
+from socast.core.pipeline import Pipeline
+from socast.core.wire.arrow_batch import PREFIX, read_rows, write_rows
+from socast.core.wire.messages import Message, Telemetry
+from socast.tools.anonymise import batch_rewriter
+from socast.tools.anonymise.disguise import make_disguise
+from socast.tools.anonymise.message_rewriter import MessageRewriter
 from tests.support.batched_recordings import GATEWAY, make_batch
 from tests.support.telemetry import PLACE, START, drive, make_message, observed, telemetry
-from tools.anonymise import batch_rewriter
-from tools.anonymise.disguise import make_disguise
-from tools.anonymise.message_rewriter import MessageRewriter
 
 CARS = "van-of-anna", "van-of-bob"
 

@@ -5,8 +5,8 @@ from random import Random
 import numpy as np
 import pytest
 
-from core.signals.sun import sine_of_elevation
-from tools.anonymise.disguise import FARTHEST_DEG, WEEK_S, keeps_days, list_shifts, make_disguise
+from socast.core.signals.sun import sine_of_elevation
+from socast.tools.anonymise.disguise import FARTHEST_DEG, WEEK_S, keeps_days, list_shifts, make_disguise
 
 CENTRE = 45.5, -73.6
 BEGIN = 1_516_100_000.0

@@ -5,9 +5,9 @@ from random import Random
 
 import pytest
 
-from core.wire.messages import Message
-from tools.anonymise.disguise import make_disguise
-from tools.anonymise.message_rewriter import MessageRewriter
+from socast.core.wire.messages import Message
+from socast.tools.anonymise.disguise import make_disguise
+from socast.tools.anonymise.message_rewriter import MessageRewriter
 
 NOW = 1_516_100_000.0
 CENTRE = 45.5, -73.6

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from tools.bench.hidden import cases
-from tools.bench.hidden.cases import SeedData
-from tools.bench.hidden.drives import FLEET
+from socast.tools.bench.hidden import cases
+from socast.tools.bench.hidden.cases import SeedData
+from socast.tools.bench.hidden.drives import FLEET
 
 
 @pytest.fixture(scope="session")

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from core.vehicles import load_catalogue
-from tools.bench import coefficients
-from tools.simulator.truth import Truth
+from socast.core.vehicles import load_catalogue
+from socast.tools.bench import coefficients
+from socast.tools.simulator.truth import Truth
 
 
 def make_truth(**changes):

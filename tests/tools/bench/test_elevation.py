@@ -5,9 +5,9 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from stream.elevation_tiles import TILE_SD
-from tools.bench import elevation
-from tools.simulator.world import compute_elevation, to_wgs84
+from socast.stream.elevation_tiles import TILE_SD
+from socast.tools.bench import elevation
+from socast.tools.simulator.world import compute_elevation, to_wgs84
 
 
 @pytest.fixture(scope="module")

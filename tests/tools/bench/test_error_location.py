@@ -2,8 +2,8 @@
 
 import pytest
 
-from core.diagnose.error_location.locate import ErrorLocation, LocatedLoad
-from tools.bench.error_location import CASES, format_share, judge, make_section, summarise
+from socast.core.diagnose.error_location.locate import ErrorLocation, LocatedLoad
+from socast.tools.bench.error_location import CASES, format_share, judge, make_section, summarise
 
 
 def make_location(*loads):

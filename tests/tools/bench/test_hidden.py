@@ -8,26 +8,26 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core import effects
-from core.cleaning.kernel import Cleaner
-from core.diagnose.dataset import Windows, gather_windows
-from core.errors import SettingsError
-from core.fit.recipes import fit_to_windows
-from core.pipeline import Pipeline
-from core.settings import Settings
-from core.wire.messages import Telemetry, Weather, encode
+from socast.core import effects
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.diagnose.dataset import Windows, gather_windows
+from socast.core.errors import SettingsError
+from socast.core.fit.recipes import fit_to_windows
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.core.wire.messages import Telemetry, Weather, encode
+from socast.tools.bench.hidden.cases import RIGHT_NAMES, Case, get_right_names
+from socast.tools.bench.hidden.drives import FLEET, Scope, simulate_drives
+from socast.tools.bench.hidden.errors import compute_errors, predict_held_out
+from socast.tools.bench.hidden.evaluation import compute_true_energy, evaluate_case
+from socast.tools.bench.hidden.parts import ABSORBED, FRESH, PARTS, Selection, draw_sample
+from socast.tools.bench.hidden.recording import add_weather_noise, record_drives
+from socast.tools.bench.hidden.running import make_tasks, run_cases
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.hidden import EFFECTS
+from socast.tools.simulator.hidden_shapes import OTHER_SHAPES, strip_shape
+from socast.tools.simulator.settings import STEPS_PER_SAMPLE, Hidden
 from tests.support.diagnosed_names import make_name, make_result
-from tools.bench.hidden.cases import RIGHT_NAMES, Case, get_right_names
-from tools.bench.hidden.drives import FLEET, Scope, simulate_drives
-from tools.bench.hidden.errors import compute_errors, predict_held_out
-from tools.bench.hidden.evaluation import compute_true_energy, evaluate_case
-from tools.bench.hidden.parts import ABSORBED, FRESH, PARTS, Selection, draw_sample
-from tools.bench.hidden.recording import add_weather_noise, record_drives
-from tools.bench.hidden.running import make_tasks, run_cases
-from tools.simulator.fleet import simulate
-from tools.simulator.hidden import EFFECTS
-from tools.simulator.hidden_shapes import OTHER_SHAPES, strip_shape
-from tools.simulator.settings import STEPS_PER_SAMPLE, Hidden
 
 pytestmark = pytest.mark.long
 SMALL = replace(FLEET, seed=3, vehicles=2, days=2, day_step=100)
@@ -283,7 +283,7 @@ class TestParts:
 
 class TestRunning:
     def test_kept_records_are_not_made_again(self, source, tmp_path, monkeypatch):
-        monkeypatch.setattr("tools.bench.hidden.running._source", lambda _: source)
+        monkeypatch.setattr("socast.tools.bench.hidden.running._source", lambda _: source)
         calls = []
 
         def diagnose(rides, *_):
@@ -297,7 +297,7 @@ class TestRunning:
         assert again[:2] == first
 
     def test_impossible_data_set_gives_a_record_with_the_reason(self, source, monkeypatch):
-        monkeypatch.setattr("tools.bench.hidden.running._source", lambda _: source)
+        monkeypatch.setattr("socast.tools.bench.hidden.running._source", lambda _: source)
         roofless = next(leg.member.name for leg in source.drives.legs if not leg.member.car.roof_drag_area)
         case = Case(5, (Hidden("roof_load", 0.03),), where=Scope(vehicle=roofless))
         (record,) = run_cases("vehicle", [case], lambda *_: make_result())

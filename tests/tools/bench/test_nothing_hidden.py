@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import SettingsError, SocastError
-from tools.bench import nothing_hidden
-from tools.bench.hidden.page import replace_section
-from tools.bench.nothing_hidden import (
+from socast.core.errors import SettingsError, SocastError
+from socast.tools.bench import nothing_hidden
+from socast.tools.bench.hidden.page import replace_section
+from socast.tools.bench.nothing_hidden import (
     ROOT,
     SECTION,
     main,

@@ -7,11 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tools.bench import soc_forecasts, soc_goals
-from tools.bench.soc_forecasts import list_fleets, main
-from tools.bench.soc_goals import Judged
-from tools.simulator.conditions import ABSENT, Conditions, DisplayFault
-from tools.simulator.fleets import get_fleet
+from socast.tools.bench import soc_forecasts, soc_goals
+from socast.tools.bench.soc_forecasts import list_fleets, main
+from socast.tools.bench.soc_goals import Judged
+from socast.tools.simulator.conditions import ABSENT, Conditions, DisplayFault
+from socast.tools.simulator.fleets import get_fleet
 
 
 @pytest.fixture

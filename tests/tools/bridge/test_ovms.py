@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from core.errors import SettingsError
-from stream.mqtt_source import MqttMessage, Ticket
-from tools.bridge.ovms import METRICS, OvmsReader, OvmsSource, parse_topic_prefix
-from tools.bridge.row_assembler import RowAssembler
+from socast.core.errors import SettingsError
+from socast.stream.mqtt_source import MqttMessage, Ticket
+from socast.tools.bridge.ovms import METRICS, OvmsReader, OvmsSource, parse_topic_prefix
+from socast.tools.bridge.row_assembler import RowAssembler
 
 NOW = 1_700_000_000.0
 

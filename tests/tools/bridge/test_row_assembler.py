@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from tools.bridge.row_assembler import HOLD_S, MOST_VEHICLES, RowAssembler, Value
-from tools.bridge.signals import FIX
-from tools.importers.table.units import POWER
+from socast.tools.bridge.row_assembler import HOLD_S, MOST_VEHICLES, RowAssembler, Value
+from socast.tools.bridge.signals import FIX
+from socast.tools.importers.table.units import POWER
 
 NOW = 1_700_000_000.0
 
@@ -202,7 +202,7 @@ def test_car_with_a_model_is_introduced_once():
 
 
 def test_number_of_cars_is_limited(monkeypatch):
-    monkeypatch.setattr("tools.bridge.row_assembler.MOST_VEHICLES", 2)
+    monkeypatch.setattr("socast.tools.bridge.row_assembler.MOST_VEHICLES", 2)
     assembler = RowAssembler()
     for car in ("a", "b", "c"):
         take(assembler, "speed_kmh", 50.0, car=car)

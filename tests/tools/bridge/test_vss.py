@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from core.errors import SettingsError
-from stream.zenoh_signals import SignalSample
-from tools.bridge.row_assembler import RowAssembler
-from tools.bridge.vss import VssReader, parse_payload, parse_stamp
+from socast.core.errors import SettingsError
+from socast.stream.zenoh_signals import SignalSample
+from socast.tools.bridge.row_assembler import RowAssembler
+from socast.tools.bridge.vss import VssReader, parse_payload, parse_stamp
 
 NOW = 1_700_000_000.0
 BATTERY = "Powertrain/TractionBattery"

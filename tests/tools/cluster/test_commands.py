@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.fit import fitting, ride_blocks
+from socast.core.fit import fitting, ride_blocks
+from socast.tools.cluster import workers
+from socast.tools.cluster.runner import InProcessRunner
+from socast.tools.cluster.tables import ROWS
 from tests.support import planted_rides
 from tests.support.commands import called, done, refused
 from tests.support.paths import ROOT
-from tools.cluster import workers
-from tools.cluster.runner import InProcessRunner
-from tools.cluster.tables import ROWS
 
 SHIFT = ROOT / "recordings" / "shift.mcap"
 

@@ -7,17 +7,17 @@ import sys
 import psutil
 import pytest
 
-from core.errors import RecordingError, SettingsError
+from socast.core.errors import RecordingError, SettingsError
+from socast.tools.cluster.dask_runner import ClusterPlace, open_runner, parse_place
+from socast.tools.cluster.runner import InProcessRunner
+from socast.tools.cluster.simulation import TRUTH, write_recording
+from socast.tools.cluster.workers import Workers
+from socast.tools.simulator.fleet import prepare_fleet
+from socast.tools.simulator.settings import Simulation
 from tests.support.cluster_tables import assert_same, make_parts, make_whole
 from tests.support.commands import refused
 from tests.support.mortal_tasks import die_once, fail
 from tests.support.paths import ROOT
-from tools.cluster.dask_runner import ClusterPlace, open_runner, parse_place
-from tools.cluster.runner import InProcessRunner
-from tools.cluster.simulation import TRUTH, write_recording
-from tools.cluster.workers import Workers
-from tools.simulator.fleet import prepare_fleet
-from tools.simulator.settings import Simulation
 
 SHIFT = ROOT / "recordings" / "shift.mcap"
 pytestmark = pytest.mark.long

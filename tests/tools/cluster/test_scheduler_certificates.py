@@ -2,8 +2,8 @@
 
 import pytest
 
-from core.errors import SettingsError
-from tools.cluster.dask_runner import check_certificates, open_runner, parse_place
+from socast.core.errors import SettingsError
+from socast.tools.cluster.dask_runner import check_certificates, open_runner, parse_place
 
 
 def test_a_scheduler_under_tls_without_certificates_is_one_line_with_the_variables(tmp_path):
@@ -26,7 +26,7 @@ def test_only_the_certificates_that_are_missing_are_named(tmp_path):
 
 
 def test_the_command_says_for_which_scheduler_it_waits(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("tools.cluster.dask_runner.CONNECT_S", 0.2)
+    monkeypatch.setattr("socast.tools.cluster.dask_runner.CONNECT_S", 0.2)
     with (
         pytest.raises(SettingsError, match="cannot be reached"),
         open_runner(parse_place("tcp://127.0.0.1:1", 2.0), tmp_path),

@@ -4,18 +4,18 @@ from dataclasses import replace
 
 import pytest
 
-from stream.mcap_reader import McapSource
+from socast.stream.mcap_reader import McapSource
+from socast.tools.cluster.runner import InProcessRunner
+from socast.tools.cluster.simulation import write_recording
+from socast.tools.cluster.workers import Workers
+from socast.tools.simulator import car_files
+from socast.tools.simulator.car_files import merge_cars, plan_merge
+from socast.tools.simulator.conditions import parse_conditions
+from socast.tools.simulator.fleet import describe_fleet, drive_car, prepare_fleet
+from socast.tools.simulator.settings import Faults, Hidden, Simulation
+from socast.tools.simulator.truth import Truth
 from tests.support.commands import done, refused
 from tests.support.simulated import run_simulation
-from tools.cluster.runner import InProcessRunner
-from tools.cluster.simulation import write_recording
-from tools.cluster.workers import Workers
-from tools.simulator import car_files
-from tools.simulator.car_files import merge_cars, plan_merge
-from tools.simulator.conditions import parse_conditions
-from tools.simulator.fleet import describe_fleet, drive_car, prepare_fleet
-from tools.simulator.settings import Faults, Hidden, Simulation
-from tools.simulator.truth import Truth
 
 PLAIN = Simulation(vehicles=3, days=2, shift_hours=0.5, seed=3)
 

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from core.errors import RecordingError
-from core.wire import duplicate_filter
-from core.wire.messages import Message
-from stream.mcap_reader import McapSource
+from socast.core.errors import RecordingError
+from socast.core.wire import duplicate_filter
+from socast.core.wire.messages import Message
+from socast.stream.mcap_reader import McapSource
+from socast.tools.cluster.decoding import plan_spans
+from socast.tools.cluster.ordering import Ordering
+from socast.tools.cluster.runner import InProcessRunner
+from socast.tools.cluster.tables import make_tables
 from tests.support.cluster_tables import assert_same, make_job, make_parts, make_whole, receive, record
 from tests.support.faulty_shifts import car, mixed
 from tests.support.telemetry import PERIOD, START, drive, leaf, make_message, observed, telemetry
-from tools.cluster.decoding import plan_spans
-from tools.cluster.ordering import Ordering
-from tools.cluster.runner import InProcessRunner
-from tools.cluster.tables import make_tables
 
 pytestmark = pytest.mark.long
 RECORDINGS = Path(__file__).parents[3] / "recordings"

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core import models
-from core.diagnose import diagnosis as diagnosing
-from core.errors import SettingsError
+from socast.core import models
+from socast.core.diagnose import diagnosis as diagnosing
+from socast.core.errors import SettingsError
 from tests.support.commands import called, done, refused
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
 from tests.support.planted_windows import base_model, planted
@@ -20,7 +20,7 @@ from tests.support.planted_windows import base_model, planted
 pytestmark = pytest.mark.long
 OWN = '''"""An effect of one's own."""
 
-from core.effects import effect
+from socast.core.effects import effect
 
 
 @effect(coefficient="{coefficient}", unit="{unit}", low=0, high=1, source="nobody")
@@ -355,7 +355,7 @@ def test_commands_of_a_finding_add_its_effect_and_run_it_as_a_shadow(here, capsy
         started.extend(given)
         raise SettingsError("the models are loaded")
 
-    monkeypatch.setattr("tools.terminal.live_service.compile_kernels", end)
+    monkeypatch.setattr("socast.tools.terminal.live_service.compile_kernels", end)
     assert "the models are loaded" in refused(capsys, *shadowing)
     assert [len(model.terms) for model in started] == [len(started[0].terms), len(started[0].terms) + 1]
 

@@ -8,15 +8,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.errors import SocastError
-from core.wire.messages import Message, Telemetry, encode
-from stream.mcap_format import read_records
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
+from socast.core.errors import SocastError
+from socast.core.wire.messages import Message, Telemetry, encode
+from socast.stream.mcap_format import read_records
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.tools.commands.anonymise import REMAINS, find_extent, rewrite_recordings
 from tests.support.batched_recordings import make_batch
 from tests.support.commands import done, refused
 from tests.support.paths import RECORDINGS
-from tools.commands.anonymise import REMAINS, find_extent, rewrite_recordings
 
 pytestmark = pytest.mark.long
 HIDDEN = {"ride_id", "ride_key", "vehicle_id", "driver_id", "date", "winter", "summer", "start_s", "end_s"}

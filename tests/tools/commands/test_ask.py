@@ -6,13 +6,13 @@ import json
 import pytest
 from rich.console import Console
 
-from core.wire.messages import Interval, LegOutlook, NextCharge
-from stream.zenoh_session import find_free_port
+from socast.core.wire.messages import Interval, LegOutlook, NextCharge
+from socast.stream.zenoh_session import find_free_port
+from socast.tools.commands.ask import figures, show, verdict
 from tests.support.commands import done, refused
 from tests.support.live_consumers import consumers, logged
 from tests.support.outlooks import NOW, OUTLOOK, outlook
 from tests.support.zenoh_sessions import live
-from tools.commands.ask import figures, show, verdict
 
 RIDE = ("--distance-km", "18", "--duration-s", "1500")
 NOTHING_AFTER = {"reserve_risk": None, "soc_end_of_shift_pct": None, "shift_end_s": None, "legs": []}

@@ -8,14 +8,14 @@ import sys
 
 import pytest
 
-from core.errors import SettingsError
+from socast.core.errors import SettingsError
+from socast.tools.commands.bridge import PASSWORD, parse_models, read_password
 from tests.support.commands import refused
 from tests.support.mqtt_broker import needs_mosquitto
 from tests.support.mqtt_outage import run_outage, wait_for_line
 from tests.support.paths import ROOT
 from tests.support.router_process import RouterProcess
 from tests.support.zenoh_sessions import eventually
-from tools.commands.bridge import PASSWORD, parse_models, read_password
 
 pytestmark = pytest.mark.long
 
@@ -36,7 +36,7 @@ def test_vss_signals_of_a_car_arrive_as_telemetry_and_the_end_is_logged():
             "depot/fleet/*/*", lambda sample: rows.append(json.loads(sample.payload.to_bytes()))
         )
         options = ["--connect", router.endpoint, "--prefix", "depot", "--from-prefix", "cars", "--model", "bmw-i3-2014"]
-        command = [sys.executable, "-m", "tools.cli", "bridge", "vss", "--json-log", "--report", "0.2", *options]
+        command = [sys.executable, "-m", "socast.tools.cli", "bridge", "vss", "--json-log", "--report", "0.2", *options]
         with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as bridge:
             wait_for_line(bridge, '"counters"')
 

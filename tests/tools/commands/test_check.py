@@ -6,14 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.cleaning.faults import FAULTS
-from core.cleaning.quality import CAUSES, Quality
-from core.totals.run_counters import CarCounters
-from stream.mcap_writer import McapSink
+from socast.core.cleaning.faults import FAULTS
+from socast.core.cleaning.quality import CAUSES, Quality
+from socast.core.totals.run_counters import CarCounters
+from socast.stream.mcap_writer import McapSink
+from socast.tools.terminal.fault_report import choose_next_step, report_cars, show_cars
+from socast.tools.terminal.output import make_console
 from tests.support.commands import called
 from tests.support.telemetry import drive, leaf, telemetry
-from tools.terminal.fault_report import choose_next_step, report_cars, show_cars
-from tools.terminal.output import make_console
 
 RIDES = pd.DataFrame(
     {

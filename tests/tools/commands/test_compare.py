@@ -10,17 +10,17 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term, save, stamp
+from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term, save, stamp
+from socast.tools.cli import main
+from socast.tools.commands.tables import in_memory
+from socast.tools.report.comparison import tables
+from socast.tools.report.comparison.figures import get_model_style
+from socast.tools.report.comparison.page import MOST_COMMANDS
+from socast.tools.report.evaluation.sections import Section
+from socast.tools.report.evaluation.terminal import print_section
 from tests.support.commands import called
 from tests.support.html_pages import assert_axes_are_titled, read_figures, read_page
 from tests.support.paths import ROOT
-from tools.cli import main
-from tools.commands.tables import in_memory
-from tools.report.comparison import tables
-from tools.report.comparison.figures import get_model_style
-from tools.report.comparison.page import MOST_COMMANDS
-from tools.report.evaluation.sections import Section
-from tools.report.evaluation.terminal import print_section
 
 pytestmark = pytest.mark.long
 
@@ -296,7 +296,7 @@ def test_files_of_same_name_are_distinguished(folder, tmp_path):
 def test_user_defined_effect_is_known_with_its_file(folder, tmp_path, capsys):
     effect_file = tmp_path / "own.py"
     effect_file.write_text(
-        '"""Own."""\n\nfrom core.effects import effect\n\n\n'
+        '"""Own."""\n\nfrom socast.core.effects import effect\n\n\n'
         '@effect(coefficient="drag of the brake pads", unit="N", low=0, high=60, source="Barton 2001, p. 3")\n'
         'def rubbing(speed):\n    """Pads that rub: P = F v."""\n    return speed\n'
     )

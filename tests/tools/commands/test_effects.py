@@ -5,13 +5,13 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from core import effects
-from core.columns import SIGNALS
-from core.effects import get, get_library, group_by_topic, list_tabulated, load_file, registry
-from core.errors import EffectError, SettingsError
+from socast.core import effects
+from socast.core.columns import SIGNALS
+from socast.core.effects import get, get_library, group_by_topic, list_tabulated, load_file, registry
+from socast.core.errors import EffectError, SettingsError
+from socast.tools.cli import main
+from socast.tools.commands.effects import app
 from tests.support.effect_files import GOOD
-from tools.cli import main
-from tools.commands.effects import app
 
 
 @pytest.fixture

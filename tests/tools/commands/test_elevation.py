@@ -5,7 +5,7 @@ import json
 import pandas as pd
 import pytest
 
-from core.wire.messages import Message
+from socast.core.wire.messages import Message
 from tests.support.commands import called, done, refused
 from tests.support.ground import hilly_drive, srtm_of_hills
 from tests.support.mcap_recordings import BEGIN, make_telemetry, write_recording

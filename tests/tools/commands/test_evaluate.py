@@ -7,13 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.fit import segment_network
+from socast.core.fit import segment_network
+from socast.tools.cli import main
+from socast.tools.commands.evaluate import window_columns
+from socast.tools.terminal.output import check_outputs
+from socast.tools.terminal.table_files import read
 from tests.support import planted_rides
 from tests.support.segment_windows import segment_windows
-from tools.cli import main
-from tools.commands.evaluate import window_columns
-from tools.terminal.output import check_outputs
-from tools.terminal.table_files import read
 
 QUICK = ("--recipes", "basic_physical,empirical", "--repeats", "2", "--jobs", "1")
 

@@ -8,25 +8,25 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from core.errors import SettingsError
-from core.evaluate.paper.results import to_json_values
-from core.evaluate.soc.legs import LegRecorder
-from core.evaluate.soc.report import evaluate_soc
-from core.models import EXTENDED_PHYSICAL
-from core.stats.clustered import LEAST_CLUSTERS
-from stream.mcap_reader import McapSource
+from socast.core.errors import SettingsError
+from socast.core.evaluate.paper.results import to_json_values
+from socast.core.evaluate.soc.legs import LegRecorder
+from socast.core.evaluate.soc.report import evaluate_soc
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.stats.clustered import LEAST_CLUSTERS
+from socast.stream.mcap_reader import McapSource
+from socast.tools.cli import main
+from socast.tools.commands import evaluate_soc as command
+from socast.tools.commands.import_drives import collect_drives, write_recording
+from socast.tools.importers.data_sets import DATA_SETS
+from socast.tools.importers.synthetic_shifts import concatenate_drives
+from socast.tools.report.soc import figures as drawn
+from socast.tools.report.soc import page as report
+from socast.tools.report.soc import risk_tables
+from socast.tools.report.soc.tables import compare_with_best, format_share, tabulate_by_time, tabulate_conditions
 from tests.support.html_pages import read_page
 from tests.support.paths import ROOT
 from tests.support.soc_frames import make_frames
-from tools.cli import main
-from tools.commands import evaluate_soc as command
-from tools.commands.import_drives import collect_drives, write_recording
-from tools.importers.data_sets import DATA_SETS
-from tools.importers.synthetic_shifts import concatenate_drives
-from tools.report.soc import figures as drawn
-from tools.report.soc import page as report
-from tools.report.soc import risk_tables
-from tools.report.soc.tables import compare_with_best, format_share, tabulate_by_time, tabulate_conditions
 
 pytestmark = pytest.mark.long
 

@@ -7,20 +7,20 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core import models
-from core.fit.recipes import RECIPES
-from core.models import ANY, LinearModel
-from core.pipeline import Pipeline
-from stream.loop import run
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from stream.memory import MemorySink, MemorySource
+from socast.core import models
+from socast.core.fit.recipes import RECIPES
+from socast.core.models import ANY, LinearModel
+from socast.core.pipeline import Pipeline
+from socast.stream.loop import run
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.stream.memory import MemorySink, MemorySource
+from socast.tools.commands.fit import ride_files
 from tests.support.commands import done, refused
 from tests.support.planted_rides import MODELS, noisy, physical_energy, rides
 from tests.support.pooled_rides import differing, fleet, measured, planted
 from tests.support.recorded_shift import shift
 from tests.support.synthetic_windows import make_tables, make_windows
-from tools.commands.fit import ride_files
 
 pytestmark = pytest.mark.long
 PAPER = list(RECIPES)[:7]

@@ -8,11 +8,11 @@ import msgspec
 import pytest
 from rich.console import Console
 
-from core import models
-from core.models import BASIC_PHYSICAL, LinearModel
+from socast.core import models
+from socast.core.models import BASIC_PHYSICAL, LinearModel
+from socast.tools.report import history
 from tests.support.commands import done, refused
 from tests.support.html_pages import read_page
-from tools.report import history
 
 HELPS = "it explains 10.0 % (95 % interval 8.0 % to 12.0 %) of the squared error on held-out days"
 

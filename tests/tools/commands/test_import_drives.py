@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from core.batch import Lanes
-from core.errors import ImportFileError, SettingsError
-from core.wire.decoder import Decoder
-from stream.mcap_reader import McapSource
+from socast.core.batch import Lanes
+from socast.core.errors import ImportFileError, SettingsError
+from socast.core.wire.decoder import Decoder
+from socast.stream.mcap_reader import McapSource
+from socast.tools.commands.import_drives import collect_drives
+from socast.tools.importers.data_sets import DATA_SETS
+from socast.tools.importers.drive import make_messages
 from tests.support.published_files import (
     BMW_HEADER,
     TWIZY_HEADER,
@@ -24,9 +27,6 @@ from tests.support.published_files import (
     ved_row,
     write_good_file,
 )
-from tools.commands.import_drives import collect_drives
-from tools.importers.data_sets import DATA_SETS
-from tools.importers.drive import make_messages
 
 NAMES = ("ved", "bmw-i3", "twizy")
 

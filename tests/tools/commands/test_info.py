@@ -2,8 +2,8 @@
 
 import json
 
-from stream.mcap_writer import McapSink
-from stream.recording_metadata import find_version, make_metadata
+from socast.stream.mcap_writer import McapSink
+from socast.stream.recording_metadata import find_version, make_metadata
 from tests.support.commands import called
 from tests.support.mcap_recordings import make_telemetry
 from tests.support.paths import ROOT

@@ -8,23 +8,23 @@ from types import SimpleNamespace
 
 import pytest
 
-from core import models
-from core.errors import SettingsError
-from core.settings import Settings
-from stream.loop import Tally
-from stream.mcap_writer import McapSink
-from stream.memory import MemorySink
-from stream.zenoh_session import Connection, Node, find_free_port
+from socast.core import models
+from socast.core.errors import SettingsError
+from socast.core.settings import Settings
+from socast.stream.loop import Tally
+from socast.stream.mcap_writer import McapSink
+from socast.stream.memory import MemorySink
+from socast.stream.zenoh_session import Connection, Node, find_free_port
+from socast.tools.commands.fit import inputs
+from socast.tools.terminal import night_watch
+from socast.tools.terminal.diagnosis_process import DiagnosisProcess
+from socast.tools.terminal.forecast_options import ForecastOptions
+from socast.tools.terminal.night_watch import make_nightly_diagnosis
 from tests.support.commands import called, refused
 from tests.support.live_consumers import consumers, logged
 from tests.support.paths import ROOT
 from tests.support.recorded_shift import make_two_days
 from tests.support.zenoh_sessions import eventually
-from tools.commands.fit import inputs
-from tools.terminal import night_watch
-from tools.terminal.diagnosis_process import DiagnosisProcess
-from tools.terminal.forecast_options import ForecastOptions
-from tools.terminal.night_watch import make_nightly_diagnosis
 
 pytestmark = pytest.mark.long
 

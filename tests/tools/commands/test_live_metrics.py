@@ -9,12 +9,12 @@ from threading import Event, Thread
 
 import pytest
 
-from stream.health import HealthServer, HttpAddress
-from stream.metrics import make_registry
-from stream.recorder import list_recordings
-from stream.service_status import ServiceStatus
-from stream.zenoh_session import Connection, Node, find_free_port
-from stream.zenoh_sink import ZenohSink
+from socast.stream.health import HealthServer, HttpAddress
+from socast.stream.metrics import make_registry
+from socast.stream.recorder import list_recordings
+from socast.stream.service_status import ServiceStatus
+from socast.stream.zenoh_session import Connection, Node, find_free_port
+from socast.stream.zenoh_sink import ZenohSink
 from tests.support.commands import refused
 from tests.support.live_consumers import consumers, logged
 from tests.support.recorded_shift import shift

@@ -3,11 +3,11 @@
 from contextlib import nullcontext
 from threading import Event, Thread
 
-from core.errors import SettingsError
-from stream.zenoh_session import Connection, Node, find_free_port
+from socast.core.errors import SettingsError
+from socast.stream.zenoh_session import Connection, Node, find_free_port
+from socast.tools.commands.router import route
 from tests.support.commands import refused
 from tests.support.zenoh_sessions import eventually, router
-from tools.commands.router import route
 
 
 def join(endpoint: str, nodes: list[Node]) -> bool:
@@ -21,8 +21,8 @@ def join(endpoint: str, nodes: list[Node]) -> bool:
 
 def test_what_one_node_publishes_reaches_another_one_until_the_router_is_stopped(monkeypatch):
     stop, nodes, seen = Event(), list[Node](), list[str]()
-    monkeypatch.setattr("tools.commands.router.stop_on_signals", lambda: nullcontext(stop))
-    monkeypatch.setattr("tools.commands.router.log_lines", lambda **_: None)
+    monkeypatch.setattr("socast.tools.commands.router.stop_on_signals", lambda: nullcontext(stop))
+    monkeypatch.setattr("socast.tools.commands.router.log_lines", lambda **_: None)
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
     runs = Thread(target=route, kwargs={"listen": [endpoint]})
     runs.start()

@@ -7,9 +7,9 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from socast.tools.security.access import SERVICES
+from socast.tools.security.folder import SecureFolder
 from tests.support.commands import called, done, refused
-from tools.security.access import SERVICES
-from tools.security.folder import SecureFolder
 
 
 @pytest.fixture
@@ -194,7 +194,9 @@ def test_router_file_with_comments_is_refused(folder, capsys):
 
 
 def test_missing_package_is_named_with_its_remedy(monkeypatch, capsys, tmp_path):
-    for name in [each for each in sys.modules if each.startswith(("tools.security", "tools.commands.secure"))]:
+    for name in [
+        each for each in sys.modules if each.startswith(("socast.tools.security", "socast.tools.commands.secure"))
+    ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "cryptography", None)
     assert "pip install 'socast[service]'" in refused(capsys, "secure", "list", tmp_path)

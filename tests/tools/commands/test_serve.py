@@ -53,7 +53,7 @@ def test_mistakes_are_one_line(capsys, tmp_path):
 
 
 def test_missing_extra_is_named_with_the_remedy(capsys, monkeypatch):
-    monkeypatch.delitem(sys.modules, "tools.workbench.fleet.tiles", raising=False)
+    monkeypatch.delitem(sys.modules, "socast.tools.workbench.fleet.tiles", raising=False)
     monkeypatch.setitem(sys.modules, "pmtiles", None)
     message = refused(capsys, "serve", SHIFT, "--no-browser")
     assert "pmtiles" in message

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import SocastError
-from core.pipeline import Pipeline
-from stream.state_file import StateFile
+from socast.core.errors import SocastError
+from socast.core.pipeline import Pipeline
+from socast.stream.state_file import StateFile
 from tests.support.commands import refused
 from tests.support.paths import ROOT
 

@@ -2,10 +2,10 @@
 
 import json
 
-from core.vehicles import catalogue
+from socast.core.vehicles import catalogue
+from socast.tools.terminal.live_table import describe_unknown_models
 from tests.support.commands import called, done, refused
 from tests.support.own_tables import abrp
-from tools.terminal.live_table import describe_unknown_models
 
 
 def make_recording(folder, *options):

@@ -11,19 +11,19 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
-from core.settings import Settings
-from core.vehicles import catalogue
-from stream.loop import Tally
-from stream.mcap_reader import McapSource
-from stream.memory import MemorySink
+from socast.core.settings import Settings
+from socast.core.vehicles import catalogue
+from socast.stream.loop import Tally
+from socast.stream.mcap_reader import McapSource
+from socast.stream.memory import MemorySink
+from socast.tools.commands import live
+from socast.tools.terminal import night_watch
+from socast.tools.terminal.forecast_options import ForecastOptions
+from socast.tools.terminal.live_service import LiveOptions, start_service
+from socast.tools.terminal.night_watch import make_nightly_diagnosis
 from tests.support import own_tables
 from tests.support.commands import called, done, refused
 from tests.support.players import wait_until_there
-from tools.commands import live
-from tools.terminal import night_watch
-from tools.terminal.forecast_options import ForecastOptions
-from tools.terminal.live_service import LiveOptions, start_service
-from tools.terminal.night_watch import make_nightly_diagnosis
 
 pytestmark = pytest.mark.long
 RIDES = 24
@@ -133,6 +133,6 @@ def test_workbench_predicts_with_the_data_sheet(fleet, monkeypatch):
             shown.update(self.player.board.get_values("van"))
 
     shown = {}
-    monkeypatch.setattr("tools.workbench.server.WorkbenchServer", PlayingServer)
+    monkeypatch.setattr("socast.tools.workbench.server.WorkbenchServer", PlayingServer)
     done("serve", fleet.recording, "--no-browser", "--vehicles", fleet.sheet)
     assert shown["predicted"] > 0.0

@@ -6,10 +6,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from core.wire.messages import Cause, Finding, Forecast, Message, QualityCounts, Telemetry, encode
+from socast.core.wire.messages import Cause, Finding, Forecast, Message, QualityCounts, Telemetry, encode
+from socast.tools.foxglove.schemas import ERROR, INFO, SCHEMAS, WARNING
+from socast.tools.foxglove.topics import ViewerTopics
 from tests.support.batched_recordings import make_batch
-from tools.foxglove.schemas import ERROR, INFO, SCHEMAS, WARNING
-from tools.foxglove.topics import ViewerTopics
 
 NONE = QualityCounts(0, 0, 0, 0, 0)
 

@@ -5,10 +5,10 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
+from socast.tools.importers import bmw_i3
+from socast.tools.importers.drive import ReadOptions, make_messages, make_samples
+from socast.tools.importers.published import read_table
 from tests.support.published_files import BMW_HEADER, bmw_file, overview
-from tools.importers import bmw_i3
-from tools.importers.drive import ReadOptions, make_messages, make_samples
-from tools.importers.published import read_table
 
 BERLIN = ReadOptions(ZoneInfo("Europe/Berlin"))
 

@@ -1,7 +1,7 @@
 """Test that the catalogue has the models of all data sets."""
 
-from core.vehicles import load_catalogue
-from tools.importers import bmw_i3, twizy, ved
+from socast.core.vehicles import load_catalogue
+from socast.tools.importers import bmw_i3, twizy, ved
 
 
 def test_imported_models_are_in_the_catalogue():

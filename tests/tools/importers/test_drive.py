@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from core.wire.messages import Ride, Telemetry, Vehicle, Weather, address
+from socast.core.wire.messages import Ride, Telemetry, Vehicle, Weather, address
+from socast.tools.importers import ved
+from socast.tools.importers.drive import ReadOptions, make_messages
 from tests.support.published_files import ved_file
-from tools.importers import ved
-from tools.importers.drive import ReadOptions, make_messages
 
 UTC_ZONE = ReadOptions(ZoneInfo("UTC"))
 

@@ -7,22 +7,22 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.batch import Lanes
-from core.cleaning.kernel import Cleaner
-from core.cleaning.quality import CAUSES, Quality
-from core.columns import EARTH_RADIUS, KMH
-from core.effects import get_library
-from core.evaluate.paper.protocol import evaluate, select_recipes
-from core.pipeline import Pipeline
-from core.settings import Settings
-from core.wire.decoder import Decoder
-from core.wire.messages import Message
-from stream.mcap_reader import McapSource
+from socast.core.batch import Lanes
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.cleaning.quality import CAUSES, Quality
+from socast.core.columns import EARTH_RADIUS, KMH
+from socast.core.effects import get_library
+from socast.core.evaluate.paper.protocol import evaluate, select_recipes
+from socast.core.pipeline import Pipeline
+from socast.core.settings import Settings
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.messages import Message
+from socast.stream.mcap_reader import McapSource
+from socast.tools.commands.import_drives import collect_drives, write_recording
+from socast.tools.importers.data_sets import DATA_SETS
+from socast.tools.importers.drive import Drive, make_messages
+from socast.tools.importers.resample import LONGEST_HOLD
 from tests.support.paths import ROOT
-from tools.commands.import_drives import collect_drives, write_recording
-from tools.importers.data_sets import DATA_SETS
-from tools.importers.drive import Drive, make_messages
-from tools.importers.resample import LONGEST_HOLD
 
 DATA = ROOT.parent / "shared" / "data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the public data sets are not at {DATA}")

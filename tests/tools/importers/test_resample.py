@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis.extra.numpy import arrays
 
-from tools.importers.drive import Drive, make_samples, sort_drives
-from tools.importers.resample import LONGEST_HOLD, compute_window_means, find_valid_rows, make_grid
+from socast.tools.importers.drive import Drive, make_samples, sort_drives
+from socast.tools.importers.resample import LONGEST_HOLD, compute_window_means, find_valid_rows, make_grid
 
 
 def make_drive(elapsed, start=1e9, ride="r", **rows):

@@ -8,15 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.forecast.plan_checks import find_refusal
-from core.wire.messages import Plan
-from stream.mcap_reader import McapSource
-from tests.support.paths import ROOT
-from tests.support.published_files import run_import, write_good_file
-from tools.commands.import_drives import collect_drives
-from tools.importers.data_sets import DATA_SETS
-from tools.importers.drive import Drive
-from tools.importers.synthetic_shifts import (
+from socast.core.forecast.plan_checks import find_refusal
+from socast.core.wire.messages import Plan
+from socast.stream.mcap_reader import McapSource
+from socast.tools.commands.import_drives import collect_drives
+from socast.tools.importers.data_sets import DATA_SETS
+from socast.tools.importers.drive import Drive
+from socast.tools.importers.synthetic_shifts import (
     ELEVATION_PLAY,
     LONGEST_SPAN,
     LOWEST_SOC,
@@ -29,6 +27,8 @@ from tools.importers.synthetic_shifts import (
     make_plans,
     plan_leg,
 )
+from tests.support.paths import ROOT
+from tests.support.published_files import run_import, write_good_file
 
 DATA = ROOT.parent / "shared" / "data"
 START = 1_514_764_800.0

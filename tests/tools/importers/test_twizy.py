@@ -3,9 +3,9 @@
 from datetime import UTC, datetime
 from zoneinfo import ZoneInfo
 
+from socast.tools.importers import twizy
+from socast.tools.importers.drive import ReadOptions, make_messages, make_samples
 from tests.support.published_files import twizy_file
-from tools.importers import twizy
-from tools.importers.drive import ReadOptions, make_messages, make_samples
 
 CASABLANCA = ReadOptions(ZoneInfo("Africa/Casablanca"))
 

@@ -3,9 +3,9 @@
 from datetime import UTC, datetime
 from zoneinfo import ZoneInfo
 
+from socast.tools.importers import ved
+from socast.tools.importers.drive import ReadOptions, make_messages
 from tests.support.published_files import VED_HEADER, ved_file, ved_row
-from tools.importers import ved
-from tools.importers.drive import ReadOptions, make_messages
 
 UTC_ZONE = ReadOptions(ZoneInfo("UTC"))
 

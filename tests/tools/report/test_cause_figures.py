@@ -2,8 +2,8 @@
 
 import pytest
 
+from socast.tools.report.diagnosis.cause_figures import MOST, draw_causes
 from tests.support.html_pages import assert_axes_are_titled
-from tools.report.diagnosis.cause_figures import MOST, draw_causes
 
 CAUSES = [
     {"effect": "none", "probability": 0.05},

@@ -5,12 +5,12 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
+from socast.tools.commands.diagnose import insert_commands
+from socast.tools.report.diagnosis.deviation_figures import draw_deviations
+from socast.tools.report.diagnosis.deviations import describe_deviation, describe_deviations, describe_spread
+from socast.tools.report.diagnosis.page import print_step
+from socast.tools.report.diagnosis.sentences import describe_next_step, describe_verdict
 from tests.support.diagnosis_result import make_deviation, make_diagnosis, make_empty_diagnosis, make_ranked_car
-from tools.commands.diagnose import insert_commands
-from tools.report.diagnosis.deviation_figures import draw_deviations
-from tools.report.diagnosis.deviations import describe_deviation, describe_deviations, describe_spread
-from tools.report.diagnosis.page import print_step
-from tools.report.diagnosis.sentences import describe_next_step, describe_verdict
 
 
 def test_change_is_stated_with_size_date_and_causes():

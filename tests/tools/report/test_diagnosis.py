@@ -7,20 +7,20 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from core.diagnose.posterior.probabilities import UNKNOWN
-from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
-from tests.support.html_pages import assert_axes_are_titled, read_page
-from tests.support.read_parts import find_read_parts
-from tools.commands.diagnose import insert_commands, parse_term
-from tools.report.diagnosis import page as report
-from tools.report.diagnosis import sentences
-from tools.report.diagnosis.figures import (
+from socast.core.diagnose.posterior.probabilities import UNKNOWN
+from socast.tools.commands.diagnose import insert_commands, parse_term
+from socast.tools.report.diagnosis import page as report
+from socast.tools.report.diagnosis import sentences
+from socast.tools.report.diagnosis.figures import (
     draw_coefficients,
     draw_effects,
     draw_errors,
     draw_remainder,
     draw_slices,
 )
+from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
+from tests.support.html_pages import assert_axes_are_titled, read_page
+from tests.support.read_parts import find_read_parts
 
 pytestmark = pytest.mark.long
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from socast.tools.commands.diagnose import insert_commands
+from socast.tools.report.diagnosis import page as report
+from socast.tools.report.diagnosis import sentences
+from socast.tools.report.diagnosis.episodes import describe_episodes
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_episode
 from tests.support.html_pages import read_page
-from tools.commands.diagnose import insert_commands
-from tools.report.diagnosis import page as report
-from tools.report.diagnosis import sentences
-from tools.report.diagnosis.episodes import describe_episodes
 
 HEADLINE = (
     "41 % of the squared error is concentrated on 2 dates, 16 to 19 h UTC: +6.0 kW (95 % interval 5.7 to 6.4). Look at "

@@ -12,21 +12,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from core.errors import SettingsError
-from core.evaluate.binning import SEASONS
-from core.evaluate.paper import published
-from core.evaluate.paper.results import to_json_values
+from socast.core.errors import SettingsError
+from socast.core.evaluate.binning import SEASONS
+from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.results import to_json_values
+from socast.tools.report.cells import PAPER_NOTE, UNKNOWN
+from socast.tools.report.evaluation import selection_figures
+from socast.tools.report.evaluation.illustrations import MAKERS, PAPER_CAPTION, build_illustrations
+from socast.tools.report.evaluation.sections import build_sections
+from socast.tools.report.evaluation.terminal import print_section, show
+from socast.tools.report.figure_style import get_style
+from socast.tools.report.page import render_page, write
+from socast.tools.terminal.output import REPORT_VERSIONS
 from tests.support.evaluation_result import CLUSTERS, RECIPES, VEHICLES, evaluation
 from tests.support.html_pages import read_page
 from tests.support.read_parts import find_read_parts
-from tools.report.cells import PAPER_NOTE, UNKNOWN
-from tools.report.evaluation import selection_figures
-from tools.report.evaluation.illustrations import MAKERS, PAPER_CAPTION, build_illustrations
-from tools.report.evaluation.sections import build_sections
-from tools.report.evaluation.terminal import print_section, show
-from tools.report.figure_style import get_style
-from tools.report.page import render_page, write
-from tools.terminal.output import REPORT_VERSIONS
 
 pytestmark = pytest.mark.long
 FEW_RECIPES = ("basic_physical", "fitted_physical", "hybrid_trees")
@@ -46,7 +46,7 @@ def printed_changes(result, before):
     known = build_sections(to_json_values(before))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "tools.report.evaluation.terminal.print_section",
+            "socast.tools.report.evaluation.terminal.print_section",
             lambda section, console: None if section in known else print_section(section, console),
         )
         return printed(result)

@@ -2,12 +2,18 @@
 
 import pytest
 
-from core.diagnose.error_location.absent_signals import SIGNALS
-from core.diagnose.error_location.kinds import KINDS
+from socast.core.diagnose.error_location.absent_signals import SIGNALS
+from socast.core.diagnose.error_location.kinds import KINDS
+from socast.tools.report.diagnosis.location_figure import draw_location
+from socast.tools.report.diagnosis.location_sentences import (
+    CAUSES,
+    JUDGED_BY,
+    KIND_NAMES,
+    LEVEL_NAMES,
+    describe_location,
+)
+from socast.tools.report.diagnosis.page import build_sections
 from tests.support.html_pages import assert_axes_are_titled
-from tools.report.diagnosis.location_figure import draw_location
-from tools.report.diagnosis.location_sentences import CAUSES, JUDGED_BY, KIND_NAMES, LEVEL_NAMES, describe_location
-from tools.report.diagnosis.page import build_sections
 
 LEVELS = ("ride", "day", "driver", "date", "car")
 

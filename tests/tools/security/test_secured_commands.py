@@ -2,7 +2,7 @@
 
 import pytest
 
-from stream.mcap_writer import McapSink
+from socast.stream.mcap_writer import McapSink
 from tests.support.commands import called, refused
 from tests.support.live_consumers import consumers, logged
 from tests.support.secure_fleets import make_fleet, open_router

@@ -13,20 +13,20 @@ import msgspec
 import pytest
 import zenoh
 
-from core.errors import AskError, SettingsError
-from core.wire.messages import Message, Outlook
-from stream import zenoh_standby
-from stream.zenoh_observer import ZenohObserver
-from stream.zenoh_overlap import GRACE_S, OverlapWatch
-from stream.zenoh_queryable import query_outlook
-from stream.zenoh_receiver import _subscribe
-from stream.zenoh_session import Connection, Node
-from stream.zenoh_sink import CACHE, ZenohSink
-from stream.zenoh_standby import FencedSink, Standby
+from socast.core.errors import AskError, SettingsError
+from socast.core.wire.messages import Message, Outlook
+from socast.stream import zenoh_standby
+from socast.stream.zenoh_observer import ZenohObserver
+from socast.stream.zenoh_overlap import GRACE_S, OverlapWatch
+from socast.stream.zenoh_queryable import query_outlook
+from socast.stream.zenoh_receiver import _subscribe
+from socast.stream.zenoh_session import Connection, Node
+from socast.stream.zenoh_sink import CACHE, ZenohSink
+from socast.stream.zenoh_standby import FencedSink, Standby
+from socast.tools.security.folder import SecureFolder
 from tests.support.secure_fleets import CARS, EXPIRED, REVOKED, change_tls, join, make_fleet, open_router
 from tests.support.service import Clock
 from tests.support.zenoh_sessions import eventually, serving
-from tools.security.folder import SecureFolder
 
 pytestmark = pytest.mark.long
 OWN, OTHER = CARS

@@ -8,10 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from core.errors import SettingsError
-from core.wire.messages import address
-from tests.support.simulated import decode_samples, run_simulation
-from tools.simulator.conditions import (
+from socast.core.errors import SettingsError
+from socast.core.wire.messages import address
+from socast.tools.simulator.conditions import (
     ABSENT,
     DISPLAY_FAULTS,
     FROZEN,
@@ -23,11 +22,12 @@ from tools.simulator.conditions import (
     Spell,
     parse_conditions,
 )
-from tools.simulator.displays import spoil_display
-from tools.simulator.fleet import make_members
-from tools.simulator.fleets import FLEETS, get_fleet
-from tools.simulator.settings import ALL_PHENOMENA, NO_FAULTS, Simulation
-from tools.simulator.weather import make_sky
+from socast.tools.simulator.displays import spoil_display
+from socast.tools.simulator.fleet import make_members
+from socast.tools.simulator.fleets import FLEETS, get_fleet
+from socast.tools.simulator.settings import ALL_PHENOMENA, NO_FAULTS, Simulation
+from socast.tools.simulator.weather import make_sky
+from tests.support.simulated import decode_samples, run_simulation
 
 START = datetime(2018, 11, 5, tzinfo=UTC)
 FLEET = Simulation(

@@ -6,13 +6,13 @@ from typing import Final
 import numpy as np
 import pytest
 
-from core.columns import KMH
+from socast.core.columns import KMH
+from socast.tools.commands.import_drives import collect_drives
+from socast.tools.importers.data_sets import DATA_SETS
+from socast.tools.simulator.driver import drive_route, make_style
+from socast.tools.simulator.settings import PERIOD, STEP
+from socast.tools.simulator.world import draw_destination, find_crossing, make_route
 from tests.support.paths import REAL_DRIVES
-from tools.commands.import_drives import collect_drives
-from tools.importers.data_sets import DATA_SETS
-from tools.simulator.driver import drive_route, make_style
-from tools.simulator.settings import PERIOD, STEP
-from tools.simulator.world import draw_destination, find_crossing, make_route
 
 SHARE_OF_REAL_DRIVES: Final = 0.906
 """Share of the kinetic energy gained that samples of the BMW i3 every 3 s show. [1]"""

@@ -13,24 +13,24 @@ from itertools import pairwise
 import msgspec
 import pytest
 
-from core.errors import SettingsError
-from core.wire.messages import KINDS, address
-from stream.mcap_reader import McapSource
-from tests.support.paths import ROOT
-from tests.support.simulated import PERFECT, SMALL, WINTER, decode_samples, run_simulation
-from tools.commands.simulate import simulate as simulate_command
-from tools.commands.simulate import write_simulation
-from tools.simulator.fleet import simulate
-from tools.simulator.settings import (
+from socast.core.errors import SettingsError
+from socast.core.wire.messages import KINDS, address
+from socast.stream.mcap_reader import McapSource
+from socast.tools.commands.simulate import simulate as simulate_command
+from socast.tools.commands.simulate import write_simulation
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.settings import (
     NO_FAULTS,
     Hidden,
     Simulation,
 )
+from tests.support.paths import ROOT
+from tests.support.simulated import PERFECT, SMALL, WINTER, decode_samples, run_simulation
 
 DIGEST = """
 from hashlib import sha256
 from datetime import UTC, datetime
-from tools.simulator import Simulation, simulate
+from socast.tools.simulator import Simulation, simulate
 digest = sha256()
 for message in simulate(Simulation(vehicles=3, start=datetime(2018, 1, 16, 12, tzinfo=UTC), shift_hours=1.0, seed=11)):
     digest.update(repr(message).encode())

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import pytest
 
-from core.errors import SettingsError
-from tests.support.simulated import SMALL, SUMMER, WINTER, run_simulation
-from tools.simulator.fleet import simulate
-from tools.simulator.hidden import EFFECTS
-from tools.simulator.settings import (
+from socast.core.errors import SettingsError
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.hidden import EFFECTS
+from socast.tools.simulator.settings import (
     NO_FAULTS,
     Hidden,
     Simulation,
 )
+from tests.support.simulated import SMALL, SUMMER, WINTER, run_simulation
 
 
 class TestHidden:

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.errors import SettingsError
+from socast.core.errors import SettingsError
+from socast.tools.simulator.bent_shapes import BENT
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.hidden import EFFECTS, EffectInputs
+from socast.tools.simulator.hidden_shapes import OTHER, OTHER_SHAPES, get_power
+from socast.tools.simulator.settings import Hidden
 from tests.support.simulated import SMALL, SUMMER, WINTER, drive_one_shift, run_simulation
-from tools.simulator.bent_shapes import BENT
-from tools.simulator.fleet import simulate
-from tools.simulator.hidden import EFFECTS, EffectInputs
-from tools.simulator.hidden_shapes import OTHER, OTHER_SHAPES, get_power
-from tools.simulator.settings import Hidden
 
 IN_SUMMER = {"cabin_cooling", "solar_load", "wet_road", "humidity"}
 ALWAYS_COST = set(EFFECTS) - {"headwind", "air_density", "payload", "roof_load", "age"}

@@ -7,13 +7,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from core.wire.messages import Telemetry, address
-from tests.support.simulated import PERFECT, SMALL, WINTER, decode_samples, run_simulation
-from tools.simulator.settings import (
+from socast.core.wire.messages import Telemetry, address
+from socast.tools.simulator.settings import (
     NO_FAULTS,
     Faults,
     Simulation,
 )
+from tests.support.simulated import PERFECT, SMALL, WINTER, decode_samples, run_simulation
 
 
 @pytest.fixture(scope="module")

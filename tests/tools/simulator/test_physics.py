@@ -6,12 +6,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from core.vehicles import load_catalogue
-from core.wire.messages import Weather
-from tests.support.simulated import PERFECT, SUMMER, WINTER, drive_one_shift, run_simulation
-from tools.simulator import physics
-from tools.simulator.physics import PARTS
-from tools.simulator.settings import (
+from socast.core.vehicles import load_catalogue
+from socast.core.wire.messages import Weather
+from socast.tools.simulator import physics
+from socast.tools.simulator.physics import PARTS
+from socast.tools.simulator.settings import (
     ALL_PHENOMENA,
     NO_FAULTS,
     PLAIN_PHENOMENA,
@@ -19,6 +18,7 @@ from tools.simulator.settings import (
     Phenomena,
     Simulation,
 )
+from tests.support.simulated import PERFECT, SUMMER, WINTER, drive_one_shift, run_simulation
 
 
 @pytest.fixture(scope="module")

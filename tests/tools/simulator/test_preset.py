@@ -13,18 +13,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.errors import SettingsError
-from core.pipeline import Pipeline
-from core.totals.tables import WINTER as SEASON
-from core.totals.tables import is_winter
-from core.wire.messages import address
-from tests.support.simulated import SUMMER, WINTER, run_simulation
-from tools.cli import main
-from tools.simulator.cars import make_car
-from tools.simulator.conditions import Conditions
-from tools.simulator.driver import drive_route
-from tools.simulator.fleet import simulate
-from tools.simulator.preset import (
+from socast.core.errors import SettingsError
+from socast.core.pipeline import Pipeline
+from socast.core.totals.tables import WINTER as SEASON
+from socast.core.totals.tables import is_winter
+from socast.core.wire.messages import address
+from socast.tools.cli import main
+from socast.tools.simulator.cars import make_car
+from socast.tools.simulator.conditions import Conditions
+from socast.tools.simulator.driver import drive_route
+from socast.tools.simulator.fleet import simulate
+from socast.tools.simulator.preset import (
     WINTER_TYRE_SEASON,
     YEAR,
     apportion_total,
@@ -35,10 +34,11 @@ from tools.simulator.preset import (
     make_orders,
     plan_cars,
 )
-from tools.simulator.settings import ALL_PHENOMENA, NO_FAULTS, PERIOD, UTC_OFFSET, Simulation
-from tools.simulator.shift import make_shift
-from tools.simulator.weather import make_sky
-from tools.simulator.world import make_route
+from socast.tools.simulator.settings import ALL_PHENOMENA, NO_FAULTS, PERIOD, UTC_OFFSET, Simulation
+from socast.tools.simulator.shift import make_shift
+from socast.tools.simulator.weather import make_sky
+from socast.tools.simulator.world import make_route
+from tests.support.simulated import SUMMER, WINTER, run_simulation
 
 pytestmark = pytest.mark.long
 TEO = load_preset("teo")

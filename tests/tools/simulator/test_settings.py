@@ -5,10 +5,9 @@ from datetime import UTC, datetime
 
 import pytest
 
-from core.errors import SettingsError
-from tests.support.simulated import SMALL
-from tools.simulator.physics import PARTS, WHEEL
-from tools.simulator.settings import (
+from socast.core.errors import SettingsError
+from socast.tools.simulator.physics import PARTS, WHEEL
+from socast.tools.simulator.settings import (
     ALL_PHENOMENA,
     NO_FAULTS,
     PLAIN_PHENOMENA,
@@ -20,6 +19,7 @@ from tools.simulator.settings import (
     parse_phenomena,
     parse_start,
 )
+from tests.support.simulated import SMALL
 
 
 class TestSettings:

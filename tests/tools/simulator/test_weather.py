@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from tools.simulator.weather import compute_sun_height, make_sky
+from socast.tools.simulator.weather import compute_sun_height, make_sky
 
 
 def test_weather_has_seasons_and_persistence():

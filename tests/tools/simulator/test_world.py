@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tools.simulator.world import (
+from socast.tools.simulator.world import (
     EXPRESSWAYS,
     compute_elevation,
     draw_destination,

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import SettingsError
-from core.settings import Settings
-from tools.commands.diagnose import insert_commands
-from tools.terminal.cleaning_options import make_settings, refuse_cleaning_of_tables, word_settings
+from socast.core.errors import SettingsError
+from socast.core.settings import Settings
+from socast.tools.commands.diagnose import insert_commands
+from socast.tools.terminal.cleaning_options import make_settings, refuse_cleaning_of_tables, word_settings
 
 MOTORWAY = make_settings(speed_limit_kmh=180.0, least_distance_km=1.5)
 WORDS = "--speed-limit-kmh 180 --least-distance-km 1.5"

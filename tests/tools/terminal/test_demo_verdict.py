@@ -8,9 +8,8 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from core import models
-from tests.support.paths import ROOT
-from tools.terminal.demo_verdict import (
+from socast.core import models
+from socast.tools.terminal.demo_verdict import (
     compute_errors_pct,
     list_next_commands,
     make_car_records,
@@ -18,6 +17,7 @@ from tools.terminal.demo_verdict import (
     show_end,
     write_verdict,
 )
+from tests.support.paths import ROOT
 
 LABELS = ("road_load/1", "extended_physical/1")
 QUALITY = {"samples": {"late": 3, "gap": 2}, "undecodable": {"not json": 1}, "lost": 4, "missed": 0}

@@ -2,10 +2,10 @@
 
 import pytest
 
-from core import effects
-from core.effects import Parameter, registry
-from core.effects.source_file import render_source
-from tools.terminal.effect_template import blank
+from socast.core import effects
+from socast.core.effects import Parameter, registry
+from socast.core.effects.source_file import render_source
+from socast.tools.terminal.effect_template import blank
 
 
 def suggestion(**changes):

@@ -6,9 +6,9 @@ import json
 import pytest
 from rich.console import Console
 
-from core.errors import SettingsError
+from socast.core.errors import SettingsError
+from socast.tools.terminal.findings_file import read_findings, show_changes, write_findings
 from tests.support.findings import make_finding
-from tools.terminal.findings_file import read_findings, show_changes, write_findings
 
 
 def test_findings_are_unchanged_by_a_round_trip(tmp_path):

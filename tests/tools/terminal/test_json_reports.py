@@ -6,12 +6,12 @@ import subprocess
 import pytest
 import typer
 
-from core.wire.messages import Message
-from stream.mcap_writer import McapSink
+from socast.core.wire.messages import Message
+from socast.stream.mcap_writer import McapSink
+from socast.tools.cli import CLOSED_PIPE, COMMANDS, application
+from socast.tools.terminal.output import REPORT_VERSIONS, write_json
 from tests.support.commands import SOCAST, called, done, refused
 from tests.support.paths import SHIFT
-from tools.cli import CLOSED_PIPE, COMMANDS, application
-from tools.terminal.output import REPORT_VERSIONS, write_json
 
 
 def test_every_json_report_has_version():

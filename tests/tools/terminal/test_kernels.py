@@ -9,16 +9,16 @@ from collections import Counter
 import pytest
 from numba import njit
 
-from core.models import EXTENDED_PHYSICAL
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.tools.terminal import kernels
+from socast.tools.terminal.kernels import compile_kernels
 from tests.support.paths import ROOT
-from tools.terminal import kernels
-from tools.terminal.kernels import compile_kernels
 
 CODE = """
 import json
 from collections import Counter
 from numba.core.dispatcher import Dispatcher
-from tools.terminal.kernels import compile_kernels, list_kernels
+from socast.tools.terminal.kernels import compile_kernels, list_kernels
 
 def called(kernel):
     names = kernel.py_func.__code__.co_names
@@ -54,7 +54,7 @@ def test_list_of_kernels_holds_all_that_the_sources_define(found):
     defined = Counter()
     for package in ("core", "stream"):
         for file in (ROOT / package).rglob("*.py"):
-            module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
+            module = ".".join(("socast", *file.relative_to(ROOT).with_suffix("").parts))
             defined[module] = len(
                 re.findall(r"^ *@njit\([^)]*cache=True", file.read_text(encoding="utf-8"), re.MULTILINE)
             )
@@ -79,11 +79,11 @@ def test_progress_counts_kernels_from_the_first_to_the_last_but_not_their_parts(
 
 def test_make_compiles_the_kernels_after_the_installation():
     rule = (ROOT / "Makefile").read_text(encoding="utf-8").partition("$(INSTALLED):")[2].partition("demo:")[0]
-    assert "-m tools.terminal.kernels\n\ttouch $@" in rule
+    assert "-m socast.tools.terminal.kernels\n\ttouch $@" in rule
 
 
 def test_help_explains_and_compiles_nothing(monkeypatch, capsys):
-    monkeypatch.setattr("tools.terminal.kernels.compile_kernels", lambda: pytest.fail("compiled"))
+    monkeypatch.setattr("socast.tools.terminal.kernels.compile_kernels", lambda: pytest.fail("compiled"))
     with pytest.raises(SystemExit) as ended:
         kernels.main(["--help"])
     assert ended.value.code == 0

@@ -2,10 +2,10 @@
 
 import logging
 
-from core.pipeline import Pipeline
-from core.settings import LIVE_KEY_RATE, Limits
+from socast.core.pipeline import Pipeline
+from socast.core.settings import LIVE_KEY_RATE, Limits
+from socast.tools.terminal.limit_options import LimitLog, make_limits
 from tests.support.telemetry import leaf, make_message, observed
-from tools.terminal.limit_options import LimitLog, make_limits
 
 
 def test_options_define_the_limits_and_their_defaults_limit_the_rate():

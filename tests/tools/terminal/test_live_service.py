@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from stream.recorder import Recorder
-from stream.state_file import StateFile
+from socast.stream.recorder import Recorder
+from socast.stream.state_file import StateFile
 from tests.support.commands import refused
 
 
 @pytest.mark.parametrize("option", ["--record", "--state"])
 def test_second_consumer_is_refused_before_kernels_are_compiled(option, tmp_path: Path, capsys, monkeypatch):
-    monkeypatch.setattr("tools.terminal.live_service.compile_kernels", lambda *_: pytest.fail("compiled"))
+    monkeypatch.setattr("socast.tools.terminal.live_service.compile_kernels", lambda *_: pytest.fail("compiled"))
     path = tmp_path / "kept"
     with Recorder(path) if option == "--record" else StateFile(path):
         assert "kept is in use by process" in refused(capsys, "live", option, path)

@@ -5,11 +5,11 @@ import io
 import pytest
 from rich.console import Console
 
-from core.forecast.status import VehicleStatus
+from socast.core.forecast.status import VehicleStatus
+from socast.tools.terminal.live_table import WARNED, make_fleet_table
+from socast.tools.terminal.model_comparison import WIDE
 from tests.support.fleet_days import DAY, DAYS, forecasts, plan, shift, trained_pipeline
 from tests.support.telemetry import START
-from tools.terminal.live_table import WARNED, make_fleet_table
-from tools.terminal.model_comparison import WIDE
 
 CAR = VehicleStatus("taxi-1", "kia-soul-ev-2015", None, 1.7e9, 64.0, 0.0, float("nan"), float("nan"), {})
 

@@ -10,28 +10,28 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from core import models
-from core.errors import ModelError
-from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Training
-from core.pipeline import Pipeline
-from core.wire.messages import Gain, ModelErrors, RideErrors
-from stream.loop import Tally
-from stream.mcap_reader import McapSource
-from stream.mcap_writer import McapSink
-from stream.zenoh_session import Connection, Node, find_free_port
-from tests.support.commands import called, refused
-from tests.support.live_consumers import consumers, logged
-from tests.support.recorded_shift import shift
-from tests.support.zenoh_sessions import eventually
-from tools.terminal.live_table import LiveTable, make_fleet_table
-from tools.terminal.model_comparison import (
+from socast.core import models
+from socast.core.errors import ModelError
+from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Training
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Gain, ModelErrors, RideErrors
+from socast.stream.loop import Tally
+from socast.stream.mcap_reader import McapSource
+from socast.stream.mcap_writer import McapSink
+from socast.stream.zenoh_session import Connection, Node, find_free_port
+from socast.tools.terminal.live_table import LiveTable, make_fleet_table
+from socast.tools.terminal.model_comparison import (
     describe_gain,
     load_models,
     make_log_fields,
     make_models_table,
     warn_of_training_days,
 )
-from tools.terminal.ride_log import RideLog
+from socast.tools.terminal.ride_log import RideLog
+from tests.support.commands import called, refused
+from tests.support.live_consumers import consumers, logged
+from tests.support.recorded_shift import shift
+from tests.support.zenoh_sessions import eventually
 
 BOTH = ("--model", "extended_physical", "--model", "basic_physical")
 
@@ -201,7 +201,7 @@ def test_change_of_verdict_is_logged_once(monkeypatch):
     logger, records = logging.getLogger("test_standings"), []
     logger.setLevel(logging.INFO)
     logger.addFilter(lambda record: records.append(record) or False)
-    monkeypatch.setattr("tools.terminal.ride_log._log", logger)
+    monkeypatch.setattr("socast.tools.terminal.ride_log._log", logger)
     pipeline = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
     now = [0.0]
     rides = RideLog(pipeline, lambda: now[0])

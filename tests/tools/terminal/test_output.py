@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import SettingsError
-from tools.terminal.output import check_outputs, select_model_files
+from socast.core.errors import SettingsError
+from socast.tools.terminal.output import check_outputs, select_model_files
 
 
 @pytest.mark.parametrize("name", ["model.json", "./model.json"])

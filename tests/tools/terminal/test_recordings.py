@@ -6,10 +6,10 @@ from shutil import copyfile
 
 import pytest
 
-from core.errors import RecordingError, SettingsError
+from socast.core.errors import RecordingError, SettingsError
+from socast.tools.terminal.recordings import open_recordings
 from tests.support.commands import done, refused
 from tests.support.paths import ROOT
-from tools.terminal.recordings import open_recordings
 
 SHIFT = ROOT / "recordings" / "shift.mcap"
 AUTUMN = SHIFT.with_name("autumn.mcap")

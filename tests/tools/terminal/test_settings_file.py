@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import typer
 
+from socast.tools.cli import application
+from socast.tools.terminal.settings_file import list_settings, read_settings
 from tests.support.commands import refused
 from tests.support.paths import ROOT
-from tools.cli import application
-from tools.terminal.settings_file import list_settings, read_settings
 
 EXAMPLE = ROOT / "deploy" / "socast.toml"
 LIVE = typer.main.get_command(application("live")).commands["live"]

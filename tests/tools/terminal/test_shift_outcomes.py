@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from socast.tools.terminal import shift_outcomes
+from socast.tools.terminal.shift_outcomes import AHEAD, NO_INTERVALS, ShiftOutcomes, show_outcomes, summary
 from tests.support.commands import done
 from tests.support.fleet_days import CARS, DAYS, SHIFT, recorded, shift, trained_pipeline
 from tests.support.soc_frames import make_frames
-from tools.terminal import shift_outcomes
-from tools.terminal.shift_outcomes import AHEAD, NO_INTERVALS, ShiftOutcomes, show_outcomes, summary
 
 
 class Recited:

@@ -2,12 +2,12 @@
 
 import pytest
 
-from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
+from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.tools.terminal.warm_up import learn_from_recordings
 from tests.support.commands import called, done, refused
 from tests.support.fleet_days import CARS, DAYS, SETTINGS, forecasts, recorded, shift
 from tests.support.telemetry import leaf, observed
-from tools.terminal.warm_up import learn_from_recordings
 
 
 @pytest.fixture(scope="module")

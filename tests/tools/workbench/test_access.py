@@ -2,12 +2,12 @@
 
 import pytest
 
+from socast.tools.workbench.access import HEADERS, MOST_SESSIONS, POLICY, AccessControl, Sessions
+from socast.tools.workbench.jobs import Jobs
+from socast.tools.workbench.json_routes import Workbench
+from socast.tools.workbench.workspace import Workspace
 from tests.support.web_requests import Client
 from tests.support.workbenches import serve
-from tools.workbench.access import HEADERS, MOST_SESSIONS, POLICY, AccessControl, Sessions
-from tools.workbench.jobs import Jobs
-from tools.workbench.json_routes import Workbench
-from tools.workbench.workspace import Workspace
 
 
 @pytest.fixture(scope="module")

@@ -4,13 +4,13 @@ import shutil
 
 import pytest
 
-from core import effects, models
-from core.errors import ModelError, SettingsError
+from socast.core import effects, models
+from socast.core.errors import ModelError, SettingsError
+from socast.tools.workbench.loop import causes
+from socast.tools.workbench.loop import models as model_records
+from socast.tools.workbench.workspace import Given, Workspace
 from tests.support.paths import ROOT
 from tests.support.planted_windows import base_model, planted
-from tools.workbench.loop import causes
-from tools.workbench.loop import models as model_records
-from tools.workbench.workspace import Given, Workspace
 
 pytestmark = pytest.mark.usefixtures("_checks_here")
 OWN = '''"""An effect of one's own."""

@@ -1,6 +1,6 @@
 """`make bench-hidden`: hide effects, count how often diagnosis names them, and write the figures to BENCHMARKS.md.
 
-Example: python -m tools.bench.hidden --part one --seeds 2 --effects cold_rolling,headwind --measurements vi
+Example: python -m socast.tools.bench.hidden --part one --seeds 2 --effects cold_rolling,headwind --measurements vi
 """
 
 import argparse
@@ -14,21 +14,21 @@ from typing import Any, get_args
 from rich.console import Console
 from rich.progress import Progress
 
-from core.diagnose.diagnosis import diagnose
-from core.errors import SettingsError, SocastError
-from tools.bench.hidden.cases import Weather
-from tools.bench.hidden.export import export_tasks
-from tools.bench.hidden.figures import compute_figures, list_stated, summarise_timing
-from tools.bench.hidden.grading import Record
-from tools.bench.hidden.page import make_section, replace_section
-from tools.bench.hidden.parts import PARTS, SEEDS, SHAPES, SHARES, Selection, draw_sample
-from tools.bench.hidden.recording import Measurement
-from tools.bench.hidden.reliability_figure import FILE, draw_reliability
-from tools.bench.hidden.running import PROCESSES, Task, make_tasks, run_tasks
-from tools.simulator.hidden import EFFECTS
-from tools.terminal.rich_table import Column, make_table
+from socast.core.diagnose.diagnosis import diagnose
+from socast.core.errors import SettingsError, SocastError
+from socast.tools.bench.hidden.cases import Weather
+from socast.tools.bench.hidden.export import export_tasks
+from socast.tools.bench.hidden.figures import compute_figures, list_stated, summarise_timing
+from socast.tools.bench.hidden.grading import Record
+from socast.tools.bench.hidden.page import make_section, replace_section
+from socast.tools.bench.hidden.parts import PARTS, SEEDS, SHAPES, SHARES, Selection, draw_sample
+from socast.tools.bench.hidden.recording import Measurement
+from socast.tools.bench.hidden.reliability_figure import FILE, draw_reliability
+from socast.tools.bench.hidden.running import PROCESSES, Task, make_tasks, run_tasks
+from socast.tools.simulator.hidden import EFFECTS
+from socast.tools.terminal.rich_table import Column, make_table
 
-ROOT = Path(__file__).parent.parent.parent.parent
+ROOT = Path(__file__).resolve().parent.parent.parent.parent
 RECORDS = "bench-hidden.json"
 PAGE = "BENCHMARKS.md"
 QUICK = 60

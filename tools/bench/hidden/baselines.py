@@ -23,12 +23,12 @@ import numpy as np
 from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.inspection import permutation_importance
 
-from core.batch import Floats
-from core.diagnose.candidates import Candidates
-from core.diagnose.projection import BaseProjection
-from core.diagnose.ranking import LEAST_LEFT
-from core.fit.ride_blocks import get_numbers
-from tools.bench.hidden.stlsq import fit_stlsq
+from socast.core.batch import Floats
+from socast.core.diagnose.candidates import Candidates
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.ranking import LEAST_LEFT
+from socast.core.fit.ride_blocks import get_numbers
+from socast.tools.bench.hidden.stlsq import fit_stlsq
 
 MODELS: Final = 20
 """Number of regressions of an ensemble; the default of PySINDy."""

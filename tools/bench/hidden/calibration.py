@@ -2,7 +2,7 @@
 
 The shapes of the hidden effects are the first and bent ones. The other shapes, and the seeds of the benchmark, judge.
 
-Example: python -m tools.bench.hidden.calibration --seeds 500-521 --keep build/calibration
+Example: python -m socast.tools.bench.hidden.calibration --seeds 500-521 --keep build/calibration
 """
 
 import argparse
@@ -20,9 +20,9 @@ from joblib import Parallel, delayed, parallel_config
 from rich.console import Console
 from scipy.optimize import minimize
 
-from core.batch import Floats
-from core.diagnose.posterior.causes import CauseEvidence
-from core.diagnose.posterior.probabilities import (
+from socast.core.batch import Floats
+from socast.core.diagnose.posterior.causes import CauseEvidence
+from socast.core.diagnose.posterior.probabilities import (
     CALIBRATION,
     NONE,
     SEVERAL,
@@ -31,10 +31,10 @@ from core.diagnose.posterior.probabilities import (
     Causes,
     compute_probabilities,
 )
-from core.errors import SocastError
-from tools.bench.hidden.calibration_data import Kind, LabelledEvidence, make_seed_records
-from tools.bench.hidden.reliability import compute_calibration_error, tabulate_reliability
-from tools.bench.nothing_hidden import parse_seeds
+from socast.core.errors import SocastError
+from socast.tools.bench.hidden.calibration_data import Kind, LabelledEvidence, make_seed_records
+from socast.tools.bench.hidden.reliability import compute_calibration_error, tabulate_reliability
+from socast.tools.bench.nothing_hidden import parse_seeds
 
 WEIGHTS: Final[Mapping[Kind, float]] = MappingProxyType(
     {"none": 0.18, "one": 0.41, "two": 0.14, "outside": 0.18, "mixed": 0.09}

@@ -11,19 +11,19 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from core.diagnose.candidates import build_candidates
-from core.diagnose.dataset import gather_windows
-from core.diagnose.posterior.causes import CauseEvidence, SelectedForm, compute_cause_evidence
-from core.diagnose.posterior.probabilities import NONE, UNKNOWN
-from core.diagnose.projection import BaseProjection
-from core.errors import SocastError
-from core.fit.recipes import fit_to_windows
-from tools.bench.hidden.cases import BARE, Case, SeedData, get_right_names
-from tools.bench.hidden.evaluation import describe_case
-from tools.bench.hidden.parts import ABSORBED
-from tools.simulator.bent_shapes import BENT
-from tools.simulator.hidden import EFFECTS
-from tools.simulator.settings import Hidden
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.dataset import gather_windows
+from socast.core.diagnose.posterior.causes import CauseEvidence, SelectedForm, compute_cause_evidence
+from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.errors import SocastError
+from socast.core.fit.recipes import fit_to_windows
+from socast.tools.bench.hidden.cases import BARE, Case, SeedData, get_right_names
+from socast.tools.bench.hidden.evaluation import describe_case
+from socast.tools.bench.hidden.parts import ABSORBED
+from socast.tools.simulator.bent_shapes import BENT
+from socast.tools.simulator.hidden import EFFECTS
+from socast.tools.simulator.settings import Hidden
 
 Kind = Literal["none", "one", "two", "outside", "mixed"]
 

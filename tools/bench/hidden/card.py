@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from core import effects
-from tools.bench.hidden.judge import GOALS
-from tools.bench.hidden.parts import ABSORBED
-from tools.bench.hidden.visibility import RATIO
+from socast.core import effects
+from socast.tools.bench.hidden.judge import GOALS
+from socast.tools.bench.hidden.parts import ABSORBED
+from socast.tools.bench.hidden.visibility import RATIO
 
 CONDITIONS: Final = MappingProxyType(
     {
@@ -65,8 +65,8 @@ loggers. A hidden effect adds to the power of the cars, with a stated share of t
 shapes: linear ones as in the library, others that bend, saturate or lag, and random bends. The tables are those of the
 product for the recorded messages. The base model is fitted to the data set that holds the effect.
 
-`python -m tools.bench.hidden --export DIR` in the repository of `socast` makes these files. The same options make the
-same data.
+`python -m socast.tools.bench.hidden --export DIR` in the repository of `socast` makes these files. The same options
+make the same data.
 
 ## How to be judged
 
@@ -77,7 +77,7 @@ Write a JSON file with a ranking for each data set:
 The first name counts; of two effects, the first two. Answer `none` or an empty list where nothing is missing, and
 `not in the library` where no candidate fits. Then run in the repository:
 
-    python -m tools.bench.hidden.judge DIR answers.json
+    python -m socast.tools.bench.hidden.judge DIR answers.json
 
 It prints with Wilson intervals:
 

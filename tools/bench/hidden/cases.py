@@ -6,7 +6,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Final, Literal
 
-from tools.bench.hidden.drives import (
+from socast.tools.bench.hidden.drives import (
     BASE,
     EVERYWHERE,
     FLEET,
@@ -17,9 +17,9 @@ from tools.bench.hidden.drives import (
     Scope,
     simulate_drives,
 )
-from tools.bench.hidden.recording import Measurement, Recording, Tables, add_weather_noise, record_drives
-from tools.simulator.hidden_shapes import strip_shape
-from tools.simulator.settings import Hidden
+from socast.tools.bench.hidden.recording import Measurement, Recording, Tables, add_weather_noise, record_drives
+from socast.tools.simulator.hidden_shapes import strip_shape
+from socast.tools.simulator.settings import Hidden
 
 Weather = Literal["none", "noisy"]
 

@@ -1,8 +1,8 @@
 """Simulate the drives of a small fleet over a year once, so that any effect can be hidden in them afterwards.
 
 The drive of a car and the faults of its logger do not depend on a hidden effect. So the drives are simulated and
-recorded once, with the number of each sample in place of its readings. `tools.bench.hidden.recording` fills in the
-readings. The result equals the messages of a simulation with the effect.
+recorded once, with the number of each sample in place of its readings. `socast.tools.bench.hidden.recording` fills in
+the readings. The result equals the messages of a simulation with the effect.
 """
 
 import heapq
@@ -14,10 +14,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from core.wire.messages import Message
-from tools.simulator import calibration, physics
-from tools.simulator.fleet import (
+from socast.core.batch import Floats
+from socast.core.wire.messages import Message
+from socast.tools.simulator import calibration, physics
+from socast.tools.simulator.fleet import (
     DrivenShift,
     FleetCar,
     drive_shift,
@@ -25,10 +25,10 @@ from tools.simulator.fleet import (
     make_fleet_sky,
     make_members,
 )
-from tools.simulator.hidden import EffectInputs
-from tools.simulator.hidden_shapes import get_power
-from tools.simulator.settings import PLAIN_PHENOMENA, STEPS_PER_SAMPLE, Faults, Hidden, Phenomena, Simulation
-from tools.simulator.weather import merge_weather
+from socast.tools.simulator.hidden import EffectInputs
+from socast.tools.simulator.hidden_shapes import get_power
+from socast.tools.simulator.settings import PLAIN_PHENOMENA, STEPS_PER_SAMPLE, Faults, Hidden, Phenomena, Simulation
+from socast.tools.simulator.weather import merge_weather
 
 BASE: Final = PLAIN_PHENOMENA._replace(payload=True)
 """Physics without hidden effects; passengers have the mass of 75 kg that the product assumes."""

@@ -5,12 +5,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Ints
-from core.diagnose.dataset import Windows
-from core.fit.block_sums import build_design
-from core.fit.ride_blocks import get_names, get_numbers
-from core.models import ANY, LinearModel, Term
-from core.models.features import ACCESSORIES_COLUMN, Columns
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.dataset import Windows
+from socast.core.fit.block_sums import build_design
+from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.models import ANY, LinearModel, Term
+from socast.core.models.features import ACCESSORIES_COLUMN, Columns
 
 FOLDS: Final = 5
 HEATING: Final = 18.0

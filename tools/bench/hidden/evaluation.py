@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from core.diagnose.candidates import build_candidates
-from core.diagnose.dataset import Windows, gather_windows
-from core.diagnose.projection import BaseProjection
-from core.fit.recipes import fit_to_windows
-from tools.bench.hidden.baselines import rank_by_baselines
-from tools.bench.hidden.cases import Case, get_right_names
-from tools.bench.hidden.errors import compute_errors, solve_least_squares
-from tools.bench.hidden.grading import Record, grade_names
-from tools.bench.hidden.recording import Tables
-from tools.bench.hidden.stlsq import build_columns, fit_stlsq
-from tools.bench.hidden.visibility import measure_visibility, project_products
+from socast.core.batch import Floats
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.dataset import Windows, gather_windows
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.fit.recipes import fit_to_windows
+from socast.tools.bench.hidden.baselines import rank_by_baselines
+from socast.tools.bench.hidden.cases import Case, get_right_names
+from socast.tools.bench.hidden.errors import compute_errors, solve_least_squares
+from socast.tools.bench.hidden.grading import Record, grade_names
+from socast.tools.bench.hidden.recording import Tables
+from socast.tools.bench.hidden.stlsq import build_columns, fit_stlsq
+from socast.tools.bench.hidden.visibility import measure_visibility, project_products
 
 Diagnose = Callable[..., dict[str, Any]]
 
@@ -33,7 +33,7 @@ def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool
     tables : Tables
         Its tables.
     diagnose : callable
-        Takes rides, windows and a model, as `core.diagnose.diagnosis.diagnose`.
+        Takes rides, windows and a model, as `socast.core.diagnose.diagnosis.diagnose`.
     timed : bool
         Also measure the time of sparse regression over the same windows and candidates.
 

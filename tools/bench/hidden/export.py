@@ -11,23 +11,23 @@ import pandas as pd
 from joblib import Parallel, delayed, parallel_config
 from threadpoolctl import threadpool_limits
 
-from core.diagnose.candidates import Candidates, build_candidates
-from core.diagnose.dataset import Windows, gather_windows
-from core.diagnose.projection import BaseProjection
-from core.errors import SocastError
-from core.fit.block_sums import build_design
-from core.fit.recipes import fit_to_windows
-from core.models import ANY, LinearModel
-from core.models.features import Columns
-from tools.bench.hidden.card import CONDITIONS, make_card
-from tools.bench.hidden.cases import Case, SeedData, get_right_names
-from tools.bench.hidden.evaluation import compute_true_energy, describe_case
-from tools.bench.hidden.grading import list_truths
-from tools.bench.hidden.parts import ABSORBED
-from tools.bench.hidden.running import Task
-from tools.bench.hidden.visibility import measure_visibility
-from tools.simulator.hidden import EFFECTS
-from tools.simulator.hidden_shapes import strip_shape
+from socast.core.diagnose.candidates import Candidates, build_candidates
+from socast.core.diagnose.dataset import Windows, gather_windows
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.errors import SocastError
+from socast.core.fit.block_sums import build_design
+from socast.core.fit.recipes import fit_to_windows
+from socast.core.models import ANY, LinearModel
+from socast.core.models.features import Columns
+from socast.tools.bench.hidden.card import CONDITIONS, make_card
+from socast.tools.bench.hidden.cases import Case, SeedData, get_right_names
+from socast.tools.bench.hidden.evaluation import compute_true_energy, describe_case
+from socast.tools.bench.hidden.grading import list_truths
+from socast.tools.bench.hidden.parts import ABSORBED
+from socast.tools.bench.hidden.running import Task
+from socast.tools.bench.hidden.visibility import measure_visibility
+from socast.tools.simulator.hidden import EFFECTS
+from socast.tools.simulator.hidden_shapes import strip_shape
 
 CASES: Final = "cases.json"
 TRUTH: Final = "truth.json"

@@ -7,11 +7,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.stats.clustered import compute_wilson_interval
-from tools.bench.hidden.grading import Record
-from tools.bench.hidden.parts import ABSORBED
-from tools.bench.hidden.reliability import Stated, compute_calibration_error, draw_calibration_error
-from tools.simulator.hidden_shapes import strip_shape
+from socast.core.stats.clustered import compute_wilson_interval
+from socast.tools.bench.hidden.grading import Record
+from socast.tools.bench.hidden.parts import ABSORBED
+from socast.tools.bench.hidden.reliability import Stated, compute_calibration_error, draw_calibration_error
+from socast.tools.simulator.hidden_shapes import strip_shape
 
 LEAST: Final = {"vi": 0.015, "soc": 0.03}
 """Share of the energy from which on diagnosis should name an effect. [1]"""

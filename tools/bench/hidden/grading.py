@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from core.diagnose.posterior.probabilities import NONE, UNKNOWN
-from tools.bench.hidden.cases import Case, get_right_names
+from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN
+from socast.tools.bench.hidden.cases import Case, get_right_names
 
 Record = dict[str, Any]
 Effects = Sequence[tuple[str, float]]

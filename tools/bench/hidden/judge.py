@@ -1,6 +1,6 @@
 """Judge the rankings that any method gives for exported data sets.
 
-Example: python -m tools.bench.hidden.judge build/hidden answers.json
+Example: python -m socast.tools.bench.hidden.judge build/hidden answers.json
 """
 
 import argparse
@@ -13,11 +13,11 @@ from typing import Any, Final, NamedTuple
 
 from rich.console import Console
 
-from core.diagnose.posterior.probabilities import NONE, UNKNOWN
-from core.errors import SettingsError, SocastError
-from core.stats.clustered import compute_wilson_interval
-from tools.bench.hidden.figures import LEAST
-from tools.terminal.rich_table import Column, make_table
+from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN
+from socast.core.errors import SettingsError, SocastError
+from socast.core.stats.clustered import compute_wilson_interval
+from socast.tools.bench.hidden.figures import LEAST
+from socast.tools.terminal.rich_table import Column, make_table
 
 Answers = Mapping[str, Sequence[str]]
 Truth = Mapping[str, Any]
@@ -135,7 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
         Exit code.
     """
     parser = argparse.ArgumentParser("judge", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("folder", type=Path, help="folder that `tools.bench.hidden --export` made")
+    parser.add_argument("folder", type=Path, help="folder that `socast.tools.bench.hidden --export` made")
     parser.add_argument("answers", type=Path, help="JSON file: a list of names for each data set")
     options = parser.parse_args(arguments)
     try:

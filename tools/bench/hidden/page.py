@@ -7,19 +7,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from tools.bench.hidden.figures import compute_figures, list_stated, summarise_timing
-from tools.bench.hidden.grading import Record
-from tools.bench.hidden.parts import ABSORBED
-from tools.bench.hidden.reliability import tabulate_reliability
-from tools.bench.hidden.reliability_figure import FILE
-from tools.bench.hidden.tables import (
+from socast.tools.bench.hidden.figures import compute_figures, list_stated, summarise_timing
+from socast.tools.bench.hidden.grading import Record
+from socast.tools.bench.hidden.parts import ABSORBED
+from socast.tools.bench.hidden.reliability import tabulate_reliability
+from socast.tools.bench.hidden.reliability_figure import FILE
+from socast.tools.bench.hidden.tables import (
     tabulate_baselines,
     tabulate_by_effect,
     tabulate_by_part,
     tabulate_by_share,
     tabulate_wrong_names,
 )
-from tools.bench.hidden.visibility import RATIO
+from socast.tools.bench.hidden.visibility import RATIO
 
 SECTION: Final = "bench-hidden"
 """Name of the section."""

@@ -10,12 +10,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from core.columns import GRAVITY
-from tools.bench.hidden.drives import BASE, Drives, Readings, RecordedShift, enter_readings, integrate_shift
-from tools.simulator.hidden import EffectInputs, compute_braking_power, compute_rolling_power
-from tools.simulator.shift import NO_RIDE
-from tools.simulator.trace import REFERENCE_DENSITY
+from socast.core.batch import Floats
+from socast.core.columns import GRAVITY
+from socast.tools.bench.hidden.drives import BASE, Drives, Readings, RecordedShift, enter_readings, integrate_shift
+from socast.tools.simulator.hidden import EffectInputs, compute_braking_power, compute_rolling_power
+from socast.tools.simulator.shift import NO_RIDE
+from socast.tools.simulator.trace import REFERENCE_DENSITY
 
 START: Final = 300.0
 """Time constant with which a load at the beginning of a ride decays. [s]"""

@@ -1,6 +1,6 @@
 """Make the ride and window tables of each data set from the drives, in at most about a second.
 
-The steps are those of `core.pipeline` with `two_sided`. What a hidden effect cannot change is computed once: the
+The steps are those of `socast.core.pipeline` with `two_sided`. What a hidden effect cannot change is computed once: the
 decoded rows, their weather, their smoothed elevation, and the energies of nearly all effects. The rest is computed for
 each data set with the functions of the product: cleaning, the measured energy, the effects that depend on the state of
 charge, totals and tables.
@@ -15,36 +15,36 @@ import msgspec
 import numpy as np
 import pandas as pd
 
-from core import effects
-from core.batch import Batch, Floats, Ints, Lanes
-from core.cleaning.clean_columns import Clean
-from core.cleaning.elevation_smoother import smooth_elevation
-from core.cleaning.kernel import Cleaner
-from core.columns import JOULES_PER_KWH
-from core.effects import Effect
-from core.models import EXTENDED_PHYSICAL
-from core.pipeline import BLOCK
-from core.settings import Settings
-from core.signals.signals import Signals, flag_ambient
-from core.signals.weather import Sky, Stations
-from core.totals.accumulator import AMOUNTS, Accumulator, Totals
-from core.totals.clean_rows import compute_amounts
-from core.totals.context import RunContext
-from core.totals.display_yield import DisplayYields
-from core.totals.tables import tabulate_rides, tabulate_windows
-from core.vehicles.fleet import Cars
-from core.wire.decoder import Decoder
-from core.wire.message_order import VehicleChange
-from core.wire.messages import Message, Ride, Vehicle, Weather, encode
-from core.wire.rides import RideDrivers, RideNames
-from tools.bench.hidden.drives import (
+from socast.core import effects
+from socast.core.batch import Batch, Floats, Ints, Lanes
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.elevation_smoother import smooth_elevation
+from socast.core.cleaning.kernel import Cleaner
+from socast.core.columns import JOULES_PER_KWH
+from socast.core.effects import Effect
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.pipeline import BLOCK
+from socast.core.settings import Settings
+from socast.core.signals.signals import Signals, flag_ambient
+from socast.core.signals.weather import Sky, Stations
+from socast.core.totals.accumulator import AMOUNTS, Accumulator, Totals
+from socast.core.totals.clean_rows import compute_amounts
+from socast.core.totals.context import RunContext
+from socast.core.totals.display_yield import DisplayYields
+from socast.core.totals.tables import tabulate_rides, tabulate_windows
+from socast.core.vehicles.fleet import Cars
+from socast.core.wire.decoder import Decoder
+from socast.core.wire.message_order import VehicleChange
+from socast.core.wire.messages import Message, Ride, Vehicle, Weather, encode
+from socast.core.wire.rides import RideDrivers, RideNames
+from socast.tools.bench.hidden.drives import (
     CURRENT_MARK,
     SOC_MARK,
     VOLTAGE_MARK,
     Drives,
     Readings,
 )
-from tools.simulator.logger import DIGITS
+from socast.tools.simulator.logger import DIGITS
 
 Measurement = Literal["vi", "soc"]
 SOC_STEP: Final = 0.5
@@ -67,7 +67,7 @@ class Tables(NamedTuple):
     Parameters
     ----------
     rides, windows : DataFrame
-        Tables as of `core.totals.tables`.
+        Tables as of `socast.core.totals.tables`.
     hidden : DataFrame
         For each window in the order of `windows`: its `ride_key`, its `window`, and the energy of each hidden effect.
         [kWh]

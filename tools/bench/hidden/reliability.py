@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.stats.clustered import compute_wilson_interval
+from socast.core.stats.clustered import compute_wilson_interval
 
 BINS: Final = 10
 Stated = Sequence[tuple[float, bool]]

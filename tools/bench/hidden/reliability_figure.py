@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from tools.bench.hidden.reliability import Bin, Stated, bin_probabilities
+from socast.tools.bench.hidden.reliability import Bin, Stated, bin_probabilities
 
 FILE: Final = "docs/hidden-reliability.svg"
 """Place of the figure in the repository."""

@@ -11,10 +11,10 @@ from typing import Any, Final
 from joblib import Parallel, delayed, parallel_config
 from threadpoolctl import threadpool_limits
 
-from core.errors import SocastError
-from tools.bench.hidden.cases import Case, SeedData
-from tools.bench.hidden.evaluation import Diagnose, describe_case, evaluate_case
-from tools.bench.hidden.grading import Record
+from socast.core.errors import SocastError
+from socast.tools.bench.hidden.cases import Case, SeedData
+from socast.tools.bench.hidden.evaluation import Diagnose, describe_case, evaluate_case
+from socast.tools.bench.hidden.grading import Record
 
 PROCESSES: Final = 2
 TIMED: Final = 20

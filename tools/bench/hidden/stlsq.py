@@ -14,12 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.diagnose.candidates import build_candidates
-from core.diagnose.dataset import Windows
-from core.fit.block_sums import build_design
-from core.models import ANY, LinearModel
-from core.models.features import Columns
+from socast.core.batch import Floats
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.dataset import Windows
+from socast.core.fit.block_sums import build_design
+from socast.core.models import ANY, LinearModel
+from socast.core.models.features import Columns
 
 THRESHOLD: Final = 0.1
 ALPHA: Final = 0.05

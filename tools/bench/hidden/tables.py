@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from tools.bench.hidden.baselines import DESCRIPTIONS
-from tools.bench.hidden.cases import get_right_names
-from tools.bench.hidden.figures import (
+from socast.tools.bench.hidden.baselines import DESCRIPTIONS
+from socast.tools.bench.hidden.cases import get_right_names
+from socast.tools.bench.hidden.figures import (
     LEAST,
     compute_error_reduction,
     compute_hit_rate,
@@ -19,10 +19,10 @@ from tools.bench.hidden.figures import (
     select_far,
     select_part,
 )
-from tools.bench.hidden.grading import Record
-from tools.bench.hidden.parts import ABSORBED, SHAPES, SHARES
-from tools.simulator.bent_shapes import BENT
-from tools.simulator.hidden_shapes import OTHER, strip_shape
+from socast.tools.bench.hidden.grading import Record
+from socast.tools.bench.hidden.parts import ABSORBED, SHAPES, SHARES
+from socast.tools.simulator.bent_shapes import BENT
+from socast.tools.simulator.hidden_shapes import OTHER, strip_shape
 
 Lines = list[str]
 

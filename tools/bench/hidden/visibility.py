@@ -10,15 +10,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from core import effects
-from core.batch import Floats, Ints
-from core.diagnose.candidates import Candidates
-from core.diagnose.projection import BaseProjection
-from core.diagnose.ranking import LEAST_LEFT
-from core.fit.block_sums import build_design
-from core.models import Term
-from core.models.features import Columns
-from tools.bench.hidden.cases import Case, get_right_names
+from socast.core import effects
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.candidates import Candidates
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.ranking import LEAST_LEFT
+from socast.core.fit.block_sums import build_design
+from socast.core.models import Term
+from socast.core.models.features import Columns
+from socast.tools.bench.hidden.cases import Case, get_right_names
 
 RATIO: Final = 20.0
 """Likelihood ratio from which on the true energy of an effect is distinct from every other effect."""

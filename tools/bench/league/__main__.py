@@ -1,4 +1,4 @@
-"""`python -m tools.bench.league`: measure what the cleaning makes of faulty loggers, whose truth is known."""
+"""`python -m socast.tools.bench.league`: measure what the cleaning makes of faulty loggers, whose truth is known."""
 
 import argparse
 import json
@@ -10,12 +10,20 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from tools.bench.hidden.page import replace_section
-from tools.bench.league.faults import FAULTS
-from tools.bench.league.fleet import CONTROL, DRIVES, choose_faults, judge_stream, list_fleets, make_entry, run_fleet
-from tools.bench.league.laws import WORDS, WRONG, Verdict
-from tools.bench.league.replay import find_difference
-from tools.bench.league.report import (
+from socast.tools.bench.hidden.page import replace_section
+from socast.tools.bench.league.faults import FAULTS
+from socast.tools.bench.league.fleet import (
+    CONTROL,
+    DRIVES,
+    choose_faults,
+    judge_stream,
+    list_fleets,
+    make_entry,
+    run_fleet,
+)
+from socast.tools.bench.league.laws import WORDS, WRONG, Verdict
+from socast.tools.bench.league.replay import find_difference
+from socast.tools.bench.league.report import (
     SECTION,
     Line,
     compare,
@@ -27,7 +35,7 @@ from tools.bench.league.report import (
     show_shares,
     summarise,
 )
-from tools.terminal.rich_table import Column, make_table
+from socast.tools.terminal.rich_table import Column, make_table
 
 REPLAYED = 12
 """Number of cars whose stream is cut at random."""
@@ -66,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Return the options."""
-    parser = argparse.ArgumentParser(prog="python -m tools.bench.league", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m socast.tools.bench.league", description=__doc__)
     parser.add_argument("--drives", type=int, default=10_000, help="number of drives")
     parser.add_argument("--seed", type=int, default=1, help="seed of the drives and their faults")
     parser.add_argument("--faults", default="", metavar="NAMES", help="faults to choose from, with commas between them")

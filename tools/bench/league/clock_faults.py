@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tools.bench.league.fault import CLOCK, ORDER, SAMPLES, fault, find_drives, pick_block
-from tools.bench.league.loggers import Car, Log
+from socast.tools.bench.league.fault import CLOCK, ORDER, SAMPLES, fault, find_drives, pick_block
+from socast.tools.bench.league.loggers import Car, Log
 
 
 def _count(car: Car, _: np.random.Generator) -> None:

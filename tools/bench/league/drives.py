@@ -1,7 +1,7 @@
 """Make true drives: the speed, place, elevation and power of a car, in steps of half a second.
 
 The car, its road load, its losses and its charging are written out here, and nothing is taken from the product. A
-track is what a car truly did in a day; `tools.bench.league.loggers` samples it.
+track is what a car truly did in a day; `socast.tools.bench.league.loggers` samples it.
 """
 
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
+from socast.core.batch import Floats
 
 STEP: Final = 0.5
 """Time between two points of a drive. [s]"""

@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Ints
-from tools.bench.league.loggers import Car, Log
+from socast.core.batch import Ints
+from socast.tools.bench.league.loggers import Car, Log
 
 VALUES, SAMPLES, CLOCK, ORDER = range(4)
 """Stages in which faults act: on values, on which samples there are, on stamps, on the order of arrival."""

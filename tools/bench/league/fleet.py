@@ -7,13 +7,13 @@ from typing import Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from core.models import EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.wire.messages import Message
-from tools.bench.league.fault import CLOCK, Fault, are_compatible, settle
-from tools.bench.league.faults import FAULTS
-from tools.bench.league.laws import COLUMNS, WRONG, Truth, Verdict, find_starts, find_truths, judge
-from tools.bench.league.loggers import Log, make_car, sample, write_messages
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Message
+from socast.tools.bench.league.fault import CLOCK, Fault, are_compatible, settle
+from socast.tools.bench.league.faults import FAULTS
+from socast.tools.bench.league.laws import COLUMNS, WRONG, Truth, Verdict, find_starts, find_truths, judge
+from socast.tools.bench.league.loggers import Log, make_car, sample, write_messages
 
 DRIVES: Final = 3
 """Number of drives of a car."""

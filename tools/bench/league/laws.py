@@ -23,13 +23,13 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from core.batch import Ints
-from core.cleaning import quality
-from core.settings import Settings
-from tools.bench.league.drives import JOULES
-from tools.bench.league.fault import CAUSES, Fault, find_spoiled
-from tools.bench.league.loggers import FIRST_LABEL, Log
-from tools.bench.league.parts import are_right, find_stamps
+from socast.core.batch import Ints
+from socast.core.cleaning import quality
+from socast.core.settings import Settings
+from socast.tools.bench.league.drives import JOULES
+from socast.tools.bench.league.fault import CAUSES, Fault, find_spoiled
+from socast.tools.bench.league.loggers import FIRST_LABEL, Log
+from socast.tools.bench.league.parts import are_right, find_stamps
 
 DISTANCE, ENERGY, DURATION = 0.03, 0.03, 0.05
 """Tolerances. [1]"""

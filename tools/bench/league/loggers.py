@@ -6,9 +6,9 @@ from typing import Any, Final
 import numpy as np
 from scipy.signal import lfilter
 
-from core.batch import Floats, Ints
-from core.wire.messages import Message
-from tools.bench.league.drives import RADIUS, Track, make_track
+from socast.core.batch import Floats, Ints
+from socast.core.wire.messages import Message
+from socast.tools.bench.league.drives import RADIUS, Track, make_track
 
 PERIODS: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 30.0, 60.0)
 """Times between samples. [s]"""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from tools.bench.league.fault import VALUES, fault, find_drives, pick_block
-from tools.bench.league.loggers import Car, Log, blank
+from socast.tools.bench.league.fault import VALUES, fault, find_drives, pick_block
+from socast.tools.bench.league.loggers import Car, Log, blank
 
 
 @fault("current", VALUES, "power")

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from core.batch import Floats
-from tools.bench.league.fault import VALUES, fault, find_drives, pick_block
-from tools.bench.league.loggers import Car, Log, blank
+from socast.core.batch import Floats
+from socast.tools.bench.league.fault import VALUES, fault, find_drives, pick_block
+from socast.tools.bench.league.loggers import Car, Log, blank
 
 
 def _stick(log: Log, rng: np.random.Generator, value: float | None) -> None:

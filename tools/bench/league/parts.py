@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats, Ints
-from core.cleaning import clock
-from tools.bench.league.drives import JOULES
-from tools.bench.league.loggers import Log
+from socast.core.batch import Floats, Ints
+from socast.core.cleaning import clock
+from socast.tools.bench.league.drives import JOULES
+from socast.tools.bench.league.loggers import Log
 
 Sampling = Callable[[Ints], tuple[float, float]]
 

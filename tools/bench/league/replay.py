@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from core.pipeline import Pipeline
-from core.wire.messages import Message
-from tools.bench.league.fleet import choose_faults, make_entry, write_stream
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Message
+from socast.tools.bench.league.fleet import choose_faults, make_entry, write_stream
 
 LARGEST: Final = 3000
 """Largest number of messages of a chunk."""

@@ -4,10 +4,10 @@ from collections import Counter, defaultdict
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from tools.bench.hidden.page import get_marks
-from tools.bench.league.faults import FAULTS
-from tools.bench.league.fleet import CONTROL, DRIVES
-from tools.bench.league.laws import AMOUNTS, ODD, UNFIT, WORDS, WRONG, Verdict
+from socast.tools.bench.hidden.page import get_marks
+from socast.tools.bench.league.faults import FAULTS
+from socast.tools.bench.league.fleet import CONTROL, DRIVES
+from socast.tools.bench.league.laws import AMOUNTS, ODD, UNFIT, WORDS, WRONG, Verdict
 
 SECTION: Final = "league"
 """Name of the section of the page."""

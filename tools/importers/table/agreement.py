@@ -6,9 +6,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.vehicles import load_catalogue
-from tools.importers.table.agreement_sums import FASTEST, HARDEST, CarSums, sum_cars
-from tools.importers.table.sign_evidence import MASSES, SignEvidence, estimate_capacity, fit_mass, judge_sign
+from socast.core.vehicles import load_catalogue
+from socast.tools.importers.table.agreement_sums import FASTEST, HARDEST, CarSums, sum_cars
+from socast.tools.importers.table.sign_evidence import MASSES, SignEvidence, estimate_capacity, fit_mass, judge_sign
 
 MOST_NAMED: Final = 5
 """Cars that are named in one line."""

@@ -6,8 +6,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats
-from tools.importers.table.row_messages import compute_power
+from socast.core.batch import Floats
+from socast.tools.importers.table.row_messages import compute_power
 
 LONGEST_STEP: Final = 120.0
 """Longest time between two rows over which speed and power are integrated, and for which a value stays known. [s]"""

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from core.batch import Floats
+from socast.core.batch import Floats
 
 Bools = NDArray[np.bool_]
 

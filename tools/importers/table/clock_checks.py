@@ -6,17 +6,17 @@ from typing import Final
 
 import numpy as np
 
-from core.errors import ImportFileError
-from tools.importers.table.agreement import Check, check_agreement
-from tools.importers.table.agreement_sums import CarSums
-from tools.importers.table.clock_units import FAR, find_nearest, find_ratio
-from tools.importers.table.clock_witness import DAY, EARLIEST, ROLLOVER_WEEKS
-from tools.importers.table.column_map import ColumnMap
-from tools.importers.table.row_reader import RowReader
-from tools.importers.table.row_times import SECONDS_PER_WEEK
-from tools.importers.table.table_file import TableFile
-from tools.importers.table.time_overlaps import Overlap
-from tools.importers.table.time_source import GUESSED_ORIGIN, find_time_unit
+from socast.core.errors import ImportFileError
+from socast.tools.importers.table.agreement import Check, check_agreement
+from socast.tools.importers.table.agreement_sums import CarSums
+from socast.tools.importers.table.clock_units import FAR, find_nearest, find_ratio
+from socast.tools.importers.table.clock_witness import DAY, EARLIEST, ROLLOVER_WEEKS
+from socast.tools.importers.table.column_map import ColumnMap
+from socast.tools.importers.table.row_reader import RowReader
+from socast.tools.importers.table.row_times import SECONDS_PER_WEEK
+from socast.tools.importers.table.table_file import TableFile
+from socast.tools.importers.table.time_overlaps import Overlap
+from socast.tools.importers.table.time_source import GUESSED_ORIGIN, find_time_unit
 
 CLOCK_TOLERANCE: Final = 300.0
 """Time by which a row may be later than the last change of its file. [s]"""

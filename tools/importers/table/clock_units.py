@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from core.batch import Floats
-from tools.importers.table.time_source import TIME_UNITS, find_time_unit
+from socast.core.batch import Floats
+from socast.tools.importers.table.time_source import TIME_UNITS, find_time_unit
 
 UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
 """Units that are told from each other by far."""

@@ -11,15 +11,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from core.batch import Floats
-from tools.importers.table.guess_time import Blocks, GuessedTime, collect_cells
-from tools.importers.table.name_times import find_name_day
-from tools.importers.table.offset_column import read_offsets
-from tools.importers.table.row_faults import RowFaults
-from tools.importers.table.row_times import SECONDS_PER_WEEK, TimeReader
-from tools.importers.table.text_times import parse_times
-from tools.importers.table.time_source import TimeSource
-from tools.importers.table.zone_offsets import LARGEST, spell_offset
+from socast.core.batch import Floats
+from socast.tools.importers.table.guess_time import Blocks, GuessedTime, collect_cells
+from socast.tools.importers.table.name_times import find_name_day
+from socast.tools.importers.table.offset_column import read_offsets
+from socast.tools.importers.table.row_faults import RowFaults
+from socast.tools.importers.table.row_times import SECONDS_PER_WEEK, TimeReader
+from socast.tools.importers.table.text_times import parse_times
+from socast.tools.importers.table.time_source import TimeSource
+from socast.tools.importers.table.zone_offsets import LARGEST, spell_offset
 
 DAY: Final = 86400.0
 ROLLOVER_WEEKS: Final = 1024

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
-from core.errors import ImportFileError, SettingsError, read_input
-from tools.importers.table.name_times import find_unknown_directive
-from tools.importers.table.sampling import (
+from socast.core.errors import ImportFileError, SettingsError, read_input
+from socast.tools.importers.table.name_times import find_unknown_directive
+from socast.tools.importers.table.sampling import (
     HOLD,
     LONGEST_HOLD,
     LONGEST_PERIOD,
@@ -23,10 +23,10 @@ from tools.importers.table.sampling import (
     Sampling,
     find_holds,
 )
-from tools.importers.table.time_source import MOST_WEEKS, SERIAL, TIME_UNITS, TimeSource, find_time_unit
-from tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
-from tools.importers.table.zone_offsets import find_offset, make_zone
-from tools.terminal.settings_file import explain_toml
+from socast.tools.importers.table.time_source import MOST_WEEKS, SERIAL, TIME_UNITS, TimeSource, find_time_unit
+from socast.tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
+from socast.tools.importers.table.zone_offsets import find_offset, make_zone
+from socast.tools.terminal.settings_file import explain_toml
 
 NOMINAL_VOLTAGE: Final = 360.0
 """Voltage of a traction battery of which only the power is known. [V]"""

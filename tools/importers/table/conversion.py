@@ -7,23 +7,23 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.errors import ImportFileError
-from core.vehicles import load_catalogue
-from stream.mcap_writer import MOST_CHANNELS, McapSink
-from stream.recording_metadata import make_metadata
-from tools.importers.table.agreement_sums import AgreementSums
-from tools.importers.table.clock_checks import ClockUnit, list_checks, refuse_overlap
-from tools.importers.table.column_map import ColumnMap
-from tools.importers.table.import_summary import ImportSummary, describe_missing
-from tools.importers.table.parked_rows import fill_parked
-from tools.importers.table.row_messages import RowMessages, join_signals
-from tools.importers.table.row_reader import RowReader
-from tools.importers.table.sampling import sample_rows
-from tools.importers.table.shared_stamps import LEFT_OUT, StampRule, spread_rows
-from tools.importers.table.skipped_files import SkippedFiles
-from tools.importers.table.table_file import TableFile, open_table
-from tools.importers.table.time_overlaps import leave_out_covered_twice
-from tools.importers.table.time_sort import sort_rows
+from socast.core.errors import ImportFileError
+from socast.core.vehicles import load_catalogue
+from socast.stream.mcap_writer import MOST_CHANNELS, McapSink
+from socast.stream.recording_metadata import make_metadata
+from socast.tools.importers.table.agreement_sums import AgreementSums
+from socast.tools.importers.table.clock_checks import ClockUnit, list_checks, refuse_overlap
+from socast.tools.importers.table.column_map import ColumnMap
+from socast.tools.importers.table.import_summary import ImportSummary, describe_missing
+from socast.tools.importers.table.parked_rows import fill_parked
+from socast.tools.importers.table.row_messages import RowMessages, join_signals
+from socast.tools.importers.table.row_reader import RowReader
+from socast.tools.importers.table.sampling import sample_rows
+from socast.tools.importers.table.shared_stamps import LEFT_OUT, StampRule, spread_rows
+from socast.tools.importers.table.skipped_files import SkippedFiles
+from socast.tools.importers.table.table_file import TableFile, open_table
+from socast.tools.importers.table.time_overlaps import leave_out_covered_twice
+from socast.tools.importers.table.time_sort import sort_rows
 
 MOST_CARS: Final = MOST_CHANNELS // 2
 """Largest number of cars in one recording, with two keys each."""

@@ -7,10 +7,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.errors import ImportFileError
-from tools.importers.table.cells import to_numbers
-from tools.importers.table.clock_units import judge_unit
-from tools.importers.table.column_map import (
+from socast.core.errors import ImportFileError
+from socast.tools.importers.table.cells import to_numbers
+from socast.tools.importers.table.clock_units import judge_unit
+from socast.tools.importers.table.column_map import (
     NOMINAL_VOLTAGE,
     ColumnMap,
     FileFormat,
@@ -18,19 +18,19 @@ from tools.importers.table.column_map import (
     RideSource,
     VehicleSource,
 )
-from tools.importers.table.guess_rows import GuessedRows, guess_rows
-from tools.importers.table.guess_sources import Source, Sources, choose_sources
-from tools.importers.table.guess_time import Blocks, GuessedTime
-from tools.importers.table.guess_values import KnownUnit, guess_values
-from tools.importers.table.presets import Preset, find_preset
-from tools.importers.table.row_faults import RowFaults
-from tools.importers.table.row_messages import join_signals
-from tools.importers.table.row_reader import RowReader
-from tools.importers.table.sampling import Sampling, find_holds, sample_rows
-from tools.importers.table.shared_stamps import spread_rows
-from tools.importers.table.skipped_files import SkippedFiles
-from tools.importers.table.table_file import Block, TableFile
-from tools.importers.table.time_source import find_time_unit
+from socast.tools.importers.table.guess_rows import GuessedRows, guess_rows
+from socast.tools.importers.table.guess_sources import Source, Sources, choose_sources
+from socast.tools.importers.table.guess_time import Blocks, GuessedTime
+from socast.tools.importers.table.guess_values import KnownUnit, guess_values
+from socast.tools.importers.table.presets import Preset, find_preset
+from socast.tools.importers.table.row_faults import RowFaults
+from socast.tools.importers.table.row_messages import join_signals
+from socast.tools.importers.table.row_reader import RowReader
+from socast.tools.importers.table.sampling import Sampling, find_holds, sample_rows
+from socast.tools.importers.table.shared_stamps import spread_rows
+from socast.tools.importers.table.skipped_files import SkippedFiles
+from socast.tools.importers.table.table_file import Block, TableFile
+from socast.tools.importers.table.time_source import find_time_unit
 
 MOST_FILES: Final = 8
 """Files from whose first blocks a map is guessed."""

@@ -8,13 +8,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from core.batch import Floats
-from tools.importers.table.cells import to_numbers
-from tools.importers.table.guess_names import TIME, NamedColumn
-from tools.importers.table.table_file import Block, TableFile
-from tools.importers.table.text_times import parse_times
-from tools.importers.table.time_forms import list_forms
-from tools.importers.table.units import convertible
+from socast.core.batch import Floats
+from socast.tools.importers.table.cells import to_numbers
+from socast.tools.importers.table.guess_names import TIME, NamedColumn
+from socast.tools.importers.table.table_file import Block, TableFile
+from socast.tools.importers.table.text_times import parse_times
+from socast.tools.importers.table.time_forms import list_forms
+from socast.tools.importers.table.units import convertible
 
 Blocks = Sequence[tuple[TableFile, Block]]
 

@@ -4,7 +4,7 @@ import re
 import unicodedata
 from typing import Final, NamedTuple
 
-from tools.importers.table.units import FIELD_UNITS, POWER, convertible, spell_unit
+from socast.tools.importers.table.units import FIELD_UNITS, POWER, convertible, spell_unit
 
 TIME: Final = "time"
 OTHER_TIME: Final = "other time"

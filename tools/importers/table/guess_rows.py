@@ -6,10 +6,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from tools.importers.table.cells import Bools
-from tools.importers.table.sampling import HOLD, STAND
-from tools.importers.table.units import POWER
+from socast.core.batch import Floats
+from socast.tools.importers.table.cells import Bools
+from socast.tools.importers.table.sampling import HOLD, STAND
+from socast.tools.importers.table.units import POWER
 
 PERIODS: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 20.0, 30.0, 60.0)
 """Periods that are proposed. [s]"""

@@ -7,11 +7,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from core.errors import ImportFileError
-from tools.importers.table.clock_witness import judge_clock
-from tools.importers.table.column_map import FieldSource
-from tools.importers.table.guess_contents import choose_bare, find_times
-from tools.importers.table.guess_names import (
+from socast.core.errors import ImportFileError
+from socast.tools.importers.table.clock_witness import judge_clock
+from socast.tools.importers.table.column_map import FieldSource
+from socast.tools.importers.table.guess_contents import choose_bare, find_times
+from socast.tools.importers.table.guess_names import (
     OTHER_TIME,
     RIDE,
     SIGNAL,
@@ -22,11 +22,18 @@ from tools.importers.table.guess_names import (
     NamedColumn,
     guess_name,
 )
-from tools.importers.table.guess_state import find_charging, find_parked
-from tools.importers.table.guess_time import LEAST_SHARE, Blocks, GuessedTime, collect_cells, find_origin, list_clocks
-from tools.importers.table.presets import Preset, PresetTime
-from tools.importers.table.text_times import parse_times
-from tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
+from socast.tools.importers.table.guess_state import find_charging, find_parked
+from socast.tools.importers.table.guess_time import (
+    LEAST_SHARE,
+    Blocks,
+    GuessedTime,
+    collect_cells,
+    find_origin,
+    list_clocks,
+)
+from socast.tools.importers.table.presets import Preset, PresetTime
+from socast.tools.importers.table.text_times import parse_times
+from socast.tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
 
 
 class Source(NamedTuple):

@@ -11,15 +11,15 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from core.batch import Floats
-from core.errors import ImportFileError
-from tools.importers.table.guess_names import NamedColumn
-from tools.importers.table.month_names import describe_doubt
-from tools.importers.table.name_times import guess_name_form
-from tools.importers.table.table_file import Block, TableFile
-from tools.importers.table.text_times import parse_times, to_unix
-from tools.importers.table.time_forms import list_forms
-from tools.importers.table.time_source import SERIAL, TimeSource, find_time_unit
+from socast.core.batch import Floats
+from socast.core.errors import ImportFileError
+from socast.tools.importers.table.guess_names import NamedColumn
+from socast.tools.importers.table.month_names import describe_doubt
+from socast.tools.importers.table.name_times import guess_name_form
+from socast.tools.importers.table.table_file import Block, TableFile
+from socast.tools.importers.table.text_times import parse_times, to_unix
+from socast.tools.importers.table.time_forms import list_forms
+from socast.tools.importers.table.time_source import SERIAL, TimeSource, find_time_unit
 
 EPOCH_UNITS: Final = ("s", "ms", "us", "ns")
 """Units of Unix time."""

@@ -5,10 +5,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from tools.importers.table.agreement_sums import AgreementSums, CarSums, sum_cars
-from tools.importers.table.sign_evidence import SignEvidence, judge_sign
-from tools.importers.table.units import FIELD_UNITS, POWER, Conversion, find_conversion
+from socast.core.batch import Floats
+from socast.tools.importers.table.agreement_sums import AgreementSums, CarSums, sum_cars
+from socast.tools.importers.table.sign_evidence import SignEvidence, judge_sign
+from socast.tools.importers.table.units import FIELD_UNITS, POWER, Conversion, find_conversion
 
 NEAR: Final = 0.15
 """Largest logarithm of the ratio of a distance to that by speed in the right unit."""

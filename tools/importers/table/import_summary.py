@@ -8,10 +8,10 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.text import Text
 
-from tools.importers.table.agreement import Check
-from tools.importers.table.agreement_sums import CarSums
-from tools.importers.table.cells import suggest_decimal
-from tools.importers.table.units import has_power
+from socast.tools.importers.table.agreement import Check
+from socast.tools.importers.table.agreement_sums import CarSums
+from socast.tools.importers.table.cells import suggest_decimal
+from socast.tools.importers.table.units import has_power
 
 
 class ImportSummary(NamedTuple):

@@ -6,12 +6,12 @@ from typing import Final
 from rich.table import Table
 from rich.text import Text
 
-from tools.importers.table.guess import GuessedField, GuessedMap
-from tools.importers.table.guess_time import GuessedTime
-from tools.importers.table.table_file import TableFile
-from tools.importers.table.time_source import GUESSED_ORIGIN
-from tools.importers.table.units import FIELD_UNITS, POWER
-from tools.terminal.rich_table import Column, make_table
+from socast.tools.importers.table.guess import GuessedField, GuessedMap
+from socast.tools.importers.table.guess_time import GuessedTime
+from socast.tools.importers.table.table_file import TableFile
+from socast.tools.importers.table.time_source import GUESSED_ORIGIN
+from socast.tools.importers.table.units import FIELD_UNITS, POWER
+from socast.tools.terminal.rich_table import Column, make_table
 
 MOST_LEFT_OUT: Final = 40
 """Columns that are not read and are listed in a map."""

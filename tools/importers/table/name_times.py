@@ -8,8 +8,8 @@ from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from core.errors import ImportFileError
-from tools.importers.table.month_names import find_month
+from socast.core.errors import ImportFileError
+from socast.tools.importers.table.month_names import find_month
 
 _YEAR: Final = r"20\d\d"
 _MONTH: Final = r"0[1-9]|1[0-2]|[^\W\d_]{3,10}\.?"

@@ -8,9 +8,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from core.batch import Floats
-from tools.importers.table.text_times import Stamps, to_unix
-from tools.importers.table.zone_offsets import find_offset
+from socast.core.batch import Floats
+from socast.tools.importers.table.text_times import Stamps, to_unix
+from socast.tools.importers.table.zone_offsets import find_offset
 
 _STATED: Final = (
     r"(?:\d[^+-]*|^)(?P<zone>(?:UTC|GMT)[+-]\d{1,2}(?::?\d\d)?|[+-]\d\d:?\d\d|\bZ|\b[A-Z]{3,5})"

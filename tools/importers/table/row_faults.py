@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from tools.importers.table.cells import is_grouped, is_value
-from tools.importers.table.guess_names import guess_name
-from tools.importers.table.text_stream import TextStream
+from socast.tools.importers.table.cells import is_grouped, is_value
+from socast.tools.importers.table.guess_names import guess_name
+from socast.tools.importers.table.text_stream import TextStream
 
 WRONG_WIDTH: Final = "another number of cells than the header"
 """Cause: a row that cannot be divided into columns."""

@@ -5,16 +5,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.batch import Floats, Ints
-from core.vehicles import load_catalogue
-from core.vehicles.catalogue import OVERRIDES
-from core.vehicles.data_sheet import OF_SHEET
-from core.wire.messages import Message, Ride, Telemetry, Vehicle, encode
-from tools.importers.drive import DECIMALS, make_message
-from tools.importers.table.column_map import ColumnMap
-from tools.importers.table.row_reader import RowReader
-from tools.importers.table.shared_stamps import number_in_stamp
-from tools.importers.table.units import POWER
+from socast.core.batch import Floats, Ints
+from socast.core.vehicles import load_catalogue
+from socast.core.vehicles.catalogue import OVERRIDES
+from socast.core.vehicles.data_sheet import OF_SHEET
+from socast.core.wire.messages import Message, Ride, Telemetry, Vehicle, encode
+from socast.tools.importers.drive import DECIMALS, make_message
+from socast.tools.importers.table.column_map import ColumnMap
+from socast.tools.importers.table.row_reader import RowReader
+from socast.tools.importers.table.shared_stamps import number_in_stamp
+from socast.tools.importers.table.units import POWER
 
 DECIMALS_OF_TABLES: Final = {**DECIMALS, "odometer_km": 4}
 """Decimal places of each field of a sample: finer than any of the sensors."""

@@ -11,18 +11,18 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from core.batch import Floats, Ints
-from core.errors import ImportFileError
-from core.wire.messages import LONGEST_TEXT, join_chunks
-from tools.importers.table.cells import suggest_decimal, to_bools, to_numbers
-from tools.importers.table.column_map import ColumnMap, FieldSource
-from tools.importers.table.row_faults import HEADER_AGAIN, RowFaults, is_header
-from tools.importers.table.row_times import TimeReader
-from tools.importers.table.shared_stamps import StampStatistics
-from tools.importers.table.skipped_files import SkippedFiles
-from tools.importers.table.table_file import Block, TableFile, describe_header
-from tools.importers.table.time_overlaps import TimeSpans
-from tools.importers.table.units import POWER
+from socast.core.batch import Floats, Ints
+from socast.core.errors import ImportFileError
+from socast.core.wire.messages import LONGEST_TEXT, join_chunks
+from socast.tools.importers.table.cells import suggest_decimal, to_bools, to_numbers
+from socast.tools.importers.table.column_map import ColumnMap, FieldSource
+from socast.tools.importers.table.row_faults import HEADER_AGAIN, RowFaults, is_header
+from socast.tools.importers.table.row_times import TimeReader
+from socast.tools.importers.table.shared_stamps import StampStatistics
+from socast.tools.importers.table.skipped_files import SkippedFiles
+from socast.tools.importers.table.table_file import Block, TableFile, describe_header
+from socast.tools.importers.table.time_overlaps import TimeSpans
+from socast.tools.importers.table.units import POWER
 
 Bools = NDArray[np.bool_]
 

@@ -8,14 +8,14 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from core.batch import Floats, Ints
-from core.columns import SECONDS_PER_DAY
-from tools.importers.table.cells import Bools, to_bools, to_numbers
-from tools.importers.table.name_times import find_day, find_origin
-from tools.importers.table.offset_column import read_offsets
-from tools.importers.table.table_file import Block, TableFile
-from tools.importers.table.text_times import parse_times, to_unix
-from tools.importers.table.time_source import TimeSource
+from socast.core.batch import Floats, Ints
+from socast.core.columns import SECONDS_PER_DAY
+from socast.tools.importers.table.cells import Bools, to_bools, to_numbers
+from socast.tools.importers.table.name_times import find_day, find_origin
+from socast.tools.importers.table.offset_column import read_offsets
+from socast.tools.importers.table.table_file import Block, TableFile
+from socast.tools.importers.table.text_times import parse_times, to_unix
+from socast.tools.importers.table.time_source import TimeSource
 
 NEIGHBOUR: Final = 600.0
 """Longest time from a row of the repeated hour to the row beside it that shows which of both hours it is. [s]"""

@@ -5,8 +5,8 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Ints
-from tools.importers.table.units import POWER
+from socast.core.batch import Floats, Ints
+from socast.tools.importers.table.units import POWER
 
 HOLD: Final = 30.0
 """Age up to which a value that changes fast stays known. [s]"""

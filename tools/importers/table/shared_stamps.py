@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats, Ints
+from socast.core.batch import Floats, Ints
 
 QUANTA: Final = (60.0, 30.0, 20.0, 15.0, 10.0, 5.0, 2.0, 1.0)
 """Quanta to which loggers cut their stamps. [s]"""

@@ -10,9 +10,9 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from core.vehicles import load_catalogue
-from tools.importers.table.agreement_sums import CarSums
+from socast.core.batch import Floats
+from socast.core.vehicles import load_catalogue
+from socast.tools.importers.table.agreement_sums import CarSums
 
 LEAST_FALL: Final = 0.05
 """Change of the charge of a car from which it is compared with the energy. [1]"""

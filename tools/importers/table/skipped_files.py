@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from core.errors import ImportFileError
+from socast.core.errors import ImportFileError
 
 
 class SkippedFiles:

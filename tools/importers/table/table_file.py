@@ -13,10 +13,10 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
-from core.errors import ImportFileError
-from tools.importers.table.cells import is_value
-from tools.importers.table.column_map import FileFormat
-from tools.importers.table.row_faults import (
+from socast.core.errors import ImportFileError
+from socast.tools.importers.table.cells import is_value
+from socast.tools.importers.table.column_map import FileFormat
+from socast.tools.importers.table.row_faults import (
     LONGEST_EXAMPLE,
     OPEN_QUOTE,
     RowFaults,
@@ -24,7 +24,7 @@ from tools.importers.table.row_faults import (
     find_width_cause,
     is_header,
 )
-from tools.importers.table.text_form import (
+from socast.tools.importers.table.text_form import (
     SEPARATORS,
     find_decimal,
     find_grouped,
@@ -33,7 +33,7 @@ from tools.importers.table.text_form import (
     number_duplicates,
     split_cells,
 )
-from tools.importers.table.text_stream import TextStream, find_encoding
+from socast.tools.importers.table.text_stream import TextStream, find_encoding
 
 BLOCK_BYTES: Final = 4 << 20
 """Part of a CSV file that is parsed at a time. [B]"""

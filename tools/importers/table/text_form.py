@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
-from tools.importers.table.cells import is_grouped, is_value
-from tools.importers.table.units import convertible
+from socast.tools.importers.table.cells import is_grouped, is_value
+from socast.tools.importers.table.units import convertible
 
 MOST_ABOVE: Final = 50
 """Lines among which the header is looked for."""

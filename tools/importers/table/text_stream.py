@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import pyarrow as pa
 
-from core.errors import ImportFileError
+from socast.core.errors import ImportFileError
 
 READ_BYTES: Final = 1 << 20
 """Part of a file that is decoded at a time. [B]"""

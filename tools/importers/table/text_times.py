@@ -11,9 +11,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from tools.importers.table.month_names import find_month
-from tools.importers.table.zone_offsets import find_offset
+from socast.core.batch import Floats
+from socast.tools.importers.table.month_names import find_month
+from socast.tools.importers.table.zone_offsets import find_offset
 
 Stamps = NDArray[np.datetime64]
 

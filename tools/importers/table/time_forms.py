@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from itertools import permutations
 from typing import Final
 
-from tools.importers.table.month_names import find_month
+from socast.tools.importers.table.month_names import find_month
 
 _CLOCK: Final = re.compile(
     r"(?<!\d)(?P<H>\d{1,2})(?P<first>\s?[:hH]\s?)(?P<M>\d\d)"

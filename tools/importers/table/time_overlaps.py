@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from core.batch import Floats
-from tools.importers.table.units import POWER
+from socast.core.batch import Floats
+from socast.tools.importers.table.units import POWER
 
 BACKWARD: Final = 60.0
 """Step back between two rows of a file, in the order of the file, from which a new part of the file begins. [s]"""

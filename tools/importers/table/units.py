@@ -6,8 +6,8 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
-from core.batch import Floats
-from core.errors import SettingsError
+from socast.core.batch import Floats
+from socast.core.errors import SettingsError
 
 POWER: Final = "battery_power_kw"
 """Power of the traction battery, positive when discharging. It is sent as voltage times current."""

@@ -6,9 +6,9 @@ from typing import Any, Final
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from core.stats.scores import BANDS
-from tools.report.cells import format_count
-from tools.report.comparison.tables import (
+from socast.core.stats.scores import BANDS
+from socast.tools.report.cells import format_count
+from socast.tools.report.comparison.tables import (
     UNITS,
     format_bin,
     index_bins,
@@ -16,9 +16,9 @@ from tools.report.comparison.tables import (
     list_varying_conditions,
     select_most_significant,
 )
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part
-from tools.report.figure_style import (
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part
+from socast.tools.report.figure_style import (
     REFERENCE_LINE,
     Style,
     apply_layout,

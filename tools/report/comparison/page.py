@@ -6,17 +6,17 @@ from typing import Any, Final
 from rich.console import Console
 from rich.text import Text
 
-from core.evaluate.paper.results import to_json_values
-from tools.report.cells import format_count, format_percent
-from tools.report.comparison import figures, tables
-from tools.report.comparison import trace as traced
-from tools.report.comparison.relative_tables import tabulate_relative_errors
-from tools.report.evaluation.data_tables import MEASURED_BY
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
-from tools.report.evaluation.sections import Section
-from tools.report.evaluation.terminal import print_section
-from tools.report.page import escape_text, render_document, save
+from socast.core.evaluate.paper.results import to_json_values
+from socast.tools.report.cells import format_count, format_percent
+from socast.tools.report.comparison import figures, tables
+from socast.tools.report.comparison import trace as traced
+from socast.tools.report.comparison.relative_tables import tabulate_relative_errors
+from socast.tools.report.evaluation.data_tables import MEASURED_BY
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import Result, get_mapping, get_number, get_part
+from socast.tools.report.evaluation.sections import Section
+from socast.tools.report.evaluation.terminal import print_section
+from socast.tools.report.page import escape_text, render_document, save
 
 TITLE: Final = "Models against measurement"
 MODELS: Final = "models"

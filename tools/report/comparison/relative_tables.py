@@ -1,9 +1,9 @@
 """Build the table of errors in percent and over the noise floor, of the models that a comparison holds."""
 
-from core.evaluate.relative_errors import LEAST_ENERGY
-from tools.report.cells import Cell, ReportTable, Row, format_energy, format_percent, mark_least
-from tools.report.evaluation.percentage_tables import FLOOR_NOTE, PERCENT_NOTE, format_ratio, format_share
-from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
+from socast.core.evaluate.relative_errors import LEAST_ENERGY
+from socast.tools.report.cells import Cell, ReportTable, Row, format_energy, format_percent, mark_least
+from socast.tools.report.evaluation.percentage_tables import FLOOR_NOTE, PERCENT_NOTE, format_ratio, format_share
+from socast.tools.report.evaluation.result import Result, get_mapping, get_number, get_part
 
 
 def tabulate_relative_errors(result: Result) -> ReportTable:

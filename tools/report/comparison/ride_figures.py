@@ -8,9 +8,9 @@ from typing import Any, Final
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from tools.report.comparison.figures import get_model_style
-from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
-from tools.report.figure_style import Style, apply_layout, escape_label, get_style
+from socast.tools.report.comparison.figures import get_model_style
+from socast.tools.report.evaluation.result import Result, get_mapping, get_number, get_part
+from socast.tools.report.figure_style import Style, apply_layout, escape_label, get_style
 
 MEASURED: Final = Style("#8a8a8a", "solid", "circle", "")
 """Look of measurements."""

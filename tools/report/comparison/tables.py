@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate.compare.models import MOST_RELATIVE_SD
-from core.formatting import format_minus, format_range
-from core.stats.multiple_testing import SIGNIFICANCE
-from core.stats.scores import BANDS
-from tools.report.cells import (
+from socast.core.evaluate.compare.models import MOST_RELATIVE_SD
+from socast.core.formatting import format_minus, format_range
+from socast.core.stats.multiple_testing import SIGNIFICANCE
+from socast.core.stats.scores import BANDS
+from socast.tools.report.cells import (
     UNKNOWN,
     Cell,
     ReportTable,
@@ -19,7 +19,14 @@ from tools.report.cells import (
     format_signed,
     mark_least,
 )
-from tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part, get_vehicle_name
+from socast.tools.report.evaluation.result import (
+    Result,
+    get_half_width,
+    get_mapping,
+    get_number,
+    get_part,
+    get_vehicle_name,
+)
 
 UNITS: Final[Mapping[str, str]] = MappingProxyType(
     {"distance": "km", "temperature": "°C", "speed": "km/h", "wind": "km/h", "time of day": "h"}

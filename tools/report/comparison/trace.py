@@ -6,13 +6,13 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_energy, format_percent, format_signed
-from tools.report.comparison.figures import get_model_style
-from tools.report.comparison.ride_figures import MEASURED, draw_conditions, draw_ride, list_maps
-from tools.report.comparison.tables import format_estimate, name_ride
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
-from tools.report.figure_style import Style, escape_label, get_style, make_figure, make_stacked_figure
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_energy, format_percent, format_signed
+from socast.tools.report.comparison.figures import get_model_style
+from socast.tools.report.comparison.ride_figures import MEASURED, draw_conditions, draw_ride, list_maps
+from socast.tools.report.comparison.tables import format_estimate, name_ride
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import Result, get_mapping, get_number, get_part
+from socast.tools.report.figure_style import Style, escape_label, get_style, make_figure, make_stacked_figure
 
 MOST_TERMS: Final = 6
 """Number of terms that are drawn one by one; the others are summed."""

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from tools.report.diagnosis.sentences import LEAST_PROBABILITY
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import get_number
-from tools.report.figure_style import draw_bars, escape_label, get_style, make_figure
+from socast.tools.report.diagnosis.sentences import LEAST_PROBABILITY
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import get_number
+from socast.tools.report.figure_style import draw_bars, escape_label, get_style, make_figure
 
 PERCENT: Final = 100.0
 ROW: Final = 28

@@ -6,12 +6,12 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
-from core.diagnose.deviation_words import PERCENT
-from tools.report.diagnosis import sentences
-from tools.report.diagnosis.deviations import describe_deviation
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_number
-from tools.report.figure_style import add_reference_line, escape_label, get_style, make_figure
+from socast.core.diagnose.deviation_words import PERCENT
+from socast.tools.report.diagnosis import sentences
+from socast.tools.report.diagnosis.deviations import describe_deviation
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import Result, get_number
+from socast.tools.report.figure_style import add_reference_line, escape_label, get_style, make_figure
 
 ROW: Final = 26
 """Height of a row of a chart. [px]"""

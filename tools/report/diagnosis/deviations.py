@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from core.diagnose.deviation_words import (
+from socast.core.diagnose.deviation_words import (
     SEVERAL,
     has_certain_share,
     has_certain_size,
@@ -11,8 +11,8 @@ from core.diagnose.deviation_words import (
     name_deviating,
     word_deviation,
 )
-from tools.report.cells import format_percent
-from tools.report.evaluation.result import Result, get_number
+from socast.tools.report.cells import format_percent
+from socast.tools.report.evaluation.result import Result, get_number
 
 WH: Final = 1000.0
 """Watt-hours in a kilowatt-hour. [Wh/kWh]"""

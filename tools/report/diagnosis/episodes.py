@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from datetime import date
 from typing import Any, Final
 
-from core.formatting import format_minus
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
-from tools.report.evaluation.result import Result, get_mapping, get_number
+from socast.core.formatting import format_minus
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
+from socast.tools.report.evaluation.result import Result, get_mapping, get_number
 
 MOST_DATES: Final = 6
 """Number of dates above which only their number, the first and the last one are written out."""

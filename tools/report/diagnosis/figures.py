@@ -5,17 +5,17 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
-from tools.report.cells import format_count
-from tools.report.diagnosis import sentences
-from tools.report.diagnosis.partial_figures import (
+from socast.tools.report.cells import format_count
+from socast.tools.report.diagnosis import sentences
+from socast.tools.report.diagnosis.partial_figures import (
     describe_coefficient,
     draw_coefficient_rows,
     draw_partial_residuals,
 )
-from tools.report.diagnosis.residual_figures import draw_profiles
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_mapping, get_number
-from tools.report.figure_style import add_reference_line, draw_bars, escape_label, get_style, make_figure
+from socast.tools.report.diagnosis.residual_figures import draw_profiles
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import Result, get_mapping, get_number
+from socast.tools.report.figure_style import add_reference_line, draw_bars, escape_label, get_style, make_figure
 
 ROW: Final = 34
 """Height of a row of a chart. [px]"""

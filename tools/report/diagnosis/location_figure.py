@@ -6,10 +6,10 @@ from typing import Any, Final
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from tools.report.diagnosis.location_sentences import LEVEL_NAMES, is_known
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_number, get_part
-from tools.report.figure_style import apply_layout, get_style
+from socast.tools.report.diagnosis.location_sentences import LEVEL_NAMES, is_known
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import Result, get_number, get_part
+from socast.tools.report.figure_style import apply_layout, get_style
 
 ROW: Final = 26
 """Height of a row. [px]"""

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from tools.report.cells import format_count, format_percent
-from tools.report.evaluation.result import Result, get_mapping, get_number
+from socast.tools.report.cells import format_count, format_percent
+from socast.tools.report.evaluation.result import Result, get_mapping, get_number
 
 UNITS: Final = {
     "ride": "ride",

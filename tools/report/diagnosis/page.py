@@ -12,19 +12,19 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
-from core.diagnose.deviation_words import find_leading_deviation
-from core.evaluate.paper.results import to_json_values
-from tools.report.diagnosis import deviations, episodes, figures, sentences, tables
-from tools.report.diagnosis.cause_figures import draw_causes
-from tools.report.diagnosis.deviation_figures import draw_deviations
-from tools.report.diagnosis.location_figure import draw_location
-from tools.report.diagnosis.location_sentences import describe_location
-from tools.report.diagnosis.partial_figures import is_drawn, name_figure
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_mapping
-from tools.report.evaluation.sections import Section
-from tools.report.evaluation.terminal import print_section
-from tools.report.page import NO_BREAK, escape_text, keep_units, render_document, save
+from socast.core.diagnose.deviation_words import find_leading_deviation
+from socast.core.evaluate.paper.results import to_json_values
+from socast.tools.report.diagnosis import deviations, episodes, figures, sentences, tables
+from socast.tools.report.diagnosis.cause_figures import draw_causes
+from socast.tools.report.diagnosis.deviation_figures import draw_deviations
+from socast.tools.report.diagnosis.location_figure import draw_location
+from socast.tools.report.diagnosis.location_sentences import describe_location
+from socast.tools.report.diagnosis.partial_figures import is_drawn, name_figure
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import Result, get_mapping
+from socast.tools.report.evaluation.sections import Section
+from socast.tools.report.evaluation.terminal import print_section
+from socast.tools.report.page import NO_BREAK, escape_text, keep_units, render_document, save
 
 COMMAND: Final = "socast "
 """Begin of a line that is a command."""
@@ -51,7 +51,7 @@ def show(result: Any, console: Console, *, suggested: str | None = None) -> None
     Parameters
     ----------
     result : mapping
-        The result of `core.diagnose.diagnosis.diagnose`. Parts that it lacks are not printed.
+        The result of `socast.core.diagnose.diagnosis.diagnose`. Parts that it lacks are not printed.
     console : Console
         A console of at least 120 columns.
     suggested : str, optional
@@ -115,7 +115,7 @@ def print_links(result: Any, path: Path, console: Console) -> None:
     Parameters
     ----------
     result : mapping
-        The result of `core.diagnose.diagnosis.diagnose`.
+        The result of `socast.core.diagnose.diagnosis.diagnose`.
     path : Path
         The page.
     console : Console

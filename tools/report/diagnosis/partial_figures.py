@@ -7,10 +7,10 @@ from typing import Any, Final
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from tools.report.diagnosis import sentences
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_mapping, get_number
-from tools.report.figure_style import REFERENCE_LINE, Style, apply_layout, escape_label, get_style
+from socast.tools.report.diagnosis import sentences
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import Result, get_mapping, get_number
+from socast.tools.report.figure_style import REFERENCE_LINE, Style, apply_layout, escape_label, get_style
 
 POWER: Final = {"h": "W", "km": "Wh/km"}
 """Unit of the residual, by what it is divided by."""

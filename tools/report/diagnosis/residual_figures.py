@@ -6,10 +6,10 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
-from tools.report.diagnosis.partial_figures import AFTER, BEFORE
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_number
-from tools.report.figure_style import REFERENCE_LINE, escape_label, make_figure
+from socast.tools.report.diagnosis.partial_figures import AFTER, BEFORE
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import Result, get_number
+from socast.tools.report.figure_style import REFERENCE_LINE, escape_label, make_figure
 
 TITLES: Final = {
     "ambient_c": "outside temperature",

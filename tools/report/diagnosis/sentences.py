@@ -3,14 +3,14 @@
 from collections.abc import Mapping
 from typing import Any
 
-from core.diagnose.candidates import NOT_IN_DATA
-from core.diagnose.deviation_words import find_leading_deviation
-from core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN
-from tools.report.cells import format_count, format_percent
-from tools.report.diagnosis.deviations import advise_test, describe_finding
-from tools.report.diagnosis.episodes import advise_looking, describe_leading_episode
-from tools.report.evaluation.data_tables import MEASURED_BY
-from tools.report.evaluation.result import Result, get_mapping, get_number
+from socast.core.diagnose.candidates import NOT_IN_DATA
+from socast.core.diagnose.deviation_words import find_leading_deviation
+from socast.core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN
+from socast.tools.report.cells import format_count, format_percent
+from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
+from socast.tools.report.diagnosis.episodes import advise_looking, describe_leading_episode
+from socast.tools.report.evaluation.data_tables import MEASURED_BY
+from socast.tools.report.evaluation.result import Result, get_mapping, get_number
 
 LEAST_PROBABILITY = 0.005
 """Probability below which a cause is not written out. [1]"""

@@ -2,10 +2,10 @@
 
 from typing import Any, Final
 
-from core.formatting import format_minus
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent, format_signed
-from tools.report.diagnosis import sentences
-from tools.report.evaluation.result import Result, get_mapping, get_number
+from socast.core.formatting import format_minus
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent, format_signed
+from socast.tools.report.diagnosis import sentences
+from socast.tools.report.evaluation.result import Result, get_mapping, get_number
 
 BIAS_NOTE: Final = (
     "Bias: mean of predicted less measured energy, less that of all other rides. Slices are found on one half of the "

@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate.paper import published
-from core.evaluate.paper.published import AVERAGE, WEIGHTED, PublishedFigure
-from tools.report.cells import (
+from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.published import AVERAGE, WEIGHTED, PublishedFigure
+from socast.tools.report.cells import (
     UNKNOWN,
     Cell,
     ReportTable,
@@ -17,7 +17,7 @@ from tools.report.cells import (
     format_percent,
     format_published,
 )
-from tools.report.evaluation.result import (
+from socast.tools.report.evaluation.result import (
     Result,
     get_mapping,
     get_number,

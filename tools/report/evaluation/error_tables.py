@@ -4,10 +4,10 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate.paper import published
-from core.evaluate.paper.published import AVERAGE, PHYSICAL
-from core.stats.multiple_testing import CO_DOMINANCE_MARGIN, SIGNIFICANCE
-from tools.report.cells import (
+from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL
+from socast.core.stats.multiple_testing import CO_DOMINANCE_MARGIN, SIGNIFICANCE
+from socast.tools.report.cells import (
     UNKNOWN,
     Cell,
     ReportTable,
@@ -20,8 +20,8 @@ from tools.report.cells import (
     format_signed,
     mark_least,
 )
-from tools.report.evaluation.data_tables import tabulate_by_cluster
-from tools.report.evaluation.result import (
+from socast.tools.report.evaluation.data_tables import tabulate_by_cluster
+from socast.tools.report.evaluation.result import (
     Result,
     get_average_error,
     get_mapping,

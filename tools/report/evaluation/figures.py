@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from core.columns import ZERO_CELSIUS
-from core.evaluate.paper import published
-from core.evaluate.paper.published import AVERAGE, PHYSICAL
-from core.formatting import format_minus, format_range
-from core.vehicles import AccessoryCurve
-from tools.report.cells import format_cluster
-from tools.report.evaluation.result import (
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL
+from socast.core.formatting import format_minus, format_range
+from socast.core.vehicles import AccessoryCurve
+from socast.tools.report.cells import format_cluster
+from socast.tools.report.evaluation.result import (
     Result,
     get_half_width,
     get_mapping,
@@ -24,8 +24,8 @@ from tools.report.evaluation.result import (
     list_vehicle_models,
     select_principal,
 )
-from tools.report.evaluation.split_tables import SPLITS, compute_means_by_split
-from tools.report.evaluation.use_tables import (
+from socast.tools.report.evaluation.split_tables import SPLITS, compute_means_by_split
+from socast.tools.report.evaluation.use_tables import (
     AXES,
     LEAST_COVERAGE,
     MANY_BINS,
@@ -34,7 +34,7 @@ from tools.report.evaluation.use_tables import (
     get_bin_errors,
     list_bins,
 )
-from tools.report.figure_style import (
+from socast.tools.report.figure_style import (
     PAPER_NAME,
     REFERENCE_LINE,
     Style,

@@ -5,10 +5,10 @@ from typing import Any, Final, NamedTuple
 
 import plotly.graph_objects as go
 
-from core.evaluate.paper import published
-from core.stats.multiple_testing import SIGNIFICANCE
-from tools.report.evaluation import figures, selection_figures, transfer_figures
-from tools.report.evaluation.result import (
+from socast.core.evaluate.paper import published
+from socast.core.stats.multiple_testing import SIGNIFICANCE
+from socast.tools.report.evaluation import figures, selection_figures, transfer_figures
+from socast.tools.report.evaluation.result import (
     ALL,
     FITTED,
     Result,
@@ -20,7 +20,7 @@ from tools.report.evaluation.result import (
     get_vehicle_name,
     list_vehicle_models,
 )
-from tools.report.evaluation.use_tables import AXES, MANY_BINS, list_bins
+from socast.tools.report.evaluation.use_tables import AXES, MANY_BINS, list_bins
 
 PAPER_CAPTION: Final = "The paper's figures are from other data (the rides of one company), for orientation only."
 """Sentence of captions of figures that also show the paper's figures."""

@@ -4,11 +4,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate.literature import LITERATURE
-from core.evaluate.paper.published import AVERAGE
-from core.fit.recipes import BASELINES
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_energy, format_percent, mark_least
-from tools.report.evaluation.result import (
+from socast.core.evaluate.literature import LITERATURE
+from socast.core.evaluate.paper.published import AVERAGE
+from socast.core.fit.recipes import BASELINES
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_energy, format_percent, mark_least
+from socast.tools.report.evaluation.result import (
     Result,
     compute_mean,
     get_half_width,

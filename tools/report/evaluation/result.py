@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate.paper.published import AVERAGE, PHYSICAL, WEIGHTED
-from core.vehicles import load_catalogue
+from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL, WEIGHTED
+from socast.core.vehicles import load_catalogue
 
 Result = Mapping[str, Any]
 

@@ -2,12 +2,12 @@
 
 from typing import NamedTuple
 
-from core.evaluate.paper import published
-from core.evaluate.paper.published import PHYSICAL, PaperStatement
-from tools.report.cells import Cell, ReportTable, Row, format_change, format_energy, format_percent
-from tools.report.evaluation.data_tables import tabulate_data
-from tools.report.evaluation.error_tables import tabulate_all_errors, tabulate_differences, tabulate_summaries
-from tools.report.evaluation.percentage_tables import (
+from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.published import PHYSICAL, PaperStatement
+from socast.tools.report.cells import Cell, ReportTable, Row, format_change, format_energy, format_percent
+from socast.tools.report.evaluation.data_tables import tabulate_data
+from socast.tools.report.evaluation.error_tables import tabulate_all_errors, tabulate_differences, tabulate_summaries
+from socast.tools.report.evaluation.percentage_tables import (
     HELD_OUT,
     find_best_on_new_vehicles,
     get_new_vehicle_reductions,
@@ -16,7 +16,7 @@ from tools.report.evaluation.percentage_tables import (
     make_baseline_table,
     tabulate_percentages,
 )
-from tools.report.evaluation.result import (
+from socast.tools.report.evaluation.result import (
     ALL,
     FITTED,
     INTERACTIONS,
@@ -30,10 +30,10 @@ from tools.report.evaluation.result import (
     list_vehicle_models,
     select_principal,
 )
-from tools.report.evaluation.selection_tables import tabulate_selection
-from tools.report.evaluation.split_tables import tabulate_all_splits
-from tools.report.evaluation.transfer_tables import tabulate_transfer
-from tools.report.evaluation.use_tables import tabulate_places, tabulate_reserve
+from socast.tools.report.evaluation.selection_tables import tabulate_selection
+from socast.tools.report.evaluation.split_tables import tabulate_all_splits
+from socast.tools.report.evaluation.transfer_tables import tabulate_transfer
+from socast.tools.report.evaluation.use_tables import tabulate_places, tabulate_reserve
 
 
 class Section(NamedTuple):

@@ -4,10 +4,10 @@ import math
 
 import plotly.graph_objects as go
 
-from core.formatting import format_minus
-from core.stats.multiple_testing import SIGNIFICANCE
-from tools.report.evaluation.error_tables import get_difference
-from tools.report.evaluation.result import (
+from socast.core.formatting import format_minus
+from socast.core.stats.multiple_testing import SIGNIFICANCE
+from socast.tools.report.evaluation.error_tables import get_difference
+from socast.tools.report.evaluation.result import (
     Result,
     get_half_width,
     get_mapping,
@@ -15,8 +15,8 @@ from tools.report.evaluation.result import (
     get_part,
     get_recipes,
 )
-from tools.report.evaluation.selection_tables import format_terms
-from tools.report.figure_style import (
+from socast.tools.report.evaluation.selection_tables import format_terms
+from socast.tools.report.figure_style import (
     DIVERGING,
     draw_curve,
     escape_label,

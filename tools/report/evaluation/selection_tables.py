@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from core.evaluate.paper import published
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_signed
-from tools.report.evaluation.result import Result, get_mapping, get_number, get_part
+from socast.core.evaluate.paper import published
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_signed
+from socast.tools.report.evaluation.result import Result, get_mapping, get_number, get_part
 
 BEYOND: Final = 3
 """Number of terms that are listed after the last removable one."""

@@ -2,8 +2,8 @@
 
 from typing import Final
 
-from tools.report.cells import Cell, ReportTable, Row, format_change, format_energy, mark_least
-from tools.report.evaluation.result import (
+from socast.tools.report.cells import Cell, ReportTable, Row, format_change, format_energy, mark_least
+from socast.tools.report.evaluation.result import (
     Result,
     compute_mean,
     get_mapping,

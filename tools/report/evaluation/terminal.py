@@ -6,11 +6,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from core.evaluate.paper import published
-from core.evaluate.paper.results import to_json_values
-from tools.report.cells import PAPER_NOTE, Cell, ReportTable
-from tools.report.evaluation.sections import Section, build_sections
-from tools.terminal.rich_table import Column, make_table
+from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.results import to_json_values
+from socast.tools.report.cells import PAPER_NOTE, Cell, ReportTable
+from socast.tools.report.evaluation.sections import Section, build_sections
+from socast.tools.terminal.rich_table import Column, make_table
 
 LAST: Final = "glance"
 """Key of the section that is printed last, where readers look first."""

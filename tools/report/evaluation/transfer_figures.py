@@ -4,8 +4,8 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from core.evaluate.paper import published
-from tools.report.evaluation.result import (
+from socast.core.evaluate.paper import published
+from socast.tools.report.evaluation.result import (
     FITTED,
     Result,
     get_half_width,
@@ -14,8 +14,8 @@ from tools.report.evaluation.result import (
     get_part,
     get_recipes,
 )
-from tools.report.evaluation.transfer_tables import get_few_shot_errors
-from tools.report.figure_style import (
+from socast.tools.report.evaluation.transfer_tables import get_few_shot_errors
+from socast.tools.report.figure_style import (
     PAPER_NAME,
     add_reference_line,
     draw_bars,

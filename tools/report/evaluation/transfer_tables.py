@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from core.evaluate.paper import published
-from core.evaluate.paper.published import AVERAGE
-from tools.report.cells import (
+from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.published import AVERAGE
+from socast.tools.report.cells import (
     Cell,
     ReportTable,
     Row,
@@ -15,7 +15,7 @@ from tools.report.cells import (
     format_published_share,
     mark_least,
 )
-from tools.report.evaluation.result import (
+from socast.tools.report.evaluation.result import (
     FITTED,
     WAYS,
     Result,

@@ -5,9 +5,9 @@ from statistics import quantiles
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate.paper import published
-from core.formatting import format_range
-from tools.report.cells import (
+from socast.core.evaluate.paper import published
+from socast.core.formatting import format_range
+from socast.tools.report.cells import (
     Cell,
     ReportTable,
     Row,
@@ -18,7 +18,7 @@ from tools.report.cells import (
     format_signed,
     mark_least,
 )
-from tools.report.evaluation.result import (
+from socast.tools.report.evaluation.result import (
     Result,
     get_mapping,
     get_number,

@@ -5,14 +5,21 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
-from core.evaluate.soc.baselines import BASELINES
-from core.evaluate.soc.report import NOMINAL
-from core.formatting import format_minus
-from core.stats.clustered import LEAST_CLUSTERS
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part, get_vehicle_name
-from tools.report.figure_style import REFERENCE_LINE, Style, draw_curve, escape_label, get_style, make_figure
-from tools.report.soc.tables import SHOWN_AT, format_bin
+from socast.core.evaluate.soc.baselines import BASELINES
+from socast.core.evaluate.soc.report import NOMINAL
+from socast.core.formatting import format_minus
+from socast.core.stats.clustered import LEAST_CLUSTERS
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import (
+    Result,
+    get_half_width,
+    get_mapping,
+    get_number,
+    get_part,
+    get_vehicle_name,
+)
+from socast.tools.report.figure_style import REFERENCE_LINE, Style, draw_curve, escape_label, get_style, make_figure
+from socast.tools.report.soc.tables import SHOWN_AT, format_bin
 
 FORECAST: Final = get_style(5)
 LOOKS: Final = {"linear": get_style(4), "model_mean": get_style(2), "rating": get_style(0), "regression": get_style(1)}

@@ -6,14 +6,14 @@ from typing import Any, Final
 from rich.console import Console
 from rich.text import Text
 
-from core.evaluate.paper.results import to_json_values
-from tools.report.cells import format_count
-from tools.report.evaluation.illustrations import Illustration
-from tools.report.evaluation.result import Result, get_mapping
-from tools.report.evaluation.sections import Section
-from tools.report.evaluation.terminal import print_section
-from tools.report.page import escape_text, render_document, save
-from tools.report.soc import figures, risk_tables, tables
+from socast.core.evaluate.paper.results import to_json_values
+from socast.tools.report.cells import format_count
+from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.evaluation.result import Result, get_mapping
+from socast.tools.report.evaluation.sections import Section
+from socast.tools.report.evaluation.terminal import print_section
+from socast.tools.report.page import escape_text, render_document, save
+from socast.tools.report.soc import figures, risk_tables, tables
 
 TITLE: Final = "Forecasts of the state of charge"
 AHEAD: Final = "ahead"

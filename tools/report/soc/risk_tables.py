@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from core.evaluate.soc.baselines import BASELINES, LEAST_ERRORS, REGRESSION
-from core.evaluate.soc.reserve_risk import ALARM, LEVELS, PLANNED
-from core.formatting import format_minus
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
-from tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part
-from tools.report.soc.tables import HEADS, SHARE_NOTE, format_share
+from socast.core.evaluate.soc.baselines import BASELINES, LEAST_ERRORS, REGRESSION
+from socast.core.evaluate.soc.reserve_risk import ALARM, LEVELS, PLANNED
+from socast.core.formatting import format_minus
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
+from socast.tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part
+from socast.tools.report.soc.tables import HEADS, SHARE_NOTE, format_share
 
 SHOWN: Final = ("1", "2")
 """Times ahead at which alarms are shown. [h]"""

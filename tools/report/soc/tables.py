@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from core.evaluate.soc.baselines import BASELINES
-from core.formatting import format_minus
-from core.stats.clustered import LEAST_CLUSTERS
-from tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_percent
-from tools.report.comparison.tables import format_difference, format_estimate
-from tools.report.evaluation.result import Result, get_mapping, get_number, get_part, get_vehicle_name
+from socast.core.evaluate.soc.baselines import BASELINES
+from socast.core.formatting import format_minus
+from socast.core.stats.clustered import LEAST_CLUSTERS
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_percent
+from socast.tools.report.comparison.tables import format_difference, format_estimate
+from socast.tools.report.evaluation.result import Result, get_mapping, get_number, get_part, get_vehicle_name
 
 HEADS: Final[Mapping[str, str]] = MappingProxyType(
     {"linear": "pace", "model_mean": "kWh/km", "rating": "rating", "regression": "regression"}

@@ -4,8 +4,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from tools.commands.ask import HIGH_RISK, LOW_RISK
-from tools.workbench.fleet.board import Board
+from socast.tools.commands.ask import HIGH_RISK, LOW_RISK
+from socast.tools.workbench.fleet.board import Board
 
 MOST_ALARMS: Final = 50
 """Largest number of alarms of a list, the most serious first."""

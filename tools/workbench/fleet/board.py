@@ -16,11 +16,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from core.wire.messages import Finding, Forecast, Interval, Message, address
-from core.wire.sample_reader import Samples, holds_samples, read_samples
-from tools.workbench.fleet.density import TraceDensity
-from tools.workbench.fleet.fleet_time import SILENT_S, FleetTime, find_newest
-from tools.workbench.fleet.newest_values import COLUMNS, compile_kernel, make_unknown_cars, write_samples
+from socast.core.wire.messages import Finding, Forecast, Interval, Message, address
+from socast.core.wire.sample_reader import Samples, holds_samples, read_samples
+from socast.tools.workbench.fleet.density import TraceDensity
+from socast.tools.workbench.fleet.fleet_time import SILENT_S, FleetTime, find_newest
+from socast.tools.workbench.fleet.newest_values import COLUMNS, compile_kernel, make_unknown_cars, write_samples
 
 POINT: Final = ("soc", "end", "end_low", "end_high", "risk", "predicted", "measured", "ride")
 """Values of a point of a history, beside its time; `ride` numbers the rides of the car."""
@@ -106,7 +106,7 @@ class Board:
     epoch : int
         Number that changes when rows change their meaning, after a seek.
     rides : list of dict
-        Rides that have ended, see `tools.terminal.live_table.make_ride_records`.
+        Rides that have ended, see `socast.tools.terminal.live_table.make_ride_records`.
     density : TraceDensity
         Where the fleet has driven.
     counts : Counter

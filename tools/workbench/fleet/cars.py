@@ -5,12 +5,12 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from core.errors import SocastError
-from core.forecast.soc_filter import SHIFT_GAP
-from tools.commands.ask import figures, verdict
-from tools.workbench.fleet.board import POINT, Board
-from tools.workbench.fleet.source import FleetSource
-from tools.workbench.json_routes import JsonRequest, NotFoundError, Workbench
+from socast.core.errors import SocastError
+from socast.core.forecast.soc_filter import SHIFT_GAP
+from socast.tools.commands.ask import figures, verdict
+from socast.tools.workbench.fleet.board import POINT, Board
+from socast.tools.workbench.fleet.source import FleetSource
+from socast.tools.workbench.json_routes import JsonRequest, NotFoundError, Workbench
 
 MOST_SHOWN: Final = 600
 """Largest number of points of a history that a page receives; more are thinned out."""

@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.batch import Floats
-from core.wire.messages import Message
-from core.wire.sample_reader import read_samples
+from socast.core.batch import Floats
+from socast.core.wire.messages import Message
+from socast.core.wire.sample_reader import read_samples
 
 CELL_DEG: Final = 0.0005
 """Height and width of a cell of the finest grid. [deg]"""

@@ -13,9 +13,9 @@ from typing import Final
 import msgspec
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from tools.workbench.fleet.alarms import list_alarms
-from tools.workbench.fleet.frames import HEAD, describe_frames, encode_frame
-from tools.workbench.fleet.source import FleetSource
+from socast.tools.workbench.fleet.alarms import list_alarms
+from socast.tools.workbench.fleet.frames import HEAD, describe_frames, encode_frame
+from socast.tools.workbench.fleet.source import FleetSource
 
 MOST_CLIENTS: Final = 64
 """Largest number of browsers at a time."""

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.batch import Floats
+from socast.core.batch import Floats
 
 SILENT_S: Final = 600.0
 """Time without a forecast after which a car is silent. [s]"""

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.workbench.fleet.board import Board
+from socast.tools.workbench.fleet.board import Board
 
 HEAD: Final = struct.Struct("<IIQd")
 """Number of cars, epoch, sequence number, and newest time of the fleet [Unix s]; 24 bytes."""

@@ -7,8 +7,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.batch import Ints
-from core.wire.sample_reader import SampleColumns
+from socast.core.batch import Ints
+from socast.core.wire.sample_reader import SampleColumns
 
 COLUMNS: Final = (
     *("time", "latitude", "longitude", "speed", "soc", "soc_sd", "range", "range_low", "range_high"),
@@ -17,8 +17,8 @@ COLUMNS: Final = (
 )
 """Newest values of a car: Unix s, degrees, km/h, %, km, kWh, and numbers; NaN where unknown.
 
-A fix far from the one before it is believed once another one lies near it. `tools.workbench.fleet.fleet_time` describes
-the last two.
+A fix far from the one before it is believed once another one lies near it. `socast.tools.workbench.fleet.fleet_time`
+describes the last two.
 """
 NEAR_DEG: Final = 0.05
 """Distance in latitude and longitude from which a fix is far from the one before it. [deg]"""

@@ -8,13 +8,13 @@ from typing import Any, Final
 
 import msgspec
 
-from core.errors import SettingsError
-from core.forecast.plan_checks import parse_leg, parse_vehicle
-from core.wire.messages import Outlook
-from stream.zenoh_observer import ZenohObserver
-from stream.zenoh_queryable import query_outlook
-from stream.zenoh_session import Connection, Node
-from tools.workbench.fleet.board import Board
+from socast.core.errors import SettingsError
+from socast.core.forecast.plan_checks import parse_leg, parse_vehicle
+from socast.core.wire.messages import Outlook
+from socast.stream.zenoh_observer import ZenohObserver
+from socast.stream.zenoh_queryable import query_outlook
+from socast.stream.zenoh_session import Connection, Node
+from socast.tools.workbench.fleet.board import Board
 
 LOOK_S: Final = 0.1
 """Time between two looks for messages. [s]"""

@@ -18,16 +18,16 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from core.errors import SettingsError, SocastError
-from core.forecast.plan_checks import parse_leg, parse_vehicle
-from core.pipeline import Pipeline
-from core.wire.message_block import MessageBlock
-from core.wire.messages import Message, Outlook
-from stream.mcap_reader import McapSource
-from stream.source import merge_sources
-from tools.terminal.live_table import add_predictions, make_ride_records
-from tools.workbench.fleet.board import Board, BoardState
-from tools.workbench.fleet.ride_parts import compute_ride_parts
+from socast.core.errors import SettingsError, SocastError
+from socast.core.forecast.plan_checks import parse_leg, parse_vehicle
+from socast.core.pipeline import Pipeline
+from socast.core.wire.message_block import MessageBlock
+from socast.core.wire.messages import Message, Outlook
+from socast.stream.mcap_reader import McapSource
+from socast.stream.source import merge_sources
+from socast.tools.terminal.live_table import add_predictions, make_ride_records
+from socast.tools.workbench.fleet.board import Board, BoardState
+from socast.tools.workbench.fleet.ride_parts import compute_ride_parts
 
 BLOCK: Final = 2000
 """Largest number of messages that the pipeline takes while pages wait."""

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from core.models import LinearModel
-from core.pipeline import Pipeline
-from core.totals.tables import model_columns
+from socast.core.models import LinearModel
+from socast.core.pipeline import Pipeline
+from socast.core.totals.tables import model_columns
 
 
 def compute_ride_parts(pipeline: Pipeline, vehicle_id: str) -> dict[str, float] | None:

@@ -3,10 +3,10 @@
 from math import inf
 from typing import Any, Final
 
-from core.errors import SettingsError
-from tools.workbench.fleet.cars import answer_question, describe_car, get_fleet
-from tools.workbench.fleet.player import Player
-from tools.workbench.json_routes import JsonRequest, JsonRoute, Workbench
+from socast.core.errors import SettingsError
+from socast.tools.workbench.fleet.cars import answer_question, describe_car, get_fleet
+from socast.tools.workbench.fleet.player import Player
+from socast.tools.workbench.json_routes import JsonRequest, JsonRoute, Workbench
 
 
 def describe_density(workbench: Workbench, _: JsonRequest) -> dict[str, Any]:

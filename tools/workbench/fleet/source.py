@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from core.wire.messages import Outlook
-from tools.workbench.fleet.board import Board
+from socast.core.wire.messages import Outlook
+from socast.tools.workbench.fleet.board import Board
 
 
 class FleetSource(Protocol):

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 from pmtiles import reader
 from pmtiles.tile import Compression, TileType
 
-from core.errors import SettingsError
+from socast.core.errors import SettingsError
 
 _READER: Final[Any] = reader
 _KINDS: Final = {

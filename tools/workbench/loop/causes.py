@@ -3,17 +3,17 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from core import effects
-from core.diagnose.add.add import AdditionTrial, force_addition
-from core.diagnose.deviation_words import find_leading_deviation
-from core.diagnose.partial_residual import compute_candidate_residual
-from core.errors import SocastError
-from core.evaluate.paper.results import to_json_values
-from tools.commands.add import try_effect
-from tools.commands.diagnose import parse_term
-from tools.commands.effects import find_topic, make_effect_record
-from tools.report.diagnosis.deviations import describe_deviation
-from tools.report.diagnosis.sentences import (
+from socast.core import effects
+from socast.core.diagnose.add.add import AdditionTrial, force_addition
+from socast.core.diagnose.deviation_words import find_leading_deviation
+from socast.core.diagnose.partial_residual import compute_candidate_residual
+from socast.core.errors import SocastError
+from socast.core.evaluate.paper.results import to_json_values
+from socast.tools.commands.add import try_effect
+from socast.tools.commands.diagnose import parse_term
+from socast.tools.commands.effects import find_topic, make_effect_record
+from socast.tools.report.diagnosis.deviations import describe_deviation
+from socast.tools.report.diagnosis.sentences import (
     CAUSE_NAMES,
     describe_missing_effect,
     describe_next_step,
@@ -21,10 +21,10 @@ from tools.report.diagnosis.sentences import (
     describe_verdict,
     find_recommended,
 )
-from tools.workbench.loop.command_lines import add_command, diagnose_command, effect_command, live_command
-from tools.workbench.loop.model_tree import ModelNode
-from tools.workbench.loop.models import describe_model
-from tools.workbench.workspace import Report, Workspace
+from socast.tools.workbench.loop.command_lines import add_command, diagnose_command, effect_command, live_command
+from socast.tools.workbench.loop.model_tree import ModelNode
+from socast.tools.workbench.loop.models import describe_model
+from socast.tools.workbench.workspace import Report, Workspace
 
 
 def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,8 +4,8 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from tools.workbench.loop.model_tree import ModelNode
-from tools.workbench.workspace import Workspace
+from socast.tools.workbench.loop.model_tree import ModelNode
+from socast.tools.workbench.workspace import Workspace
 
 
 def compare_command(workspace: Workspace, nodes: Sequence[ModelNode], ride: str = "") -> str:

@@ -6,10 +6,10 @@ from pathlib import Path
 from threading import RLock
 from typing import Any, Final, NamedTuple
 
-from core import models
-from core.diagnose.add.add import AdditionTrial, log_attempt
-from core.errors import ModelError, SettingsError
-from core.models import LinearModel
+from socast.core import models
+from socast.core.diagnose.add.add import AdditionTrial, log_attempt
+from socast.core.errors import ModelError, SettingsError
+from socast.core.models import LinearModel
 
 SUFFIX: Final = ".json"
 _UNSAFE: Final = re.compile(r"[^\w.@=,-]+")

@@ -3,26 +3,26 @@
 from collections.abc import Mapping
 from typing import Any
 
-from core.errors import SettingsError
-from core.evaluate.compare.models import compare_predictions
-from core.evaluate.paper.results import to_json_values
-from core.fit.recipes import RECIPES
-from core.models import ANY
-from core.pipeline import Pipeline
-from stream.source import merge_sources
-from tools.commands.fit import summary
-from tools.terminal.model_comparison import make_records
-from tools.terminal.recordings import open_recordings
-from tools.workbench.loop.command_lines import (
+from socast.core.errors import SettingsError
+from socast.core.evaluate.compare.models import compare_predictions
+from socast.core.evaluate.paper.results import to_json_values
+from socast.core.fit.recipes import RECIPES
+from socast.core.models import ANY
+from socast.core.pipeline import Pipeline
+from socast.stream.source import merge_sources
+from socast.tools.commands.fit import summary
+from socast.tools.terminal.model_comparison import make_records
+from socast.tools.terminal.recordings import open_recordings
+from socast.tools.workbench.loop.command_lines import (
     compare_command,
     history_command,
     list_fit_commands,
     live_command,
     replay_command,
 )
-from tools.workbench.loop.model_tree import ModelNode, read_model_file
-from tools.workbench.loop.rides import select_compared
-from tools.workbench.workspace import Report, Workspace
+from socast.tools.workbench.loop.model_tree import ModelNode, read_model_file
+from socast.tools.workbench.loop.rides import select_compared
+from socast.tools.workbench.workspace import Report, Workspace
 
 
 def list_models(workspace: Workspace) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def describe_model(workspace: Workspace, node: ModelNode) -> dict[str, Any]:
     workspace : Workspace
     node : ModelNode
     """
-    from tools.report import history  # noqa: PLC0415 - figures take seconds to import
+    from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
 
     recipe = RECIPES.get(node.model.recipe)
     fitted = to_json_values(summary(node.model, recipe.title if recipe else node.model.recipe))

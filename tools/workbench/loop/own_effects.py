@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from core import effects
-from core.errors import EffectError
-from tools.commands.effects import make_effect_record
+from socast.core import effects
+from socast.core.errors import EffectError
+from socast.tools.commands.effects import make_effect_record
 
 _PLACE: Final = re.compile(r":(\d+): ")
 """The number of a line, after the name of a file in a message."""

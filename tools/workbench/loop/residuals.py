@@ -5,16 +5,16 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from core.batch import Floats, Ints
-from core.diagnose.bin_means import average_in_bins, split_at_quantiles
-from core.diagnose.dataset import Windows
-from core.errors import SettingsError
-from core.evaluate.compare import ride_wind
-from tools.report.diagnosis.location_sentences import KIND_NAMES, LEVEL_NAMES, describe_location
-from tools.report.diagnosis.sentences import describe_error, describe_slice
-from tools.workbench.loop.command_lines import diagnose_command
-from tools.workbench.loop.model_tree import ModelNode
-from tools.workbench.loop.ride_columns import (
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.bin_means import average_in_bins, split_at_quantiles
+from socast.core.diagnose.dataset import Windows
+from socast.core.errors import SettingsError
+from socast.core.evaluate.compare import ride_wind
+from socast.tools.report.diagnosis.location_sentences import KIND_NAMES, LEVEL_NAMES, describe_location
+from socast.tools.report.diagnosis.sentences import describe_error, describe_slice
+from socast.tools.workbench.loop.command_lines import diagnose_command
+from socast.tools.workbench.loop.model_tree import ModelNode
+from socast.tools.workbench.loop.ride_columns import (
     CATEGORIES,
     NUMBERS,
     ShownColumn,
@@ -22,8 +22,8 @@ from tools.workbench.loop.ride_columns import (
     list_columns,
     select_by_filter,
 )
-from tools.workbench.loop.rides import ENERGIES, list_ride_columns, round_values, select_compared
-from tools.workbench.workspace import Workspace
+from socast.tools.workbench.loop.rides import ENERGIES, list_ride_columns, round_values, select_compared
+from socast.tools.workbench.workspace import Workspace
 
 BINS: Final = 12
 """Largest number of bins along a column."""
@@ -75,7 +75,7 @@ def read_residuals(workspace: Workspace, node: ModelNode, level: str, text: str 
     level : str
         `rides` or `windows`.
     text : str
-        Filter of rides, see `tools.workbench.loop.ride_columns.select_by_filter`.
+        Filter of rides, see `socast.tools.workbench.loop.ride_columns.select_by_filter`.
 
     Raises
     ------

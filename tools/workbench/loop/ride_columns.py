@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from core.batch import Floats
-from core.diagnose.slices.predicates import list_conditions
-from core.errors import SettingsError
-from core.evaluate.binning import compute_local_hour
-from core.evaluate.compare import ride_wind
+from socast.core.batch import Floats
+from socast.core.diagnose.slices.predicates import list_conditions
+from socast.core.errors import SettingsError
+from socast.core.evaluate.binning import compute_local_hour
+from socast.core.evaluate.compare import ride_wind
 
 Mask = NDArray[np.bool_]
 WHERE: Final = "where"

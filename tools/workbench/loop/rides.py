@@ -6,14 +6,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from core.errors import ModelError, SettingsError
-from core.evaluate.compare.models import ComparedRides, compute_errors, describe_rides, format_exclusions, select_rides
-from core.evaluate.compare.ride_trace import find_ride, trace_ride
-from core.evaluate.paper.results import to_json_values
-from tools.workbench.loop.command_lines import compare_command
-from tools.workbench.loop.model_tree import ModelNode
-from tools.workbench.loop.ride_columns import ShownColumn, describe_column, list_columns, select_by_filter
-from tools.workbench.workspace import Workspace
+from socast.core.errors import ModelError, SettingsError
+from socast.core.evaluate.compare.models import (
+    ComparedRides,
+    compute_errors,
+    describe_rides,
+    format_exclusions,
+    select_rides,
+)
+from socast.core.evaluate.compare.ride_trace import find_ride, trace_ride
+from socast.core.evaluate.paper.results import to_json_values
+from socast.tools.workbench.loop.command_lines import compare_command
+from socast.tools.workbench.loop.model_tree import ModelNode
+from socast.tools.workbench.loop.ride_columns import ShownColumn, describe_column, list_columns, select_by_filter
+from socast.tools.workbench.workspace import Workspace
 
 ENERGIES: Final = (
     ShownColumn("measured_kwh", "Measured energy", "kWh"),
@@ -78,13 +84,13 @@ def measure_selection(workspace: Workspace, node: ModelNode, text: str) -> dict[
     node : ModelNode
         Model that predicts.
     text : str
-        Filter, see `tools.workbench.loop.ride_columns.select_by_filter`.
+        Filter, see `socast.tools.workbench.loop.ride_columns.select_by_filter`.
 
     Returns
     -------
     dict
-        `errors` as of `core.evaluate.compare.models.compute_errors`, None where no ride is kept; `noise_floor_kwh`; and
-        `kept`, the places of the rides.
+        `errors` as of `socast.core.evaluate.compare.models.compute_errors`, None where no ride is kept;
+        `noise_floor_kwh`; and `kept`, the places of the rides.
     """
     compared = select_compared(workspace, [node])
     kept = select_by_filter(compared.rides, text, list_ride_columns(compared, node.name)[: len(ENERGIES)])

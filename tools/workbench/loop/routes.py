@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from core.errors import SettingsError
-from tools.workbench.jobs import Report
-from tools.workbench.json_routes import JsonRequest, JsonRoute, Workbench
-from tools.workbench.loop import causes, models, residuals, rides
-from tools.workbench.loop.model_tree import ModelNode
+from socast.core.errors import SettingsError
+from socast.tools.workbench.jobs import Report
+from socast.tools.workbench.json_routes import JsonRequest, JsonRoute, Workbench
+from socast.tools.workbench.loop import causes, models, residuals, rides
+from socast.tools.workbench.loop.model_tree import ModelNode
 
 
 def _get_workspace(workbench: Workbench, _: JsonRequest) -> dict[str, Any]:

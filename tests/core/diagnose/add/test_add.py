@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core import models
-from core.diagnose.add.add import AdditionTrial, add_effect, force_addition, log_attempt
-from core.diagnose.add.holdout import (
+from socast.core import models
+from socast.core.diagnose.add.add import AdditionTrial, add_effect, force_addition, log_attempt
+from socast.core.diagnose.add.holdout import (
     compare_errors,
     drop_dates,
     group_rows_by_ride,
@@ -16,12 +16,12 @@ from core.diagnose.add.holdout import (
     split_into_day_folds,
     split_into_vehicle_folds,
 )
-from core.diagnose.add.terms import build_term_columns, describe_scope, is_additive
-from core.errors import EffectError, ModelError
-from core.fit.measured_rows import join_tables
-from core.fit.recipes import RECIPES, make_term
-from core.models import ANY, BASIC_PHYSICAL, LinearModel, Term, decode_model, encode_model
-from core.pipeline import Pipeline
+from socast.core.diagnose.add.terms import build_term_columns, describe_scope, is_additive
+from socast.core.errors import EffectError, ModelError
+from socast.core.fit.measured_rows import join_tables
+from socast.core.fit.recipes import RECIPES, make_term
+from socast.core.models import ANY, BASIC_PHYSICAL, LinearModel, Term, decode_model, encode_model
+from socast.core.pipeline import Pipeline
 from tests.support.planted_windows import AUXILIARY, BASE, KINDS, START, base_model, planted
 from tests.support.telemetry import drive, leaf, telemetry
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from core.diagnose.add.add import add_effect
-from core.diagnose.add.terms import build_term_columns
-from core.fit.measured_rows import join_tables
-from core.fit.recipes import fit_to_windows
-from core.fit.window_fit import fit_rows
-from core.models import ANY
-from core.models.features import Columns
+from socast.core.diagnose.add.add import add_effect
+from socast.core.diagnose.add.terms import build_term_columns
+from socast.core.fit.measured_rows import join_tables
+from socast.core.fit.recipes import fit_to_windows
+from socast.core.fit.window_fit import fit_rows
+from socast.core.models import ANY
+from socast.core.models.features import Columns
 from tests.support.planted_windows import planted
 
 COLD = 1e-4

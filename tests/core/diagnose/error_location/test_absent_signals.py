@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.diagnose.error_location.absent_signals import SIGNALS, count_absent_signals
+from socast.core.diagnose.error_location.absent_signals import SIGNALS, count_absent_signals
 
 
 def make_rides(known, total=31):

@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.diagnose.error_location.kinds import KINDS, gather_kinds
-from core.diagnose.error_location.locate import locate_error
-from core.diagnose.error_location.location_model import get_drivers
+from socast.core.diagnose.error_location.kinds import KINDS, gather_kinds
+from socast.core.diagnose.error_location.locate import locate_error
+from socast.core.diagnose.error_location.location_model import get_drivers
 from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows, project_base
 
 pytestmark = pytest.mark.long

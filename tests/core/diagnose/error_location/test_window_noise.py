@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.diagnose.error_location.window_noise import LAGS, WindowNoise, estimate_correlation
+from socast.core.diagnose.error_location.window_noise import LAGS, WindowNoise, estimate_correlation
 
 RIDE = np.repeat(np.arange(1500), 15)
 

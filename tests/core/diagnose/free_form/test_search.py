@@ -4,15 +4,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core import effects
-from core.columns import GRAVITY, STANDARD_AIR_DENSITY
-from core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES
-from core.diagnose.free_form.search import suggest_term
-from core.diagnose.free_form.suggestion import derive_unit, format_formula, format_source_file, name_term
-from core.diagnose.free_form.terms import FreeTerm, list_modulators
-from core.effects import registry
-from core.signals.signals import CIVIL_DUSK
-from core.signals.sun import sine_of_elevation
+from socast.core import effects
+from socast.core.columns import GRAVITY, STANDARD_AIR_DENSITY
+from socast.core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES
+from socast.core.diagnose.free_form.search import suggest_term
+from socast.core.diagnose.free_form.suggestion import derive_unit, format_formula, format_source_file, name_term
+from socast.core.diagnose.free_form.terms import FreeTerm, list_modulators
+from socast.core.effects import registry
+from socast.core.signals.signals import CIVIL_DUSK
+from socast.core.signals.sun import sine_of_elevation
 
 pytestmark = pytest.mark.long
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from core.diagnose.candidates import build_candidates
-from core.diagnose.posterior.causes import LEAST_LEFT, SelectedForm, compute_cause_evidence
-from core.diagnose.posterior.families import MOST_SIGMAS, build_families, standardise
-from core.diagnose.projection import BaseProjection
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.posterior.causes import LEAST_LEFT, SelectedForm, compute_cause_evidence
+from socast.core.diagnose.posterior.families import MOST_SIGMAS, build_families, standardise
+from socast.core.diagnose.projection import BaseProjection
 from tests.support.synthetic_windows import gather_with_model, keep_only, make_tables, make_windows
 
 NAMES = ("cold_rolling", "headwind", "night_lights", "snow", "payload", "standby")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from core.diagnose.posterior.causes import make_log_prior
-from core.diagnose.posterior.marginal_likelihood import (
+from socast.core.diagnose.posterior.causes import make_log_prior
+from socast.core.diagnose.posterior.marginal_likelihood import (
     LARGEST,
     SMALLEST,
     Products,

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.diagnose.posterior.causes import CauseEvidence, SelectedForm
-from core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN, compute_probabilities
+from socast.core.diagnose.posterior.causes import CauseEvidence, SelectedForm
+from socast.core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN, compute_probabilities
 
 SINGLE = {"snow": 40.0, "cold_rolling": 25.0, "payload": 1.0}
 

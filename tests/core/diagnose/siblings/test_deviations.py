@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from core.diagnose.projection import BaseProjection
-from core.diagnose.siblings.deviations import diagnose_deviations
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.siblings.deviations import diagnose_deviations
 from tests.support.synthetic_windows import compute_coefficients, gather_with_model, make_tables, make_windows
 
 pytestmark = pytest.mark.long

@@ -2,8 +2,8 @@
 
 import pytest
 
-from core.diagnose.siblings.groups import read_groups
-from core.errors import ModelError
+from socast.core.diagnose.siblings.groups import read_groups
+from socast.core.errors import ModelError
 
 
 def test_file_gives_group_of_each_vehicle(tmp_path):

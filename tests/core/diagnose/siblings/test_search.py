@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from core.diagnose.projection import BaseProjection
-from core.diagnose.siblings.deviations import diagnose_deviations
-from core.effects import get_library
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.siblings.deviations import diagnose_deviations
+from socast.core.effects import get_library
 from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows
 
 

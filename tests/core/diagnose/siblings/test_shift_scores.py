@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.diagnose.siblings.shift_scores import ShiftScores
+from socast.core.diagnose.siblings.shift_scores import ShiftScores
 
 N, K = 14, 3
 

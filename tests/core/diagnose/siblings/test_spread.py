@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from core.diagnose.candidates import build_candidates
-from core.diagnose.projection import BaseProjection
-from core.diagnose.siblings.deviations import keep_declared_values
-from core.diagnose.siblings.spread import SiblingBase
-from core.diagnose.siblings.sums import gather_siblings
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.siblings.deviations import keep_declared_values
+from socast.core.diagnose.siblings.spread import SiblingBase
+from socast.core.diagnose.siblings.sums import gather_siblings
 from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows
 
 

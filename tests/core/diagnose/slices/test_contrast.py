@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.diagnose.slices.contrast import compute_contrast
+from socast.core.diagnose.slices.contrast import compute_contrast
 
 
 def test_contrast_standard_error_matches_simulation():

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.diagnose.slices.predicates import CONDITION_SCALES, choose_thresholds, list_conditions
-from core.diagnose.slices.search import find_slices
+from socast.core.diagnose.slices.predicates import CONDITION_SCALES, choose_thresholds, list_conditions
+from socast.core.diagnose.slices.search import find_slices
 
 KEYS = {"where", "conditions", "rides", "bias_kwh", "ci95", "mae_kwh", "q"}
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from core.evaluate.compare.datasets import compare_datasets
-from core.evaluate.compare.models import select_rides
-from core.models import EXTENDED_PHYSICAL
+from socast.core.evaluate.compare.datasets import compare_datasets
+from socast.core.evaluate.compare.models import select_rides
+from socast.core.models import EXTENDED_PHYSICAL
 from tests.support.planted_rides import planted
 
 

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.errors import ModelError
-from core.evaluate.compare.ride_trace import accumulate_windows, find_ride, locate_divergence, trace_ride
-from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Term
-from core.models.features import FEATURES
+from socast.core.errors import ModelError
+from socast.core.evaluate.compare.ride_trace import accumulate_windows, find_ride, locate_divergence, trace_ride
+from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Term
+from socast.core.models.features import FEATURES
+from socast.tools.commands.tables import in_memory
 from tests.support.linear_models import make_model
 from tests.support.paths import ROOT
-from tools.commands.tables import in_memory
 
 SHIFT = ROOT / "recordings" / "shift.mcap"
 

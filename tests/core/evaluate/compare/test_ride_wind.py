@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.evaluate.compare.ride_wind import compute_window_headwind
+from socast.core.evaluate.compare.ride_wind import compute_window_headwind
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.errors import ModelError, SettingsError
-from core.evaluate.paper import new_vehicle
-from core.evaluate.paper.held_out import select_comparable
-from core.evaluate.paper.new_vehicle import (
+from socast.core.errors import ModelError, SettingsError
+from socast.core.evaluate.paper import new_vehicle
+from socast.core.evaluate.paper.held_out import select_comparable
+from socast.core.evaluate.paper.new_vehicle import (
     Learner,
     compute_learning_curve,
     compute_tables_12_and_13,
@@ -21,8 +21,8 @@ from core.evaluate.paper.new_vehicle import (
     split_by_vehicle_model,
     tabulate_learning_curves,
 )
-from core.evaluate.paper.runs import fit_and_predict
-from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, filter_rides
+from socast.core.evaluate.paper.runs import fit_and_predict
+from socast.core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, filter_rides
 from tests.support import planted_rides
 
 MODELS = ("kia-soul-ev-2015", "nissan-leaf-2013", "tesla-model-s")

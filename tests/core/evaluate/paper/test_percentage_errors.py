@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.evaluate.paper.held_out import HeldOutPredictions
-from core.evaluate.paper.percentage_errors import compute_percentage_errors, compute_reductions_by_baseline
-from core.evaluate.ride_filter import EvaluatedRides
+from socast.core.evaluate.paper.held_out import HeldOutPredictions
+from socast.core.evaluate.paper.percentage_errors import compute_percentage_errors, compute_reductions_by_baseline
+from socast.core.evaluate.ride_filter import EvaluatedRides
 
 ENERGY = np.array([1.0, 2.0, 4.0, 0.05])
 SD = np.array([0.1, 0.1, 0.3, 0.1])

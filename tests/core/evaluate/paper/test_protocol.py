@@ -8,17 +8,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.columns import ZERO_CELSIUS
-from core.errors import ModelError, SettingsError
-from core.evaluate.binning import SEASONS
-from core.evaluate.paper.accessories import compute_figure_1
-from core.evaluate.paper.held_out import select_comparable, word_limited
-from core.evaluate.paper.protocol import evaluate, select_recipes
-from core.evaluate.paper.runs import Prediction
-from core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, filter_rides
-from core.models import HILLS_OF_BUILT_IN
-from core.stats.splits import Split
-from core.vehicles import AccessoryCurve
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.errors import ModelError, SettingsError
+from socast.core.evaluate.binning import SEASONS
+from socast.core.evaluate.paper.accessories import compute_figure_1
+from socast.core.evaluate.paper.held_out import select_comparable, word_limited
+from socast.core.evaluate.paper.protocol import evaluate, select_recipes
+from socast.core.evaluate.paper.runs import Prediction
+from socast.core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, filter_rides
+from socast.core.models import HILLS_OF_BUILT_IN
+from socast.core.stats.splits import Split
+from socast.core.vehicles import AccessoryCurve
 from tests.support import planted_rides
 
 pytestmark = pytest.mark.long

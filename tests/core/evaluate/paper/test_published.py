@@ -6,9 +6,9 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from core.evaluate.paper import published
-from core.evaluate.paper.published import AVERAGE, PHYSICAL, load_paper
-from core.vehicles import load_catalogue
+from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL, load_paper
+from socast.core.vehicles import load_catalogue
 
 CLUSTERS = ("0-5", "5-10", "10-15", "15-20", "20-25")
 FURTHER = ("25-30", "30+")
@@ -68,7 +68,7 @@ def test_figures_that_paper_lacks_are_none():
 
 
 def test_no_table_cell_is_missing():
-    text = resources.files("core.evaluate.paper").joinpath("paper.toml").read_text(encoding="utf-8")
+    text = resources.files("socast.core.evaluate.paper").joinpath("paper.toml").read_text(encoding="utf-8")
     cells = sum(len(cells) for table in tomllib.loads(text)["tables"] for cells in table["rows"].values())
     assert cells == 32 + 30 + 26 + 7 * 26 + 2 * 28
 

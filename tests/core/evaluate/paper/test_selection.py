@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from core.evaluate.paper.selection import VehicleModelRegression, find_removable_terms, plan_selection
-from core.evaluate.ride_filter import filter_rides
-from core.fit.recipes import FITTED_TERMS, LinearRecipe, make_term
-from core.models import make_physical_term
+from socast.core.evaluate.paper.selection import VehicleModelRegression, find_removable_terms, plan_selection
+from socast.core.evaluate.ride_filter import filter_rides
+from socast.core.fit.recipes import FITTED_TERMS, LinearRecipe, make_term
+from socast.core.models import make_physical_term
 from tests.support import planted_rides
 
 MODELS = ("kia-soul-ev-2015", "tesla-model-s")

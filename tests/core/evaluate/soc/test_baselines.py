@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.evaluate.soc.baselines import (
+from socast.core.evaluate.soc.baselines import (
     LEAST_ERRORS,
     LEAST_PACE_TIME,
     compute_baselines,
     compute_empirical_risk,
     compute_mean_consumption,
 )
-from core.evaluate.soc.cases import select_cases
-from core.vehicles import load_catalogue
+from socast.core.evaluate.soc.cases import select_cases
+from socast.core.vehicles import load_catalogue
 from tests.support.soc_frames import CAPACITY, make_frames
 
 PERCENT = st.floats(0.0, 100.0)

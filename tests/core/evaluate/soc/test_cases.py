@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.evaluate.soc.cases import CHARGED, CUT_SHORT, HOURS_AHEAD, SILENT, UNREPORTED, select_cases
+from socast.core.evaluate.soc.cases import CHARGED, CUT_SHORT, HOURS_AHEAD, SILENT, UNREPORTED, select_cases
 from tests.support.soc_frames import make_frames
 
 

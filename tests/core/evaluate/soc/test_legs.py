@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.errors import AskError
-from core.evaluate.soc.legs import LEAST_INTERVAL, LegRecorder, match_legs_to_rides
-from core.evaluate.soc.report import evaluate_soc
-from core.wire.messages import Interval, LegOutlook, Outlook
+from socast.core.errors import AskError
+from socast.core.evaluate.soc.legs import LEAST_INTERVAL, LegRecorder, match_legs_to_rides
+from socast.core.evaluate.soc.report import evaluate_soc
+from socast.core.wire.messages import Interval, LegOutlook, Outlook
 from tests.support.soc_frames import CAPACITY, make_frames
 
 BEGIN = 1_516_017_600.0

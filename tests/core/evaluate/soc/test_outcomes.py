@@ -4,11 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.evaluate.soc.cases import select_cases
-from core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
-from core.evaluate.soc.plans import PLAN_COLUMNS, PlanRecorder
-from core.evaluate.soc.report import compute_interval_score, evaluate_soc
-from core.wire.messages import Message
+from socast.core.evaluate.soc.cases import select_cases
+from socast.core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
+from socast.core.evaluate.soc.plans import PLAN_COLUMNS, PlanRecorder
+from socast.core.evaluate.soc.report import compute_interval_score, evaluate_soc
+from socast.core.wire.messages import Message
 from tests.support.soc_frames import make_frames
 
 

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from core.evaluate.soc.cases import CHARGED, select_cases
-from core.evaluate.soc.planned_charges import (
+from socast.core.evaluate.soc.cases import CHARGED, select_cases
+from socast.core.evaluate.soc.planned_charges import (
     MOST_CHARGES,
     MOST_SHORT,
     find_wanted,
     select_charge_cases,
     split_at_charges,
 )
-from core.evaluate.soc.report import evaluate_soc
+from socast.core.evaluate.soc.report import evaluate_soc
 from tests.support.soc_frames import ForecastFrames, make_frames
 
 CHARGED_TO = 80.0

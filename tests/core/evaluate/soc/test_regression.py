@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.columns import SECONDS_PER_DAY
-from core.evaluate.soc.baselines import compute_baselines
-from core.evaluate.soc.cases import select_cases
-from core.evaluate.soc.regression import (
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.evaluate.soc.baselines import compute_baselines
+from socast.core.evaluate.soc.cases import select_cases
+from socast.core.evaluate.soc.regression import (
     COLD_BELOW,
     FEWEST_ERRORS,
     FEWEST_SHIFTS,

@@ -6,11 +6,11 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from core.errors import ModelError
-from core.evaluate.paper.results import to_json_values
-from core.evaluate.soc.baselines import PERSONS
-from core.evaluate.soc.cases import HOURS_AHEAD, WARM_UP
-from core.evaluate.soc.report import evaluate_soc
+from socast.core.errors import ModelError
+from socast.core.evaluate.paper.results import to_json_values
+from socast.core.evaluate.soc.baselines import PERSONS
+from socast.core.evaluate.soc.cases import HOURS_AHEAD, WARM_UP
+from socast.core.evaluate.soc.report import evaluate_soc
 from tests.support.soc_frames import CAPACITY, DAY_ONE, MODELS, SPREAD, make_frames
 
 pytestmark = pytest.mark.long

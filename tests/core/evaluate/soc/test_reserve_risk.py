@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.evaluate.soc.baselines import (
+from socast.core.evaluate.soc.baselines import (
     BASELINES,
     compute_baselines,
 )
-from core.evaluate.soc.cases import select_cases
-from core.evaluate.soc.reserve_risk import (
+from socast.core.evaluate.soc.cases import select_cases
+from socast.core.evaluate.soc.reserve_risk import (
     LEVELS,
     PLANNED,
     compute_reliability,

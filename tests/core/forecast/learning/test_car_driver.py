@@ -5,9 +5,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from core.forecast.filter_state import CAPACITY_SD
-from core.forecast.learning import car_driver as module
-from core.forecast.learning.car_driver import (
+from socast.core.forecast.filter_state import CAPACITY_SD
+from socast.core.forecast.learning import car_driver as module
+from socast.core.forecast.learning.car_driver import (
     CAR_CHANGE_SHIFTS,
     CAR_SD,
     DAY_FACTOR_SD,

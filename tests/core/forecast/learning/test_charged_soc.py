@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.forecast.learning.charged_soc import NOISE_SD, ChargedSoc
+from socast.core.forecast.learning.charged_soc import NOISE_SD, ChargedSoc
 
 PLANNED = np.array([0.6, 0.7, 0.8, 0.9])
 

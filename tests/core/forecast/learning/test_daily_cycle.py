@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.columns import SECONDS_PER_DAY
-from core.forecast.learning.daily_cycle import HOURS, DailyCycle
-from core.forecast.weather_forecasts import WeatherForecasts
+from socast.core.columns import SECONDS_PER_DAY
+from socast.core.forecast.learning.daily_cycle import HOURS, DailyCycle
+from socast.core.forecast.weather_forecasts import WeatherForecasts
 
 KELVIN = 280.0
 

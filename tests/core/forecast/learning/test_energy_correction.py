@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from core.forecast.learning.energy_correction import EnergyCorrection, PartForecasts
-from core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
+from socast.core.forecast.learning.energy_correction import EnergyCorrection, PartForecasts
+from socast.core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
 
 
 def learned(days, driving=1.0, waiting=1.0, celsius=(5.0,), noise=0.01, seed=1, shifts=5):

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.forecast.learning.first_tables import make_first_tables
-from core.forecast.learning.leg_energy import TEMPERATURES
-from core.vehicles import load_catalogue
+from socast.core.forecast.learning.first_tables import make_first_tables
+from socast.core.forecast.learning.leg_energy import TEMPERATURES
+from socast.core.vehicles import load_catalogue
 
 
 def leg(tables, km=10.0, seconds=1800.0, gained=np.nan, lost=np.nan):

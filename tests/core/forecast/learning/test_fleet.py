@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from core.forecast.learning.car_driver import compute_driver_code
-from core.forecast.learning.fleet import FleetStatistics
-from core.forecast.learning.ride_stats import LEAST_RIDES
+from socast.core.forecast.learning.car_driver import compute_driver_code
+from socast.core.forecast.learning.fleet import FleetStatistics
+from socast.core.forecast.learning.ride_stats import LEAST_RIDES
 from tests.support.fleet_days import (
     CARS,
     DAYS,

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.forecast.conformal import ConformalIntervals
-from core.forecast.learning.energy_correction import EnergyCorrection
-from core.forecast.learning.forecast_errors import (
+from socast.core.forecast.conformal import ConformalIntervals
+from socast.core.forecast.learning.energy_correction import EnergyCorrection
+from socast.core.forecast.learning.forecast_errors import (
     FORECAST_RECORDS,
     LAST_RECORD,
     RECORD_PERIOD,
@@ -15,7 +15,7 @@ from core.forecast.learning.forecast_errors import (
     ForecastRecord,
     compute_shift_errors,
 )
-from core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
+from socast.core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
 
 END = 7200.0
 

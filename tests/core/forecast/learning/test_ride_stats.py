@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.forecast.learning.first_tables import FIRST_RELATIVE_SD
-from core.forecast.learning.leg_energy import PACES, STEEPEST_DESCENT, TEMPERATURES, compute_knot_weights
-from core.forecast.learning.leg_energy_fit import fit_leg_energy
-from core.forecast.learning.ride_stats import LEAST_RIDES, RideStatistics
-from core.pipeline import Pipeline
-from core.totals.accumulator import AMOUNTS, EDGES, Totals
-from core.totals.display_record import create_unknown_yields
+from socast.core.forecast.learning.first_tables import FIRST_RELATIVE_SD
+from socast.core.forecast.learning.leg_energy import PACES, STEEPEST_DESCENT, TEMPERATURES, compute_knot_weights
+from socast.core.forecast.learning.leg_energy_fit import fit_leg_energy
+from socast.core.forecast.learning.ride_stats import LEAST_RIDES, RideStatistics
+from socast.core.pipeline import Pipeline
+from socast.core.totals.accumulator import AMOUNTS, EDGES, Totals
+from socast.core.totals.display_record import create_unknown_yields
 from tests.support.fleet_days import CAPACITY, LEG, LEGS, RIDE, SETTINGS, columns, idle_morning, shift, trained_pipeline
 from tests.support.telemetry import leaf, observed
 

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from core.columns import ZERO_CELSIUS
-from core.forecast.learning.leg_energy import TEMPERATURES
-from core.forecast.learning.leg_energy_fit import ENERGY_SUMS
-from core.forecast.learning.temperature_transfer import (
+from socast.core.columns import ZERO_CELSIUS
+from socast.core.forecast.learning.leg_energy import TEMPERATURES
+from socast.core.forecast.learning.leg_energy_fit import ENERGY_SUMS
+from socast.core.forecast.learning.temperature_transfer import (
     fit_corrections,
     make_standing_amounts,
     shift_amounts,
 )
-from core.models import EXTENDED_PHYSICAL
-from core.pipeline import Pipeline
-from core.totals.accumulator import AMOUNTS
-from core.vehicles import ACCESSORIES
-from core.vehicles.fleet import CarParameters
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.pipeline import Pipeline
+from socast.core.totals.accumulator import AMOUNTS
+from socast.core.vehicles import ACCESSORIES
+from socast.core.vehicles.fleet import CarParameters
 
 CAR = CarParameters(*(np.array([value]) for value in (1500.0, 0.01, 0.7, 24.0, 1.3)))
 HEATING = 1.3e-3 * (ACCESSORIES.power(TEMPERATURES + ZERO_CELSIUS) - ACCESSORIES.standby)

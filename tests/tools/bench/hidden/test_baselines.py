@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.diagnose.candidates import build_candidates
-from core.diagnose.dataset import gather_windows
-from core.diagnose.projection import BaseProjection
-from core.fit.recipes import fit_to_windows
-from tools.bench.hidden.baselines import (
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.dataset import gather_windows
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.fit.recipes import fit_to_windows
+from socast.tools.bench.hidden.baselines import (
     BASELINES,
     DESCRIPTIONS,
     LONGEST,
@@ -17,8 +17,8 @@ from tools.bench.hidden.baselines import (
     rank_by_baselines,
     rank_by_size,
 )
-from tools.bench.hidden.cases import Case
-from tools.simulator.settings import Hidden
+from socast.tools.bench.hidden.cases import Case
+from socast.tools.simulator.settings import Hidden
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ from math import log
 import numpy as np
 import pytest
 
-from core.diagnose.posterior.causes import CauseEvidence, SelectedForm
-from core.diagnose.posterior.probabilities import CALIBRATION, NONE, SEVERAL, UNKNOWN, compute_probabilities
-from tools.bench.hidden import calibration_data
-from tools.bench.hidden.calibration import (
+from socast.core.diagnose.posterior.causes import CauseEvidence, SelectedForm
+from socast.core.diagnose.posterior.probabilities import CALIBRATION, NONE, SEVERAL, UNKNOWN, compute_probabilities
+from socast.tools.bench.hidden import calibration_data
+from socast.tools.bench.hidden.calibration import (
     LEAST_LOG,
     WEIGHTS,
     compute_loss,
@@ -21,7 +21,7 @@ from tools.bench.hidden.calibration import (
     main,
     predict_left_out,
 )
-from tools.bench.hidden.calibration_data import (
+from socast.tools.bench.hidden.calibration_data import (
     LabelledEvidence,
     compute_evidence,
     decode_evidence,
@@ -31,11 +31,11 @@ from tools.bench.hidden.calibration_data import (
     label_evidence,
     make_seed_records,
 )
-from tools.bench.hidden.cases import Case
-from tools.bench.hidden.parts import ABSORBED
-from tools.simulator.bent_shapes import BENT
-from tools.simulator.hidden_shapes import OTHER, strip_shape
-from tools.simulator.settings import Hidden
+from socast.tools.bench.hidden.cases import Case
+from socast.tools.bench.hidden.parts import ABSORBED
+from socast.tools.simulator.bent_shapes import BENT
+from socast.tools.simulator.hidden_shapes import OTHER, strip_shape
+from socast.tools.simulator.settings import Hidden
 
 NAMES = ("snow", "headwind", "payload", "wet_road")
 
@@ -100,7 +100,7 @@ class TestFit:
             seen.append({r.seed for r in records})
             return CALIBRATION
 
-        monkeypatch.setattr("tools.bench.hidden.calibration.fit_calibration", remember)
+        monkeypatch.setattr("socast.tools.bench.hidden.calibration.fit_calibration", remember)
         records = make_records(8)
         assert len(predict_left_out(records)) == 8
         assert sorted(map(sorted, seen)) == [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]
@@ -173,8 +173,8 @@ class TestData:
         assert len(calls) == len(draw_cases(420))
 
     def test_command_prints_the_fit(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr("tools.bench.hidden.calibration.make_seed_records", lambda _, __: make_records(12))
-        monkeypatch.setattr("tools.bench.hidden.calibration.fit_calibration", lambda *_: CALIBRATION)
+        monkeypatch.setattr("socast.tools.bench.hidden.calibration.make_seed_records", lambda _, __: make_records(12))
+        monkeypatch.setattr("socast.tools.bench.hidden.calibration.fit_calibration", lambda *_: CALIBRATION)
         assert main(["--seeds", "420-421", "--keep", str(tmp_path), "--processes", "1"]) == 0
         out = capsys.readouterr().out
         assert str(CALIBRATION) in out

@@ -7,19 +7,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.effects import get_library
-from core.errors import SettingsError
-from tools.bench.hidden.cases import Case
-from tools.bench.hidden.export import draw_decoy, export_tasks
-from tools.bench.hidden.judge import is_answer_right, judge, main
-from tools.simulator.settings import Hidden
+from socast.core.effects import get_library
+from socast.core.errors import SettingsError
+from socast.tools.bench.hidden.cases import Case
+from socast.tools.bench.hidden.export import draw_decoy, export_tasks
+from socast.tools.bench.hidden.judge import is_answer_right, judge, main
+from socast.tools.simulator.settings import Hidden
 
 
 @pytest.fixture(scope="module")
 def folder(source, tmp_path_factory):
     out = tmp_path_factory.mktemp("hidden")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tools.bench.hidden.export.SeedData", lambda _: source)
+        patch.setattr("socast.tools.bench.hidden.export.SeedData", lambda _: source)
         one = Case(5, (Hidden("headwind", 0.06),))
         hidden = Case(5, (Hidden("snow", 0.06),), "soc", without=("snow",))
         assert export_tasks([("one", [one]), ("outside", [hidden]), ("none", [Case(5)])], out, 1) == 3
@@ -89,7 +89,7 @@ def test_card_names_every_column_and_how_to_be_judged(folder):
         assert f"`{name}`" in card or name.startswith(("base_", "effect_"))
     for name in table.filter(regex="^effect_"):
         assert f"| `{name.removeprefix('effect_').partition('@')[0]}` |" in card
-    assert "tools.bench.hidden.judge" in card
+    assert "socast.tools.bench.hidden.judge" in card
     assert "LICENSE" in card
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from tools.bench.hidden.figures import compute_error_reduction, compute_figures, summarise_timing
-from tools.bench.hidden.page import make_section, read_section, replace_section
-from tools.bench.hidden.stlsq import fit_stlsq
-from tools.bench.hidden.tables import (
+from socast.tools.bench.hidden.figures import compute_error_reduction, compute_figures, summarise_timing
+from socast.tools.bench.hidden.page import make_section, read_section, replace_section
+from socast.tools.bench.hidden.stlsq import fit_stlsq
+from socast.tools.bench.hidden.tables import (
     tabulate_baselines,
     tabulate_by_effect,
     tabulate_by_part,

@@ -2,11 +2,11 @@
 
 import pytest
 
-from core.diagnose.posterior.probabilities import NONE, UNKNOWN
+from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN
+from socast.tools.bench.hidden.cases import Case, get_right_names
+from socast.tools.bench.hidden.grading import grade_names, list_credible_sets, list_truths
+from socast.tools.simulator.settings import Hidden
 from tests.support.diagnosed_names import make_name, make_result
-from tools.bench.hidden.cases import Case, get_right_names
-from tools.bench.hidden.grading import grade_names, list_credible_sets, list_truths
-from tools.simulator.settings import Hidden
 
 SNOW = Case(5, (Hidden("snow~bent5", 0.03),))
 BOTH = Case(5, (Hidden("snow", 0.03), Hidden("headwind", 0.03)))

@@ -6,13 +6,13 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from tools.bench.hidden.reliability import (
+from socast.tools.bench.hidden.reliability import (
     bin_probabilities,
     compute_calibration_error,
     draw_calibration_error,
     tabulate_reliability,
 )
-from tools.bench.hidden.reliability_figure import BOTTOM, LEFT, RIGHT, TOP, draw_reliability
+from socast.tools.bench.hidden.reliability_figure import BOTTOM, LEFT, RIGHT, TOP, draw_reliability
 
 
 def test_calibrated_probabilities_have_a_small_error():

@@ -6,14 +6,14 @@ from math import log
 import numpy as np
 import pytest
 
-from core.diagnose.candidates import build_candidates
-from core.diagnose.dataset import gather_windows
-from core.diagnose.projection import BaseProjection
-from core.fit.recipes import fit_to_windows
-from tools.bench.hidden.cases import Case
-from tools.bench.hidden.evaluation import compute_true_energy
-from tools.bench.hidden.visibility import RATIO, compare_with_rivals, measure_visibility
-from tools.simulator.settings import Hidden
+from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.dataset import gather_windows
+from socast.core.diagnose.projection import BaseProjection
+from socast.core.fit.recipes import fit_to_windows
+from socast.tools.bench.hidden.cases import Case
+from socast.tools.bench.hidden.evaluation import compute_true_energy
+from socast.tools.bench.hidden.visibility import RATIO, compare_with_rivals, measure_visibility
+from socast.tools.simulator.settings import Hidden
 
 
 def gather(source, *hidden):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from socast.tools.importers.table.agreement import check_agreement
+from socast.tools.importers.table.agreement_sums import AgreementSums
 from tests.support.own_tables import make_drive
-from tools.importers.table.agreement import check_agreement
-from tools.importers.table.agreement_sums import AgreementSums
 
 
 def make_rows(start=None, **factors):

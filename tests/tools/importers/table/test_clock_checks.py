@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.errors import ImportFileError
+from socast.core.errors import ImportFileError
+from socast.tools.importers.table.column_map import parse_map
+from socast.tools.importers.table.conversion import convert_tables, open_tables
 from tests.support.own_tables import make_drive, read_samples
-from tools.importers.table.column_map import parse_map
-from tools.importers.table.conversion import convert_tables, open_tables
 
 MAP = """\
 [vehicle]

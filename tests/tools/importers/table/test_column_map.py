@@ -2,8 +2,8 @@
 
 import pytest
 
-from core.errors import ImportFileError
-from tools.importers.table.column_map import read_map
+from socast.core.errors import ImportFileError
+from socast.tools.importers.table.column_map import read_map
 
 GOOD = """\
 [vehicle]

@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from socast.tools.importers.table.presets import load_presets
+from socast.tools.importers.table.units import FIELD_UNITS, convertible
 from tests.support import own_tables
 from tests.support.commands import called
 from tests.support.own_tables import make_drive, read_samples
 from tests.support.paths import ROOT
-from tools.importers.table.presets import load_presets
-from tools.importers.table.units import FIELD_UNITS, convertible
 
 DRIVE = make_drive()
 

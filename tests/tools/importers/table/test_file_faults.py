@@ -3,9 +3,9 @@
 import pandas as pd
 import pytest
 
+from socast.tools.importers.table.text_stream import find_encoding
 from tests.support.commands import called
 from tests.support.own_tables import make_drive, read_samples
-from tools.importers.table.text_stream import find_encoding
 
 DRIVE = make_drive(300)
 STAMPS = DRIVE["stamp"].strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.errors import ImportFileError
+from socast.core.errors import ImportFileError
+from socast.tools.importers.table.column_map import FileFormat
+from socast.tools.importers.table.guess import guess_map
+from socast.tools.importers.table.guess_names import guess_name
+from socast.tools.importers.table.table_file import open_table
 from tests.support.own_tables import abrp, make_drive
-from tools.importers.table.column_map import FileFormat
-from tools.importers.table.guess import guess_map
-from tools.importers.table.guess_names import guess_name
-from tools.importers.table.table_file import open_table
 
 NAMES = [
     ("speed (mph)", "speed_kmh", "mph"),

@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from core.errors import ImportFileError
+from socast.core.errors import ImportFileError
+from socast.tools.importers.table.column_map import FileFormat, parse_map
+from socast.tools.importers.table.guess import guess_map
+from socast.tools.importers.table.map_text import write_map_text
+from socast.tools.importers.table.table_file import open_table
 from tests.support.own_tables import make_drive
-from tools.importers.table.column_map import FileFormat, parse_map
-from tools.importers.table.guess import guess_map
-from tools.importers.table.map_text import write_map_text
-from tools.importers.table.table_file import open_table
 
 
 def guess(tmp_path, **columns):

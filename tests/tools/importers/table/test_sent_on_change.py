@@ -4,11 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from socast.tools.importers.table.guess_rows import guess_rows
+from socast.tools.importers.table.sampling import STAND, Sampling, find_holds, sample_rows
 from tests.support.commands import called
 from tests.support.own_tables import read_samples
 from tests.tools.importers.table.test_sampling import NAN, known, make_rows
-from tools.importers.table.guess_rows import guess_rows
-from tools.importers.table.sampling import STAND, Sampling, find_holds, sample_rows
 
 START = 1714572000.0
 FIELDS = ("speed_kmh", "battery_current_a", "battery_voltage_v", "odometer_km")

@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from socast.tools.importers.table.row_messages import join_signals
+from socast.tools.importers.table.shared_stamps import StampStatistics, spread_rows
 from tests.support.commands import called
 from tests.support.own_tables import make_drive, read_samples
-from tools.importers.table.row_messages import join_signals
-from tools.importers.table.shared_stamps import StampStatistics, spread_rows
 
 TIMES = 1714572013.4 + np.arange(0.0, 900.0)
 

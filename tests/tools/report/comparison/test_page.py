@@ -2,9 +2,9 @@
 
 import pytest
 
+from socast.tools.report.comparison.figures import illustrate_conditions, illustrate_datasets
+from socast.tools.report.comparison.page import PLACES, build_sections
 from tests.support.html_pages import assert_axes_are_titled
-from tools.report.comparison.figures import illustrate_conditions, illustrate_datasets
-from tools.report.comparison.page import PLACES, build_sections
 
 
 def compared(*q):

@@ -1,6 +1,6 @@
 """Test the table of errors in percent and over the noise floor."""
 
-from tools.report.comparison.relative_tables import tabulate_relative_errors
+from socast.tools.report.comparison.relative_tables import tabulate_relative_errors
 
 RESULT = {
     "about": {"noise_floor_kwh": 0.05, "below_least": 0.25},

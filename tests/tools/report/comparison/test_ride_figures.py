@@ -4,8 +4,8 @@ from math import cos, radians
 
 import pytest
 
+from socast.tools.report.comparison.ride_figures import draw_conditions, draw_map, draw_ride, list_maps
 from tests.support.html_pages import assert_axes_are_titled
-from tools.report.comparison.ride_figures import draw_conditions, draw_map, draw_ride, list_maps
 
 
 def make_trace(**changes):

@@ -2,10 +2,9 @@
 
 import pytest
 
-from core.evaluate.literature import LITERATURE
-from core.fit.recipes import BASELINES, RECIPES
-from tests.support.evaluation_result import evaluation
-from tools.report.evaluation.percentage_tables import (
+from socast.core.evaluate.literature import LITERATURE
+from socast.core.fit.recipes import BASELINES, RECIPES
+from socast.tools.report.evaluation.percentage_tables import (
     BASELINE_HEADS,
     BASELINE_NOTES,
     find_best_on_new_vehicles,
@@ -16,7 +15,8 @@ from tools.report.evaluation.percentage_tables import (
     tabulate_percentages,
     tabulate_percentages_of,
 )
-from tools.report.evaluation.sections import tabulate_headline, tabulate_overview
+from socast.tools.report.evaluation.sections import tabulate_headline, tabulate_overview
+from tests.support.evaluation_result import evaluation
 
 
 @pytest.fixture(scope="module")

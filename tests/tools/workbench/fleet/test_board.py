@@ -6,14 +6,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from core.wire.arrow_batch import PREFIX, write_rows
-from core.wire.messages import Message
-from core.wire.sample_reader import LIMITS
+from socast.core.wire.arrow_batch import PREFIX, write_rows
+from socast.core.wire.messages import Message
+from socast.core.wire.sample_reader import LIMITS
+from socast.tools.bench.workbench import make_fleet_messages
+from socast.tools.workbench.fleet import board as board_module
+from socast.tools.workbench.fleet.board import Board
+from socast.tools.workbench.fleet.density import TraceDensity
 from tests.support.batched_recordings import GATEWAY, make_batch
-from tools.bench.workbench import make_fleet_messages
-from tools.workbench.fleet import board as board_module
-from tools.workbench.fleet.board import Board
-from tools.workbench.fleet.density import TraceDensity
 
 PLACE = {"latitude_deg": 45.5, "longitude_deg": -73.6}
 
@@ -122,7 +122,7 @@ def test_batch_that_cannot_be_used_is_counted_and_changes_nothing(payload):
 
 def test_batch_that_is_too_large_is_counted_and_changes_nothing(monkeypatch):
     batch, board = make_batch([{"vehicle_id": "a", "time_s": 1e9}]), Board()
-    monkeypatch.setattr("core.wire.sample_reader.LIMITS", LIMITS._replace(payload_bytes=len(batch.payload) - 1))
+    monkeypatch.setattr("socast.core.wire.sample_reader.LIMITS", LIMITS._replace(payload_bytes=len(batch.payload) - 1))
     board.take([batch])
     assert (len(board), board.counts) == (0, {"undecodable": 1})
 
@@ -136,7 +136,7 @@ def test_cars_of_batches_beyond_the_largest_number_are_not_shown(monkeypatch):
 
 
 def test_traces_of_a_recording_of_batches_equal_those_of_the_same_samples_in_json(rng, monkeypatch):
-    monkeypatch.setattr("tools.workbench.fleet.density.MOST_CELLS", 200)
+    monkeypatch.setattr("socast.tools.workbench.fleet.density.MOST_CELLS", 200)
     samples, grids = make_samples(rng), []
     broken = Message(GATEWAY, PREFIX, 0)
     for block in (to_json(samples), [broken, *to_batches(samples, 64)]):

@@ -13,16 +13,16 @@ import pytest
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
+from socast.tools.bench.workbench import BoardSource, make_fleet_messages
+from socast.tools.workbench.fleet import feed as feed_module
+from socast.tools.workbench.fleet.board import Board
+from socast.tools.workbench.fleet.feed import FleetFeed
+from socast.tools.workbench.fleet.frames import HEAD
+from socast.tools.workbench.jobs import Jobs
+from socast.tools.workbench.json_routes import Workbench
+from socast.tools.workbench.workspace import Workspace
 from tests.support.web_requests import Client
 from tests.support.workbenches import serve
-from tools.bench.workbench import BoardSource, make_fleet_messages
-from tools.workbench.fleet import feed as feed_module
-from tools.workbench.fleet.board import Board
-from tools.workbench.fleet.feed import FleetFeed
-from tools.workbench.fleet.frames import HEAD
-from tools.workbench.jobs import Jobs
-from tools.workbench.json_routes import Workbench
-from tools.workbench.workspace import Workspace
 
 MALFORMED = 10_000
 

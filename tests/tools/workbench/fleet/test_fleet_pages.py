@@ -5,18 +5,18 @@ import re
 import numpy as np
 import pytest
 
-from core.wire.messages import Finding, Message, encode
+from socast.core.wire.messages import Finding, Message, encode
+from socast.tools.bench.workbench import BoardSource, make_fleet_messages
+from socast.tools.workbench.fleet.board import Board
+from socast.tools.workbench.jobs import Jobs
+from socast.tools.workbench.json_routes import Workbench
+from socast.tools.workbench.workspace import Workspace
 from tests.support.accessibility import list_violations
 from tests.support.browsers import NARROW, WIDE, Visit, open_browser
 from tests.support.players import playing, stand_in_the_middle
 from tests.support.workbench_pictures import DOCS, PICTURES, measure_difference, take_pictures
 from tests.support.workbenches import serve
 from tests.support.zenoh_sessions import eventually
-from tools.bench.workbench import BoardSource, make_fleet_messages
-from tools.workbench.fleet.board import Board
-from tools.workbench.jobs import Jobs
-from tools.workbench.json_routes import Workbench
-from tools.workbench.workspace import Workspace
 
 pytestmark = pytest.mark.long
 LARGEST_LOAD = 1_500_000

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from core.wire.messages import Forecast, Message, QualityCounts, encode
-from tools.workbench.fleet.alarms import list_alarms
-from tools.workbench.fleet.board import Board
-from tools.workbench.fleet.frames import HEAD, encode_frame
+from socast.core.wire.messages import Forecast, Message, QualityCounts, encode
+from socast.tools.workbench.fleet.alarms import list_alarms
+from socast.tools.workbench.fleet.board import Board
+from socast.tools.workbench.fleet.frames import HEAD, encode_frame
 
 NOW = 1.7e9
 DAY = 86_400.0

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from core.wire.messages import Message
-from tools.bench.workbench import make_fleet_messages
-from tools.workbench.fleet.alarms import MOST_ALARMS, list_alarms
-from tools.workbench.fleet.board import MOST_POINTS, Board, History
-from tools.workbench.fleet.frames import COLUMNS, HEAD, SILENT, describe_frames, encode_frame
+from socast.core.wire.messages import Message
+from socast.tools.bench.workbench import make_fleet_messages
+from socast.tools.workbench.fleet.alarms import MOST_ALARMS, list_alarms
+from socast.tools.workbench.fleet.board import MOST_POINTS, Board, History
+from socast.tools.workbench.fleet.frames import COLUMNS, HEAD, SILENT, describe_frames, encode_frame
 
 
 def decode_frame(frame):

@@ -5,14 +5,14 @@ from contextlib import closing
 import pyarrow as pa
 import pytest
 
-from core.errors import AskError
-from core.wire.arrow_batch import write_rows
-from core.wire.messages import Forecast, Message, QualityCounts, Telemetry, encode
-from stream.zenoh_session import Connection, Node
-from stream.zenoh_sink import ZenohSink
+from socast.core.errors import AskError
+from socast.core.wire.arrow_batch import write_rows
+from socast.core.wire.messages import Forecast, Message, QualityCounts, Telemetry, encode
+from socast.stream.zenoh_session import Connection, Node
+from socast.stream.zenoh_sink import ZenohSink
+from socast.tools.workbench.fleet.board import Board
+from socast.tools.workbench.fleet.observer import Observer
 from tests.support.zenoh_sessions import eventually, live
-from tools.workbench.fleet.board import Board
-from tools.workbench.fleet.observer import Observer
 
 NOW = 1.7e9
 

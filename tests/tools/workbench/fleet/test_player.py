@@ -6,14 +6,14 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from core.errors import AskError, SettingsError, SocastError
-from core.pipeline import Pipeline
-from stream.mcap_reader import McapSource
+from socast.core.errors import AskError, SettingsError, SocastError
+from socast.core.pipeline import Pipeline
+from socast.stream.mcap_reader import McapSource
+from socast.tools.workbench.fleet.board import Board
+from socast.tools.workbench.fleet.player import Player
 from tests.support.batched_recordings import write_batched
 from tests.support.players import SHIFT, playing, wait_until_there
 from tests.support.zenoh_sessions import eventually
-from tools.workbench.fleet.board import Board
-from tools.workbench.fleet.player import Player
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +147,7 @@ def test_player_takes_a_limited_size_of_batches_at_once(monkeypatch, tmp_path):
     write_batched(islice(McapSource(SHIFT), 2), path, 1000)
     messages = [message for block in McapSource(path) for message in block]
     largest = max(len(message.payload) for message in messages)
-    monkeypatch.setattr("tools.workbench.fleet.player.BLOCK_BYTES", 2 * largest)
+    monkeypatch.setattr("socast.tools.workbench.fleet.player.BLOCK_BYTES", 2 * largest)
     with playing(path) as player:
         monkeypatch.setattr(player.board, "take", lambda taken: sizes.append(sum(len(each.payload) for each in taken)))
         player.play()

@@ -4,13 +4,13 @@ import pytest
 from pmtiles.tile import Compression, TileType, zxy_to_tileid
 from pmtiles.writer import Writer
 
-from core.errors import SettingsError
+from socast.core.errors import SettingsError
+from socast.tools.workbench.fleet.tiles import TileFile
+from socast.tools.workbench.jobs import Jobs
+from socast.tools.workbench.json_routes import Workbench
+from socast.tools.workbench.workspace import Workspace
 from tests.support.web_requests import Client
 from tests.support.workbenches import serve
-from tools.workbench.fleet.tiles import TileFile
-from tools.workbench.jobs import Jobs
-from tools.workbench.json_routes import Workbench
-from tools.workbench.workspace import Workspace
 
 PICTURE = b"\x89PNG not really"
 

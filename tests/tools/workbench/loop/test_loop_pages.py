@@ -4,14 +4,14 @@ import json
 
 import pytest
 
-from core import effects
+from socast.core import effects
+from socast.tools.workbench.jobs import Jobs
+from socast.tools.workbench.json_routes import Workbench
+from socast.tools.workbench.workspace import Given, Workspace
 from tests.support.accessibility import list_violations
 from tests.support.browsers import NARROW, Visit, open_browser
 from tests.support.paths import ROOT
 from tests.support.workbenches import serve
-from tools.workbench.jobs import Jobs
-from tools.workbench.json_routes import Workbench
-from tools.workbench.workspace import Given, Workspace
 
 pytestmark = pytest.mark.long
 EFFECT = '''from socast import effect

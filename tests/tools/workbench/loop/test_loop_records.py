@@ -5,13 +5,13 @@ import shlex
 import numpy as np
 import pytest
 
-from core import models
-from core.errors import SettingsError
-from core.models import EXTENDED_PHYSICAL
+from socast.core import models
+from socast.core.errors import SettingsError
+from socast.core.models import EXTENDED_PHYSICAL
+from socast.tools.workbench.loop import causes, residuals, rides
+from socast.tools.workbench.loop import models as model_records
+from socast.tools.workbench.workspace import Given, Workspace
 from tests.support.paths import ROOT
-from tools.workbench.loop import causes, residuals, rides
-from tools.workbench.loop import models as model_records
-from tools.workbench.workspace import Given, Workspace
 
 pytestmark = pytest.mark.long
 AUTUMN = ROOT / "recordings/autumn.mcap"

@@ -3,11 +3,11 @@
 import msgspec
 import pytest
 
-from core import models
-from core.diagnose.add.add import AdditionTrial
-from core.errors import SettingsError
-from core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
-from tools.workbench.loop.model_tree import ModelTree
+from socast.core import models
+from socast.core.diagnose.add.add import AdditionTrial
+from socast.core.errors import SettingsError
+from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
+from socast.tools.workbench.loop.model_tree import ModelTree
 
 
 def make_trial(base, effect, *, accepted=True):

@@ -7,7 +7,7 @@ from importlib.resources import files
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from core.errors import SettingsError
+from socast.core.errors import SettingsError
 
 
 class PresetField(NamedTuple):
