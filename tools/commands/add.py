@@ -52,6 +52,9 @@ def add_effect(
             metavar="SCOPE", help="Where the effect holds: vehicle=ID, since=YYYY-MM-DD or both; default all."
         ),
     ] = None,
+    even_if_undecided: Annotated[
+        bool, typer.Option("--even-if-undecided", help="Add the effect where the rides do not decide whether it helps.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Add the effect even if it does not help.")] = False,
     effects_file: EffectFiles = None,
     vehicles: VehicleFiles = None,
@@ -73,11 +76,13 @@ def add_effect(
     console = make_console(json_file)
     history.print_trial(added.trial, console)
     if not added.trial["accepted"]:
-        if not force:
+        undecided = added.trial["outcome"] == add.UNDECIDED
+        if not (force or (undecided and even_if_undecided)):
             models.save(add.log_attempt(base, added.trial), out)
+            what, option = ("undecided", "--even-if-undecided") if undecided else ("refused", "--force")
             raise ModelError(
-                f"{effect} is not added: {added.trial['reason']}; {out} is model {base.name} unchanged, with the "
-                "attempt in its history; add the effect all the same with --force"
+                f"{effect} is not added, it is {what}: {added.trial['reason']}; {out} is model {base.name} unchanged, "
+                f"with the attempt in its history; add the effect all the same with {option}"
             )
         added = add.force_addition(added)
     models.save(added.model, out)

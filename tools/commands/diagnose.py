@@ -390,7 +390,7 @@ def _auto(
         history.print_trial(added.trial, console)
         if not added.trial["accepted"]:
             model = add.log_attempt(model, added.trial)
-            page.print_lines(["The loop ends here: the missing effect does not help on held-out rides."], console)
+            page.print_lines(["The loop ends here: no error of held-out rides falls beyond doubt."], console)
             break
         model = added.model
     history.show(model, console)

@@ -34,6 +34,10 @@ TRIAL_NOTE: Final = (
     "everything is fitted without what is held out. ± is half of the 95 % interval of the mean difference per ride, "
     "clustered by vehicle-day. The final hold-out days decide nothing: evaluate on them once, and do not tune on them."
 )
+WORSE: Final = 1.05
+"""Ratio of the error of a refitted model to that of the model as given from which a line says why. [1]"""
+ATTEMPTS: Final = ("add", "refused", "undecided")
+"""Actions in the history of a model that tried an effect."""
 HISTORY_NOTE: Final = (
     "Error: mean absolute error of a ride on held-out days. Each step is evaluated on the rides given at that time, so "
     "a step may begin with another error than the previous step ended with."
@@ -67,15 +71,18 @@ def describe_coefficients(trial: Entry) -> list[str]:
 
 def _outcome(trial: Entry) -> str:
     """Return a sentence that states whether the effect helps, and why."""
-    helps = "helps" if trial.get("accepted") else "does not help"
-    return f"{trial.get('effect')}{_scope(trial)} {helps}: {trial.get('reason')}."
+    words = {"add": "helps", "refused": "does not help", "undecided": "may or may not help"}
+    outcome = str(trial.get("outcome") or ("add" if trial.get("accepted") else "refused"))
+    return f"{trial.get('effect')}{_scope(trial)} {words[outcome]}: {trial.get('reason')}."
 
 
 def build_trial_sections(trial: Entry) -> list[Section]:
     """Return the tables of a trial: the errors before and after, overall and by condition."""
     comparisons = [(what, get_mapping(trial, key)) for key, what in HELD_OUT.items() if get_mapping(trial, key)]
     rows = tuple(_compared(what, one) for what, one in comparisons)
-    floor = f"Measurement noise alone: {format_energy(trial.get('noise_floor_kwh'))}. {TRIAL_NOTE}"
+    floor = (
+        f"Measurement noise alone: {format_energy(trial.get('noise_floor_kwh'))}.{_compare_given(trial)} {TRIAL_NOTE}"
+    )
     heads = ("rides", "vehicle-\ndays", "before,\nkWh", "after,\nkWh", "change,\nkWh", "change")
     title = f"{trial.get('effect')}{_scope(trial)}: before and after"
     tables = [ReportTable("Mean absolute error of a ride", "evaluated on", heads, rows, (floor,))]
@@ -84,6 +91,23 @@ def build_trial_sections(trial: Entry) -> list[Section]:
         rows_of_bins = tuple(_compared(format_minus(str(one.get("where"))), one) for one in bins)
         tables.append(ReportTable(f"By {what}, held-out days", what, heads, rows_of_bins))
     return [Section("trial", title, "", [table for table in tables if table.rows])]
+
+
+def _compare_given(trial: Entry) -> str:
+    """Return the error of the model as given beside that of the refitted one, and why the latter is larger if it is."""
+    given, refitted = (
+        get_number(trial.get("mae_given_kwh")),
+        get_number(get_mapping(trial, "on_days").get("mae_before_kwh")),
+    )
+    if given is None:
+        return ""
+    line = f" The model as given: {format_energy(given)} on the days that are held out in turn"
+    if refitted is None or refitted <= WORSE * given:
+        return f"{line}."
+    return (
+        f"{line}, less than with all terms refitted without them ({format_energy(refitted)}): it has "
+        "seen these days, or was fitted to more rides, and these days alone do not determine all its terms."
+    )
 
 
 def _compared(name: str, one: Entry) -> Row:
@@ -119,7 +143,7 @@ def summarise(model: LinearModel) -> dict[str, Any]:
 
 def list_attempts(model: LinearModel) -> list[Entry]:
     """Return the entries of the effects that were tried, the oldest first."""
-    return [entry for entry in model.history if entry.get("action") in {"add", "refused"}]
+    return [entry for entry in model.history if entry.get("action") in ATTEMPTS]
 
 
 def show(model: LinearModel, console: Console) -> None:
@@ -160,8 +184,8 @@ def describe_progress(model: LinearModel) -> str:
     first, floor = tried[0].get("mae_before_kwh"), tried[-1].get("noise_floor_kwh")
     names = ", ".join(f"{step.get('effect')}{_scope(step)}" for step in taken)
     added = f"Added: {names}" if taken else "No effect was added"
-    refused = len(tried) - len(taken)
-    beside = f", {format_count(refused)} refused" if refused else ""
+    numbers = {word: sum(step["action"] == word for step in tried) for word in ATTEMPTS[1:]}
+    beside = "".join(f", {format_count(number)} {word}" for word, number in numbers.items() if number)
     last = taken[-1].get("mae_after_kwh") if taken else None
     fall = f"error {_error(first)} -> {format_energy(last)}" if taken else f"error {format_energy(first)}"
     return f"{added}{beside}; {fall} per ride on held-out days; measurement noise alone {format_energy(floor)}."
@@ -177,7 +201,7 @@ def tabulate_history(model: LinearModel) -> ReportTable:
 def _step(place: int, entry: Entry) -> Row:
     """Return one row of the history."""
     action = str(entry.get("action"))
-    if action not in {"add", "refused"}:
+    if action not in ATTEMPTS:
         fitted = [value for value in get_mapping(entry, "mae_in_sample_kwh").values() if get_number(value) is not None]
         recipe = f"recipe {entry['recipe']}" if entry.get("recipe") else ""
         inside = f"in-sample error {_error(max(fitted))} kWh at most" if fitted else ""
@@ -185,7 +209,7 @@ def _step(place: int, entry: Entry) -> Row:
         return Row(
             f"{place}. {', '.join(each for each in (recipe or action, inside) if each)}", (Cell(_past(action)), *blank)
         )
-    done = "added by force" if entry.get("forced") else "added" if action == "add" else "refused"
+    done = "added by force" if entry.get("forced") else "added" if action == "add" else action
     final = get_mapping(entry, "final")
     return Row(
         f"{place}. {entry.get('effect')}{_scope(entry)}",
@@ -221,15 +245,15 @@ def _past(action: str) -> str:
 def _describe_attempt(entry: Entry) -> str:
     """Return what the coefficient of an effect means, or why the effect was refused."""
     name = f"{entry.get('effect')}{_scope(entry)}"
-    if entry["action"] == "refused":
-        return f"{name} was refused: {entry.get('reason')}"
+    if entry["action"] != "add":
+        return f"{name} was {entry['action']}: {entry.get('reason')}"
     plausible = get_mapping(entry, "coefficient").get("plausible", True)
     forced = f"; added by force, although {entry.get('reason')}" if entry.get("forced") else ""
     return f"{entry.get('words') or name}{'' if plausible else ' (not plausible)'}{forced}"
 
 
 def draw_errors(model: LinearModel) -> list[Illustration]:
-    """Draw the error after each step and of each refused effect, against the noise."""
+    """Draw the error after each step and with each effect that was not added, against the noise."""
     tried = list_attempts(model)
     if not tried:
         return []
@@ -248,7 +272,7 @@ def draw_errors(model: LinearModel) -> list[Illustration]:
     traces = [
         draw_curve("held-out days", get_style(5), names, errors),
         go.Scatter(
-            name="refused",
+            name="not added",
             x=refused_at,
             y=refused,
             mode="markers",
@@ -262,7 +286,7 @@ def draw_errors(model: LinearModel) -> list[Illustration]:
     made.update_xaxes(title_text="Effect tried", type="category")
     made.update_yaxes(title_text="Mean absolute error of a ride [kWh]", rangemode="tozero")
     caption = (
-        "Line: error after each step. Crosses: error that a refused effect would have given. Final hold-out days "
+        "Line: error after each step. Crosses: error with an effect that was not added. Final hold-out days "
         "decide nothing."
     )
     return [Illustration("falling", "Error after each step", caption, made)]

@@ -1,15 +1,19 @@
 """Add an effect to a model: refit it to windows, evaluate it on held-out rides, and record the trial in its history.
 
-The resulting model is fitted to all windows. An effect helps if all of the following hold:
+The resulting model is fitted to all windows. An effect is added if all of the following hold:
 
 - its evidence is beyond chance;
-- on vehicle-days to which its coefficient was not fitted, it explains a least share of the error that the other terms
-  of the model cannot explain;
-- on these vehicle-days, the error of whole rides does not clearly grow.
+- on vehicle-days to which its coefficient was not fitted, it explains a least share of the squared error that the
+  other terms of the model cannot explain, and the 95 % interval of that share is above zero;
+- on these vehicle-days, the mean error of whole rides falls, also with everything refitted.
 
-The trial also reports the error with everything refitted without the held-out days or vehicles
-(`socast.core.diagnose.add.holdout`). With few days, a model then extrapolates and errs much with and without the
-effect.
+It is refused where the data show that it does not help: it explains less than that share at the upper end of the
+interval, or the error clearly grows, also with everything refitted without the held-out days or vehicles
+(`socast.core.diagnose.add.holdout`). Otherwise the trial is undecided: nothing is added, and the reason says how many
+vehicle-days would decide.
+
+A model that is refitted without the held-out days may err more on them than the model as given, which may have seen
+them. The trial has both errors.
 
 With many dates, every fifth date is a final hold-out. The decision does not use these dates; each step reports their
 error once. Evaluate on the final hold-out once; do not tune on it.
@@ -68,10 +72,13 @@ from socast.core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, i
 
 ADDED: Final = "add"
 REFUSED: Final = "refused"
-"""Actions in the history of a model."""
+UNDECIDED: Final = "undecided"
+"""Outcomes of a trial, and actions in the history of a model."""
 MAX_FINAL_SHARE: Final = 0.5
 """Share of the rides with the effect that may be in the final hold-out; above it, there is no final hold-out."""
 
+MOST_DAYS: Final = 1e5
+"""Number of vehicle-days beyond which nobody waits for a decision."""
 TRIAL_ONLY: Final = ("conditions", "words_by_vehicle_model", "warnings")
 """Keys of a trial that its entry in the history does not have."""
 
@@ -85,8 +92,8 @@ class AdditionTrial(NamedTuple):
         The refitted model with the effect and with the trial in its history, also if the trial refuses the effect.
     trial : dict
         The entry in the history, and in addition `conditions` (the comparison by temperature, distance, speed and
-        vehicle), `words_by_vehicle_model` and `warnings`. `accepted` states whether the effect helps, and `reason`
-        why.
+        vehicle), `words_by_vehicle_model` and `warnings`. `outcome` is `ADDED`, `REFUSED` or `UNDECIDED`, `accepted`
+        states whether it is the first, and `reason` why.
     """
 
     model: LinearModel
@@ -152,12 +159,13 @@ def add_effect(
     pair = _refit(model, addition, data, seed)
     final = _choose_final_days(model, data, active)
     results, by_condition = _evaluate(addition, data, final, seed, declared.sign, report)
+    results["mae_given_kwh"] = _compute_given_error(model, data, final)
     results["noise_floor_kwh"] = compute_noise_floor(get_numbers(data.table, "noise")) if floor is None else floor
     results |= _decide(results, least)
     grown = _name_model(pair.after, model, data)
     entry = to_json_values(
         {
-            "action": ADDED if results["accepted"] else REFUSED,
+            "action": results["outcome"],
             "effect": effect,
             "columns": list(columns),
             "scope": describe_scope(columns),
@@ -201,12 +209,12 @@ def log_attempt(model: LinearModel, trial: dict[str, Any]) -> LinearModel:
 
 
 def force_addition(added: AdditionTrial) -> AdditionTrial:
-    """Return the trial of a refused effect as one that added the effect by force.
+    """Return the trial of an effect that was refused or undecided as one that added the effect by force.
 
     Parameters
     ----------
     added : AdditionTrial
-        A trial that refused its effect.
+        A trial that did not add its effect.
 
     Returns
     -------
@@ -356,26 +364,73 @@ def _compare_on_final_days(addition: TermAddition, data: RideRows, days: tuple[s
 
 
 def _decide(results: dict[str, Any], least: float) -> dict[str, Any]:
-    """Return whether the effect helps, and why."""
+    """Return the outcome of a trial, whether it adds the effect, and why."""
+    outcome, reason = _judge(results, least)
+    return {"outcome": outcome, "accepted": outcome == ADDED, "reason": reason}
+
+
+def _judge(results: dict[str, Any], least: float) -> tuple[str, str]:
+    """Return the outcome of a trial, and why."""
     gain, half, change = results["gain"]["value"], results["gain"]["ci95"], results["change_kwh"]
-    growth = change["value"] - change["ci95"]
+    days = results["of_effect"]["clusters"]
     interval = f"95 % interval {format_minus(f'{100.0 * (gain - half):.1f}')} % to {100.0 * (gain + half):.1f} %"
     share = format_minus(f"{100.0 * gain:.1f}")
     statement = f"it explains {share} % ({interval}) of the squared error on held-out days"
-    if isnan(half):
-        reason = "there are too few vehicle-days to distinguish a gain from chance"
-    elif results["p"] >= LEVEL:
-        reason = f"its evidence in these rides may be due to chance, p = {results['p']:.2g}"
-    elif gain < least:
-        reason = f"{statement}, which is below {100.0 * least:g} %"
-    elif growth > 0.0:
-        reason = f"the error of held-out rides grows by at least {growth:.2g} kWh"
-    else:
-        significant = change["value"] + change["ci95"] < 0.0
-        fall = f"{rounded(1000.0 * change['value'], 1000.0 * change['ci95'])} Wh"
-        unsure = "" if significant else f"; the mean error of rides changes by {fall}, which may be due to chance"
-        return {"accepted": True, "reason": statement + unsure}
-    return {"accepted": False, "reason": reason}
+    if isnan(half) or isnan(change["ci95"]):
+        return UNDECIDED, "there are too few vehicle-days to distinguish a gain from chance; give more days"
+    if growth := _find_growth(results):
+        return REFUSED, growth
+    if gain < least:
+        below = f"{statement}; below {100.0 * least:g} % it is not worth a term"
+        return (REFUSED if gain + half < least else UNDECIDED), below
+    doubt = ""
+    if results["p"] >= LEVEL:
+        doubt = f"its evidence in these rides may be due to chance, p = {results['p']:.2g}"
+    elif gain - half <= 0.0:
+        doubt = f"{statement}, which may be due to chance"
+    if doubt:
+        return UNDECIDED, doubt + _count_deciding(days, gain, half)
+    if growing := _list_growing(results):
+        return UNDECIDED, f"{statement}, but the mean error of rides grows: {growing}; give more days"
+    return ADDED, statement
+
+
+def _find_growth(results: dict[str, Any]) -> str:
+    """Return on which held-out rides the error clearly grows, empty where it does so on none."""
+    held_out = {"of_effect": "held-out rides", "on_days": "held-out rides, with all terms refitted,"}
+    held_out |= {"on_vehicles": "held-out vehicles, with all terms refitted,"}
+    for key, what in held_out.items():
+        change = (results[key] or {}).get("change_kwh")
+        if change and (growth := change["value"] - change["ci95"]) > 0.0:
+            return f"the error of {what} grows by at least {growth:.2g} kWh"
+    return ""
+
+
+def _list_growing(results: dict[str, Any]) -> str:
+    """Return on which held-out days the mean error of rides grows, though perhaps by chance, and by how much."""
+    found = []
+    for key, what in (("of_effect", "on held-out days"), ("on_days", "with all terms refitted")):
+        change = results[key]["change_kwh"]
+        if change["value"] > 0.0:
+            found.append(f"by {rounded(1000.0 * change['value'], 1000.0 * change['ci95'])} Wh {what}")
+    return " and ".join(found)
+
+
+def _count_deciding(days: int, value: float, half: float) -> str:
+    """Return how many vehicle-days would show an improvement beyond doubt if it stays as it is."""
+    if value <= 0.0:
+        return "; with more days, it may turn out not to help"
+    needed = days * (half / value) ** 2
+    if needed <= days or needed > MOST_DAYS:
+        return ""
+    return f"; about {needed:,.0f} vehicle-days would decide, {days:,} are given"
+
+
+def _compute_given_error(model: LinearModel, data: RideRows, final: Sequence[str]) -> float:
+    """Return the mean absolute error of the model as given on the rides that are held out in turn. [kWh]"""
+    development = data.only(~_are_on_days(data, final))
+    error = get_numbers(development.table, "measured") - development.by_ride(model.predict(development.rows))
+    return float(np.mean(np.abs(error)))
 
 
 def _name_model(fitted: LinearModel, model: LinearModel, data: RideRows) -> LinearModel:

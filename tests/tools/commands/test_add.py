@@ -95,7 +95,7 @@ def refusal(folder, tmp_path_factory) -> tuple[Path, str]:
 def test_refused_effect_leaves_input_model_unchanged_and_writes_attempt_to_output(folder, refusal):
     here, message = refusal
     assert re.fullmatch(r"socast: [^\n]+\n", message)
-    assert "headwind is not added: " in message
+    assert "headwind is not added, it is refused: " in message
     assert f"{here / 'm2.json'} is model base unchanged, with the attempt in its history" in message
     assert "add the effect all the same with --force" in message
     assert (here / "base.json").read_bytes() == (folder / "base.json").read_bytes()

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from socast.core import effects
-from socast.core.diagnose.add.add import AdditionTrial, force_addition
+from socast.core.diagnose.add.add import REFUSED, UNDECIDED, AdditionTrial, force_addition
 from socast.core.diagnose.deviation_words import find_leading_deviation
 from socast.core.diagnose.partial_residual import compute_candidate_residual
 from socast.core.errors import SocastError
@@ -48,7 +48,9 @@ def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Mapping
     """
     ranked = {str(row["effect"]): row for row in diagnosis.get("candidates") or ()}
     credible = set(diagnosis.get("credible_set") or ())
-    tried = {str(entry.get("effect")): entry for entry in node.model.history if entry.get("action") == "refused"}
+    tried = {
+        str(entry.get("effect")): entry for entry in node.model.history if entry.get("action") in {REFUSED, UNDECIDED}
+    }
     causes = [
         {
             "name": str(cause["effect"]),

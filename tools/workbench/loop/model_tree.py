@@ -189,7 +189,11 @@ class ModelTree:
                 "file": str(node.file),
                 "path": node.path,
                 "effect": _find_last_addition(node.model).get("effect") if node.parent else None,
-                "refused": [str(entry["effect"]) for entry in node.model.history if entry.get("action") == "refused"],
+                "refused": [
+                    str(entry["effect"])
+                    for entry in node.model.history
+                    if entry.get("action") in {"refused", "undecided"}
+                ],
                 "removable": bool(node.parent) and node.name not in parents,
             }
             for node in self._nodes.values()

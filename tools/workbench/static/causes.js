@@ -100,9 +100,9 @@ function makeView(root, { state: first, workspace, context, redraw }) {
         class: cause.credible ? "credible" : null,
         "aria-pressed": cause.effect ? String(cause.name === chosen()) : null,
         disabled: !cause.effect,
-        title: cause.refused ? `refused: ${cause.refused}` : (WORDS[cause.status] ?? cause.status),
+        title: cause.refused ? `not added: ${cause.refused}` : (WORDS[cause.status] ?? cause.status),
         onclick: () => context.navigate({ effect: cause.name }),
-      }, el("span", {}, nameOf(cause), cause.refused && el("span", { class: "chip warn" }, "refused")), el("span", { class: "track" }, bar), el("span", { class: "value" }, share));
+      }, el("span", {}, nameOf(cause), cause.refused && el("span", { class: "chip warn" }, "not added")), el("span", { class: "track" }, bar), el("span", { class: "value" }, share));
     });
     put(list, 
       el("p", { class: "note small" }, "Blue: the credible set, which holds the largest cause in nine cases of ten."),
@@ -144,7 +144,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
         el("div", { class: "card-head" }, el("h2", {}, name.replaceAll("_", " ")), button),
         readOnly && el("p", { class: "note small" }, "This workbench is read-only; start socast serve without --read-only to add an effect."),
         el("p", {}, effect.summary.split(": P = ")[0], ". ", missing && missing.sentences[0].charAt(0).toUpperCase() + missing.sentences[0].slice(1) + "."),
-        cause.refused && el("p", { class: "warn" }, `Refused before: ${cause.refused}.`),
+        cause.refused && el("p", { class: "warn" }, `Not added before: ${cause.refused}.`),
         picture,
         el("dl", { class: "facts" },
           fact("formula", el("span", { class: "formula" }, effect.formula)),
@@ -175,7 +175,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
       });
       if (context.signal.aborted) return;
       showStep(result, name, scopes);
-      context.announce(result.added ? `${name} was added; the error falls from ${number(result.trial.mae_before_kwh, 4)} to ${number(result.trial.mae_after_kwh, 4)} kWh.` : `${name} was refused: ${result.trial.reason}.`);
+      context.announce(result.added ? `${name} was added; the error falls from ${number(result.trial.mae_before_kwh, 4)} to ${number(result.trial.mae_after_kwh, 4)} kWh.` : `${name} was not added: ${result.trial.reason}.`);
     } catch (error) {
       put(step, el("section", { class: "card" }, el("p", { class: "bad", role: "alert" }, error.message), el("button", { type: "button", onclick: () => put(step) }, "Close")));
     } finally {

@@ -94,7 +94,7 @@ export function mount(root, first, context) {
       el("thead", {}, el("tr", {}, ["step", "result", "before, kWh", "after, kWh", "change, kWh"].map((words, i) => el("th", { class: i > 1 ? "number" : null, scope: "col" }, words)))),
       el("tbody", {}, steps.map((step, i) => el("tr", {},
         el("th", { scope: "row" }, `${i + 1}. ${step.effect.replaceAll("_", " ")}${step.scope && step.scope !== "all" ? ` (${step.scope})` : ""}`),
-        el("td", {}, el("span", { class: `chip ${step.action === "add" ? "good" : "warn"}` }, step.forced ? "added by force" : step.action === "add" ? "added" : "refused"), " ", el("span", { class: "small soft wide-only" }, step.action === "add" ? step.words : step.reason)),
+        el("td", {}, el("span", { class: `chip ${step.action === "add" ? "good" : "warn"}` }, step.forced ? "added by force" : step.action === "add" ? "added" : step.action), " ", el("span", { class: "small soft wide-only" }, step.action === "add" ? step.words : step.reason)),
         el("td", { class: "number" }, number(step.mae_before_kwh, 4)),
         el("td", { class: "number" }, number(step.mae_after_kwh, 4)),
         el("td", { class: "number" }, `${signed(step.change_kwh?.value, 4)}${step.change_kwh?.ci95 ? ` ± ${number(step.change_kwh.ci95, 4)}` : ""}`))))));

@@ -117,7 +117,7 @@ export function coefficients(host, models) {
 export function drawStep(host, record, { actions, live }) {
   const { trial } = record;
   const helps = record.accepted;
-  const title = helps ? `${trial.effect} was added` : record.added ? `${trial.effect} was added by force` : `${trial.effect} was refused`;
+  const title = helps ? `${trial.effect} was added` : record.added ? `${trial.effect} was added by force` : trial.outcome === "undecided" ? `${trial.effect} is undecided` : `${trial.effect} was refused`;
   const stairs = el("div", {});
   const values = el("div", {});
   const fall = -100 * (trial.of_effect?.fall ?? 0);

@@ -116,9 +116,9 @@ def test_history_is_plain_json_and_survives_model_file(model, added, tmp_path):
 def test_decoy_is_refused_and_attempt_is_logged(cold, added):
     result = tried(cold, added.model, "headwind")
     assert not result.trial["accepted"]
-    assert "chance" in result.trial["reason"]
+    assert "not worth a term" in result.trial["reason"]
     kept = log_attempt(added.model, result.trial)
-    assert kept.history[-1]["action"] == "refused"
+    assert kept.history[-1]["action"] == result.trial["outcome"] != "add"
     assert kept.terms == added.model.terms
     assert kept.version == added.model.version
     assert decode_model(encode_model(kept)) == kept
