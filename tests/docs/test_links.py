@@ -1,5 +1,7 @@
 """Links and anchors of the documentation resolve."""
 
+import re
+
 import pytest
 
 from tests.support.pages import PAGES, anchors, links, name_of
@@ -26,5 +28,8 @@ def test_every_page_of_the_site_is_linked_from_another():
     assert {name_of(page) for page in site - linked - copies} == set()
 
 
-def test_lock_file_contains_no_address():
-    assert "://" not in (ROOT / "requirements.lock").read_text(encoding="utf-8")
+@pytest.mark.parametrize("lock", sorted(ROOT.glob("requirements*.lock")), ids=lambda path: path.stem)
+def test_lock_file_contains_hashes_and_no_address(lock):
+    pins = re.split(r"^(?=[a-z0-9])", lock.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+    assert pins
+    assert all("==" in pin and "--hash=sha256:" in pin and "://" not in pin for pin in pins)

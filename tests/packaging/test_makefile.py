@@ -16,7 +16,14 @@ VERSION = f"python{sys.version_info.major}.{sys.version_info.minor}"
 @pytest.fixture
 def install(tmp_path):
     """Return a function that installs a copy of the tree as the Makefile does, in an environment of its own."""
-    for name in ("Makefile", "README.md", "pyproject.toml", "requirements.lock"):
+    for name in (
+        "Makefile",
+        "README.md",
+        "pyproject.toml",
+        "requirements.lock",
+        "requirements-dev.lock",
+        "requirements-uv.lock",
+    ):
         shutil.copy(ROOT / name, tmp_path)
     for name in ("core", "recordings", "socast", "stream", "tools"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -53,7 +60,8 @@ def make(tmp_path, path, *arguments):
     """Run make with a PATH of our own and return what it printed."""
     shutil.copy(ROOT / "Makefile", tmp_path)
     (tmp_path / "pyproject.toml").touch()
-    (tmp_path / "requirements.lock").touch()
+    for name in ("requirements.lock", "requirements-dev.lock", "requirements-uv.lock"):
+        (tmp_path / name).touch()
     command = [shutil.which("make"), "--dry-run", ".venv/installed", *arguments]
     return subprocess.run(
         command, cwd=tmp_path, capture_output=True, text=True, check=False, env={"PATH": f"{path}:/usr/bin:/bin"}

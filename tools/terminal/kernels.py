@@ -3,10 +3,15 @@
 The kernels are compiled by running a few made-up messages through every step. The cache beside the sources keeps them,
 so that a later start loads them in a fraction of a second. `make` runs this module after the installation; without
 that, the first command that needs the kernels compiles them.
+
+The kernel of the cleaning takes half of the time. With two processors or more, another process compiles it, and this
+one first compiles what does not need its result.
 """
 
 import argparse
 import logging
+import os
+import subprocess
 import sys
 import tempfile
 import time
@@ -20,7 +25,10 @@ from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 
-from socast.core.batch import Lanes
+from socast.core.batch import NO_RIDE, Batch, Lanes
+from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.elevation_smoother import smooth_elevation
+from socast.core.cleaning.kernel import Cleaner
 from socast.core.cleaning.silences import FleetSilences, select_inputs
 from socast.core.models import EXTENDED_PHYSICAL, Model
 from socast.core.models.trees import Trees
@@ -117,8 +125,44 @@ def list_kernels() -> set[Dispatcher]:
     return {each for each in found if isinstance(getattr(each, "_cache", None), FunctionCache)}
 
 
-def _run_kernels(model: Model, *shadows: Model) -> None:
-    """Run a few made-up messages through every step that has a kernel."""
+def compile_in_parallel() -> int:
+    """Compile all kernels, those of the cleaning in a process of its own; return the number of the others.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        The other process failed.
+    """
+    command = [sys.executable, "-m", __spec__.name if __name__ == "__main__" else __name__, "--cleaning"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as other:  # noqa: S603 - this module itself
+        _run_independent_kernels()
+        if status := other.wait():
+            raise subprocess.CalledProcessError(status, command)
+    return compile_kernels()
+
+
+def _run_cleaning() -> None:
+    """Clean two made-up rows."""
+    ones = np.ones(2)
+    columns = dict.fromkeys(Batch._fields, ones) | {"lane": np.zeros(2, np.int64), "ride": np.full(2, NO_RIDE)}
+    Cleaner(Settings()).clean(Batch(**columns), 1)
+
+
+def _run_independent_kernels() -> None:
+    """Run the kernels that need no cleaned rows but made-up ones, the longest first."""
+    columns = dict(zip(Clean._fields, np.ones((len(Clean._fields), 4)), strict=True))
+    whole = {name: np.zeros(4, np.int64) for name in ("lane", "ride", "window", "quality")}
+    smooth_elevation(Clean(**(columns | whole | {"due": np.zeros(4, np.bool_)})))  # type: ignore[arg-type]
+    lanes = Lanes()
+    batch, _ = Decoder(lanes).decode(_make_messages())
+    FleetSilences(Settings()).find(select_inputs(batch), batch.lane, len(lanes), np.full(batch.size, np.nan))
+    leaf = {"roots": (0,), "feature": (-1,), "threshold": (0.0,), "value": (0.0,)}
+    Trees(features=(), baseline=0.0, left=(0,), right=(0,), missing_left=(0,), **leaf).predict({})  # type: ignore[arg-type]
+    _record_and_read(_make_messages())
+
+
+def _make_messages() -> list[Message]:
+    """Return a few made-up messages."""
     first = Weather("compile", START - 60.0, 45.5, -73.6, temperature_c=5.0)
     samples = [
         Telemetry(
@@ -134,12 +178,17 @@ def _run_kernels(model: Model, *shadows: Model) -> None:
         )
         for i in range(100)
     ]
-    messages = [
+    return [
         Message("weather/compile", encode(first), 0),
         *(Message("fleet/compile/telemetry", encode(sample), 0) for sample in samples),
         Message("fleet/compile/batch", write_rows(pa.table({"vehicle_id": ["compile"], "time_s": [START]})), 0),
         Message("fleet/compile/telemetry", b"{", 0),  # refused messages have a kernel, too
     ]
+
+
+def _run_kernels(model: Model, *shadows: Model) -> None:
+    """Run a few made-up messages through every step that has a kernel."""
+    messages = _make_messages()
     live = Pipeline(model, shadows=shadows, limits=Limits(key_rate=1000.0))
     read = _record_and_read(messages)
     for part in (read[:1], read[1:]):  # the batch in the other part is hashed in another way
@@ -148,11 +197,7 @@ def _run_kernels(model: Model, *shadows: Model) -> None:
     tables = Pipeline(keep_forecasts=False, two_sided=True)
     tables.push(messages)
     tables.finish()
-    lanes = Lanes()
-    batch, _ = Decoder(lanes).decode(messages)
-    FleetSilences(Settings()).find(select_inputs(batch), batch.lane, len(lanes), np.full(batch.size, np.nan))
-    leaf = {"roots": (0,), "feature": (-1,), "threshold": (0.0,), "value": (0.0,)}
-    Trees(features=(), baseline=0.0, left=(0,), right=(0,), missing_left=(0,), **leaf).predict({})  # type: ignore[arg-type]
+    _run_independent_kernels()
 
 
 def _record_and_read(messages: Sequence[Message]) -> MessageBlock:
@@ -170,14 +215,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Command line; it takes `--help` only. By default that of the process.
+        Command line. By default that of the process.
     """
     about = "Compile the kernels and keep them in the cache, so that later starts need no compilation."
-    argparse.ArgumentParser(prog="python -m socast.tools.terminal.kernels", description=about).parse_args(arguments)
+    parser = argparse.ArgumentParser(prog="python -m socast.tools.terminal.kernels", description=about)
+    parser.add_argument("--cleaning", action="store_true", help="compile only the kernel of the cleaning")
+    if parser.parse_args(arguments).cleaning:
+        _run_cleaning()
+        return
     log_lines()
     begun = time.monotonic()
-    count = compile_kernels()
-    _log.info("%d kernels compiled in %.1f s", count, time.monotonic() - begun)
+    _log.info("compiling kernels, once after installation")
+    if len(os.sched_getaffinity(0)) > 1:
+        compile_in_parallel()
+    else:
+        compile_kernels()
+    _log.info("%d kernels compiled in %.1f s", len(list_kernels()), time.monotonic() - begun)
 
 
 if __name__ == "__main__":

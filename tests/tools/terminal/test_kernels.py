@@ -61,6 +61,18 @@ def test_list_of_kernels_holds_all_that_the_sources_define(found):
     assert found["listed"] == +defined
 
 
+def test_part_of_another_process_compiles_what_the_whole_needs():
+    code = "from socast.tools.terminal.kernels import _run_cleaning; _run_cleaning()"
+    again = (
+        "from socast.core.cleaning.kernel import clean_rows; from socast.tools.terminal.kernels import _run_kernels;"
+        "from socast.core.models import EXTENDED_PHYSICAL; _run_kernels(EXTENDED_PHYSICAL);"
+        "print(sum(clean_rows.stats.cache_misses.values()))"
+    )
+    for each in (code, again):
+        done = subprocess.run([sys.executable, "-c", each], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == "0\n"
+
+
 def test_kernels_in_the_cache_are_not_reported():
     compile_kernels()
     assert compile_kernels(EXTENDED_PHYSICAL, report=lambda *_: 1 / 0) == 0
@@ -78,7 +90,7 @@ def test_progress_counts_kernels_from_the_first_to_the_last_but_not_their_parts(
 
 
 def test_make_compiles_the_kernels_after_the_installation():
-    rule = (ROOT / "Makefile").read_text(encoding="utf-8").partition("$(INSTALLED):")[2].partition("demo:")[0]
+    rule = (ROOT / "Makefile").read_text(encoding="utf-8").partition("$(RUNS):")[2].partition("$(INSTALLED):")[0]
     assert "-m socast.tools.terminal.kernels\n\ttouch $@" in rule
 
 
