@@ -241,16 +241,14 @@ class Accumulator:
         """
         if len(self._open) < lanes:
             self._open = grown(self._open, lanes, self._empty(1)[0])
-        n = len(clean.lane)
-        most = n + len(ends)
+        n, most = len(clean.lane), len(clean.lane) + len(ends)
         columns = clean._asdict() | {"kind": kind.astype(np.float64)}
         edges = np.stack([columns[name] for name in EDGES])
         speed_bin = np.minimum(clean.speed / SPEED_BIN, SPEED_BINS - 1.0).astype(np.int64)
-        size = _OUT_HEAD + self._layout.size
         if len(self._closed[0]) < most:
-            self._closed = np.empty((3, most, size))
+            self._closed = np.empty((3, most, self._closed.shape[2]))
         rides, idle, windows = self._closed
-        running = np.empty((int(clean.due.sum()), size))
+        running = np.empty((int(clean.due.sum()), self._closed.shape[2]))
         n_rides, n_idle, n_windows = add_rows(
             np.arange(n) if place is None else place,
             ends,
@@ -277,13 +275,16 @@ class Accumulator:
         )
 
     def close(self) -> Sums:
-        """Close every open ride, idle period and window; return their totals."""
+        """Close every open ride, idle period and window; return their totals. The newest values of each lane remain."""
         riding = self._open[:, OPEN_RIDE] >= 0
         lanes = np.flatnonzero(riding)
         rides, windows = self.running(lanes), self._read(self._output_rows(lanes), window=True)
         duration = self._open[:, self._layout.ride_amounts + DURATION]
         idle = self.running(np.flatnonzero(~riding & (duration > 0.0)))
-        self._open = self._empty(len(self._open))
+        ended, newest = self._open, slice(self._layout.last, self._layout.quality)
+        self._open = self._empty(len(ended))
+        self._open[:, newest] = ended[:, newest]
+        self._open[:, self._layout.last + CODE] = NO_RIDE
         return Sums(rides, idle, windows, self.none())
 
     def keep(self, lanes: Ints) -> None:
@@ -316,8 +317,7 @@ class Accumulator:
     def _output_rows(self, lanes: Ints) -> Floats:
         """Return output rows of the open totals of some lanes, without a row of the batch."""
         rows = np.empty((len(lanes), _OUT_HEAD + self._layout.size))
-        rows[:, OUT_AT] = -1.0
-        rows[:, OUT_LANE] = lanes
+        rows[:, OUT_AT], rows[:, OUT_LANE] = -1.0, lanes
         rows[:, _OUT_HEAD:] = self._open[lanes]
         return rows
 

@@ -51,6 +51,16 @@ def test_status_holds_the_newest_values_of_every_vehicle_with_samples():
     assert set(status.quality) == {"repaired_time", "rejected_speed", "duplicate", "gap", "out_of_range"}
 
 
+def test_status_keeps_the_newest_values_after_the_end_of_the_stream():
+    pipeline = Pipeline()
+    pipeline.push([leaf("a"), *telemetry(full(), "a")])
+    (before,) = pipeline.status()
+    pipeline.finish()
+    (after,) = pipeline.status()
+    assert (after.time_s, after.soc_pct) == (before.time_s, before.soc_pct)
+    assert (after.ride_id, after.ride_distance_km, sum(after.quality.values())) == (None, 0.0, 0)
+
+
 def test_car_of_unknown_model_is_measured_and_its_missing_prediction_counted():
     pipeline, _ = ran([make_message("vehicle", model="horse"), *telemetry(full())])
     ride = pipeline.take_rides().iloc[0]
