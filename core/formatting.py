@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
 from math import floor, isfinite, log10
 from types import MappingProxyType
 from typing import Final
@@ -70,6 +71,17 @@ def rounded(value: float, half: float | None = None) -> str:
         return _to(value, 2, abs(value))
     digits = 1 if half / 10.0 ** floor(log10(half)) >= 1.95 else 2
     return f"{_to(value, digits, half)} ± {_to(half, digits, half)}"
+
+
+def format_time(time: float, timespec: str = "seconds") -> str:
+    """Return a Unix time as ISO 8601 in UTC, for logs and files.
+
+    Examples
+    --------
+    >>> format_time(1.7e9), format_time(1.7e9 + 0.25, "milliseconds")
+    ('2023-11-14T22:13:20Z', '2023-11-14T22:13:20.250Z')
+    """
+    return datetime.fromtimestamp(time, UTC).isoformat(timespec=timespec).replace("+00:00", "Z")
 
 
 def format_minus(text: str) -> str:

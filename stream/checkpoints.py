@@ -3,12 +3,12 @@
 import logging
 import time
 from collections.abc import Callable
-from datetime import UTC, datetime
 from typing import Any, Final, Protocol
 
 import msgspec
 
 from socast.core.errors import SettingsError, SocastError
+from socast.core.formatting import format_time
 from socast.core.wire.messages import Message
 from socast.stream.loop import Forecaster, Tally
 from socast.stream.recorder import Place, Recorder
@@ -132,7 +132,7 @@ class Checkpoints:
         if not file.failure or file.loaded is None:
             _log.info("restored", extra=event_fields(**fields))
             return
-        saved = datetime.fromtimestamp(file.loaded.stat().st_mtime, UTC).isoformat(timespec="seconds")
+        saved = format_time(file.loaded.stat().st_mtime)
         fields |= {"saved": saved, "reason": file.failure}
         if self._recorder is None:
             fields["lost"] = "what came after this state, because --record is not given"

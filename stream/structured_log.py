@@ -4,10 +4,13 @@ import json
 import logging
 import sys
 from collections.abc import Mapping
-from datetime import UTC, datetime
-from math import isfinite
-from typing import Any, TextIO
+from math import floor, isfinite, log10
+from typing import Any, Final, TextIO
 
+from socast.core.formatting import format_time
+
+DIGITS: Final = 4
+"""Significant digits of a number in the log; its whole part is never cut."""
 _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.:/+-")
 
 
@@ -42,7 +45,7 @@ def flatten_counts(counts: Mapping[str, Any], prefix: str = "") -> dict[str, Any
 
     Examples
     --------
-     flat({"received": {"telemetry": 3, "ride": 0}, "vehicles": 1})
+    >>> flatten_counts({"received": {"telemetry": 3, "ride": 0}, "vehicles": 1})
     {'received.telemetry': 3, 'vehicles': 1}
     """
     out: dict[str, Any] = {}
@@ -55,7 +58,7 @@ def flatten_counts(counts: Mapping[str, Any], prefix: str = "") -> dict[str, Any
 
 
 class LineFormatter(logging.Formatter):
-    """Format a log record as one line.
+    """Format a log record as one line, with numbers rounded to `DIGITS` significant digits.
 
     Parameters
     ----------
@@ -70,13 +73,13 @@ class LineFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line: time, level, logger and event, then the fields of the event."""
-        moment = datetime.fromtimestamp(record.created, UTC)
+        fields: Mapping[str, Any] = getattr(record, "fields", {})
         line = {
-            "time": moment.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            "time": format_time(record.created, "milliseconds"),
             "level": record.levelname.lower(),
             "logger": record.name,
             "event": record.getMessage(),
-            **getattr(record, "fields", {}),
+            **{name: _round(value) for name, value in fields.items()},
         }
         if record.exc_info and record.exc_info[1] is not None:
             line["error"] = repr(record.exc_info[1])
@@ -121,6 +124,19 @@ def log_lines(*, as_json: bool = False, to: TextIO | None = None, level: int = l
 def _is_unknown(value: Any) -> bool:
     """Return whether a value is a number that JSON cannot represent."""
     return isinstance(value, float) and not isfinite(value)
+
+
+def _round(value: Any) -> Any:
+    """Return a number with `DIGITS` significant digits, or more where its whole part has more; other values as given.
+
+    Examples
+    --------
+    >>> _round(0.1234567), _round(12.34567), _round(123456.7), _round(1e-9), _round(7), _round("x")
+    (0.1235, 12.35, 123457.0, 1e-09, 7, 'x')
+    """
+    if not isinstance(value, float) or not isfinite(value) or value == 0.0:
+        return value
+    return round(value, max(0, DIGITS - 1 - floor(log10(abs(value)))))
 
 
 def _quote(value: Any) -> str:

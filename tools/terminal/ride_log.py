@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+from socast.core.formatting import format_time
 from socast.core.pipeline import Pipeline
 from socast.stream.structured_log import event_fields, flatten_counts
 from socast.tools.terminal.live_table import add_predictions, make_ride_records
@@ -51,8 +52,9 @@ class RideLog:
         pipeline.take_windows()
         for ride in make_ride_records(add_predictions(pipeline.take_rides(), pipeline.shadows)):
             shadows = flatten_counts({"shadows_kwh": ride.pop("shadows_kwh", {})})
+            start = format_time(ride.pop("start_s"))
             known = {name: value for name, value in ride.items() if value is not None}
-            _log.info("ride", extra=event_fields(**known, **shadows))
+            _log.info("ride", extra=event_fields(start=start, **known, **shadows))
         before, self._verdicts = self._verdicts, self._current_verdicts()
         for errors in pipeline.shadows.errors():
             if before[errors.model] != self._verdicts[errors.model]:
