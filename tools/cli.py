@@ -62,7 +62,7 @@ COMMANDS: Final = {
         "socast.tools.commands.elevation", "app", "Learn a map of elevation from the fixes of a fleet."
     ),
     "tables": Command("socast.tools.commands.tables", "tables", "Make ride and window tables from recordings."),
-    "fit": Command("socast.tools.commands.fit", "fit", "Fit a model to ride tables."),
+    "fit": Command("socast.tools.commands.fit", "fit", "Fit a model to rides."),
     "evaluate": Command(
         "socast.tools.commands.evaluate", "evaluate_tables", "Evaluate models on held-out rides of tables."
     ),

@@ -1,6 +1,7 @@
 """`socast fit`: fit a model to ride tables, write it to a file and print its coefficients."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from math import sqrt
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -11,7 +12,7 @@ from msgspec import UNSET
 from rich.console import Console
 from scipy.special import stdtrit
 
-from socast.core import models
+from socast.core import effects, models
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.errors import SettingsError, suggest_names
 from socast.core.fit.pooled import adapt
@@ -22,12 +23,14 @@ from socast.core.formatting import format_minus
 from socast.core.models import ANY, LinearModel, Term
 from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible, get_plausible_ranges, is_within, list_implausible
+from socast.core.settings import Settings
 from socast.core.vehicles import AccessoryCurve
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.workers import open_workers
-from socast.tools.commands.tables import RIDES, WINDOWS
+from socast.tools.commands.tables import RIDES, WINDOWS, make_table_folder, tables_by_workers
+from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
+from socast.tools.terminal.output import EffectFiles, JsonFile, VehicleFiles, check_outputs, make_console, write_json
 from socast.tools.terminal.recordings import refuse_duplicates
 from socast.tools.terminal.rich_table import Column, make_table
 from socast.tools.terminal.table_files import PARQUET, is_table, is_window_table, read
@@ -55,8 +58,9 @@ LEVELS = ("heating", "standby", "cooling")
 
 
 @insert_cluster_options
+@insert_cleaning_options
 def fit(
-    tables: Tables,
+    rides: Rides,
     *,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="MODEL.json", help="The model file to write.")],
     recipe_name: Annotated[
@@ -76,11 +80,13 @@ def fit(
             help="Adapt this pooled model to the rides instead, such as those of a new car.",
         ),
     ] = None,
+    effects_file: EffectFiles = None,
+    vehicles: VehicleFiles = None,
+    settings: Settings,
     place: ClusterPlace | None,
     json_file: JsonFile = None,
-    _: VehicleFiles = None,
 ) -> None:
-    """Fit a model to ride tables: one fit for each vehicle model, and one over all rides for any other.
+    """Fit a model to rides: one fit for each vehicle model, and one over all rides for any other.
 
     Rides that are unfit for training are left out, and the output counts them by reason.
 
@@ -88,6 +94,7 @@ def fit(
     --------
     socast tables recordings/shift.mcap --out tables
     socast fit tables --recipe fitted_physical --out fitted.json
+    socast fit recordings/shift.mcap --recipe road_load --out base.json
     socast fit new-car --adapt pooled.json --out adapted.json
     socast fit by-workers --recipe hybrid --out hybrid.json --cluster local:2
     """
@@ -100,18 +107,41 @@ def fit(
         raise SettingsError(f"recipe {recipe_name!r} is unknown: {suggest_names(recipe_name, RECIPES)}")
     base = None if adapt_to is None else models.load(adapt_to)
     chosen = get_recipe(recipe_name or (base.recipe if base else ""))
-    files = ride_files(tables)
-    check_outputs(files, out, json_file)
+    refuse_cleaning_of_tables(inputs(rides), settings)
+    check_outputs([*inputs(rides), *(effects_file or ()), *(vehicles or ())], out, json_file)
     if place is not None:
-        model = _fit_by_workers(chosen, files, out, place, adapted=base is not None)
-    else:
-        model = _fitted(chosen, files) if base is None else adapt(base, RideParquet(tuple(files)).table())
+        _refuse_undivided(chosen, adapted=base is not None)
+    with _open_rides(rides, settings, place, effects_file or (), vehicles or ()) as files:
+        if place is not None and isinstance(chosen, LinearRecipe):
+            model = _fit_by_workers(chosen, files, out, place)
+        else:
+            model = _fitted(chosen, files) if base is None else adapt(base, RideParquet(tuple(files)).table())
     models.save(model, out)
     write_json(json_file, "fit", summary(model, chosen.title))
     console = make_console(json_file)
     show(model, chosen.title, console)
     message = f"{out}: {chosen.title}, version {model.version}; forecast with --model {out}"
     console.print(message, markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def _open_rides(
+    given: Sequence[Path],
+    settings: Settings,
+    place: ClusterPlace | None,
+    effect_files: Sequence[Path],
+    vehicle_files: Sequence[Path],
+) -> Iterator[list[Path]]:
+    """Yield files of rides; of recordings they are made first, in a temporary folder."""
+    files, wanted = inputs(given), effects.list_tabulated()
+    if files[0].suffix != RECORDING:
+        yield files
+    elif place is not None:
+        with tables_by_workers(files, place, wanted, effect_files, vehicle_files, settings) as folders:
+            yield ride_files(folders)
+    else:
+        with make_table_folder(files, wanted, settings) as folder:
+            yield [folder / RIDES]
 
 
 def ride_files(tables: Sequence[Path]) -> list[Path]:
@@ -203,14 +233,16 @@ def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
     return chosen.fit(RideParquet(tuple(files)).table())
 
 
-def _fit_by_workers(
-    chosen: Recipe, files: Sequence[Path], out: Path, place: ClusterPlace, *, adapted: bool
-) -> LinearModel:
-    """Return the fitted model; workers sum the blocks of rides."""
+def _refuse_undivided(chosen: Recipe, *, adapted: bool) -> None:
+    """Refuse fits that workers cannot divide."""
     if adapted or not isinstance(chosen, LinearRecipe):
         divided = ", ".join(name for name, recipe in RECIPES.items() if isinstance(recipe, LinearRecipe))
         what = "--adapt needs" if adapted else f"recipe {chosen.name} needs"
         raise SettingsError(f"{what} all rides at once; leave out --cluster, which divides the fits of {divided}")
+
+
+def _fit_by_workers(chosen: LinearRecipe, files: Sequence[Path], out: Path, place: ClusterPlace) -> LinearModel:
+    """Return the fitted model; workers sum the blocks of rides."""
     with open_workers(place, out.resolve().parent, "fit") as workers:
         return chosen.fit_parquet(*(file.resolve() for file in files), run=workers.run)
 

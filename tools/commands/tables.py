@@ -74,7 +74,7 @@ def tables(
     Examples
     --------
     socast tables recordings/shift.mcap --out tables
-    socast tables kept/*.mcap --out tables --effects my_effects.py --period-s 1
+    socast tables kept/*.mcap --out tables --effects my_effects.py --period 1
     socast tables kept/*.mcap --out tables --cluster local:2
     """
     wanted, elevation_map = effects.list_tabulated(), open_elevation(elevation or ())
@@ -100,19 +100,29 @@ def tables(
         loaded, settings, also=wanted, keep_forecasts=False, two_sided=True, elevation_map=elevation_map
     )
     check_outputs(read, folder / RIDES, folder / WINDOWS, folder / QUALITY, json_file)
-    rides, windows = ParquetTable(folder / RIDES), ParquetTable(folder / WINDOWS)
     kept: list[pd.DataFrame] = []
+    rows = _write_tables(sources, pipeline, folder, kept.append if json_file else lambda _: None)
+    ended = pd.concat(kept) if json_file else pd.DataFrame()
+    _finish(sources, pipeline.quality(), *rows, folder, json_file, ended)
+
+
+def _write_tables(
+    sources: Sequence[McapSource],
+    pipeline: Pipeline,
+    folder: Path,
+    also: Callable[[pd.DataFrame], None] = lambda _: None,
+) -> tuple[int, int]:
+    """Write the tables of recordings into a folder, pass ended rides on, and return the numbers of rows."""
+    rides, windows = ParquetTable(folder / RIDES), ParquetTable(folder / WINDOWS)
 
     def write(ended: pd.DataFrame, parts: pd.DataFrame) -> None:
         rides.append(ended)
         windows.append(parts)
-        if json_file:
-            kept.append(ended)
+        also(ended)
 
     with rides, windows:
         tabulate(sources, pipeline, write)
-    ended = pd.concat(kept) if json_file else pd.DataFrame()
-    _finish(sources, pipeline.quality(), rides.rows, windows.rows, folder, json_file, ended)
+    return rides.rows, windows.rows
 
 
 def _finish(
@@ -218,6 +228,27 @@ def in_memory(
     warn_of_losses(sources)
     rides, windows = (pd.concat(tables, ignore_index=True) for tables in zip(*parts, strict=True))
     return rides, windows
+
+
+@contextmanager
+def make_table_folder(recordings: Sequence[Path], wanted: Sequence[str], settings: Settings) -> Iterator[Path]:
+    """Yield a temporary folder with the tables of recordings, whose memory does not grow with their length.
+
+    Parameters
+    ----------
+    recordings : sequence of Path
+        The recordings.
+    wanted : sequence of str
+        Names of the effects that the tables contain in addition to the default ones.
+    settings : Settings
+        Settings of cleaning.
+    """
+    pipeline = Pipeline(settings=settings, also=wanted, keep_forecasts=False, two_sided=True)
+    sources = open_recordings(recordings)
+    with TemporaryDirectory(prefix="tables-") as folder:
+        _write_tables(sources, pipeline, Path(folder))
+        warn_of_losses(sources)
+        yield Path(folder)
 
 
 @contextmanager

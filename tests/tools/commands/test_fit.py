@@ -61,6 +61,20 @@ def test_every_recipe_of_paper_is_fitted_and_predicts(name, folder, table, tmp_p
         assert key in printed or key == ANY
 
 
+def test_fit_takes_a_recording_and_cleans_it_as_tables_does(tmp_path):
+    recording, cleaning = tmp_path / "shift.mcap", ("--least-distance-km", 0.1)
+    with McapSink(recording) as sink:
+        sink.put(shift())
+    done("tables", recording, "--out", tmp_path / "tables", *cleaning)
+    by_tables = fitted(tmp_path / "tables", "basic_rescaled", tmp_path / "by_tables.json")
+    assert fitted(recording, "basic_rescaled", tmp_path / "by_recording.json", *cleaning) == by_tables
+
+
+def test_cleaning_of_tables_is_refused_by_fit(folder, tmp_path, capsys):
+    message = refused(capsys, "fit", folder, "--recipe", "road_load", "-o", tmp_path / "m.json", "--period", 1)
+    assert "--period 1 cleans recordings" in message
+
+
 def test_fitted_coefficients_are_shown_with_units_and_intervals(folder, tmp_path, capsys):
     model = fitted(folder, "fitted_physical", tmp_path / "model.json", "--json", tmp_path / "result.json")
     printed = capsys.readouterr().out
