@@ -119,7 +119,7 @@ def test_figure_shows_the_falling_error_of_the_tutorial(shell):
 def test_other_effect_is_refused_as_the_tutorial_says(shell, monkeypatch, capsys):
     monkeypatch.chdir(shell.folder)
     assert "Try `cornering`" in " ".join(read(TUTORIAL).split())
-    message = refused(capsys, *["add", "cornering", "--model", "base.json", "--data", "autumn", "-o", "worse.json"])
+    message = refused(capsys, *["add", "cornering", "autumn", "--model", "base.json", "-o", "worse.json"])
     assert "cornering is not added" in message
     assert [step["action"] for step in models.load(str(shell.folder / "worse.json")).history] == ["fit", "refused"]
 

@@ -168,7 +168,7 @@ def made(folder: Path) -> Record:
         report = folder / "report.json"
         run(*command, "--json", report)
         record[name] = of_json(json.loads(report.read_text()), folder=folder)
-    run("add", "headwind", "--model", base, "--data", autumn, "-o", folder / "better.json")
+    run("add", "headwind", autumn, "--model", base, "-o", folder / "better.json")
     record["autumn: added"] = of_json(json.loads((folder / "better.json").read_text()))
     return record
 

@@ -180,7 +180,7 @@ def test_version_option_prints_version():
         ("ask taxi-7 --distance-km abc", "--distance-km is 'abc', must be a valid number; `socast ask --help`"),
         ("evaluate . --seed 1.5", "--seed is '1.5', must be a valid integer; `socast evaluate --help`"),
         ("live --smoothing -1", "--smoothing is '-1', must be greater than or equal to 0; `socast live --help`"),
-        ("live --period-s nan", "--period-s is 'nan', must be"),
+        ("live --period nan", "--period is 'nan', must be"),
     ],
 )
 def test_invalid_call_gives_one_line_with_mistake_and_pointer_to_help(call, message, capsys):
@@ -238,7 +238,7 @@ def test_impossible_request_is_refused_in_one_line(arguments, message, recording
     assert recording.read_bytes() == kept
 
 
-CLEANING = ["--speed-limit-kmh", "--period-s", "--smoothing", "--least-distance-km"]
+CLEANING = ["--speed-limit-kmh", "--period", "--smoothing", "--least-distance-km"]
 
 
 @pytest.mark.parametrize("option", CLEANING)

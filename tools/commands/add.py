@@ -18,7 +18,7 @@ from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise
 from socast.core.models import LinearModel
 from socast.core.settings import Settings
 from socast.tools.commands.diagnose import LeastGain, read_files, read_tables
-from socast.tools.commands.fit import inputs
+from socast.tools.commands.fit import Rides, inputs
 from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables
 from socast.tools.terminal.output import (
     EffectFiles,
@@ -34,9 +34,9 @@ from socast.tools.terminal.output import (
 @insert_cleaning_options
 def add_effect(
     effect: Annotated[str, typer.Argument(metavar="EFFECT", help="Effect of `socast effects list`, or a variant.")],
+    rides: Rides,
     *,
     model: Annotated[str, typer.Option("--model", metavar="M", help="Model name or file; the file is not changed.")],
-    data: Annotated[list[Path], typer.Option("--data", metavar="TABLES|REC", help="Rides to fit to; may be repeated.")],
     out: Annotated[
         Path,
         typer.Option(
@@ -65,13 +65,13 @@ def add_effect(
     """Add an effect to a model, refit it, and compare the errors on held-out days and vehicles."""
     from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
 
-    refuse_cleaning_of_tables(inputs(data), settings)
+    refuse_cleaning_of_tables(inputs(rides), settings)
     base = models.load(model)
     build_term_columns(effect, scope or ())  # refuses a wrong scope before the rides are read
     check_outputs(
-        [*read_files(data), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())], out, json_file
+        [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())], out, json_file
     )
-    added = try_effect(base, effect, scope or (), *read_tables(data, base, settings), least=least_gain)
+    added = try_effect(base, effect, scope or (), *read_tables(rides, base, settings), least=least_gain)
     write_json(json_file, "add", added.trial)
     console = make_console(json_file)
     history.print_trial(added.trial, console)

@@ -290,9 +290,7 @@ def insert_commands(
     deviations = [entry for entry in result.get("deviations") or () if entry["columns"]]
     for entry in [*(result.get("missing") or ()), *deviations]:
         name, scopes = parse_term(entry)
-        words = ["socast", "add", name, "--model", model]
-        words += [word for path in data for word in ("--data", str(path))]
-        words += own
+        words = ["socast", "add", name, *map(str, data), "--model", model, *own]
         words += [word for scope in scopes for word in ("--scope", scope)]
         file = f"{stem}-{name.partition('@')[0]}.json"
         entry["command"] = shlex.join([*words, "-o", file])

@@ -37,7 +37,7 @@ SpeedLimit = Annotated[
     ),
 ]
 Period = Annotated[
-    float, typer.Option("--period-s", metavar="S", help="Nominal time between two samples.", **_limits("period"))
+    float, typer.Option("--period", metavar="S", help="Nominal time between two samples.", **_limits("period"))
 ]
 Smoothing = Annotated[
     int,
@@ -61,7 +61,7 @@ LeastDistance = Annotated[
 
 def make_settings(
     speed_limit_kmh: SpeedLimit = SPEED_LIMIT_KMH,
-    period_s: Period = PERIOD_S,
+    period: Period = PERIOD_S,
     smoothing: Smoothing = SMOOTHING,
     least_distance_km: LeastDistance = LEAST_DISTANCE_KM,
 ) -> Settings:
@@ -71,7 +71,7 @@ def make_settings(
     ----------
     speed_limit_kmh : float
         Speed above which a sample is rejected. [km/h]
-    period_s : float
+    period : float
         Nominal time between two samples. [s]
     smoothing : int
         Number of samples in the moving average of a reported speed; 0 for as many as the noise of each car asks. [1]
@@ -90,7 +90,7 @@ def make_settings(
     5
     """
     return Settings(
-        period=period_s, speed_limit=speed_limit_kmh * KMH, window=smoothing, least_distance=least_distance_km * _KM
+        period=period, speed_limit=speed_limit_kmh * KMH, window=smoothing, least_distance=least_distance_km * _KM
     )
 
 
@@ -109,7 +109,7 @@ def word_settings(settings: Settings) -> list[str]:
     """
     values = {
         "--speed-limit-kmh": (settings.speed_limit / KMH, SPEED_LIMIT_KMH),
-        "--period-s": (settings.period, PERIOD_S),
+        "--period": (settings.period, PERIOD_S),
         "--smoothing": (settings.window, SMOOTHING),
         "--least-distance-km": (settings.least_distance / _KM, LEAST_DISTANCE_KM),
     }

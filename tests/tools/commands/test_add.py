@@ -51,7 +51,7 @@ def here(folder, tmp_path) -> Path:
 
 
 def adding(here: Path, effect: str, *more: object) -> tuple[object, ...]:
-    return "add", effect, "--model", here / "base.json", "--data", here / "tables", "-o", here / "m2.json", *more
+    return "add", effect, here / "tables", "--model", here / "base.json", "-o", here / "m2.json", *more
 
 
 def test_command_of_diagnosis_adds_effect(here, capsys):
@@ -106,13 +106,13 @@ def test_refused_effect_leaves_input_model_unchanged_and_writes_attempt_to_outpu
 
 
 def test_refused_attempt_of_built_in_model_is_written_to_output(here, capsys):
-    refused(capsys, "add", "headwind", "--model", "basic_physical", "--data", here / "tables", "-o", here / "m2.json")
+    refused(capsys, "add", "headwind", here / "tables", "--model", "basic_physical", "-o", here / "m2.json")
     assert models.load(here / "m2.json").history[-1]["action"] == "refused"
 
 
 def test_force_adds_effect_that_does_not_help_after_its_refusal_in_the_history(refusal, tmp_path, capsys):
     here, _ = refusal
-    again = ("add", "headwind", "--model", here / "m2.json", "--data", here / "tables", "-o", tmp_path / "m3.json")
+    again = ("add", "headwind", here / "tables", "--model", here / "m2.json", "-o", tmp_path / "m3.json")
     done(*again, "--force", "--json", tmp_path / "trial.json")
     plausible = json.loads((tmp_path / "trial.json").read_text())["coefficient"]["plausible"]
     assert plausible or "warning" in capsys.readouterr().out
@@ -124,7 +124,7 @@ def test_force_adds_effect_that_does_not_help_after_its_refusal_in_the_history(r
 def test_output_may_not_be_the_input_model(here, capsys):
     before = (here / "base.json").read_bytes()
     base = here / "base.json"
-    message = refused(capsys, "add", "headwind", "--model", base, "--data", here / "tables", "-o", base)
+    message = refused(capsys, "add", "headwind", here / "tables", "--model", base, "-o", base)
     assert f"{base} is read and would be overwritten; name another file to write" in message
     assert base.read_bytes() == before
 
@@ -177,9 +177,7 @@ def test_errors_in_tables_are_one_line(command, name, change, words, here, capsy
     if command == "diagnose":
         message = refused(capsys, "diagnose", tables, "--model", here / "base.json")
     else:
-        message = refused(
-            capsys, "add", "wet_road", "--model", here / "base.json", "--data", tables, "-o", here / "m.json"
-        )
+        message = refused(capsys, "add", "wet_road", tables, "--model", here / "base.json", "-o", here / "m.json")
     assert words in message
 
 

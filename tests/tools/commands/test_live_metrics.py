@@ -41,7 +41,7 @@ def test_service_is_watched_from_its_start_to_its_end(tmp_path, monkeypatch):
     with systemd_socket(tmp_path) as (told, notify), consumers(tmp_path) as start:
         monkeypatch.setenv("NOTIFY_SOCKET", notify)
         monkeypatch.setenv("WATCHDOG_USEC", "400000")
-        options = ("--record", kept, "--state", tmp_path / "fleet.state", "--metrics-per-car", "--period-s", 3)
+        options = ("--record", kept, "--state", tmp_path / "fleet.state", "--metrics-per-car", "--period", 3)
         process, log = start("--listen", endpoint, "--metrics", address, *options)
         assert eventually(lambda: ask_page(address, "/readyz") == (200, "ok\n"))
         started.set()

@@ -174,7 +174,7 @@ def test_next_command_can_be_copied(tmp_path):
     insert_commands(result, "models/base.json", [Path("tables one"), Path("b")], [Path("my.py")])
     command = result["missing"][0]["command"]
     assert command == (
-        "socast add cold_rolling@reference=283.15 --model models/base.json --data 'tables one' --data b "
+        "socast add cold_rolling@reference=283.15 'tables one' b --model models/base.json "
         "--effects my.py -o models/base-cold_rolling.json"
     )
     assert "--scope vehicle=taxi-003" in result["missing"][1]["command"]

@@ -77,7 +77,7 @@ def test_command_line_takes_precedence_over_the_file(tmp_path):
         ("connect = ['tcp/a:1', 7]", "--connect is ['tcp/a:1', 7], must be a list of text in quotes"),
         ("prefix = ['a']", "--prefix is ['a'], must be text in quotes"),
         ("smoothing = 9", "--smoothing is '9', must be less than or equal to 8; `socast live --help`"),
-        ("period-s = nan", "--period-s is 'nan', must be"),
+        ("period = nan", "--period is 'nan', must be"),
         ("flush = 0", "--flush is '0', must be greater than or equal to 0.001"),
         ("record-mb = -1.0", "--record-mb is '-1.0', must be greater than or equal to 0.001"),
         ("record-minutes = inf", "--record-minutes is 'inf', must be less than or equal to 1000000"),

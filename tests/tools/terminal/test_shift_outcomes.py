@@ -150,7 +150,7 @@ def test_replay_after_warm_up_reports_shifts_with_intervals(tmp_path, capsys):
     """The rides are the same; only their energy by charge rests on the capacities that the warm-up has learned."""
     recorded(tmp_path / "before.mcap", range(DAYS))
     recorded(tmp_path / "now.mcap", [DAYS])
-    replay = ("replay", tmp_path / "now.mcap", "--period-s", 15, "--json", tmp_path / "now.json")
+    replay = ("replay", tmp_path / "now.mcap", "--period", 15, "--json", tmp_path / "now.json")
     done(*replay)
     alone = json.loads((tmp_path / "now.json").read_text())
     capsys.readouterr()

@@ -23,8 +23,7 @@ def add_command(
     workspace: Workspace, node: ModelNode, effect: str, scopes: Sequence[str] = (), *, force: bool = False
 ) -> str:
     """Return the command that adds an effect to a model."""
-    words = ["socast", "add", effect, *_models([node])]
-    words += [word for path in _data(workspace) for word in ("--data", path)]
+    words = ["socast", "add", effect, *_data(workspace), *_models([node])]
     words += [word for scope in scopes for word in ("--scope", scope)]
     out = str(Path(node.path).with_name(f"{node.name}-{effect.partition('@')[0]}.json"))
     return shlex.join([*words, *_effects(workspace), *(["--force"] if force else []), "-o", out])
