@@ -101,6 +101,10 @@ COMMANDS: Final = {
 
 HELP_WIDTH: Final = 100
 """Largest width of help texts. [columns]"""
+EXAMPLE_WIDTH: Final = 80
+"""Largest width of an example in a help text, if its options permit. [columns]"""
+MANY_OPTIONS: Final = 15
+"""Number of options above which a help text divides them."""
 COMPLETION: Final = "_SOCAST_COMPLETE"
 """Environment variable with which a shell asks for completions."""
 CLOSED_PIPE: Final = 141
@@ -108,6 +112,8 @@ CLOSED_PIPE: Final = 141
 
 _SETTINGS: Final = "socast.tools.terminal.settings_file"
 """Module of settings files; it is imported only by commands that take one."""
+_PIECE: Final = re.compile(r" (?=--?[a-z]|\| )")
+"""Space in an example at which a line may end: before an option or a pipe."""
 _ARGUMENT: Final = re.compile(r"\{(.+?)(?:\.\.\.)?\}((?:\.\.\.)?)|\[(\[.+\])\]")
 """An argument as typer writes it in a usage line: `{NAME}`, `{NAME}...` or `[[NAME]]`."""
 
@@ -130,14 +136,19 @@ class PlainCommand(TyperCommand):
         return [_ARGUMENT.sub(r"\1\2\3", piece) for piece in super().collect_usage_pieces(ctx)]
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the arguments and the options, each with its description."""
+        """Write the arguments and the options, each with its description; many options stand under several titles."""
         rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
-        for parameter in self.get_params(ctx):
+        parameters = self.get_params(ctx)
+        are_many = sum(each.param_type_name == "option" for each in parameters) > MANY_OPTIONS
+        for parameter in parameters:
             if (record := parameter.get_help_record(ctx)) is None:
                 continue
             is_argument = parameter.param_type_name == "argument"
             name = record[0].partition(" <")[0] if is_argument else record[0]
-            rows["Arguments" if is_argument else "Options"].append((name, record[1]))
+            title = (
+                "Arguments" if is_argument else (are_many and getattr(parameter, "rich_help_panel", None)) or "Options"
+            )
+            rows.setdefault(title, []).append((name, record[1]))
         for title, of_title in rows.items():
             if of_title:
                 with formatter.section(title):
@@ -187,7 +198,7 @@ def help_text(command: Callable[..., Any] | None) -> str:
     ----------
     command : callable
         Its docstring has an `Examples` section in numpydoc's form, whose lines stay as they are; other sections are for
-        readers of the code and are left out.
+        readers of the code and are left out. An example that is wider than `EXAMPLE_WIDTH` continues on further lines.
 
     Returns
     -------
@@ -212,8 +223,19 @@ def help_text(command: Callable[..., Any] | None) -> str:
     parts = ["\n".join(lines[: ends[0]]).strip()]
     for rule, end in zip(rules, ends[1:], strict=True):
         if lines[rule - 1] == "Examples":
-            parts.append("\n".join(["\b", "Examples:", *(f"  {line}" for line in lines[rule + 1 : end] if line)]))
+            parts.append(
+                "\n".join(["\b", "Examples:", *(_wrap_example(line) for line in lines[rule + 1 : end] if line)])
+            )
     return "\n\n".join(parts)
+
+
+def _wrap_example(line: str) -> str:
+    """Return an indented example; each line that a shell continues ends with a backslash."""
+    made = ""
+    for piece in _PIECE.split(f"  {line}"):
+        is_full = len(made.rpartition("\n")[2]) + len(piece) + len("  \\") > EXAMPLE_WIDTH
+        made += piece if not made else f" \\\n      {piece}" if is_full else f" {piece}"
+    return made
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

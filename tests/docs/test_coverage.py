@@ -27,7 +27,7 @@ def test_call_that_no_test_runs_has_a_command_options_and_values_that_exist(call
 def test_examples_in_help_texts_are_valid_calls():
     for name, top in COMMAND_HELP.items():
         for command in [top, *getattr(top, "commands", {}).values()]:
-            for call in re.findall(r"\bsocast (.+)", command.help.partition("Example")[2]):
+            for call in re.findall(r"\bsocast (.+)", command.help.replace("\\\n", "").partition("Example")[2]):
                 without_files = re.sub(r"\s*(\||2?>).*| --(effects|vehicles) \S+", "", call)  # parsing reads them
                 _, *arguments = shlex.split(without_files)
                 target = getattr(top, "commands", {}).get(arguments[0]) if arguments else None

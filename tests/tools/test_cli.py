@@ -162,6 +162,43 @@ def test_every_option_has_one_long_name(name):
             assert sum(option.startswith("--") for option in parameter.opts) <= 1, parameter.name
 
 
+def help_of(call):
+    chosen, *inner = call.split()
+    return CliRunner().invoke(application(chosen), [chosen, *inner, "--help"]).output
+
+
+@pytest.mark.parametrize(
+    ("call", "titles"),
+    [
+        (
+            "live",
+            "Options, Connection, Models and forecasts, Cleaning, Limits, Recording, Monitoring, Several consumers",
+        ),
+        ("serve", "Arguments, Options, Models and forecasts, Cleaning, Live service, Web server"),
+        ("replay", "Arguments, Options, Models and forecasts, Cleaning"),
+        ("diagnose", "Arguments, Options, Cleaning, Cluster"),
+        ("simulate", "Options, Fleet, Physics and faults, Cluster"),
+        ("bridge ovms", "Options, Rows and their router"),
+        ("tables", "Arguments, Options"),
+    ],
+)
+def test_help_divides_many_options_under_titles(call, titles):
+    found = re.findall(r"^(\w[\w ]*):$", help_of(call), re.MULTILINE)
+    assert ", ".join(found) == titles
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_examples_in_help_fit_80_columns_and_are_whole(name):
+    commands = [typer.main.get_command(application(name)).commands[name]]
+    while commands:
+        command = commands.pop()
+        commands += getattr(command, "commands", {}).values()
+        examples = command.help.partition("Examples:")[2].splitlines()
+        assert [line for line in examples if len(line) > 80] == []
+        joined = "\n".join(examples).replace(" \\\n      ", " ")
+        assert all(line.startswith("  socast ") or not line for line in joined.splitlines()), joined
+
+
 def test_version_option_prints_version():
     result = CliRunner().invoke(application(), ["--version"])
     assert re.fullmatch(r"socast \d+\.\d+\.\d+\n", result.output)

@@ -103,7 +103,7 @@ def make_bridge_options(
     return BridgeOptions(connection, parse_prefix(prefix), assembler, report, as_json=json_log)
 
 
-insert_bridge_options = insert_options("options", make_bridge_options)
+insert_bridge_options = insert_options("options", make_bridge_options, "Rows and their router")
 """Decorator that gives a command the options of all bridges in place of its argument `options`."""
 
 

@@ -18,6 +18,9 @@ from socast.tools.terminal.live_service import LiveOptions, serve
 from socast.tools.terminal.recording_options import RecordingOptions, insert_recording_options
 from socast.tools.terminal.settings_file import SettingsFile
 
+MONITORING, SEVERAL = "Monitoring", "Several consumers"
+"""Titles of options in the help text."""
+
 
 @insert_recording_options
 @insert_limit_options
@@ -37,28 +40,48 @@ def live(
         typer.Option(metavar="FILE", help="Diagnose the first model every night on --record, and keep findings here."),
     ] = None,
     report: Annotated[
-        float, typer.Option(metavar="S", help="Time between two log lines of counters.", min=0.001, max=1e6)
+        float,
+        typer.Option(
+            metavar="S", help="Time between two log lines of counters.", min=0.001, max=1e6, rich_help_panel=MONITORING
+        ),
     ] = REPORT_S,
-    json_log: Annotated[bool, typer.Option("--json-log", help="Log JSON instead of key=value.")] = False,
+    json_log: Annotated[
+        bool, typer.Option("--json-log", help="Log JSON instead of key=value.", rich_help_panel=MONITORING)
+    ] = False,
     metrics: Annotated[
         str | None,
         typer.Option(
-            metavar="ADDRESS", help="Serve /metrics, /livez and /readyz at a port on loopback, or at HOST:PORT."
+            metavar="ADDRESS",
+            help="Serve /metrics, /livez and /readyz at a port on loopback, or at HOST:PORT.",
+            rich_help_panel=MONITORING,
         ),
     ] = None,
     metrics_per_car: Annotated[
-        bool, typer.Option("--metrics-per-car", help="Also serve metrics of each vehicle.")
+        bool, typer.Option("--metrics-per-car", help="Also serve metrics of each vehicle.", rich_help_panel=MONITORING)
     ] = False,
     standby: Annotated[
         bool,
-        typer.Option("--standby", help="Publish only while no other consumer with --standby does; needs --connect."),
+        typer.Option(
+            "--standby",
+            help="Publish only while no other consumer with --standby does; needs --connect.",
+            rich_help_panel=SEVERAL,
+        ),
     ] = False,
     shard: Annotated[
         str | None,
-        typer.Option(metavar="I/N", help="Serve only this share of the cars, such as 2/4; the others need a consumer."),
+        typer.Option(
+            metavar="I/N",
+            help="Serve only this share of the cars, such as 2/4; the others need a consumer.",
+            rich_help_panel=SEVERAL,
+        ),
     ] = None,
     shard_by: Annotated[
-        By, typer.Option(metavar="WHAT", help="Divide by the end of the cars' name, or of the chunk before `fleet`.")
+        By,
+        typer.Option(
+            metavar="WHAT",
+            help="Divide by the end of the cars' name, or of the chunk before `fleet`.",
+            rich_help_panel=SEVERAL,
+        ),
     ] = "name",
     settings_file: SettingsFile = None,  # noqa: ARG001 - its values arrive as those of the other options
 ) -> None:

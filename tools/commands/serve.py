@@ -24,6 +24,8 @@ from socast.tools.workbench.fleet.source import FleetSource
 
 PORT = 8137
 """Port of the workbench if the command line names none."""
+SERVICE, SERVER = "Live service", "Web server"
+"""Titles of options in the help text."""
 
 
 @insert_forecast_options
@@ -43,24 +45,38 @@ def serve(
     ] = False,
     connect: Annotated[
         list[str] | None,
-        typer.Option(metavar="E", help=f"With --live: the router of the service; repeatable. [default: {LOOPBACK}]"),
+        typer.Option(
+            metavar="E",
+            help=f"With --live: the router of the service; repeatable. [default: {LOOPBACK}]",
+            rich_help_panel=SERVICE,
+        ),
     ] = None,
     config: Annotated[
-        Path | None, typer.Option(metavar="F.json5", help="With --live: Zenoh's own configuration, such as TLS.")
+        Path | None,
+        typer.Option(
+            metavar="F.json5", help="With --live: Zenoh's own configuration, such as TLS.", rich_help_panel=SERVICE
+        ),
     ] = None,
     shard_by: Annotated[
-        By, typer.Option(metavar="WHAT", help="With --live: `chunk` where consumers have --shard-by chunk.")
+        By,
+        typer.Option(
+            metavar="WHAT", help="With --live: `chunk` where consumers have --shard-by chunk.", rich_help_panel=SERVICE
+        ),
     ] = "name",
     tiles: Annotated[
         Path | None, typer.Option(metavar="F.pmtiles", help="Draw the raster tiles of this file beneath the fleet.")
     ] = None,
-    port: Annotated[int, typer.Option(metavar="P", help="Port; 0 for any free one.", min=0, max=65535)] = PORT,
-    host: Annotated[str, typer.Option(metavar="H", help="Host at which to listen.")] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(metavar="P", help="Port; 0 for any free one.", min=0, max=65535, rich_help_panel=SERVER)
+    ] = PORT,
+    host: Annotated[
+        str, typer.Option(metavar="H", help="Host at which to listen.", rich_help_panel=SERVER)
+    ] = "127.0.0.1",
     read_only: Annotated[
-        bool, typer.Option("--read-only", help="Refuse every request that changes something.")
+        bool, typer.Option("--read-only", help="Refuse every request that changes something.", rich_help_panel=SERVER)
     ] = False,
     no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Print the address only, and open no browser.")
+        bool, typer.Option("--no-browser", help="Print the address only, and open no browser.", rich_help_panel=SERVER)
     ] = False,
 ) -> None:
     """Show the fleet and its models in a browser, on this machine.

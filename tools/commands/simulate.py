@@ -37,33 +37,43 @@ from socast.tools.simulator.truth import Truth
 from socast.tools.terminal.cluster_option import insert_cluster_options
 
 FIRST_DAY = "2018-01-15"
+FLEET, TROUBLE = "Fleet", "Physics and faults"
+"""Titles of options in the help text."""
 
 
 @insert_cluster_options
 def simulate(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="Recording to write.")],
-    vehicles: Annotated[int | None, typer.Option(help="Number of cars. Default: 5.")] = None,
-    days: Annotated[int | None, typer.Option(help="Number of days, with one shift of each car. Default: 1.")] = None,
+    vehicles: Annotated[int | None, typer.Option(help="Number of cars. Default: 5.", rich_help_panel=FLEET)] = None,
+    days: Annotated[
+        int | None, typer.Option(help="Number of days, with one shift of each car. Default: 1.", rich_help_panel=FLEET)
+    ] = None,
     start: Annotated[
         str,
         typer.Option(
             metavar="DATE",
             help="First day, such as 2018-01-15: shifts are spread over the day. "
             "Or a time in UTC, such as 2018-01-15T12:00: every shift begins then.",
+            rich_help_panel=FLEET,
         ),
     ] = FIRST_DAY,
     seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same bytes.")] = 0,
     day_step: Annotated[
-        int | None, typer.Option(help="Days from one simulated day to the next, to cover seasons. Default: 1.")
+        int | None,
+        typer.Option(
+            help="Days from one simulated day to the next, to cover seasons. Default: 1.", rich_help_panel=FLEET
+        ),
     ] = None,
     shift_hours: Annotated[
-        float | None, typer.Option(metavar="HOURS", help="Length of every shift. Default: 7 to 10 h.")
+        float | None,
+        typer.Option(metavar="HOURS", help="Length of every shift. Default: 7 to 10 h.", rich_help_panel=FLEET),
     ] = None,
     models: Annotated[
         str | None,
         typer.Option(
             metavar="A,B",
             help=f"Catalogue keys of car models, assigned in turn. Default: {', '.join(DEFAULT_MODELS)}.",
+            rich_help_panel=FLEET,
         ),
     ] = None,
     preset: Annotated[
@@ -72,10 +82,14 @@ def simulate(
             metavar="NAME",
             help="Described fleet over a year, instead of --vehicles, --days, --day-step, --shift-hours and --models. "
             f"Names: {', '.join(PRESETS)}.",
+            rich_help_panel=FLEET,
         ),
     ] = None,
     rides: Annotated[
-        int | None, typer.Option(metavar="N", help=f"Number of rides of a preset. Default: {DEFAULT_RIDES:,}.")
+        int | None,
+        typer.Option(
+            metavar="N", help=f"Number of rides of a preset. Default: {DEFAULT_RIDES:,}.", rich_help_panel=FLEET
+        ),
     ] = None,
     charging: Annotated[
         str,
@@ -83,6 +97,7 @@ def simulate(
             metavar="WHEN",
             help=f"When cars charge: {', '.join(CHARGING)}. With {NIGHT} they charge between shifts only, so some "
             f"shifts end below the reserve or empty. With {LOW} they also charge in a shift at a low state of charge.",
+            rich_help_panel=FLEET,
         ),
     ] = LOW,
     hidden: Annotated[
@@ -92,6 +107,7 @@ def simulate(
             help="Effect to hide from the models, as a share of the energy; may be repeated. Default size: 0.03. "
             f"Effects: {', '.join(sorted(EFFECTS))}. NAME{OTHER} is the same effect in another shape, "
             f"NAME{BENT}7 in the seventh of its random shapes.",
+            rich_help_panel=TROUBLE,
         ),
     ] = None,
     faults: Annotated[
@@ -100,6 +116,7 @@ def simulate(
             metavar="RATES",
             help="Faults of the loggers: default (or those of the preset), none, name=rate, or none,name=rate. "
             f"Names: {', '.join(field.name for field in fields(Faults))}.",
+            rich_help_panel=TROUBLE,
         ),
     ] = "default",
     phenomena: Annotated[
@@ -108,6 +125,7 @@ def simulate(
             metavar="NAMES",
             help="Refinements of the physics: all, plain, or a list such as all,-snow or plain,headwind. "
             f"Names: {', '.join(Phenomena._fields)}.",
+            rich_help_panel=TROUBLE,
         ),
     ] = "all",
     conditions: Annotated[
@@ -117,6 +135,7 @@ def simulate(
             help="Conditions to add, such as waits=0.2,spell=30:-15:3 (on day 30, 15 K below anything before, for "
             "3 days) or display_fault=2:frozen:10:5 (car 2, on day 10, for 5 days). "
             f"Names: {', '.join(CONDITION_NAMES)}.",
+            rich_help_panel=TROUBLE,
         ),
     ] = "",
     fleet: Annotated[
@@ -125,6 +144,7 @@ def simulate(
             metavar="NAME",
             help="Fleet on which forecasts are judged, which sets everything except the seed; conditions are added. "
             f"Names: {', '.join(FLEETS)}.",
+            rich_help_panel=FLEET,
         ),
     ] = None,
     place: ClusterPlace | None = None,

@@ -141,5 +141,5 @@ def refuse_cleaning_of_tables(files: Sequence[Path], settings: Settings) -> None
         )
 
 
-insert_cleaning_options = insert_options("settings", make_settings)
+insert_cleaning_options = insert_options("settings", make_settings, "Cleaning")
 """Decorator that gives a command the options of cleaning in place of its argument `settings`."""

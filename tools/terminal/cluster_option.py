@@ -43,7 +43,7 @@ def make_place(
     return replace(parse_place(cluster, worker_memory), report=cluster_report)
 
 
-insert_cluster_options = insert_options("place", make_place)
+insert_cluster_options = insert_options("place", make_place, "Cluster")
 """Decorator that gives a command the options of a cluster in place of its argument `place`."""
 
 

@@ -32,5 +32,5 @@ def make_connection(
     return Connection(tuple(connect or ()), tuple(listen or ()), mode, config=config, recovery=recovery)
 
 
-insert_connection_options = insert_options("connection", make_connection)
+insert_connection_options = insert_options("connection", make_connection, "Connection")
 """Decorator that gives a command the options of a connection in place of its argument `connection`."""

@@ -86,7 +86,7 @@ def _make_options(
     )
 
 
-insert_forecast_options = insert_options("options", _make_options)
+insert_forecast_options = insert_options("options", _make_options, "Models and forecasts")
 """Decorator that gives a command the shared options in place of its argument `options`, a `ForecastOptions`."""
 
 

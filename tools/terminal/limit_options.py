@@ -63,7 +63,7 @@ def make_limits(
     )
 
 
-insert_limit_options = insert_options("limits", make_limits)
+insert_limit_options = insert_options("limits", make_limits, "Limits")
 """Decorator that gives a command the options of the limits in place of its argument `limits`."""
 
 OPTION_OF_CAUSE: Final = {

@@ -1,14 +1,17 @@
 """The decorator that gives several commands the same group of options, declared once."""
 
 from collections.abc import Callable
+from copy import copy
 from functools import wraps
 from inspect import Parameter, signature
-from typing import Any
+from typing import Annotated, Any, get_args
+
+from typer.models import OptionInfo
 
 Function = Callable[..., Any]
 
 
-def insert_options(name: str, build: Function) -> Callable[[Function], Function]:
+def insert_options(name: str, build: Function, title: str = "") -> Callable[[Function], Function]:
     """Return a decorator that replaces one argument of a command by the options from which a function builds it.
 
     Parameters
@@ -17,6 +20,8 @@ def insert_options(name: str, build: Function) -> Callable[[Function], Function]
         Name of the command's argument.
     build : callable
         Function that takes the options as its parameters and returns the value of the argument.
+    title : str
+        Title of these options in a long help text, for those that have none of their own.
 
     Returns
     -------
@@ -47,9 +52,20 @@ def insert_options(name: str, build: Function) -> Callable[[Function], Function]
 
         shown: list[Parameter] = []
         for each in original.parameters.values():
-            inserted = options.values() if each.name == name else [each]
+            inserted = [_entitle(option, title) for option in options.values()] if each.name == name else [each]
             shown += [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in inserted]
         called.__signature__ = original.replace(parameters=shown)  # type: ignore[attr-defined]
         return called
 
     return decorate
+
+
+def _entitle(parameter: Parameter, title: str) -> Parameter:
+    """Return an option whose part of the help text has a title, if it had none."""
+    kind, *about = get_args(parameter.annotation) or (None,)
+    if not title or not any(isinstance(each, OptionInfo) and not each.rich_help_panel for each in about):
+        return parameter
+    entitled = [copy(each) for each in about]
+    for each in entitled:
+        each.rich_help_panel = title
+    return parameter.replace(annotation=Annotated[kind, *entitled])

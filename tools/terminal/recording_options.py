@@ -59,5 +59,5 @@ def make_recording_options(
     return RecordingOptions(record, round(record_mb * 2**20), record_minutes * 60, flush)
 
 
-insert_recording_options = insert_options("recording", make_recording_options)
+insert_recording_options = insert_options("recording", make_recording_options, "Recording")
 """Decorator that gives a command the options of the recording in place of its argument `recording`."""
