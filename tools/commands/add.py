@@ -20,6 +20,7 @@ from socast.core.settings import Settings
 from socast.tools.commands.diagnose import LeastGain, read_files, read_tables
 from socast.tools.commands.fit import Rides, inputs
 from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables
+from socast.tools.terminal.elapsed_time import show_elapsed
 from socast.tools.terminal.output import (
     EffectFiles,
     JsonFile,
@@ -71,7 +72,9 @@ def add_effect(
     check_outputs(
         [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())], out, json_file
     )
-    added = try_effect(base, effect, scope or (), *read_tables(rides, base, settings), least=least_gain)
+    tables = read_tables(rides, base, settings)
+    with show_elapsed("fitting with and without the effect"):
+        added = try_effect(base, effect, scope or (), *tables, least=least_gain)
     write_json(json_file, "add", added.trial)
     console = make_console(json_file)
     history.print_trial(added.trial, console)

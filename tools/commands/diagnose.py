@@ -35,6 +35,7 @@ from socast.tools.commands.fit import RECORDING, Rides, inputs
 from socast.tools.commands.tables import WINDOWS, in_memory, tables_by_workers
 from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables, word_settings
 from socast.tools.terminal.cluster_option import insert_cluster_options
+from socast.tools.terminal.elapsed_time import show_elapsed
 from socast.tools.terminal.findings_file import read_findings, show_changes, write_findings
 from socast.tools.terminal.output import (
     EffectFiles,
@@ -341,9 +342,9 @@ def _diagnose(
     """Return the diagnosis as JSON values."""
     from socast.core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
 
-    result: dict[str, Any] = to_json_values(
-        diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain, groups=groups)
-    )
+    with show_elapsed("diagnosing"):
+        found = diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain, groups=groups)
+    result: dict[str, Any] = to_json_values(found)
     return result
 
 

@@ -30,6 +30,7 @@ from socast.tools.cluster.workers import open_workers
 from socast.tools.commands.tables import RIDES, WINDOWS, make_table_folder, tables_by_workers
 from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables
 from socast.tools.terminal.cluster_option import insert_cluster_options
+from socast.tools.terminal.elapsed_time import show_elapsed
 from socast.tools.terminal.output import EffectFiles, JsonFile, VehicleFiles, check_outputs, make_console, write_json
 from socast.tools.terminal.recordings import refuse_duplicates
 from socast.tools.terminal.rich_table import Column, make_table
@@ -115,7 +116,8 @@ def fit(
         if place is not None and isinstance(chosen, LinearRecipe):
             model = _fit_by_workers(chosen, files, out, place)
         else:
-            model = _fitted(chosen, files) if base is None else adapt(base, RideParquet(tuple(files)).table())
+            with show_elapsed("fitting"):
+                model = _fitted(chosen, files) if base is None else adapt(base, RideParquet(tuple(files)).table())
     models.save(model, out)
     write_json(json_file, "fit", summary(model, chosen.title))
     console = make_console(json_file)

@@ -13,6 +13,7 @@ from socast.core.wire.shard import By, Shard
 from socast.stream.mcap_reader import McapSource
 from socast.stream.structured_log import log_lines
 from socast.stream.zenoh_session import LOOPBACK, Connection
+from socast.tools.terminal.elapsed_time import show_elapsed
 from socast.tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
 from socast.tools.terminal.kernels import compile_kernels
 from socast.tools.terminal.model_comparison import load_models
@@ -136,7 +137,8 @@ def _observe(connection: Connection) -> FleetSource:
 def _replay(recordings: list[Path], options: ForecastOptions) -> FleetSource:
     """Return the running player of recordings."""
     models = load_models(options.models)
-    compile_kernels(*models)
+    with show_elapsed("preparing the models"):
+        compile_kernels(*models)
     sources = [McapSource(path) for path in recordings]
 
     def make(warm: bool) -> Pipeline:

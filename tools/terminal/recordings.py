@@ -1,10 +1,11 @@
 """Functions of all commands that read recordings: open recordings, show progress, and report losses."""
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from os.path import realpath
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 from rich.console import Console
@@ -14,6 +15,8 @@ from socast.core.errors import RecordingError, SettingsError
 from socast.core.totals.logger_faults import describe_faults
 from socast.stream.mcap_reader import McapSource
 
+QUIET_S: Final = 30.0
+"""Time between two lines on progress where standard error is no terminal. [s]"""
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="MCAP recordings.", show_default=False)]
 
 
@@ -87,29 +90,55 @@ def refuse_unusable(sources: Sequence[McapSource], usable: int) -> None:
 
 @contextmanager
 def show_progress(
-    sources: Sequence[McapSource], *, shown: bool = True, words: str = "reading"
+    sources: Sequence[McapSource],
+    *,
+    shown: bool = True,
+    words: str = "reading",
+    clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Callable[[], None]]:
-    """Show on standard error how many chunks of recordings have been read.
+    """Show on standard error how many chunks of recordings have been read, by a bar or by a line every `QUIET_S`.
 
     Parameters
     ----------
     sources : sequence of McapSource
         The recordings.
     shown : bool
-        Whether to show the progress bar. It never appears if standard error is not a terminal.
+        Whether to show the progress. The bar never appears if standard error is not a terminal.
     words : str
-        Text before the progress bar.
+        Text before the progress.
+    clock : callable
+        Function that returns monotonic time. [s]
 
     Yields
     ------
     callable
-        Function without arguments that updates the progress bar.
+        Function without arguments that updates the progress.
     """
     console = Console(stderr=True)
+    if shown and not console.is_terminal:
+        yield _make_line_progress(sources, words, console, clock)
+        return
     columns = (TextColumn(words), BarColumn(), MofNCompleteColumn(), TextColumn("chunks"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
         task = progress.add_task(words, total=sum(source.blocks for source in sources))
         yield lambda: progress.update(task, completed=sum(source.blocks_read for source in sources))
+
+
+def _make_line_progress(
+    sources: Sequence[McapSource], words: str, console: Console, clock: Callable[[], float]
+) -> Callable[[], None]:
+    """Return the function that prints a line on the progress when `QUIET_S` have passed since the last one."""
+    due = clock() + QUIET_S
+    total = sum(source.blocks for source in sources)
+
+    def step() -> None:
+        nonlocal due
+        if (now := clock()) >= due:
+            due = now + QUIET_S
+            read = sum(source.blocks_read for source in sources)
+            console.print(f"{words}: {read:,} of {total:,} chunks", markup=False, highlight=False, soft_wrap=True)
+
+    return step
 
 
 def warn_of_loggers(quality: Mapping[str, Any]) -> None:

@@ -3,11 +3,12 @@
 import json
 from pathlib import Path
 from shutil import copyfile
+from types import SimpleNamespace
 
 import pytest
 
 from socast.core.errors import RecordingError, SettingsError
-from socast.tools.terminal.recordings import open_recordings
+from socast.tools.terminal.recordings import QUIET_S, open_recordings, show_progress
 from tests.support.commands import done, refused
 from tests.support.paths import ROOT
 
@@ -55,3 +56,19 @@ def test_circular_links_are_reported_in_one_line(tmp_path):
 def test_single_recording_is_read(tmp_path):
     done("info", SHIFT, "--json", tmp_path / "result.json")
     assert json.loads((tmp_path / "result.json").read_text())
+
+
+def test_progress_in_a_pipe_is_a_rare_line(capsys):
+    source, times = SimpleNamespace(blocks=80, blocks_read=0), iter([0.0, 1.0, QUIET_S, QUIET_S + 1.0, 2 * QUIET_S])
+    with show_progress([source], words="learning", clock=lambda: next(times)) as step:
+        for read in (1, 40, 41, 80):
+            source.blocks_read = read
+            step()
+    assert capsys.readouterr().err == "learning: 40 of 80 chunks\nlearning: 80 of 80 chunks\n"
+
+
+def test_hidden_progress_prints_nothing_in_a_pipe(capsys):
+    source, times = SimpleNamespace(blocks=80, blocks_read=0), iter([0.0, 2 * QUIET_S])
+    with show_progress([source], shown=False, clock=lambda: next(times)) as step:
+        step()
+    assert capsys.readouterr().err == ""
