@@ -32,7 +32,7 @@ from socast.core.monitoring.shadow import ShadowModels
 from socast.core.settings import Limits, Settings, check_limits, checked
 from socast.core.signals.signals import flag_ambient
 from socast.core.signals.weather import Stations
-from socast.core.snapshot import SCHEMAS, load_components, open_snapshot, seal_snapshot
+from socast.core.snapshot import SCHEMAS, describe_model_change, load_components, open_snapshot, seal_snapshot
 from socast.core.totals.accumulator import Accumulator, Sums
 from socast.core.totals.clean_rows import CleanRows, PowerOfEffect, sum_rows
 from socast.core.totals.closed_rides import ClosedTotals
@@ -115,6 +115,7 @@ class Pipeline:
         if two_sided and keep_forecasts:
             raise SettingsError("two_sided is True, but forecasts are causal; set keep_forecasts=False")
         self.settings, self.prefix, self.model = checked(settings), prefix, model
+        self.model_change = ""
         self.keep_forecasts, self.keep_tables, self.keep_outlooks = keep_forecasts, keep_tables, keep_outlooks
         of_model = dict.fromkeys((*model.effects, *also))
         of_shadows = dict.fromkeys(name for shadow in shadows for name in shadow.effects)
@@ -470,19 +471,16 @@ class Pipeline:
         """Replace the state by one that `snapshot` returned, and return the note that was kept with it.
 
         If the first model is the same, running errors continue for the models that are present; else they start again.
-
-        Parameters
-        ----------
-        snapshot : bytes
-            Result of `snapshot`.
+        `model_change` says what differs. Rides in progress have no prediction where an effect is new.
 
         Raises
         ------
         SocastError
-            If the version, effects or form of the snapshot are others; the pipeline may then only take another state.
+            If the version or form of the snapshot are others; the pipeline may then only take another state.
         """
-        content = open_snapshot(snapshot, list(self.context.effects))
-        load_components(self._components(), content)
+        content = open_snapshot(snapshot)
+        load_components(self._components(), content, self.context.effects)
+        self.model_change = describe_model_change(content, self.context.model_label, self.context.effects)
         return content.get("note")
 
     def _components(self) -> dict[str, Stateful]:

@@ -5,7 +5,7 @@ state, and `load_components` refuses a state of another form before compiled cod
 to a component adds it here; the tests refuse a component without schema.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from math import inf, pi
 from typing import Any, Final
@@ -31,6 +31,7 @@ from socast.core.forecast.learning.leg_energy import PACES, TEMPERATURES
 from socast.core.forecast.planned_legs import PLAN_PROGRESS
 from socast.core.monitoring.running_error import RIDE_SUMS, VEHICLE_DAY
 from socast.core.totals.accumulator import AMOUNTS, EDGES
+from socast.core.totals.changed_effects import carry_totals
 from socast.core.totals.display_yield import LANE_YIELD
 from socast.core.wire.sample_losses import SAMPLE_LOSS
 from socast.core.wire.state_schema import (
@@ -72,25 +73,23 @@ def seal_snapshot(state: dict[str, Any]) -> bytes:
     return sha256(content).digest() + content
 
 
-def open_snapshot(snapshot: bytes, effects: list[str]) -> dict[str, Any]:
-    """Return the state that `sealed` encoded.
+def open_snapshot(snapshot: bytes) -> dict[str, Any]:
+    """Return the state that `seal_snapshot` encoded.
 
     Parameters
     ----------
     snapshot : bytes
-        Result of `sealed`.
-    effects : list of str
-        Names of the effects that the pipeline sums, in its order.
+        Result of `seal_snapshot`.
 
     Returns
     -------
     dict of str to object
-        State, with its version, fields and effects.
+        State, with its version, fields, model and effects.
 
     Raises
     ------
     SocastError
-        If the bytes are not a snapshot, or one of another version or list of effects.
+        If the bytes are not a snapshot, or one of another version.
     """
     digest, content = snapshot[:_DIGEST], snapshot[_DIGEST:]
     if sha256(content).digest() != digest:
@@ -99,12 +98,38 @@ def open_snapshot(snapshot: bytes, effects: list[str]) -> dict[str, Any]:
         state: dict[str, Any] = msgspec.msgpack.decode(content, type=dict[str, Any])
     except (msgspec.MsgspecError, RecursionError) as error:
         raise SocastError(f"a snapshot of another form: {error}; start without it") from error
-    if tuple(map(state.get, ("version", "fields", "effects"))) != (SNAPSHOT, FIELDS, effects):
-        model = str(state.get("model"))[:100]
-        raise SocastError(
-            f"snapshot of model {model!s}: made by another version or with other effects; start without it"
-        )
+    if tuple(map(state.get, ("version", "fields"))) != (SNAPSHOT, FIELDS):
+        found = str(state.get("version"))[:20]
+        why = "its fields are others" if found == str(SNAPSHOT) else f"its form is {found}, and this one {SNAPSHOT}"
+        raise SocastError(f"snapshot made by another version of socast: {why}; start without it")
+    effects = state.get("effects")
+    if not isinstance(effects, list) or not all(isinstance(name, str) for name in effects):
+        raise SocastError("a snapshot without the names of its effects; start without it")
     return state
+
+
+def describe_model_change(content: Mapping[str, Any], model: str, effects: Sequence[str]) -> str:
+    """Return how the model of a state and its effects differ from those of the pipeline; empty where they do not.
+
+    Parameters
+    ----------
+    content : mapping of str to object
+        Result of `open_snapshot`.
+    model : str
+        Name and version of the first model of the pipeline.
+    effects : sequence of str
+        Names of the effects that the pipeline sums.
+
+    Examples
+    --------
+    >>> describe_model_change({"model": "base/1", "effects": ["drag"]}, "base/2", ["drag", "snow"])
+    'it was made with model base/1, now base/2; effects that are new: snow'
+    """
+    before = [str(name) for name in content["effects"]]
+    words = [] if content["model"] == model else [f"it was made with model {content['model']}, now {model}"]
+    for what, names in (("new", set(effects) - set(before)), ("not used any more", set(before) - set(effects))):
+        words += [f"effects that are {what}: {', '.join(sorted(names))}"] if names else []
+    return "; ".join(words)
 
 
 class OpenTotals:
@@ -280,8 +305,8 @@ SCHEMAS: Final[dict[str, Schema]] = {
 """Form of the state of each component."""
 
 
-def load_components(components: Mapping[str, Stateful], content: dict[str, Any]) -> None:
-    """Check the state of all components, and then load it.
+def load_components(components: Mapping[str, Stateful], content: dict[str, Any], effects: Sequence[str]) -> None:
+    """Check the state of all components, and then load it; rides in progress keep the sums of effects that remain.
 
     Parameters
     ----------
@@ -289,6 +314,8 @@ def load_components(components: Mapping[str, Stateful], content: dict[str, Any])
         Components by name, in the order in which they must load.
     content : dict of str to object
         Result of `open_snapshot`.
+    effects : sequence of str
+        Names of the effects that the pipeline sums, in its order.
 
     Raises
     ------
@@ -307,6 +334,12 @@ def load_components(components: Mapping[str, Stateful], content: dict[str, Any])
         sizes = _measure_state(state) | {"effects": len(content["effects"])}
         for name in state:
             SCHEMAS[name].check(state[name], sizes)
+        if (before := content["effects"]) != list(effects):
+            name = "effects"
+            if "deferred" in state or "days" in state:
+                raise Fault(f"it holds sums of {', '.join(before)}, which tables and shards need")
+            state["accumulator"] = carry_totals(state["accumulator"], before, effects)
+            state["engine"][0][0][0][:2] = {}, {}  # sums of rides by effect begin anew; tables made of them still hold
         for name in filter(state.__contains__, components):
             components[name].load(state[name])
     except (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError) as error:

@@ -6,9 +6,10 @@ import pytest
 
 from socast.core.cleaning.quality import CAUSES
 from socast.core.errors import SettingsError, SocastError
-from socast.core.models import BASIC_PHYSICAL
+from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
+from socast.core.snapshot import seal_snapshot
 from tests.support.telemetry import START, drive, leaf, make_message, observed, ran, telemetry
 
 NAMES = 400
@@ -61,6 +62,42 @@ def test_status_keeps_the_newest_values_after_the_end_of_the_stream():
     assert (after.ride_id, after.ride_distance_km, sum(after.quality.values())) == (None, 0.0, 0)
 
 
+def test_state_of_a_model_with_other_effects_keeps_what_holds_and_says_what_differs():
+    messages = [leaf("a"), *telemetry(full(), "a")]
+    before, whole = Pipeline(BASIC_PHYSICAL), Pipeline(BASIC_PHYSICAL, also=["headwind"])
+    before.push(messages[:100])
+    whole.push(messages)
+    richer = Pipeline(BASIC_PHYSICAL, also=["headwind"])
+    richer.restore(before.snapshot())
+    assert richer.model_change == "effects that are new: headwind"
+    again = Pipeline(BASIC_PHYSICAL)
+    again.restore(richer.snapshot())
+    assert again.model_change == "effects that are not used any more: headwind"
+    assert repr(again.status()) == repr(before.status())
+    for pipeline in (richer, again):
+        pipeline.push(messages[100:])
+        assert repr(pipeline.status()) == repr(whole.status())
+        pipeline.finish()
+    whole.finish()
+    ride, expected = richer.take_rides().iloc[0], whole.take_rides().iloc[0]
+    assert np.isnan(ride["effect_headwind"])
+    assert ride.drop("effect_headwind").equals(expected.drop("effect_headwind"))
+
+
+def test_ride_in_progress_has_no_prediction_where_its_model_has_a_new_effect():
+    messages = [leaf("a"), *telemetry(full(), "a")]
+    first, second = Pipeline(BASIC_PHYSICAL), Pipeline(EXTENDED_PHYSICAL)
+    first.push(messages[:100])
+    second.restore(first.snapshot())
+    second.push(messages[100:])
+    (status,) = second.status()
+    assert np.isnan(status.predicted_kwh)
+    assert status.measured_kwh > 0
+    assert second.model_change.startswith("it was made with model basic_physical/1, now extended_physical/1; effects")
+    second.restore(second.snapshot())
+    assert second.model_change == ""
+
+
 def test_car_of_unknown_model_is_measured_and_its_missing_prediction_counted():
     pipeline, _ = ran([make_message("vehicle", model="horse"), *telemetry(full())])
     ride = pipeline.take_rides().iloc[0]
@@ -78,13 +115,12 @@ def test_setting_outside_its_limits_is_named():
 
 def test_invalid_snapshot_is_refused_in_one_line():
     pipeline = Pipeline()
-    other = Pipeline(model=BASIC_PHYSICAL)
     for bad in (
         b"",
         b"\xff" * 40,
         msgspec.msgpack.encode([1]),
         msgspec.msgpack.encode({"version": 1}),
-        other.snapshot(),
+        seal_snapshot({"effects": [1], "model": "a/1"}),
     ):
         with pytest.raises(SocastError) as error:
             pipeline.restore(bad)

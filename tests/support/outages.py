@@ -226,8 +226,8 @@ def compare_outcome(outcome: Outcome, sent: list[Message], folder: Path, forecas
     pipeline = Pipeline(EXTENDED_PHYSICAL)
     reference = {(forecast.key, forecast.payload) for forecast in pipeline.push(sent)}
     outcome.forecasts, outcome.other_forecasts = len(forecasts), len(forecasts - reference)
-    content = open_snapshot((folder / "cars.state").read_bytes(), list(pipeline.context.effects))["state"]
-    expected = open_snapshot(pipeline.snapshot(), list(pipeline.context.effects))["state"]
+    content = open_snapshot((folder / "cars.state").read_bytes())["state"]
+    expected = open_snapshot(pipeline.snapshot())["state"]
     outcome.state_differs_in = [name for name in expected if repr(content[name]) != repr(expected[name])]
     restored = Pipeline(EXTENDED_PHYSICAL)
     restored.restore((folder / "cars.state").read_bytes())

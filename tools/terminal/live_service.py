@@ -274,6 +274,12 @@ def _make_pipeline(options: LiveOptions, models: Sequence[LinearModel], storage:
 def _restore(pipeline: Pipeline, checkpoints: Checkpoints | None) -> list[Message]:
     """Continue from the last state; return the newest forecasts that became due in the recording after it."""
     forecasts = checkpoints.restore() if checkpoints else []
+    if pipeline.model_change:
+        _log.warning(
+            "the state was made with another model: running errors start anew where its name or version is another, "
+            "and rides in progress have no prediction where an effect is new; all else continues",
+            extra=event_fields(difference=pipeline.model_change),
+        )
     if pipeline.cleaner.has_new_map:
         _log.warning("the state was made with another elevation map: elevation starts anew, all else continues")
     return forecasts

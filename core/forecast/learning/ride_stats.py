@@ -246,8 +246,11 @@ class RideStatistics:
             for name, sums in sorted(self.today.items()):
                 self._sums.setdefault(name, ModelSums(self._width, self._type)).merge(sums)
             self.today.clear()
-        built = ((name, sums.build_tables(context)) for name, sums in self._sums.items())
-        self.tables = {name: tables for name, tables in built if tables is not None}
+        ready = {name: sums for name, sums in self._sums.items() if sums.rides >= LEAST_RIDES}
+        built = ((name, sums.build_tables(context)) for name, sums in ready.items())
+        # tables that an earlier model learned hold until there are enough rides of the present one
+        earlier = {name: tables for name, tables in self.tables.items() if name not in ready}
+        self.tables = earlier | {name: tables for name, tables in built if tables is not None}
 
     def dump(self) -> Any:
         """Return the state as plain values, ordered by name; the order of appearance depends on the batches."""
