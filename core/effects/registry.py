@@ -18,6 +18,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+import msgspec
+
 from socast.core.effects.air import AIR
 from socast.core.effects.battery import BATTERY
 from socast.core.effects.cabin import CABIN
@@ -198,8 +200,20 @@ def _read(path: Path) -> str:
         raise EffectError(f"{path}: cannot read effects: {reason}; name a Python file") from error
 
 
+def _is_json(source: str) -> bool:
+    """Return whether a text is a JSON object or list, as model files and reports are."""
+    try:
+        return isinstance(msgspec.json.decode(source), dict | list)
+    except msgspec.DecodeError:
+        return False
+
+
 def _check_source(path: Path, source: str) -> None:
     """Check a file without running it: its syntax, its imports, its calls, and names defined twice."""
+    if _is_json(source):
+        raise EffectError(
+            f"{path}: holds JSON, and effects are written in Python: name a .py file; a model file goes to --model"
+        )
     try:
         tree = ast.parse(source, filename=str(path))
     except (SyntaxError, ValueError) as error:  # ValueError: null bytes

@@ -68,6 +68,8 @@ def test_existing_name_is_refused_and_the_library_stays_unchanged(write):
     [
         ("def f(:\n  pass\n", ":1: not Python: "),
         ("x = 1\0", ": not Python: "),
+        ('{"terms": []}\n', ": holds JSON, and effects are written in Python: name a .py file; a model file goes to"),
+        ('{"low": null}', ": holds JSON, and effects are written in Python"),
         ("", ": holds no effect"),
         ("from socast.core.effects.road_load import rolling\n", ": holds no effect"),
         ("import math\nimport socket\n", ":2: imports socket; an effect may import only"),

@@ -249,3 +249,13 @@ def test_tables_are_averages_fitted_to_the_measured_rides():
     assert not all(np.allclose(a, b) for a, b in zip(averages, fitted, strict=True))
     for again, value in zip(fit_leg_energy(averages, equations), fitted, strict=True):
         np.testing.assert_allclose(again, value, rtol=1e-9)
+
+
+def test_tables_of_a_former_model_hold_until_there_are_enough_rides_of_one_with_a_new_effect():
+    former = train()
+    richer = Pipeline(settings=SETTINGS, also=["headwind"])
+    richer.restore(former.snapshot())
+    learned, kept = former.engine.statistics.rides.tables[MODEL], richer.engine.statistics.rides.tables[MODEL]
+    richer.engine.statistics.rides.update_tables(richer.context)
+    for tables in (kept, richer.engine.statistics.rides.tables[MODEL]):
+        assert np.array_equal(tables.leg_energy_per_km, learned.leg_energy_per_km)
