@@ -73,6 +73,26 @@ def rounded(value: float, half: float | None = None) -> str:
     return f"{_to(value, digits, half)} ± {_to(half, digits, half)}"
 
 
+def format_count(count: int, noun: str, plural: str = "") -> str:
+    """Return a number of things, with the singular after 1.
+
+    Parameters
+    ----------
+    count : int
+        Number of things.
+    noun : str
+        Singular.
+    plural : str
+        Plural, where it is not the singular and an s.
+
+    Examples
+    --------
+    >>> format_count(1, "ride"), format_count(0, "ride"), format_count(1200, "ride"), format_count(2, "has", "have")
+    ('1 ride', '0 rides', '1,200 rides', '2 have')
+    """
+    return f"{count:,} {noun if count == 1 else plural or f'{noun}s'}"
+
+
 def format_time(time: float, timespec: str = "seconds") -> str:
     """Return a Unix time as ISO 8601 in UTC, for logs and files.
 

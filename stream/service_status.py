@@ -8,6 +8,7 @@ from collections.abc import Callable
 from threading import Event
 from typing import Final, Literal
 
+from socast.core.formatting import format_count
 from socast.stream.loop import Tally
 from socast.stream.service_snapshot import LagMeter, ServiceSnapshot
 from socast.stream.systemd_notify import SystemdNotifier
@@ -142,8 +143,9 @@ def describe_snapshot(snapshot: ServiceSnapshot) -> str:
     """
     role = describe_role(snapshot)
     return (
-        f"{snapshot.messages:,} messages, {snapshot.forecasts:,} forecasts, "
-        f"{snapshot.active_vehicles:,} of {snapshot.vehicles:,} vehicles active, {snapshot.rides:,} rides"
+        f"{format_count(snapshot.messages, 'message')}, {format_count(snapshot.forecasts, 'forecast')}, "
+        f"{snapshot.active_vehicles:,} of {format_count(snapshot.vehicles, 'vehicle')} active, "
+        f"{format_count(snapshot.rides, 'ride')}"
         f"{role and f', {role}'}"
     )
 

@@ -36,8 +36,8 @@ FAULTS: Final[dict[Quality, LoggerFault]] = {
         "send samples in the order in which they were taken",
     ),
     Quality.REPAIRED_TIME: LoggerFault(
-        "uneven, repeated or missing time",
-        "little: the time is put back on the clock by period and counter",
+        "repaired time",
+        "little: uneven, repeated or missing times are put back on the clock",
         "stamp a sample when it is taken, in milliseconds, and send the counter seq",
     ),
     Quality.CLOCK_STEP: LoggerFault(

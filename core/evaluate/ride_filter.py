@@ -12,6 +12,7 @@ import pandas as pd
 
 from socast.core.batch import Floats
 from socast.core.errors import ModelError
+from socast.core.formatting import format_count
 from socast.core.models.features import ANSWERS
 from socast.core.stats.scores import Codes
 
@@ -122,8 +123,8 @@ def filter_rides(rides: pd.DataFrame) -> EvaluatedRides:
     if most < LEAST_RIDES:
         reasons = ", ".join(f"{n:,} {why.replace('_', ' ')}" for why, n in unfit.items()) or "none"
         raise ModelError(
-            f"{len(kept):,} of {len(rides):,} rides can be evaluated, at most {most} of a vehicle model in a cluster "
-            f"of {CLUSTER_KM:g} km, and it takes {LEAST_RIDES}: give more rides (left out: {reasons})"
+            f"{len(kept):,} of {format_count(len(rides), 'ride')} can be evaluated, at most {most} of a vehicle model "
+            f"in a cluster of {CLUSTER_KM:g} km, and it takes {LEAST_RIDES}: give more rides (left out: {reasons})"
         )
     return evaluated
 

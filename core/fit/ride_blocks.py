@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats
 from socast.core.errors import ModelError
+from socast.core.formatting import format_count
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.vehicles.fleet import CarParameters
 
@@ -363,12 +364,12 @@ def word_too_few_rides(name: str, rides: int, least: int, left_out: Mapping[str,
     >>> word_too_few_rides("road_load", 0, 3, {"too_short": 2})
     'recipe road_load: 2 rides, all unfit (2 too short), and it needs 3: give more rides'
     >>> word_too_few_rides("road_load", 1, 3, {})
-    'recipe road_load: 1 rides to fit to, and it needs 3: give more rides'
+    'recipe road_load: 1 ride to fit to, and it needs 3: give more rides'
     """
     why = ", ".join(f"{n:,} {reason.replace('_', ' ')}" for reason, n in sorted(left_out.items()))
-    known = f"{rides:,} rides to fit to{f' ({why} left out)' if why else ''}"
+    known = f"{format_count(rides, 'ride')} to fit to{f' ({why} left out)' if why else ''}"
     if why and not rides:
-        known = f"{sum(left_out.values()):,} rides, all unfit ({why})"
+        known = f"{format_count(sum(left_out.values()), 'ride')}, all unfit ({why})"
     return f"recipe {name}: {known}, and it needs {least}: {suggest_rides(left_out)}"
 
 

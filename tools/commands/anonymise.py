@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from socast.core.errors import SettingsError
+from socast.core.formatting import format_count
 from socast.core.wire.arrow_batch import PREFIX
 from socast.core.wire.messages import Message, Weather, address
 from socast.core.wire.sample_reader import SampleColumns, holds_samples, is_possible_fix, read_samples
@@ -180,10 +181,10 @@ def describe(report: dict[str, Any], out: Path) -> list[str]:
     out : Path
         Recording that was written.
     """
-    names = ", ".join(f"{count:,} {kind}{'s' * (count != 1)}" for kind, count in report["names"].items() if count)
+    names = ", ".join(format_count(count, kind) for kind, count in report["names"].items() if count)
     dropped = ", ".join(f"{count:,} {cause}" for cause, count in report["dropped"].items())
     return [
-        f"{out}: {sum(report['kept'].values()):,} messages",
+        f"{out}: {format_count(sum(report['kept'].values()), 'message')}",
         f"changed: names of {names or 'nobody'}; {report['positions']:,} positions; all times",
         f"dropped: {dropped or 'no message'}; key prefixes, fields outside the contract, file metadata",
         *([] if report["days_stay"] else [DAYS_DIFFER]),

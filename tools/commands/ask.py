@@ -12,6 +12,7 @@ from rich.text import Text
 
 from socast.core.errors import SettingsError, read_input
 from socast.core.forecast.plan_checks import parse_leg, parse_plan, parse_vehicle
+from socast.core.formatting import format_count
 from socast.core.wire.messages import Interval, LegOutlook, Outlook
 from socast.stream.zenoh_queryable import query_outlook
 from socast.stream.zenoh_session import LOOPBACK, Connection, Node
@@ -218,7 +219,7 @@ def _planned(legs: Sequence[LegOutlook]) -> str:
     rides = [leg for leg in legs if not leg.is_charge()]
     known = [leg.energy_kwh.mean for leg in rides if leg.energy_kwh]
     takes = f", {sum(known):.1f} kWh" if len(known) == len(rides) else ""
-    text = f"{len(rides)} leg{'s' * (len(rides) != 1)}, {sum(leg.distance_km for leg in rides):.0f} km{takes}"
+    text = f"{format_count(len(rides), 'leg')}, {sum(leg.distance_km for leg in rides):.0f} km{takes}"
     charges = [f"{leg.charge_to_soc_pct:g} %" for leg in legs if leg.is_charge()]
     return f"{text}, charges to {' and '.join(charges)}" if charges else text
 

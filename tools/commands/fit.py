@@ -19,7 +19,7 @@ from socast.core.fit.pooled import adapt
 from socast.core.fit.recipes import RECIPES, LinearRecipe, Recipe, get_recipe
 from socast.core.fit.ride_blocks import RideParquet
 from socast.core.fit.window_recipe import WindowRecipe
-from socast.core.formatting import format_minus
+from socast.core.formatting import format_count, format_minus
 from socast.core.models import ANY, LinearModel, Term
 from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible, get_plausible_ranges, is_within, list_implausible
@@ -110,10 +110,9 @@ def fit(
     chosen = get_recipe(recipe_name or (base.recipe if base else ""))
     refuse_cleaning_of_tables(inputs(rides), settings)
     check_outputs([*inputs(rides), *(effects_file or ()), *(vehicles or ())], out, json_file)
-    if place is not None:
-        _refuse_undivided(chosen, adapted=base is not None)
+    _refuse_undivided(chosen, place, adapted=base is not None)
     with _open_rides(rides, settings, place, effects_file or (), vehicles or ()) as files:
-        if place is not None and isinstance(chosen, LinearRecipe):
+        if place and isinstance(chosen, LinearRecipe):
             model = _fit_by_workers(chosen, files, out, place)
         else:
             with show_elapsed("fitting"):
@@ -235,9 +234,9 @@ def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:
     return chosen.fit(RideParquet(tuple(files)).table())
 
 
-def _refuse_undivided(chosen: Recipe, *, adapted: bool) -> None:
+def _refuse_undivided(chosen: Recipe, place: ClusterPlace | None, *, adapted: bool) -> None:
     """Refuse fits that workers cannot divide."""
-    if adapted or not isinstance(chosen, LinearRecipe):
+    if place and (adapted or not isinstance(chosen, LinearRecipe)):
         divided = ", ".join(name for name, recipe in RECIPES.items() if isinstance(recipe, LinearRecipe))
         what = "--adapt needs" if adapted else f"recipe {chosen.name} needs"
         raise SettingsError(f"{what} all rides at once; leave out --cluster, which divides the fits of {divided}")
@@ -399,7 +398,8 @@ def show(model: LinearModel, title: str, console: Console) -> None:
     if training is not None:
         left = ", ".join(f"{n:,} {reason.replace('_', ' ')}" for reason, n in training.left_out.items())
         filled = ", ".join(f"{name} in {n:,}" for name, n in training.filled.items())
-        console.print(f"{training.rides:,} rides from {training.first_date} to {training.last_date}", highlight=False)
+        rides = format_count(training.rides, "ride")
+        console.print(f"{rides} from {training.first_date} to {training.last_date}", highlight=False)
         console.print(f"left out: {left or 'none'}", highlight=False, soft_wrap=True)
         console.print(f"unknown and filled with the mean: {filled or 'nothing'}", highlight=False, soft_wrap=True)
         for name, n in training.vehicle_models.items():
@@ -417,7 +417,7 @@ def show(model: LinearModel, title: str, console: Console) -> None:
     _show_dropped(model, console)
     _show_curves(model, console)
     parts = [
-        f"factors of {len(model.cars):,} cars" if model.cars else "",
+        f"factors of {format_count(len(model.cars), 'car')}" if model.cars else "",
         f"trees for {', '.join(model.correction)}" if model.correction else "",
         "prediction intervals" if model.interval else "",
     ]

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import track
 
 from socast.core.errors import ImportFileError, SettingsError
+from socast.core.formatting import format_count
 from socast.stream.mcap_writer import McapSink
 from socast.stream.recording_metadata import make_metadata
 from socast.tools.importers.data_sets import DATA_SETS, DataSet, get_data_set
@@ -231,7 +232,8 @@ def write_recording(
     cars = len({drive.vehicle_id for drive in drives})
     hours = sum(float(drive.elapsed[-1]) for drive in drives) / 3600
     console.print(
-        f"{out}: {len(recording)} messages, {len(drives)} rides of {cars} car{'s' * (cars > 1)}, {hours:.1f} h",
+        f"{out}: {format_count(len(recording), 'message')}, {format_count(len(drives), 'ride')} of "
+        f"{format_count(cars, 'car')}, {hours:.1f} h",
         markup=False,
         highlight=False,
         soft_wrap=True,

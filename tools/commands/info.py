@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from socast.core.formatting import format_count
 from socast.core.wire.messages import BATCH, OF_VEHICLES, address
 from socast.stream.mcap_reader import McapSource
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
@@ -125,7 +126,7 @@ def _show(console: Console, content: dict[str, Any]) -> None:
     name = escape(Path(content["path"]).name)
     console.print(f"[bold]{name}[/bold]  {span if content['begin'] else 'empty'}", highlight=False, soft_wrap=True)
     console.print(
-        f"{content['messages']:,} messages, {len(content['vehicles']):,} vehicles, "
+        f"{format_count(content['messages'], 'message')}, {format_count(len(content['vehicles']), 'vehicle')}, "
         f"{len(content['stations']):,} stations, {content['chunks']:,} chunks, {content['bytes']:,} bytes",
         highlight=False,
         soft_wrap=True,
@@ -137,7 +138,8 @@ def _show(console: Console, content: dict[str, Any]) -> None:
     if for_viewers := content["viewer_topics"].values():
         count = sum(about["messages"] for about in for_viewers)
         schemas = ", ".join(sorted({about["schema"] for about in for_viewers}))
-        line = f"for viewers, read by no command: {count:,} messages on {len(for_viewers):,} topics ({schemas})"
+        topics = format_count(len(for_viewers), "topic")
+        line = f"for viewers, read by no command: {format_count(count, 'message')} on {topics} ({schemas})"
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     table = make_table([Column("topic"), Column("messages", number=True), Column("schema")])
     for topic, about in list(content["topics"].items())[:MOST_TOPICS]:

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from socast.core.errors import SettingsError
+from socast.core.formatting import format_count
 from socast.core.settings import Settings
 from socast.stream.loop import stop_on_signals
 from socast.stream.mcap_reader import McapSource
@@ -189,4 +190,4 @@ def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], sto
         )
     sink.close()
     refuse_unusable(sources, count)
-    console.print(f"published {count:,} messages in {time.monotonic() - began:.1f} s", highlight=False)
+    console.print(f"published {format_count(count, 'message')} in {time.monotonic() - began:.1f} s", highlight=False)

@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 
 from socast.core.errors import RecordingError, SettingsError
+from socast.core.formatting import format_count
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.simulation import write_recording
 from socast.tools.cluster.workers import open_workers
@@ -189,7 +190,8 @@ def simulate(
     per_km = 1000 * (total["kwh_per_km"] or 0)
     console = Console()
     console.print(
-        f"{out}: {total['messages']:,} messages, {total['rides']:,} rides of {len(truth.cars)} cars, "
+        f"{out}: {format_count(total['messages'], 'message')}, {format_count(total['rides'], 'ride')} of "
+        f"{format_count(len(truth.cars), 'car')}, "
         f"{total['distance_km']:,.0f} km, {total['energy_kwh']:,.0f} kWh, {per_km:.0f} Wh/km",
         markup=False,
         highlight=False,

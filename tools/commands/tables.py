@@ -12,6 +12,7 @@ from rich.console import Console
 
 from socast.core import effects, models
 from socast.core.errors import SettingsError
+from socast.core.formatting import format_count
 from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
@@ -321,18 +322,18 @@ def show(quality: dict[str, Any], rides: int, windows: int, folder: Path, consol
     samples = quality["received"].get("telemetry", 0)
     for cause, count in quality["samples"].items():
         if count:
-            table.add_row(cause.replace("_", " "), f"{count:,}", f"{samples:,} samples")
+            table.add_row(cause.replace("_", " "), f"{count:,}", format_count(samples, "sample"))
     for cause, count in quality["undecodable"].items():
         table.add_row(cause.replace("_", " "), f"{count:,}", "payloads")
     for reason, count in quality["unfit"].items():
-        table.add_row(f"ride {reason.replace('_', ' ')}", f"{count:,}", f"{rides:,} rides")
-    messages = f"{quality['received'].get('vehicle', 0):,} vehicle messages"
+        table.add_row(f"ride {reason.replace('_', ' ')}", f"{count:,}", format_count(rides, "ride"))
+    messages = format_count(quality["received"].get("vehicle", 0), "vehicle message")
     for reason, count in quality["unpredicted"].items():
-        table.add_row(f"not predicted: {reason.replace('_', ' ')}", f"{count:,}", f"{rides:,} rides")
+        table.add_row(f"not predicted: {reason.replace('_', ' ')}", f"{count:,}", format_count(rides, "ride"))
     for reason, count in quality["unpredictable"].items():
         table.add_row(reason.replace("_", " "), f"{count:,}", messages)
     if table.rows:
         console.print(table)
     unfit = sum(quality["unfit"].values())
-    messages = f"{rides:,} rides ({unfit:,} unfit for training) and {windows:,} windows in {folder}"
-    console.print(messages, markup=False, highlight=False, soft_wrap=True)
+    rows = f"{format_count(rides, 'ride')} ({unfit:,} unfit for training) and {format_count(windows, 'window')}"
+    console.print(f"{rows} in {folder}", markup=False, highlight=False, soft_wrap=True)

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from socast.core.errors import CatalogueError, SettingsError
 from socast.core.files import write_whole
+from socast.core.formatting import format_count
 from socast.core.vehicles import VehicleModel, is_drag_area_assumed, list_assumed, load_catalogue, read_data_sheets
 from socast.core.wire.messages import IDENTITY
 from socast.tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
@@ -90,7 +91,7 @@ def check_file(file: DataSheets, json_file: JsonFile = None) -> None:
     for key, vehicle in vehicles.items():
         assumed = ", ".join(list_assumed(vehicle)) or "nothing"
         console.print(Text(f"{key}: usual values of the catalogue: {assumed}"), soft_wrap=True)
-    console.print(Text(f"{len(vehicles)} vehicle{'s' * (len(vehicles) != 1)} in {file}: all checks passed."))
+    console.print(Text(f"{format_count(len(vehicles), 'vehicle')} in {file}: all checks passed."))
 
 
 def _show(vehicles: Mapping[str, VehicleModel], json_file: Path | None) -> None:

@@ -12,6 +12,7 @@ from rich.console import Console
 from socast.core.batch import Ints
 from socast.core.cleaning.faults import FAULTS, LoggerFault
 from socast.core.cleaning.quality import CAUSES, Quality
+from socast.core.formatting import format_count
 from socast.tools.terminal.rich_table import Column, make_table
 
 MOST_SHOWN: Final = 12
@@ -162,7 +163,7 @@ def show_cars(cars: Sequence[CarFaults], console: Console) -> None:
     for car in faulty[:MOST_SHOWN]:
         _show_car(car, console)
     if others := faulty[MOST_SHOWN:]:
-        _print(console, f"{len(others):,} more cars with faults, which lose less; --json lists them.")
+        _print(console, f"{format_count(len(others), 'more car')} with faults, which lose less; --json lists them.")
     clean = [car.vehicle_id for car in cars if car.is_clean]
     if clean:
         names = ", ".join(clean[:MOST_SHOWN]) + (f" and {len(clean) - MOST_SHOWN:,} more" * (len(clean) > MOST_SHOWN))
@@ -181,14 +182,14 @@ def show_cars(cars: Sequence[CarFaults], console: Console) -> None:
 def _show_car(car: CarFaults, console: Console) -> None:
     """Print the table of a car, and what it loses."""
     columns = [Column("fault"), Column("samples", number=True), Column("%", number=True), Column("costs")]
-    table = make_table(columns, f"{car.vehicle_id}: {car.samples:,} samples")
+    table = make_table(columns, f"{car.vehicle_id}: {format_count(car.samples, 'sample')}")
     for name in filter(car.is_frequent, car.faults):
         count, fault = car.faults[name], _FAULT_OF[name]
         table.add_row(fault.title, f"{count:,}", f"{100.0 * count / car.samples:.1f}", fault.cost)
     if table.rows:
         console.print(table)
     else:
-        _print(console, f"{car.vehicle_id}: {car.samples:,} samples")
+        _print(console, f"{car.vehicle_id}: {format_count(car.samples, 'sample')}")
     if rare := [_FAULT_OF[name].title for name in car.faults if not car.is_frequent(name)]:
         _print(console, f"In at most {100.0 * RARE:g} % of the samples: {'; '.join(rare)}.")
     for fact in car.facts:
@@ -196,11 +197,13 @@ def _show_car(car: CarFaults, console: Console) -> None:
     unfit = sum(lost.rides for lost in car.unfit.values())
     _print(
         console,
-        f"{unfit:,} of {car.rides:,} rides are unfit for training"
+        f"{unfit:,} of {format_count(car.rides, 'ride')} {'is' if unfit == 1 else 'are'} unfit for training"
         + (f": {car.lost_hours:.2f} of {car.hours:.2f} h, {car.lost_km:,.1f} of {car.km:,.1f} km." if unfit else "."),
     )
     for reason, lost in car.unfit.items():
-        _print(console, f"  {_spell(reason)}: {_count(lost.rides)}, {lost.hours:.2f} h, {lost.km:,.1f} km")
+        _print(
+            console, f"  {_spell(reason)}: {format_count(lost.rides, 'ride')}, {lost.hours:.2f} h, {lost.km:,.1f} km"
+        )
     console.print()
 
 
@@ -217,11 +220,6 @@ def _count_unfit(rides: pd.DataFrame) -> dict[str, LostRides]:
 def _share(car: CarFaults) -> float:
     """Return the share of the most frequent fault of the logger of a car. [1]"""
     return max(car.logger_faults.values(), default=0) / max(car.samples, 1)
-
-
-def _count(rides: int) -> str:
-    """Return a number of rides in words."""
-    return f"{rides:,} ride{'s' if rides != 1 else ''}"
 
 
 def _spell(reason: str) -> str:

@@ -17,7 +17,7 @@ from rich.text import Text
 
 from socast.core.evaluate.ride_filter import name_rides
 from socast.core.forecast.status import VehicleStatus
-from socast.core.formatting import format_minus
+from socast.core.formatting import format_count, format_minus
 from socast.core.monitoring.shadow import ShadowModels
 from socast.core.pipeline import Pipeline
 from socast.core.vehicles.catalogue import OVERRIDES
@@ -360,7 +360,8 @@ def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
     list of str
     """
     fit = rides[rides["fit_for_training"] & rides["predicted_kwh"].notna() & rides["energy_kwh"].notna()]
-    lines = [f"{len(rides):,} rides of {rides['vehicle_id'].nunique():,} cars, {rides['distance_km'].sum():.1f} km"]
+    cars = format_count(rides["vehicle_id"].nunique(), "car")
+    lines = [f"{format_count(len(rides), 'ride')} of {cars}, {rides['distance_km'].sum():.1f} km"]
     if len(fit):
         predicted, measured = fit["predicted_kwh"].sum(), fit["energy_kwh"].sum()
         absolute = (fit["predicted_kwh"] - fit["energy_kwh"]).abs().sum()
@@ -435,8 +436,9 @@ def describe_counts(tally: Tally, quality: dict[str, Any]) -> str:
     rejected = sum(quality["undecodable"].values())
     rate = tally.received / tally.seconds if tally.seconds > 0 else 0.0
     return (
-        f"{tally.received:,} messages ({rate:,.0f} a second), {tally.forecasts:,} forecasts, {tally.missed:,} missed, "
-        f"{rejected:,} undecodable, {quality['rides']:,} rides ended"
+        f"{format_count(tally.received, 'message')} ({rate:,.0f} a second), "
+        f"{format_count(tally.forecasts, 'forecast')}, {tally.missed:,} missed, "
+        f"{rejected:,} undecodable, {format_count(quality['rides'], 'ride')} ended"
     )
 
 

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from socast.core import models
-from socast.core.formatting import format_minus
+from socast.core.formatting import format_count, format_minus
 from socast.core.models import LinearModel
 from socast.core.wire.messages import Gain, ModelErrors, RideErrors
 from socast.tools.terminal.rich_table import Column, make_table
@@ -141,7 +141,7 @@ def describe_gain(gain: Gain) -> str:
     -------
     str
     """
-    over = f"{gain.rides:,} rides of {gain.vehicle_days:,} vehicle-days"
+    over = f"{format_count(gain.rides, 'ride')} of {format_count(gain.vehicle_days, 'vehicle-day')}"
     if gain.mean_kwh is None or gain.lower_kwh is None or gain.upper_kwh is None or gain.verdict == "undecided":
         return f"undecided: {over}"
     low, high = sorted((abs(gain.lower_kwh), abs(gain.upper_kwh)))

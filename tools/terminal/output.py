@@ -136,11 +136,13 @@ def make_console(json_file: Path | None = None) -> Console:
     Returns
     -------
     rich.console.Console
-        Console as wide as the terminal, or `PIPE_WIDTH` without a terminal.
+        Console as wide as the terminal; without one as the variable COLUMNS says, or `PIPE_WIDTH`.
     """
     stderr = json_file == STANDARD_OUTPUT
     console = _PipedConsole(stderr=stderr)
-    return console if console.is_terminal else _PipedConsole(stderr=stderr, width=PIPE_WIDTH)
+    if console.is_terminal or os.environ.get("COLUMNS", "").isdigit():
+        return console
+    return _PipedConsole(stderr=stderr, width=PIPE_WIDTH)
 
 
 def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspec.Struct) -> None:

@@ -19,6 +19,7 @@ from socast.core.evaluate.paper.held_out import word_limited
 from socast.core.evaluate.relative_errors import compute_relative_figures, compute_share_below_least
 from socast.core.evaluate.ride_filter import find_exclusion_reasons, name_rides
 from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
+from socast.core.formatting import format_count
 from socast.core.models import ANY, LinearModel
 from socast.core.models.plausibility import describe_implausible, describe_limited
 from socast.core.stats import multiple_testing, scores
@@ -173,7 +174,7 @@ def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str,
                 )
     days = len(np.unique(assign_vehicle_days(rides)))
     if days == 1:
-        notes.append(f"{len(rides):,} rides of one car on one day: too few for intervals")
+        notes.append(f"{format_count(len(rides), 'ride')} of one car on one day: too few for intervals")
     if "driver_id" not in rides or rides["driver_id"].isna().all():
         notes.append("drivers are unknown: errors are shown by vehicle, not by driver")
     return tuple(notes)

@@ -291,7 +291,7 @@ def test_vehicle_model_with_too_few_rides_uses_the_fit_over_all(fleet):
         (lambda t: t.drop(columns="lost_m"), "column 'lost_m' is missing: make the tables again"),
         (lambda t: t.drop(columns="energy_kwh"), "column 'energy_kwh' is missing"),
         (lambda t: t.iloc[:0], "0 rides to fit to, and it needs 80"),
-        (lambda t: t.iloc[:1], "1 rides to fit to, and it needs 80"),
+        (lambda t: t.iloc[:1], "1 ride to fit to, and it needs 80"),
         (lambda t: t.assign(energy_kwh=np.nan), "2,000 rides, all unfit (2,000 no measured energy)"),
         (lambda t: t.assign(fit_for_training=False), "2,000 rides, all unfit (2,000 unfit)"),
         (lambda t: pd.concat([t.iloc[5:6]] * 200), "all 200 rides are alike: nothing can be learned"),

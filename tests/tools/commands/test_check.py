@@ -62,7 +62,7 @@ def test_page_shows_faults_costs_and_remedies_of_a_car_and_clean_cars_in_one_lin
     out = print_report(make_report(late=1, ambient_filled=1000), capsys)
     lines = [" ".join(line.split()) for line in out.splitlines()]
     assert "speed missing 600 60.0 kinetic energy and drag are less exact; the ride where it lasts" in lines
-    assert "1 of 2 rides are unfit for training: 1.00 of 1.50 h, 30.0 of 40.0 km." in lines
+    assert "1 of 2 rides is unfit for training: 1.00 of 1.50 h, 30.0 of 40.0 km." in lines
     assert "speed missing send the speed in each sample" in lines
     assert [line for line in lines if line.startswith("Clean") and line.endswith(": b.")]
     assert "b: 1,000 samples" not in out

@@ -105,7 +105,7 @@ def test_segment_model_is_evaluated_only_with_windows(folder, capsys):
     [
         (lambda t: t.drop(columns="effect_climbing"), "'effect_climbing' is missing"),
         (lambda t: t.drop(columns="vehicle_id"), "'vehicle_id' is missing"),
-        (lambda t: t.head(1), "1 of 1 rides can be evaluated"),
+        (lambda t: t.head(1), "1 of 1 ride can be evaluated"),
         (lambda t: t.assign(energy_kwh=np.nan), "0 of 240 rides can be evaluated"),
         (lambda t: t.assign(energy_kwh=None), "0 of 240 rides can be evaluated"),
         (lambda t: t.assign(ambient_c="cold"), "holds no numbers"),

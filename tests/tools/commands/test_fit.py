@@ -140,7 +140,7 @@ def written(table: pd.DataFrame, path: Path) -> Path:
     ("change", "message"),
     [
         (lambda t: t.drop(columns="odometer_km"), "column 'odometer_km' is missing: make the tables again"),
-        (lambda t: t.iloc[5:6], "1 rides to fit to, and it needs 80: give more rides"),
+        (lambda t: t.iloc[5:6], "1 ride to fit to, and it needs 80: give more rides"),
         (
             lambda t: t.assign(energy_kwh=np.nan),
             "900 rides, all unfit (895 no measured energy, 5 too long)",

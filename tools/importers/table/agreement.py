@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from socast.core.formatting import format_count
 from socast.core.vehicles import load_catalogue
 from socast.tools.importers.table.agreement_sums import FASTEST, HARDEST, CarSums, sum_cars
 from socast.tools.importers.table.sign_evidence import MASSES, SignEvidence, estimate_capacity, fit_mass, judge_sign
@@ -102,7 +103,7 @@ def _check_speeds(cars: Sequence[CarSums], total: Mapping[str, float]) -> list[C
     time, speed, name = min(wild)
     count = int(total["wild"])
     found = (
-        f"{count:,} row{'s' * (count != 1)} with an impossible speed, first {speed * 3.6:.4g} km/h of {name} at "
+        f"{format_count(count, 'row')} with an impossible speed, first {speed * 3.6:.4g} km/h of {name} at "
         f"{datetime.fromtimestamp(time, UTC):%Y-%m-%d %H:%M:%S} UTC"
     )
     limit = f"{FASTEST * 3.6:.0f} km/h, and a rise by {HARDEST:g} m/s each second"
@@ -215,10 +216,10 @@ def _check_capacity(cars: Sequence[CarSums], signs: _Signs) -> Check:
     if known:
         ratios = [value / nominal for _, value, nominal in known]
         ratio = float(np.median(ratios))
-        text = f"{ratio:.0%} of the nominal capacity (median of {len(known)} car{'s' * (len(known) > 1)})"
+        text = f"{ratio:.0%} of the nominal capacity (median of {format_count(len(known), 'car')})"
         return _judge_capacity(text, "60 to 115 %", 0.6 <= ratio <= 1.15, ratio, ratio, signs)
     value = float(np.median([capacity for _, capacity in found]))
-    text = f"{value:.3g} kWh per 100 % (median of {len(found)} car{'s' * (len(found) > 1)})"
+    text = f"{value:.3g} kWh per 100 % (median of {format_count(len(found), 'car')})"
     return _judge_capacity(text, "4 to 250 kWh", 4.0 <= value <= 250.0, value, value / 50.0, signs)
 
 

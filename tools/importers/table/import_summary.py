@@ -8,6 +8,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.text import Text
 
+from socast.core.formatting import format_count
 from socast.tools.importers.table.agreement import Check
 from socast.tools.importers.table.agreement_sums import CarSums
 from socast.tools.importers.table.cells import suggest_decimal
@@ -91,13 +92,13 @@ def list_lines(summary: ImportSummary) -> list[tuple[str, str]]:
     """Return the lines of a summary with their styles."""
     cars = len(summary.cars)
     first = (
-        f"{summary.out}: {summary.samples:,} samples of {cars} car{'s' * (cars != 1)}, {summary.hours:.1f} h, "
-        f"from {summary.rows:,} rows in {summary.files} file{'s' * (summary.files != 1)}"
+        f"{summary.out}: {format_count(summary.samples, 'sample')} of {format_count(cars, 'car')}, "
+        f"{summary.hours:.1f} h, from {format_count(summary.rows, 'row')} in {format_count(summary.files, 'file')}"
     )
     lines = [(first, "")]
     for cause, count in summary.causes.most_common():
         place = f"; {summary.places[cause]}" if cause in summary.places else ""
-        lines.append((f"left out: {count:,} row{'s' * (count != 1)} with {cause}{place}", "yellow"))
+        lines.append((f"left out: {format_count(count, 'row')} with {cause}{place}", "yellow"))
     for column, count in summary.cells.most_common():
         text = summary.examples[column]
         remedy = suggest_decimal(text, summary.decimal)

@@ -326,7 +326,7 @@ def test_excluded_rides_are_counted_by_reason(rides):
     ("spoil", "message"),
     [
         (lambda t: t.drop(columns="distance_km"), "column 'distance_km' is missing"),
-        (lambda t: t.head(1), "1 of 1 rides can be evaluated, at most 1 of a vehicle model in a cluster of 5 km"),
+        (lambda t: t.head(1), "1 of 1 ride can be evaluated, at most 1 of a vehicle model in a cluster of 5 km"),
         (lambda t: t.assign(energy_kwh=np.nan), "0 of 1,600 rides can be evaluated.*1,600 no measured energy"),
         (lambda t: t.assign(fit_for_training=False, unfit_reason="too_long"), "left out: 1,600 too long"),
         (lambda t: t.assign(energy_kwh="much"), "'energy_kwh' of the ride table holds no numbers"),
