@@ -29,5 +29,14 @@ def test_figure_shows_cars_with_forecasts_and_minus_signs():
     assert {"taxi-0", "0 0–0", "−0"} <= shown
 
 
+def test_figure_asks_no_other_host_and_cuts_no_text():
+    figure = FIGURE.read_text(encoding="utf-8")
+    assert set(re.findall(r"https?://[^\s\"')<]+", figure)) <= {
+        "http://www.w3.org/2000/svg",
+        "https://www.textualize.io",
+    }
+    assert "…" not in figure
+
+
 def test_readme_shows_the_figure():
     assert "](docs/live.svg)" in (ROOT / "README.md").read_text(encoding="utf-8")

@@ -7,8 +7,10 @@ their intervals, as `--warm-up` does.
 from dataclasses import replace
 from datetime import UTC, datetime
 from io import StringIO
+from re import DOTALL, sub
 from typing import Final
 
+from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
 
 from socast.core import models
@@ -31,8 +33,10 @@ EARLIER: Final = Simulation(
     faults=Faults(errand=0.0),
 )
 """Shifts before that of the recording, made as the recording was (see `recordings/README.md`) with another seed."""
-WIDTH: Final = 112
+WIDTH: Final = 162
 """Width of the terminal. [characters]"""
+FONTS: Final = "ui-monospace, Menlo, Consolas, 'DejaVu Sans Mono', monospace"
+"""Fonts of the figure, which a reader has; it asks no other host for one."""
 SHOWN: Final = 0.8
 """Share of the messages of the shift after which the table is drawn."""
 
@@ -65,7 +69,8 @@ def live_figure(pipeline: Pipeline, tally: Tally) -> str:
     cars = sorted(pipeline.status())
     caption = describe_counts(tally, pipeline.quality())
     console.print(make_fleet_table(cars, "Live", caption, len(cars)))
-    return console.export_svg(title="socast live", unique_id="live")
+    form = sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=DOTALL).replace("Fira Code, monospace", FONTS)
+    return console.export_svg(title="socast live", unique_id="live", code_format=form)
 
 
 def main() -> None:

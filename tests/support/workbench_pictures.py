@@ -16,8 +16,6 @@ from tests.support.workbenches import serve
 
 DOCS: Final = ROOT / "docs"
 SIZE: Final = {"width": 1280, "height": 860}
-COLOURS: Final = 96
-"""Number of colours of a picture, which makes it small."""
 PICTURES: Final = {
     "workbench-fleet.png": ("#/fleet?sort=risk&order=down", ".fleet-table tr.car"),
     "workbench-car.png": ("#/car/taxi-003?km=18&min=25", ".answer .chip"),
@@ -34,8 +32,8 @@ def take_pictures(browser: Any, server: Any, folder: Path) -> None:
         visit.page.wait_for_load_state("networkidle")
         visit.page.screenshot(path=folder / name)
         with Image.open(folder / name) as picture:
-            small = picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
-        small.save(folder / name, optimize=True)
+            whole = picture.convert("RGB")
+        whole.save(folder / name, optimize=True)  # a palette would lose the colours of small marks
     visit.close()
 
 

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from socast.core.wire.messages import Finding, Message, encode
 from socast.tools.bench.workbench import BoardSource, make_fleet_messages
@@ -92,6 +93,12 @@ def test_pictures_of_the_documentation_show_the_present_pages(name, pictures):
     assert measure_difference(pictures / name, DOCS / name) < LARGEST_DIFFERENCE, (
         "renew with: python -m tests.support.workbench_pictures"
     )
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_pictures_of_the_documentation_keep_every_colour(name):
+    with Image.open(DOCS / name) as picture:
+        assert picture.mode == "RGB"  # a palette would lose those of small marks
 
 
 @pytest.mark.parametrize("scheme", ["dark", "light"])
