@@ -4,7 +4,15 @@ Other packages import the names of this package. Users' files import `effect` an
 """
 
 from socast.core.effects.declaration import Effect, Parameter, effect
-from socast.core.effects.registry import CANDIDATES, get, get_library, group_by_topic, list_tabulated, load_file
+from socast.core.effects.registry import (
+    CANDIDATES,
+    get,
+    get_library,
+    group_by_topic,
+    list_own,
+    list_tabulated,
+    load_file,
+)
 from socast.core.effects.verification import check_effect
 
 __all__ = [
@@ -16,6 +24,7 @@ __all__ = [
     "get",
     "get_library",
     "group_by_topic",
+    "list_own",
     "list_tabulated",
     "load_file",
 ]

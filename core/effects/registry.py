@@ -91,6 +91,11 @@ def list_tabulated() -> list[str]:
     return [each.name for effect in _library.values() for each in (effect, *effect.variants)]
 
 
+def list_own() -> list[str]:
+    """Return the names of the effects that users' files brought, each followed by its variants."""
+    return [each.name for name in _brought_by for each in (_library[name], *_library[name].variants)]
+
+
 def get(name: str) -> Effect:
     """Return the effect of a name.
 

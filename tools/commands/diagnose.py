@@ -48,7 +48,8 @@ from socast.tools.terminal.output import (
     show_report,
     write_json,
 )
-from socast.tools.terminal.table_files import KEY, is_table, read
+from socast.tools.terminal.table_files import KEY, is_table, join_parts, read
+from socast.tools.terminal.table_source import complete_tables
 
 ENERGY_COLUMNS = (
     "energy_kwh",
@@ -232,7 +233,23 @@ def read_both_tables(
             raise SettingsError(
                 f"{file.parent} holds no {WINDOWS}, which diagnosis needs: name a folder that `socast tables` made"
             )
-    return read(files), read(beside)
+    if not (own := effects.list_own()):
+        return read(files), read(beside)
+    parts = [_complete(*pair, own, report) for pair in zip(files, beside, strict=True)]
+    return join_parts([rides for rides, _ in parts]), join_parts([windows for _, windows in parts])
+
+
+def _complete(
+    rides: Path, windows: Path, own: Sequence[str], report: Callable[[float], None] | None
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the tables of a folder, with columns of one's own effects from their recordings."""
+
+    def read_again(
+        recordings: Sequence[Path], wanted: Sequence[str], settings: Settings, elevation: Sequence[Path]
+    ) -> tuple[pd.DataFrame, pd.DataFrame]:
+        return in_memory(recordings, wanted, report, settings, elevation)
+
+    return complete_tables(rides.parent, read([rides]), read([windows]), own, read_again)
 
 
 def check_vehicles(model: LinearModel, rides: pd.DataFrame) -> None:

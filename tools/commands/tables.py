@@ -46,9 +46,10 @@ from socast.tools.terminal.recordings import (
 )
 from socast.tools.terminal.rich_table import Column, make_table
 from socast.tools.terminal.table_files import read as read_tables
+from socast.tools.terminal.table_source import QUALITY, describe_source
 
 RECORDING = ".mcap"
-RIDES, WINDOWS, QUALITY = "rides.parquet", "windows.parquet", "quality.json"
+RIDES, WINDOWS = "rides.parquet", "windows.parquet"
 
 COUNTED_BY_NAME = ("received", "undecodable", "unfit", "unpredicted", "unpredictable")
 """Counters that are written in the order of their names; that of their first count depends on the workers."""
@@ -81,6 +82,7 @@ def tables(
     wanted, elevation_map = effects.list_tabulated(), open_elevation(elevation or ())
     loaded, sources, folder = models.load(model), open_recordings(recordings), _folder(out)
     read = [*recordings, *select_model_files([model]), *(effects_file or ()), *(vehicles or ()), *(elevation or ())]
+    source = {"source": describe_source(folder, recordings, settings, elevation or ())}
     if place is not None:
         check_outputs(read, folder / QUALITY, folder / REPORT, json_file)
         made = tabulate_by_workers(
@@ -95,7 +97,7 @@ def tables(
             elevation_files=elevation or (),
         )
         ended = read_tables([folder / RIDES]) if json_file else pd.DataFrame()
-        _finish(sources, made.quality, made.rides, made.windows, folder, json_file, ended)
+        _finish(sources, made.quality | source, made.rides, made.windows, folder, json_file, ended)
         return
     pipeline = Pipeline(
         loaded, settings, also=wanted, keep_forecasts=False, two_sided=True, elevation_map=elevation_map
@@ -104,7 +106,7 @@ def tables(
     kept: list[pd.DataFrame] = []
     rows = _write_tables(sources, pipeline, folder, kept.append if json_file else lambda _: None)
     ended = pd.concat(kept) if json_file else pd.DataFrame()
-    _finish(sources, pipeline.quality(), *rows, folder, json_file, ended)
+    _finish(sources, pipeline.quality() | source, *rows, folder, json_file, ended)
 
 
 def _write_tables(
@@ -204,6 +206,7 @@ def in_memory(
     wanted: Sequence[str],
     report: Callable[[float], None] | None = None,
     settings: Settings | None = None,
+    elevation: Sequence[Path] = (),
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ride table and the window table of recordings, and print warnings about data that could not be read.
 
@@ -217,12 +220,20 @@ def in_memory(
         As of `tabulate`.
     settings : Settings, optional
         Settings of cleaning; the default ones by default.
+    elevation : sequence of Path
+        Maps that correct the elevation of fixes.
 
     Returns
     -------
     rides, windows : DataFrame
     """
-    pipeline = Pipeline(settings=settings or Settings(), also=wanted, keep_forecasts=False, two_sided=True)
+    pipeline = Pipeline(
+        settings=settings or Settings(),
+        also=wanted,
+        keep_forecasts=False,
+        two_sided=True,
+        elevation_map=open_elevation(elevation),
+    )
     sources = open_recordings(recordings)
     parts: list[tuple[pd.DataFrame, pd.DataFrame]] = []
     tabulate(sources, pipeline, lambda rides, windows: parts.append((rides, windows)), report)

@@ -38,13 +38,27 @@ def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.Data
     ModelError
         If a file is not a Parquet file, or if it lacks a column.
     """
-    parts = []
-    for i, file in enumerate(files):
-        part = _read(file, columns)
-        if len(files) > 1 and KEY in part:
-            part[KEY] = f"{i}/" + part[KEY].astype(str)
-        parts.append(part)
-    return parts[0] if len(parts) == 1 else pd.concat(parts, ignore_index=True)
+    return join_parts([_read(file, columns) for file in files])
+
+
+def join_parts(parts: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Concatenate tables; with several, the index of the table comes before each ride key.
+
+    Parameters
+    ----------
+    parts : sequence of DataFrame
+        Tables.
+
+    Returns
+    -------
+    DataFrame
+    """
+    if len(parts) == 1:
+        return parts[0]
+    if any(KEY not in part for part in parts):
+        return pd.concat(parts, ignore_index=True)
+    keyed = [part.assign(**{KEY: f"{i}/" + part[KEY].astype(str)}) for i, part in enumerate(parts)]
+    return pd.concat(keyed, ignore_index=True)
 
 
 def is_window_table(file: Path) -> bool:
