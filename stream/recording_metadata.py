@@ -6,9 +6,12 @@ It holds nothing that depends on the machine or on the time of day, so that the 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
-from typing import Any
+from typing import Any, Final
 
 import msgspec
+
+INVENTED: Final = "invented"
+"""Entry `dates` in the settings of a recording whose dates are invented."""
 
 
 @cache

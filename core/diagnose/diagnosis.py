@@ -75,6 +75,7 @@ def diagnose(
     places: bool = True,
     groups: Mapping[str, str] | None = None,
     seed: int = 0,
+    dated: bool = True,
     report: Callable[[float, str], None] = lambda *_: None,
 ) -> dict[str, Any]:
     """Return where a model fails, which effects it lacks, and what error remains.
@@ -99,6 +100,9 @@ def diagnose(
         Group of each vehicle, such as its depot; groups are compared like cars.
     seed : int
         Seed of the assignment of vehicle-days to folds and halves.
+    dated : bool
+        Whether the dates of the rides are known. If they are invented, nothing is said of what began at a date, and of
+        seasons and hours.
     report : callable
         Function that receives, before each step, the share of the work that is done, and the step in words.
 
@@ -124,7 +128,9 @@ def diagnose(
         held_out = tuple(sorted(set(final if leave_out is None else leave_out) & set(dates)))
         kept = drop_dates(rides, windows, held_out)
         seen = gather_windows(*kept, model)
-        result = _diagnose(seen, model, without, least_gain, groups, places=places, seed=seed, report=report)
+        result = _diagnose(
+            seen, model, without, least_gain, groups, places=places, seed=seed, dated=dated, report=report
+        )
     recorded = {date for entry in model.history for date in (entry.get("final") or {}).get("dates") or ()}
     result["data"]["held_out"] = {
         "dates": list(held_out),
@@ -144,6 +150,7 @@ def _diagnose(
     *,
     places: bool,
     seed: int,
+    dated: bool,
     report: Callable[[float, str], None],
 ) -> dict[str, Any]:
     """Return the result of `diagnose` for windows."""
@@ -163,6 +170,8 @@ def _diagnose(
         taken = [each.column for each in episodes] + [named.column for named in selection.selected]
         known = np.column_stack([np.empty((len(seen.measured), 0)), *taken])
         local = diagnose_deviations(selection.base, model, known, without, groups)
+    if not dated:
+        local["deviations"] = [each for each in local["deviations"] if each["since"] is None]
     base = selection.base
     missing = selection.list_missing_effects()
     report(0.8, "searching the remaining error")
@@ -182,11 +191,11 @@ def _diagnose(
             "recipe": model.recipe,
             "implausible": describe_implausible(model),
         },
-        "data": _describe_data(seen),
+        "data": _describe_data(seen) | {"dated": dated},
         "episodes": [each.to_json() for each in episodes],
         "error": _describe_error(seen, base, floor),
         "error_location": location.to_json(),
-        "slices": find_slices(seen.rides, error, seed=seed),
+        "slices": find_slices(seen.rides, error, seed=seed, dated=dated),
         "missing": [
             _describe_missing(finding, selection) | {"partial_residual": compute_partial_residual(selection, finding)}
             for finding in missing

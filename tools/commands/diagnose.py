@@ -49,7 +49,7 @@ from socast.tools.terminal.output import (
     write_json,
 )
 from socast.tools.terminal.table_files import KEY, is_table, join_parts, read
-from socast.tools.terminal.table_source import complete_tables
+from socast.tools.terminal.table_source import are_dated, complete_tables
 
 ENERGY_COLUMNS = (
     "energy_kwh",
@@ -118,6 +118,7 @@ def diagnose_rides(
     loaded = models.load(model)
     read_from = [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())]
     check_outputs(read_from, json_file, html_file, suggest, findings, out)
+    dated = are_dated(inputs(rides))
     earlier = read_findings(findings) if findings else []
     wanted = [*loaded.effects, *effects.list_tabulated()]
     with tables_by_workers(rides, place, wanted, effects_file or (), vehicles or (), settings) as given:
@@ -132,11 +133,11 @@ def diagnose_rides(
             soft_wrap=True,
         )
     if auto and out is not None:
-        loaded, result = _auto(loaded, table, windows, least_gain, console)
+        loaded, result = _auto(loaded, table, windows, least_gain, console, dated=dated)
         models.save(loaded, out)
     else:
         of_vehicle = read_groups(groups) if groups else None
-        result = _diagnose(loaded, table, windows, least_gain, of_vehicle)
+        result = _diagnose(loaded, table, windows, least_gain, of_vehicle, dated=dated)
         insert_commands(result, model, rides, effects_file or (), vehicles or (), settings)
         if findings:
             after = _keep_findings(result, table, earlier, findings)
@@ -355,12 +356,14 @@ def _diagnose(
     least_gain: float,
     groups: Mapping[str, str] | None = None,
     leave_out: Collection[str] | None = None,
+    *,
+    dated: bool = True,
 ) -> dict[str, Any]:
     """Return the diagnosis as JSON values."""
     from socast.core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
 
     with show_elapsed("diagnosing"):
-        found = diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain, groups=groups)
+        found = diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain, groups=groups, dated=dated)
     result: dict[str, Any] = to_json_values(found)
     return result
 
@@ -373,7 +376,13 @@ def _word_result(result: dict[str, Any]) -> dict[str, list[str]]:
 
 
 def _auto(
-    model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame, least_gain: float, console: Console
+    model: LinearModel,
+    rides: pd.DataFrame,
+    windows: pd.DataFrame,
+    least_gain: float,
+    console: Console,
+    *,
+    dated: bool,
 ) -> tuple[LinearModel, dict[str, Any]]:
     """Return the model after the last step of the loop, and the last diagnosis."""
     from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
@@ -383,7 +392,7 @@ def _auto(
     rows, diagnosed = join_tables(rides, windows), gather_windows(rides, windows, model).rides
     floor = compute_noise_floor(compute_noise_variance(diagnosed))
     for step in range(1, MAX_STEPS + 1):
-        result = _diagnose(model, rides, windows, least_gain, leave_out=final)
+        result = _diagnose(model, rides, windows, least_gain, leave_out=final, dated=dated)
         page.print_step(result, step, console)
         entry = next((m for m in result.get("missing") or () if m["effect"] == result.get("verdict")), None)
         entry = entry or find_leading_deviation([one for one in result.get("deviations") or () if one["columns"]])

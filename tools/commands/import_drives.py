@@ -61,6 +61,16 @@ def import_drives(
     ] = None,
     html_file: HtmlFile = None,
     _: VehicleFiles = None,
+    sequence: Annotated[
+        float | None,
+        typer.Option(
+            metavar="H",
+            min=0.1,
+            max=8760.0,
+            help="Csv and parquet: place files whose clocks begin at 0 one after another, H hours apart, at invented "
+            "dates.",
+        ),
+    ] = None,
     vehicle_model: Annotated[
         str | None,
         typer.Option(metavar="KEY", help="Csv and parquet: vehicle model of cars for which MAP.toml names none."),
@@ -114,13 +124,13 @@ def import_drives(
         changed = {"--vehicle": vehicle, "--shift-hours": shift_hours, "--time-zone": time_zone}
         if wrong := [option for option, value in changed.items() if value]:
             raise SettingsError(f"{wrong[0]} applies to public data sets only; leave it out, and write the map instead")
-        options = TableImport(map_file, out, html_file, guess, preset, vehicle_model, period, skip_bad)
+        options = TableImport(map_file, out, html_file, guess, preset, vehicle_model, period, skip_bad, sequence)
         import_tables(data_set, paths, options)
         return
     chosen = get_data_set(data_set)
-    if guess or any(option is not None for option in (map_file, html_file, vehicle_model, preset)):
+    if guess or any(option is not None for option in (map_file, html_file, vehicle_model, preset, sequence)):
         raise SettingsError(
-            "--map, --guess, --preset, --html and --vehicle-model apply to csv and parquet only; "
+            "--map, --guess, --preset, --html, --sequence and --vehicle-model apply to csv and parquet only; "
             f"leave them out for {data_set}"
         )
     if out is None:

@@ -1,12 +1,13 @@
 """Run `socast import csv` and `socast import parquet`: guess a map, convert with it, and show what was found."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from rich.console import Console
 
 from socast.core.errors import ImportFileError, SettingsError
 from socast.core.files import write_whole
+from socast.stream.recording_metadata import INVENTED
 from socast.tools.importers.table.column_map import FileFormat, parse_map, read_map
 from socast.tools.importers.table.conversion import convert_tables, open_tables
 from socast.tools.importers.table.guess import guess_map
@@ -16,8 +17,11 @@ from socast.tools.importers.table.presets import Preset, get_preset
 from socast.tools.importers.table.sampling import Sampling, find_holds
 from socast.tools.importers.table.skipped_files import SkippedFiles
 from socast.tools.importers.table.table_file import KINDS, TableFile, list_tables, open_table
+from socast.tools.importers.table.time_source import TimeSource
 from socast.tools.terminal.output import check_outputs, make_console
 
+INVENTED_ORIGIN: Final = 1_577_836_800.0
+"""Time of the first file of a sequence without an origin of its own: 2020-01-01. [Unix s]"""
 TABLE_KINDS = tuple(KINDS)
 """Kinds of tables that `socast import` reads with a map."""
 RECORDING = ".mcap"
@@ -41,6 +45,8 @@ class TableImport(NamedTuple):
         Time between two samples; None is that of the map. [s]
     skip_bad : bool
         Whether to skip and count files that cannot be read.
+    sequence : float, optional
+        Time between files that follow each other at invented dates. [h]
     """
 
     map_file: Path | None
@@ -51,6 +57,7 @@ class TableImport(NamedTuple):
     vehicle_model: str | None
     period: float | None
     skip_bad: bool = False
+    sequence: float | None = None
 
 
 def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
@@ -88,6 +95,8 @@ def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
     if options.period is not None:
         holds = columns.sampling.holds if columns.sampling else find_holds()
         columns = columns._replace(sampling=Sampling(options.period, holds))
+    if options.sequence is not None:
+        columns = columns._replace(time=place_in_sequence(columns.time, options.sequence))
     skipped = SkippedFiles(options.skip_bad)
     tables = open_tables(files, kind, columns, skipped)
     summary = convert_tables(tables, columns, out, _list_settings(kind, options), skipped)
@@ -97,6 +106,29 @@ def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
 
         write(summary, options.html_file)
         console.print(f"report in {options.html_file}", markup=False, highlight=False, soft_wrap=True)
+
+
+def place_in_sequence(time: TimeSource, hours: float) -> TimeSource:
+    """Return the clock of files that follow each other at invented dates.
+
+    Parameters
+    ----------
+    time : TimeSource
+        The clock of the map.
+    hours : float
+        Time from the last row of a file to the number 0 of the next one. [h]
+
+    Raises
+    ------
+    SettingsError
+        If the files tell their dates.
+    """
+    if time.unit_s is None or time.is_serial or time.origin_form or time.day_from_file_name or len(time.columns) > 1:
+        raise SettingsError(
+            "--sequence invents dates for clocks that begin at 0 in each file, and [time] of the map gives dates; "
+            "leave --sequence out, or give the unit of the numbers only"
+        )
+    return time._replace(gap_s=3600.0 * hours, origin=max(time.origin, INVENTED_ORIGIN))
 
 
 def _check_options(kind: str, options: TableImport, guesses: bool) -> None:
@@ -120,6 +152,8 @@ def _list_settings(kind: str, options: TableImport) -> dict[str, str]:
         "preset": options.preset,
         "vehicle_model": options.vehicle_model,
         "period": options.period,
+        "sequence": options.sequence,
+        "dates": None if options.sequence is None else INVENTED,
     }
     return {"kind": kind} | {name: str(value) for name, value in chosen.items() if value is not None}
 

@@ -11,6 +11,8 @@ import pandas as pd
 from socast.core.errors import SocastError
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.settings import Settings
+from socast.stream.mcap_reader import McapSource
+from socast.stream.recording_metadata import INVENTED
 from socast.tools.terminal.table_files import KEY, WINDOW
 
 QUALITY: Final = "quality.json"
@@ -29,11 +31,14 @@ class TableSource(msgspec.Struct, frozen=True):
         Recordings, and maps of elevation.
     settings : Settings
         Settings of cleaning.
+    dated : bool
+        Whether the dates of the recordings are known, and not invented by `socast import --sequence`.
     """
 
     recordings: tuple[str, ...]
     settings: Settings
     elevation: tuple[str, ...] = ()
+    dated: bool = True
 
 
 class _Quality(msgspec.Struct):
@@ -47,8 +52,27 @@ def describe_source(
 ) -> dict[str, Any]:
     """Return the source of tables in a folder, for the file beside them."""
     names = [tuple(os.path.relpath(path, folder) for path in paths) for paths in (recordings, elevation)]
-    described: dict[str, Any] = msgspec.to_builtins(TableSource(names[0], settings, names[1]))
+    described: dict[str, Any] = msgspec.to_builtins(
+        TableSource(names[0], settings, names[1], all(map(is_dated, recordings)))
+    )
     return described
+
+
+def is_dated(recording: Path) -> bool:
+    """Return whether the dates of a recording are known, and not invented by `socast import --sequence`."""
+    try:
+        settings = msgspec.json.decode(McapSource(recording).metadata.get("settings") or "{}", type=dict[str, Any])
+    except msgspec.DecodeError:
+        return True
+    return settings.get("dates") != INVENTED
+
+
+def are_dated(files: Sequence[Path]) -> bool:
+    """Return whether the dates of all recordings, or of all files of rides, are known."""
+    if files[0].suffix == ".mcap":
+        return all(map(is_dated, files))
+    sources = [read_source(file.parent) for file in files]
+    return all(source is None or source.dated for source in sources)
 
 
 def read_source(folder: Path) -> TableSource | None:

@@ -19,6 +19,7 @@ from socast.core.models import BUILT_IN_MODELS, EXTENDED_PHYSICAL, LinearModel
 from socast.tools.commands.compare import named
 from socast.tools.commands.diagnose import check_tables, list_lacking_effects, read_both_tables
 from socast.tools.commands.fit import RECORDING, inputs
+from socast.tools.terminal.table_source import are_dated
 from socast.tools.workbench.loop.model_tree import ModelNode, ModelTree
 from socast.tools.workbench.loop.own_effects import OwnEffects
 
@@ -223,7 +224,9 @@ class Workspace:
             return known
         rides, windows = self.check_rides(node.model)
         version = self.tables.version
-        result: dict[str, Any] = to_json_values(diagnose(rides, windows, node.model, report=report))
+        result: dict[str, Any] = to_json_values(
+            diagnose(rides, windows, node.model, dated=are_dated(inputs(self.given.data)), report=report)
+        )
         self._diagnoses[node.model.version, version] = result
         return result
 

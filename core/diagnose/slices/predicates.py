@@ -121,13 +121,15 @@ NAMES: Final = (
 """Columns of names, and the title before a name that has no letters."""
 
 
-def list_conditions(rides: pd.DataFrame) -> tuple[list[RideCondition], Masks]:
+def list_conditions(rides: pd.DataFrame, *, dated: bool = True) -> tuple[list[RideCondition], Masks]:
     """Return the conditions that are true for some rides and false for others.
 
     Parameters
     ----------
     rides : DataFrame
         n rows of the ride table; conditions on columns that it lacks are omitted.
+    dated : bool
+        Whether the dates are known; conditions on season, hour and date are omitted if they are invented.
 
     Returns
     -------
@@ -140,7 +142,7 @@ def list_conditions(rides: pd.DataFrame) -> tuple[list[RideCondition], Masks]:
     conditions: list[RideCondition] = []
     masks: list[NDArray[np.bool_]] = []
     seen: set[bytes] = set()
-    for condition, mask in _all(rides):
+    for condition, mask in _all(rides, dated=dated):
         key = np.packbits(mask).tobytes()
         if FEWEST <= np.count_nonzero(mask) <= len(mask) - FEWEST and key not in seen:
             seen.add(key)
@@ -165,13 +167,15 @@ def read_dates(rides: pd.DataFrame) -> NDArray[np.str_]:
     return dates
 
 
-def _all(rides: pd.DataFrame) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
+def _all(rides: pd.DataFrame, *, dated: bool) -> Iterator[tuple[RideCondition, NDArray[np.bool_]]]:
     """Yield every possible condition on rides, also those that hold for all or for none."""
     for column, title in NAMES:
         yield from _named(np.array(get_names(rides, column), dtype=np.str_), column, title)
     for scale in CONDITION_SCALES:
         if scale.column in rides:
             yield from _compared(_numbers(rides, scale.column) / scale.size, scale)
+    if not dated:
+        return
     for column, words in SEASONS:
         if column in rides:
             yield RideCondition(words, "season", VAGUE), _numbers(rides, column) > 0.5

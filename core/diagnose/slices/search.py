@@ -98,7 +98,7 @@ class ConfirmedSlice(NamedTuple):
 
 
 def find_slices(
-    rides: pd.DataFrame, error: Floats, *, seed: int = 0, most: int = 8, level: float = 0.05
+    rides: pd.DataFrame, error: Floats, *, seed: int = 0, most: int = 8, level: float = 0.05, dated: bool = True
 ) -> list[dict[str, Any]]:
     """Return the slices of the rides for which the bias of a model differs, the most certain first.
 
@@ -114,6 +114,8 @@ def find_slices(
         Maximum number of slices that are returned, and that each half may propose.
     level : float
         Accepted mean share of false slices among those returned. [1]
+    dated : bool
+        Whether the dates of the rides are known, see `list_conditions`.
 
     Returns
     -------
@@ -124,7 +126,7 @@ def find_slices(
     """
     error = np.asarray(error, dtype=np.float64)
     rides, error, day = _in_order(rides, error)
-    known, masks = list_conditions(rides)
+    known, masks = list_conditions(rides, dated=dated)
     if not known:
         return []
     first = _dealt(day, seed)[day]

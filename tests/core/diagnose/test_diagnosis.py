@@ -23,6 +23,7 @@ from socast.core.fit.recipes import fit_to_windows
 from socast.core.models.features import list_raw_columns
 from socast.tools.bench.hidden import cases
 from socast.tools.bench.hidden.cases import Case, SeedData
+from socast.tools.report.diagnosis import sentences
 from socast.tools.simulator.settings import Hidden
 from tests.support.diagnosis_result import make_diagnosis as made_up
 from tests.support.synthetic_windows import make_tables, make_windows
@@ -236,6 +237,19 @@ def small():
     """Tables of two cars, and a model fitted to them."""
     tables = make_tables(make_windows(cars=2, days=8))
     return tables, fit_to_windows("road_load", *tables, covariance=False)
+
+
+@pytest.mark.parametrize("dated", [True, False])
+def test_nothing_is_said_of_what_began_at_an_invented_date(small, monkeypatch, dated):
+    found = [{"since": None, "columns": ["always"]}, {"since": "2020-06-22", "columns": ["later"]}]
+    monkeypatch.setattr(diagnosing, "diagnose_deviations", lambda *_: {"deviations": list(found), "cars": []})
+    monkeypatch.setattr(diagnosing, "LEAST_DAYS_FOR_SCOPES", 1)
+    tables, model = small
+    result = diagnose(*tables, model, dated=dated)
+    assert result["deviations"] == (found if dated else found[:1])
+    assert result["data"]["dated"] == dated
+    said = any("dates are invented" in line for line in sentences.describe_data(result))
+    assert said == (not dated)
 
 
 class TestInsufficientData:

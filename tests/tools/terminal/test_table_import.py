@@ -1,7 +1,10 @@
 """Test the options of `socast import csv` and what it prints and draws."""
 
+import numpy as np
+import pandas as pd
 import pytest
 
+from socast.tools.terminal.table_source import are_dated
 from tests.support.commands import called, done, refused
 from tests.support.own_tables import abrp, teslamate
 
@@ -50,3 +53,58 @@ def test_summary_of_wrong_data_names_value_limit_and_remedy(tmp_path):
     assert code == 0
     (line,) = [line for line in printed.splitlines() if "does not agree: odometer against speed" in line]
     assert "ratio 0.278 (limit: ratio from 0.9 to 1.1); the speed is probably in km/h, not m/s" in line
+
+
+MAP = """[time]
+column = "t"
+unit = "s"
+
+[vehicle]
+name = "car"
+model = "nissan-leaf-2013"
+
+[fields]
+speed_kmh = { column = "v", unit = "km/h" }
+soc_pct = { column = "soc", unit = "%" }
+"""
+
+
+@pytest.fixture
+def trips(tmp_path):
+    """Write three trips whose clocks begin at 0, and the map of them."""
+    (tmp_path / "map.toml").write_text(MAP)
+    for number in range(3):
+        rows = "\n".join(f"{3 * i},{30 + i % 5},{80 - 0.01 * i}" for i in range(200))
+        (tmp_path / f"trip_{number}.csv").write_text(f"t,v,soc\n{rows}\n")
+    return tmp_path
+
+
+def import_trips(folder, *more):
+    files = sorted(folder.glob("*.csv"))
+    done("import", "csv", *files, "--map", folder / "map.toml", "--out", folder / "trips.mcap", *more)
+
+
+def test_files_in_sequence_follow_each_other_with_the_gap(trips):
+    import_trips(trips, "--sequence", 6)
+    done("tables", trips / "trips.mcap", "--out", trips / "tables")
+    begin = pd.read_parquet(trips / "tables" / "rides.parquet")["start_s"].to_numpy()
+    assert begin[0] == 1_577_836_800.0
+    assert np.diff(begin) == pytest.approx(6 * 3600 + 597.0, abs=3.0)
+
+
+@pytest.mark.parametrize(("more", "dated"), [(("--sequence", 6), False), ((), True)])
+def test_recording_and_tables_know_whether_their_dates_are_invented(trips, more, dated):
+    if dated:
+        (trips / "map.toml").write_text(MAP.replace('unit = "s"', 'unit = "s"\norigin = "2024-05-01"'))
+        for file in sorted(trips.glob("*.csv"))[1:]:
+            file.unlink()
+    import_trips(trips, *more)
+    done("tables", trips / "trips.mcap", "--out", trips / "tables")
+    assert are_dated([trips / "trips.mcap"]) == dated
+    assert are_dated([trips / "tables" / "rides.parquet"]) == dated
+
+
+def test_sequence_is_refused_where_the_map_tells_the_dates(trips, capsys):
+    (trips / "map.toml").write_text(MAP.replace('unit = "s"', 'format = "%H:%M"'))
+    given = ("--map", trips / "map.toml", "--out", trips / "trips.mcap", "--sequence", 6)
+    assert "leave --sequence out" in refused(capsys, "import", "csv", trips / "trip_0.csv", *given)

@@ -52,8 +52,8 @@ def refuse_overlap(reader: RowReader, columns: ColumnMap) -> None:
         return
     raise ImportFileError(
         f"{_describe_overlap(overlap, reader)}, because their clocks all start at one origin; where their names hold "
-        'the start, give [time] of the map origin_from_file_name = "ride_%Y-%m-%d_%H%M%S", else import each file with '
-        "an origin of its own"
+        'the start, give [time] of the map origin_from_file_name = "ride_%Y-%m-%d_%H%M%S", else --sequence H invents '
+        "dates"
     )
 
 

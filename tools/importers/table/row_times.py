@@ -56,6 +56,7 @@ class TimeReader:
         self._days = 0
         self._last_of_file = np.nan
         self._last_offset = np.nan
+        self._newest, self._zero = -np.inf, source.origin
 
     def read(self, table: TableFile, block: Block, vehicles: Ints) -> RowTimes:
         """Return the times of the rows of a block.
@@ -72,6 +73,8 @@ class TimeReader:
         if self._path != table.path:
             self._path, self._last, self._days = table.path, {}, 0
             self._last_of_file = self._last_offset = np.nan
+            if self.source.gap_s is not None and np.isfinite(self._newest):
+                self._zero = float(np.ceil(self._newest + self.source.gap_s))
         cells = [block[name] for name in self.source.columns]
         missing: Bools = np.logical_or.reduce([to_bools(pc.is_null(each)) for each in cells])
         day = find_day(table.path) if self.source.day_from_file_name else None
@@ -85,6 +88,7 @@ class TimeReader:
             joined = texts[0] if len(texts) == 1 else pc.binary_join_element_wise(*texts, " ")
             times, unclear = self._parse(joined, vehicles, day, block)
         times = times + self.source.add_weeks * SECONDS_PER_WEEK
+        self._newest = max(self._newest, float(np.nanmax(times, initial=-np.inf)))
         return RowTimes(times if day is None else self._add_days(times), missing, unclear)
 
     def _count(self, table: TableFile, cells: list[Any], vehicles: Ints, day: str | None) -> tuple[Floats, Bools]:
@@ -106,7 +110,7 @@ class TimeReader:
         """Return the Unix time of the number 0 in a file. [s]"""
         if self.source.origin_form is not None:
             return find_origin(path, self.source.origin_form, self.source.zone)
-        return self.source.origin if day is None else pd.Timestamp(day, tz=self.source.zone).timestamp()
+        return self._zero if day is None else pd.Timestamp(day, tz=self.source.zone).timestamp()
 
     def _parse(self, texts: pa.Array, vehicles: Ints, day: str | None, block: Block) -> tuple[Floats, Bools]:
         """Return the Unix times of texts [s], NaN where unreadable, and which of them are unclear."""

@@ -50,6 +50,9 @@ class TimeSource(NamedTuple):
         Weeks by which all times are moved, as for a receiver whose count of weeks starts again.
     is_serial : bool
         Whether numbers are days of a spreadsheet, in local time.
+    gap_s : float, optional
+        Time from the last row of a file to the number 0 of the next one, where the files follow each other at invented
+        dates. [s]
     """
 
     columns: tuple[str, ...]
@@ -62,6 +65,7 @@ class TimeSource(NamedTuple):
     offset_column: str | None = None
     add_weeks: int = 0
     is_serial: bool = False
+    gap_s: float | None = None
 
     @property
     def is_relative(self) -> bool:

@@ -82,6 +82,8 @@ def describe_data(result: Result) -> list[str]:
         lines.append(f"Excluded: {reasons}.")
     if lacking := [str(row["effect"]) for row in result.get("candidates") or () if row.get("status") == NOT_IN_DATA]:
         lines.append(f"Not tested, because the tables have no values of them: {', '.join(lacking)}.")
+    if data.get("dated") is False:
+        lines.append("The dates are invented: no statement is made on what began at a date, on seasons and on hours.")
     return [*lines, *_describe_held_out(get_mapping(data, "held_out"))]
 
 

@@ -165,3 +165,11 @@ def test_names_without_letters_get_title():
     rides, _, _ = fleet(100)
     known, _ = list_conditions(rides.assign(driver_id=np.arange(100) % 3))
     assert {"driver 0", "driver 1", "driver 2"} <= {condition.words for condition in known}
+
+
+def test_conditions_on_invented_dates_are_omitted():
+    rides, _, _ = fleet(400)
+    of_dates = {"season", "hour", "date <", "date >"}
+    kinds = [{each.kind for each in list_conditions(rides, dated=dated)[0]} for dated in (True, False)]
+    assert of_dates <= kinds[0]
+    assert kinds[1] == kinds[0] - of_dates
