@@ -1,7 +1,7 @@
 """`socast ask`: ask a live consumer whether a car can take a ride and still finish above its reserve."""
 
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
+from datetime import UTC, tzinfo
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -17,6 +17,7 @@ from socast.core.wire.messages import Interval, LegOutlook, Outlook
 from socast.stream.zenoh_queryable import query_outlook
 from socast.stream.zenoh_session import LOOPBACK, Connection, Node
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.time_zone import TimeZone, find_zone, format_local
 
 LOW_RISK: Final = 0.05
 """Probability of falling below the reserve under which the answer is YES. [1]"""
@@ -24,6 +25,7 @@ HIGH_RISK: Final = 0.5
 """Probability of falling below the reserve above which the answer is NO. [1]"""
 LONGEST_S: Final = 3600.0
 """Longest permitted wait for an answer. [s]"""
+_CLOCK: Final = "%H:%M %Z"
 _SAYS: Final = {
     "YES": "{} can",
     "NO": "{} cannot",
@@ -51,6 +53,7 @@ def ask_outlook(
     ] = None,
     prefix: Annotated[str, typer.Option(metavar="P", help="Key chunks before `fleet`, such as montreal.")] = "",
     timeout_s: Annotated[float, typer.Option(metavar="S", help="Longest wait for the answer.")] = 5.0,
+    time_zone: TimeZone = None,
     json_file: JsonFile = None,
 ) -> None:
     """Ask a live consumer whether a car can take a ride and still finish above its reserve.
@@ -65,6 +68,8 @@ def ask_outlook(
     socast ask taxi-012 --config dispatch.json5 --prefix montreal
     """
     ride = {"distance_km": distance_km, "duration_s": duration_s, "gained_m": gained_m, "lost_m": lost_m}
+    console = make_console(json_file)
+    zone = find_zone(time_zone, console)
     given = {name: str(value) for name, value in ride.items() if value is not None}
     check_outputs([plan] if plan else [], json_file)
     payload = _read(plan) if plan else None
@@ -82,10 +87,10 @@ def ask_outlook(
             f"the answer for {vehicle} cannot be read: {error}; use the same version of `socast` as the consumer"
         ) from error
     write_json(json_file, "ask", outlook)
-    show(outlook, make_console(json_file))
+    show(outlook, console, zone)
 
 
-def show(outlook: Outlook, console: Console) -> None:
+def show(outlook: Outlook, console: Console, zone: tzinfo | None = UTC) -> None:
     """Print the answer: first one word, then a sentence, then the figures.
 
     Parameters
@@ -94,10 +99,12 @@ def show(outlook: Outlook, console: Console) -> None:
         Answer of the consumer.
     console : rich.console.Console
         Console to print on.
+    zone : tzinfo, optional
+        Time zone of the times; None is that of the system.
     """
     word, sentence = verdict(outlook)
     console.print(Text.assemble((f"{word}:", _STYLES[word]), f" {sentence}"), highlight=False, soft_wrap=True)
-    for name, figure in figures(outlook):
+    for name, figure in figures(outlook, zone):
         console.print(f"  {name:<14} {figure}", markup=False, highlight=False, soft_wrap=True)
 
 
@@ -131,13 +138,15 @@ def verdict(outlook: Outlook) -> tuple[str, str]:
     return word, f"{says} {doing} above its reserve of {outlook.reserve_soc_pct:g} %{because}"
 
 
-def figures(outlook: Outlook) -> Iterator[tuple[str, str]]:
+def figures(outlook: Outlook, zone: tzinfo | None = UTC) -> Iterator[tuple[str, str]]:
     """Yield the figures behind the answer, without unknown ones; the reason for a missing answer comes last.
 
     Parameters
     ----------
     outlook : Outlook
         Answer of the consumer.
+    zone : tzinfo, optional
+        Time zone of the times; None is that of the system.
 
     Yields
     ------
@@ -149,17 +158,17 @@ def figures(outlook: Outlook) -> Iterator[tuple[str, str]]:
     if ride and ride.soc_pct:
         yield "at arrival", f"{_format_interval(ride.soc_pct, '%')}, {_apart(ride.soc_pct.mean, reserve)}"
     if charge := outlook.next_charge:
-        level = f"{_format_interval(charge.soc_pct, '%')} at {_clock(charge.time_s)}"
+        level = f"{_format_interval(charge.soc_pct, '%')} at {format_local(charge.time_s, _CLOCK, zone)}"
         yield "next charge", f"{level}, {_apart(charge.soc_pct.mean, reserve)}"
     if end:
-        when = f" at {_clock(outlook.shift_end_s)}" if outlook.shift_end_s is not None else ""
+        when = f" at {format_local(outlook.shift_end_s, _CLOCK, zone)}" if outlook.shift_end_s is not None else ""
         yield "end of shift", f"{_format_interval(end, '%')}{when}, {_apart(end.mean, reserve)}"
     if ride and ride.energy_kwh:
         yield "energy", _format_interval(ride.energy_kwh, "kWh", 2)
     if outlook.legs:
         yield "then planned", _planned(outlook.legs)
     if outlook.soc_pct is not None:
-        yield "now", _now(outlook)
+        yield "now", _now(outlook, zone)
     if outlook.consumption_scale is not None:
         share = f"{outlook.consumption_scale * 100:.0f} %"
         yield (
@@ -209,11 +218,6 @@ def _share(risk: float) -> str:
     return "over 99 %" if risk > 0.99 else f"{risk * 100:.0f} %"
 
 
-def _clock(time_s: float) -> str:
-    """Return the text of a time of day in UTC."""
-    return f"{datetime.fromtimestamp(time_s, UTC):%H:%M} UTC"
-
-
 def _planned(legs: Sequence[LegOutlook]) -> str:
     """Return the text of the remaining legs of a plan: number, distance and energy of rides, and charges."""
     rides = [leg for leg in legs if not leg.is_charge()]
@@ -224,7 +228,7 @@ def _planned(legs: Sequence[LegOutlook]) -> str:
     return f"{text}, charges to {' and '.join(charges)}" if charges else text
 
 
-def _now(outlook: Outlook) -> str:
+def _now(outlook: Outlook, zone: tzinfo | None) -> str:
     """Return the text of the state of charge, the usable capacity and the time of the sample."""
     soc = f"{outlook.soc_pct:.1f}"
     if outlook.soc_sd_pct is not None:
@@ -233,4 +237,4 @@ def _now(outlook: Outlook) -> str:
     if outlook.usable_capacity_kwh is not None:
         sd = f" ± {outlook.usable_capacity_sd_kwh:.1f}" if outlook.usable_capacity_sd_kwh is not None else ""
         of = f" of {outlook.usable_capacity_kwh:.1f}{sd} kWh"
-    return f"{soc} %{of}, by a sample of {datetime.fromtimestamp(outlook.time_s, UTC):%Y-%m-%d %H:%M} UTC"
+    return f"{soc} %{of}, by a sample of {format_local(outlook.time_s, '%Y-%m-%d %H:%M %Z', zone)}"

@@ -38,6 +38,7 @@ from socast.tools.terminal.live_table import LiveTable, add_predictions, make_ri
 from socast.tools.terminal.model_comparison import DEFAULT_MODEL, ModelNames, load_models
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from socast.tools.terminal.shift_outcomes import ShiftOutcomes
+from socast.tools.terminal.time_zone import TimeZone, find_zone
 from socast.tools.terminal.warm_up import learn_from_recordings
 
 RECORDINGS: Final = Path(__file__).parents[2] / "recordings"
@@ -64,6 +65,7 @@ def demo(
     ] = None,
     seconds: Annotated[float, typer.Option(min=1.0, metavar="S", help="Duration of the demonstration.")] = 35.0,
     model: ModelNames = None,
+    time_zone: TimeZone = None,
     json_file: JsonFile = None,
 ) -> None:
     """Show a recorded shift as if it were live.
@@ -88,6 +90,7 @@ def demo(
     check_outputs([shift], json_file)
     about = describe_recording(source_file)
     console = make_console(json_file)
+    zone = find_zone(time_zone, console)
     chosen = load_models(model or ([DEFAULT_MODEL] if own else [str(FITTED), DEFAULT_MODEL]))
 
     def report(compiled: int, total: int) -> None:
@@ -101,7 +104,7 @@ def demo(
         pipeline.learn_from(earlier)
     hours, cars = about["duration_s"] / 3600, len(about["vehicles"])
     title = f"{shift.name}: {hours:.1f} h of {cars} cars, {speed:.0f} times real time"
-    missed = _run(pipeline, shift, about["messages"], speed, LiveTable(pipeline, title, console=console))
+    missed = _run(pipeline, shift, about["messages"], speed, LiveTable(pipeline, title, console=console, zone=zone))
     _show_results(console, pipeline, chosen, shift, missed, json_file)
 
 

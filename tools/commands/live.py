@@ -15,8 +15,10 @@ from socast.tools.terminal.connection_options import insert_connection_options
 from socast.tools.terminal.forecast_options import ForecastOptions, insert_forecast_options
 from socast.tools.terminal.limit_options import insert_limit_options
 from socast.tools.terminal.live_service import LiveOptions, serve
+from socast.tools.terminal.output import make_console
 from socast.tools.terminal.recording_options import RecordingOptions, insert_recording_options
 from socast.tools.terminal.settings_file import SettingsFile
+from socast.tools.terminal.time_zone import TimeZone, find_zone
 
 MONITORING, SEVERAL = "Monitoring", "Several consumers"
 """Titles of options in the help text."""
@@ -83,6 +85,7 @@ def live(
             rich_help_panel=SEVERAL,
         ),
     ] = "name",
+    time_zone: TimeZone = None,
     settings_file: SettingsFile = None,  # noqa: ARG001 - its values arrive as those of the other options
 ) -> None:
     """Listen to cars over Zenoh, publish a forecast for each, and answer questions about their shifts.
@@ -113,4 +116,5 @@ def live(
     if metrics_per_car and metrics is None:
         raise SettingsError("--metrics-per-car adds to what --metrics serves: give --metrics ADDRESS too")
     kept = connection, options, limits, recording, state, watch
-    serve(LiveOptions(*kept, report, metrics, metrics_per_car, standby, of_fleet))
+    zone = find_zone(time_zone, make_console())
+    serve(LiveOptions(*kept, report, metrics, metrics_per_car, standby, of_fleet, zone))

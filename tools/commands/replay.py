@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from datetime import tzinfo
 from math import inf
 from pathlib import Path
 from threading import Event
@@ -40,6 +41,7 @@ from socast.tools.terminal.recordings import (
     warn_of_losses,
 )
 from socast.tools.terminal.shift_outcomes import ShiftOutcomes, show_outcomes
+from socast.tools.terminal.time_zone import TimeZone, find_zone
 
 SUBSCRIBER_S = 10.0
 """Longest wait for a subscriber before publishing begins without one. [s]"""
@@ -77,6 +79,7 @@ def replay(
             "its layout F.layout.json.",
         ),
     ] = False,
+    time_zone: TimeZone = None,
     json_file: JsonFile = None,
 ) -> None:
     """Replay recordings, merged in time order, through a model or to a router.
@@ -114,6 +117,7 @@ def replay(
     if foxglove and out is None:
         raise SettingsError("--foxglove adds to what --out records: give --out F.mcap too")
     layout = out.with_suffix(".layout.json") if out and foxglove else None
+    zone = find_zone(time_zone, make_console(json_file))
     prefix = parse_prefix(options.prefix)
     rate = parse_speed(pace or ("1" if publishes else "max"))
     sources = open_recordings(recordings)
@@ -125,7 +129,7 @@ def replay(
             with Node(joined) as node:
                 _publish(source, ZenohSink(node, prefix), sources, stop, connect or f"the router of {config}")
         else:
-            _forecast(source, sources, rate, options, out, layout, json_file)
+            _forecast(source, sources, rate, options, out, layout, json_file, zone)
     warn_of_losses(sources)
 
 
@@ -137,6 +141,7 @@ def _forecast(
     out: Path | None,
     layout: Path | None,
     json_file: Path | None,
+    zone: tzinfo | None,
 ) -> None:
     """Pass recordings through the models, write the report and print it."""
     models = load_models(options.models)
@@ -145,10 +150,12 @@ def _forecast(
     metadata = describe_forecasts("replay", options, models)
     viewed = FoxgloveRecording(out, metadata) if out and layout else None
     if viewed and layout:
-        run_forecasts(pipeline, sources, viewed.record_source(source), rate, [viewed], outcomes)
+        run_forecasts(pipeline, sources, viewed.record_source(source), rate, [viewed], outcomes, zone)
         viewed.write_layout(layout)
     else:
-        run_forecasts(pipeline, sources, source, rate, [McapSink(out, metadata=metadata)] if out else [], outcomes)
+        run_forecasts(
+            pipeline, sources, source, rate, [McapSink(out, metadata=metadata)] if out else [], outcomes, zone
+        )
     quality = pipeline.quality()
     refuse_unusable(sources, sum(quality["received"].values()))
     rides = add_predictions(pipeline.take_rides(), pipeline.shadows)
@@ -158,10 +165,10 @@ def _forecast(
         result["models"] = make_records(errors)
     write_json(json_file, "replay", result)
     console = make_console(json_file)
-    show_rides(console, rides, quality)
+    show_rides(console, rides, quality, zone)
     if errors:
         show_models(console, errors, models, rides)
-    show_outcomes(console, result["shifts"])
+    show_outcomes(console, result["shifts"], zone)
     if layout:
         console.print(f"layout for Foxglove in {layout}", markup=False, highlight=False, soft_wrap=True)
     warn_outside(quality)

@@ -1,6 +1,7 @@
 """The function that passes recordings through the loop of live telemetry, with progress in the terminal."""
 
 from collections.abc import Callable, Sequence
+from datetime import UTC, tzinfo
 from math import inf
 
 from socast.core.pipeline import Pipeline
@@ -18,6 +19,7 @@ def run_forecasts(
     rate: float = inf,
     sinks: Sequence[Sink] = (),
     also: Callable[[], None] = lambda: None,
+    zone: tzinfo | None = UTC,
 ) -> Tally:
     """Pass recordings through the loop, with a progress bar at full speed and a table of cars at any other speed.
 
@@ -35,13 +37,16 @@ def run_forecasts(
         Sinks that receive the forecasts.
     also : callable
         Function that is called after each list of messages.
+    zone : tzinfo, optional
+        Time zone of the times in the table; None is that of the system.
 
     Returns
     -------
     Tally
         Counts of the messages that went through the loop.
     """
-    with show_progress(sources, shown=rate == inf) as step, LiveTable(pipeline, "Replay", silent=rate == inf) as table:
+    shown = LiveTable(pipeline, "Replay", silent=rate == inf, zone=zone)
+    with show_progress(sources, shown=rate == inf) as step, shown as table:
 
         def watch(tally: Tally) -> None:
             step()

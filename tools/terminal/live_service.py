@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from datetime import UTC, tzinfo
 from pathlib import Path
 from threading import Event
 from typing import Final
@@ -74,6 +75,8 @@ class LiveOptions:
         Whether to publish only while no other consumer does.
     shard : Shard, optional
         Share of the fleet to serve; all of it without a shard.
+    zone : tzinfo, optional
+        Time zone of the times on the terminal; None is that of the system.
     """
 
     connection: Connection
@@ -87,6 +90,7 @@ class LiveOptions:
     metrics_per_car: bool = False
     standby: bool = False
     shard: Shard | None = None
+    zone: tzinfo | None = UTC
 
 
 @dataclass(frozen=True)
@@ -152,7 +156,7 @@ def serve(options: LiveOptions) -> None:
     """
     with ExitStack() as ending:
         parts = start_service(options, ending)
-        run_service(parts, options.report_s)
+        run_service(parts, options.report_s, options.zone)
         stop_service(parts)
 
 
@@ -202,7 +206,7 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
     return parts
 
 
-def run_service(parts: ServiceParts, report_s: float) -> None:
+def run_service(parts: ServiceParts, report_s: float, zone: tzinfo | None = UTC) -> None:
     """Run the loop until a signal stops it.
 
     Parameters
@@ -210,8 +214,10 @@ def run_service(parts: ServiceParts, report_s: float) -> None:
     parts : ServiceParts
     report_s : float
         Time between two log lines of counters. [s]
+    zone : tzinfo, optional
+        Time zone of the times on the terminal; None is that of the system.
     """
-    with LiveTable(parts.pipeline, "Live", silent=not sys.stdout.isatty()) as table:
+    with LiveTable(parts.pipeline, "Live", silent=not sys.stdout.isatty(), zone=zone) as table:
         run(
             parts.source,
             parts.pipeline,

@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import UTC, tzinfo
 from math import isfinite
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -26,6 +26,7 @@ from socast.tools.terminal.model_comparison import WIDE, ErrorCourses, make_mode
 from socast.tools.terminal.output import make_console
 from socast.tools.terminal.rich_table import Column, make_table
 from socast.tools.terminal.small_pictures import draw_charge
+from socast.tools.terminal.time_zone import format_local, name_zone
 
 REDRAW_S = 0.25
 """Time between two updates of the table on a terminal. [s]"""
@@ -74,6 +75,8 @@ class LiveTable:
         Console to print on; by default the one of `make_console`.
     silent : bool
         Whether to show nothing.
+    zone : tzinfo, optional
+        Time zone of the times; None is that of the system.
     clock : callable
         Function that returns monotonic time. [s]
     """
@@ -85,10 +88,11 @@ class LiveTable:
         *,
         console: Console | None = None,
         silent: bool = False,
+        zone: tzinfo | None = UTC,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pipeline, self._title, self._clock, self._silent = pipeline, title, clock, silent
-        self._console = console or make_console()
+        self._console, self._zone = console or make_console(), zone
         self._due = clock() + LINE_S * (not self._console.is_terminal)
         self._last: Tally | None = None
         self._courses = ErrorCourses()
@@ -135,14 +139,23 @@ class LiveTable:
             rows = max(1, self._console.height - 7 - (below.row_count + 6 if below else 0))
             shadows = len(self._pipeline.shadows) if wide else 0
             counts = describe_counts(tally, self._pipeline.quality())
-            fleet = make_fleet_table(cars, self._title, counts, rows, shadows, wide=wide)
+            fleet = make_fleet_table(cars, self._title, counts, rows, shadows, wide=wide, zone=self._zone)
             self._live.update(Group(fleet, below) if below else fleet, refresh=True)
         else:
-            self._console.print(format_fleet_line(cars, tally), markup=False, highlight=False, soft_wrap=True)
+            self._console.print(
+                format_fleet_line(cars, tally, self._zone), markup=False, highlight=False, soft_wrap=True
+            )
 
 
 def make_fleet_table(
-    cars: Sequence[VehicleStatus], title: str, caption: str, rows: int, shadows: int = 0, *, wide: bool = True
+    cars: Sequence[VehicleStatus],
+    title: str,
+    caption: str,
+    rows: int,
+    shadows: int = 0,
+    *,
+    wide: bool = True,
+    zone: tzinfo | None = UTC,
 ) -> Table:
     """Return a table with one row per car, for the cars with the newest samples.
 
@@ -158,13 +171,17 @@ def make_fleet_table(
         Number of shadow models whose predictions have a column.
     wide : bool
         Whether the table has all columns.
+    zone : tzinfo, optional
+        Time zone of the times; None is that of the system.
 
     Returns
     -------
     rich.table.Table
     """
+    newest = sorted(sorted(cars, key=lambda car: car.time_s)[-rows:])
+    of_zone = name_zone([car.time_s for car in newest if isfinite(car.time_s)], zone)
     numbers = (
-        *((("time", 8),) if wide else ()),
+        *(((f"time\n{of_zone}", 8),) if wide else ()),
         ("SOC\n%", 5),
         ("ride\nkm", 6),
         ("predicted\nkWh", 9),
@@ -180,13 +197,12 @@ def make_fleet_table(
         *((Column("repaired or\nrejected", fixed=True, ratio=1),) if wide else ()),
     ]
     table = make_table(columns, title, caption, expand=True)
-    newest = sorted(sorted(cars, key=lambda car: car.time_s)[-rows:])
     for car in newest:
         riding = car.ride_distance_km > 0
         off = _compute_off_pct(car.predicted_kwh, car.measured_kwh) if riding else float("nan")
         table.add_row(
             Text(car.vehicle_id),
-            *((_format_time(car),) if wide else ()),
+            *((_format_time(car, zone),) if wide else ()),
             _format_number(car.soc_pct, 1),
             _format_number(car.ride_distance_km, 2),
             _format_number(car.predicted_kwh, 3),
@@ -221,12 +237,12 @@ def _choose_style(car: VehicleStatus) -> str:
     return "red" if _is_at_risk(car) else "cyan"
 
 
-def _format_time(car: VehicleStatus) -> str:
-    """Return the time of a car's newest sample, UTC."""
-    return f"{datetime.fromtimestamp(car.time_s, UTC):%H:%M:%S}" if isfinite(car.time_s) else ""
+def _format_time(car: VehicleStatus, zone: tzinfo | None) -> str:
+    """Return the time of a car's newest sample."""
+    return format_local(car.time_s, "%H:%M:%S", zone) if isfinite(car.time_s) else ""
 
 
-def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
+def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally, zone: tzinfo | None = UTC) -> str:
     """Return one line on the fleet for a log: the counts of messages, and the car with the newest sample.
 
     Parameters
@@ -235,6 +251,8 @@ def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
         State of all cars.
     tally : Tally
         Counts of the loop so far.
+    zone : tzinfo, optional
+        Time zone of the time; None is that of the system.
 
     Returns
     -------
@@ -244,7 +262,7 @@ def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally) -> str:
     if not cars:
         return counts
     car = max(cars, key=lambda car: car.time_s)
-    moment = f"{datetime.fromtimestamp(car.time_s, UTC):%H:%M:%S}"
+    moment = format_local(car.time_s, "%H:%M:%S %Z", zone)
     return (
         f"{counts}  {moment}  {car.vehicle_id}: SOC {_format_number(car.soc_pct, 1)} %, "
         f"{_format_number(car.ride_distance_km, 2)} km, predicted {_format_number(car.predicted_kwh, 3)} kWh, "
@@ -303,7 +321,7 @@ def make_ride_records(rides: pd.DataFrame) -> list[dict[str, Any]]:
     return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
-def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any]) -> None:
+def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any], zone: tzinfo | None = UTC) -> None:
     """Print a ride table with predictions, the totals, and the reasons why rides are unfit for training.
 
     Parameters
@@ -314,18 +332,21 @@ def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any]) -
         Result of `add_predictions`.
     quality : dict
         Counters of `Pipeline.quality`.
+    zone : tzinfo, optional
+        Time zone of the times; None is that of the system.
     """
     wide = console.width >= WIDE
     numbers = ("min", "km", *(("°C",) if wide else ()), "predicted\nkWh", "measured\nkWh", "off %")
+    shown = rides.tail(MOST_RIDES)
+    start = f"start\n{name_zone(shown['start_s'].tolist(), zone)}"
     columns = [
-        *(Column(head, fixed=True) for head in ("ride", *(("start",) if wide else ()))),
+        *(Column(head, fixed=True) for head in ("ride", *((start,) if wide else ()))),
         *(Column(head, number=True, fixed=True) for head in numbers),
         Column("unfit for\ntraining", fixed=True),
     ]
     table = make_table(columns, "Rides, predicted against measured")
-    shown = rides.tail(MOST_RIDES)
     for name, ride in zip(name_rides(shown), make_ride_records(shown), strict=True):
-        start = f"{datetime.fromtimestamp(ride['start_s'], UTC):%m-%d %H:%M}"
+        start = format_local(ride["start_s"], "%m-%d %H:%M", zone)
         table.add_row(
             Text(name),
             *((start,) if wide else ()),

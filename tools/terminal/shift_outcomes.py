@@ -1,6 +1,6 @@
 """The comparison of forecasts of each shift's end with its outcome, which `socast replay` prints last."""
 
-from datetime import UTC, datetime
+from datetime import UTC, tzinfo
 from typing import Any, Final
 
 import numpy as np
@@ -12,6 +12,7 @@ from socast.core.evaluate.soc.cases import MOST_FORECAST_AGE, SHIFT_KEY
 from socast.core.forecast.plan_tracker import CUT_SHORT_MARGIN
 from socast.core.pipeline import Pipeline
 from socast.tools.terminal.rich_table import Column, make_table
+from socast.tools.terminal.time_zone import format_local, name_zone
 
 AHEAD: Final = {"2h": 7200.0, "1h": 3600.0}
 """Lead times before a shift's end at which the report evaluates its forecast. [s]"""
@@ -132,7 +133,7 @@ def _record_forecast(row: "pd.Series[Any]", shift: dict[str, Any]) -> dict[str, 
     return {"time_s": float(row["time_s"])} | figures | {"held": held}
 
 
-def show_outcomes(console: Console, shifts: list[dict[str, Any]]) -> None:
+def show_outcomes(console: Console, shifts: list[dict[str, Any]], zone: tzinfo | None = UTC) -> None:
     """Print one row per ended shift, or the reason why there is no forecast to compare.
 
     Parameters
@@ -141,21 +142,24 @@ def show_outcomes(console: Console, shifts: list[dict[str, Any]]) -> None:
         Console to print on.
     shifts : list of dict
         Records of `ShiftOutcomes.records`.
+    zone : tzinfo, optional
+        Time zone of the times; None is that of the system.
     """
     if not shifts:
         return
     if not any(forecast for shift in shifts for forecast in shift["forecasts"].values()):
         console.print(NO_INTERVALS, markup=False, highlight=False, soft_wrap=not console.is_terminal)
         return
+    of_zone = name_zone([shift["begin_s"] for shift in shifts[-MOST_SHIFTS:]], zone)
     numbers = ("at its\nbeginning", "forecast\nthen", "2 h before\nthe end", "1 h before\nthe end", "outcome")
     columns = [
-        *(Column(head, fixed=True) for head in ("car", "shift, UTC")),
+        *(Column(head, fixed=True) for head in ("car", f"shift, {of_zone}")),
         *(Column(head, number=True, fixed=True) for head in numbers),
         *(Column(head, fixed=True) for head in ("held", "")),
     ]
     table = make_table(columns, "Charge at the shift's end, forecast against outcome, %")
     for shift in shifts[-MOST_SHIFTS:]:
-        table.add_row(*_cells(shift))
+        table.add_row(*_cells(shift, zone))
     if len(shifts) > MOST_SHIFTS:
         table.caption = f"the last {MOST_SHIFTS} of {len(shifts):,} shifts"
     console.print(table)
@@ -187,24 +191,24 @@ def summary(shifts: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def _cells(shift: dict[str, Any]) -> list[str | Text]:
+def _cells(shift: dict[str, Any], zone: tzinfo | None) -> list[str | Text]:
     """Return the cells of a shift's row."""
     held = [forecast["held"] for forecast in shift["forecasts"].values() if forecast and forecast["held"] is not None]
     verdict = f"{sum(held)} of {len(held)}" if held else "–"
     return [
         Text(shift["vehicle_id"]),
-        f"{_clock(shift['begin_s'], '%m-%d %H:%M')}–{_clock(shift['end_s'], '%H:%M')}",
+        f"{format_local(shift['begin_s'], '%m-%d %H:%M', zone)}–{format_local(shift['end_s'], '%H:%M', zone)}",
         _percent(shift["soc_begin_pct"]),
         *(_interval(shift["forecasts"][name]) for name in MADE_AT),
         _percent(shift["soc_end_pct"]),
         Text(verdict, style="" if all(held) else "red"),
-        _note(shift),
+        _note(shift, zone),
     ]
 
 
-def _note(shift: dict[str, Any]) -> str:
+def _note(shift: dict[str, Any], zone: tzinfo | None) -> str:
     """Return the reason why forecasts of a shift may not be comparable with its outcome."""
-    charged = [] if shift["charged_s"] is None else [f"charged {_clock(shift['charged_s'], '%H:%M')}"]
+    charged = [] if shift["charged_s"] is None else [f"charged {format_local(shift['charged_s'], '%H:%M', zone)}"]
     return ", ".join([*charged, *(["in progress"] if shift["cut"] else [])])
 
 
@@ -216,8 +220,3 @@ def _interval(forecast: dict[str, Any] | None) -> str:
 def _percent(value: float | None) -> str:
     """Return the text of a charge, a dash if it is unknown."""
     return "–" if value is None else f"{value:.0f}"
-
-
-def _clock(time_s: float, form: str) -> str:
-    """Return the text of a time in UTC."""
-    return f"{datetime.fromtimestamp(time_s, UTC):{form}}"
