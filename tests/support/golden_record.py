@@ -13,6 +13,7 @@ import hashlib
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -145,7 +146,10 @@ def made(folder: Path) -> Record:
     record: Record = {}
     for name, recording in recordings.items():
         tables, forecasts, report = folder / name, folder / f"{name}.forecasts.mcap", folder / f"{name}.replay.json"
-        run("tables", recording, "--out", tables)
+        beside = folder / recording.name
+        if beside != recording:
+            shutil.copy(recording, beside)  # so that its path from the tables is the same in every checkout
+        run("tables", beside, "--out", tables)
         run("replay", recording, "--out", forecasts, "--json", report)
         record[f"{name}: rides"] = of_table(tables / "rides.parquet")
         record[f"{name}: windows"] = of_table(tables / "windows.parquet")
