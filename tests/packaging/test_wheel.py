@@ -1,14 +1,17 @@
 """The wheel installs in a fresh environment and works from there."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
+from socast.core import models
 from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.long
@@ -83,3 +86,29 @@ def test_demo_runs_from_the_wheel(environment, tmp_path):
     out = run(environment, tmp_path, environment / "bin" / "socast", "demo", "--seconds", "1")
     assert "shift.mcap" in out
     assert "measured" in out
+
+
+def test_example_of_the_guide_passes_and_fails_after_a_change_of_one_percent(environment, tmp_path):
+    guide = (ROOT / "docs" / "guide" / "test-with-recordings.md").read_text(encoding="utf-8")
+    (tmp_path / "recordings").mkdir()
+    (tmp_path / "expected").mkdir()
+    (tmp_path / "core").mkdir()
+    (tmp_path / "core" / "__init__.py").touch()
+    (tmp_path / "test_forecasts.py").write_text(guide.partition("```python\n")[2].partition("```")[0])
+    shutil.copy(ROOT / "recordings" / "shift.mcap", tmp_path / "recordings" / "monday.mcap")
+    model = models.load(str(ROOT / "recordings" / "fitted.json"))
+    models.save(model, tmp_path / "model.json")
+    pytest_of = (environment / "bin" / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
+    run(environment, tmp_path, *pytest_of, "--socast-update")
+    assert "2 passed" in run(environment, tmp_path, *pytest_of)
+    fits = {}
+    for key, fit in model.fits.items():
+        first, second, *others = fit.coefficients
+        fits[key] = msgspec.structs.replace(fit, coefficients=(first, 1.01 * second, *others))
+    models.save(models.stamp(msgspec.structs.replace(model, fits=fits)), tmp_path / "model.json")
+    failed = subprocess.run(pytest_of, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert failed.returncode == 1
+    assert "1 failed, 1 passed" in failed.stdout
+    found = r"taxi-00\d  ride_energy_predicted_kwh  [\d.]+ -> [\d.]+ at 2018-01-16T\S+, in \d+ of \d+ by up to 0.00\d+"
+    assert re.search(found, failed.stdout)
+    assert "write expected/monday.mcap with pytest --socast-update" in failed.stdout.replace(f"{tmp_path}/", "")

@@ -1,10 +1,13 @@
 """`socast replay`: pass recorded shifts through a model, or publish them to a router."""
 
+import shutil
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from datetime import tzinfo
 from math import inf
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Event
 from typing import Annotated, Any
 
@@ -12,6 +15,7 @@ import typer
 from rich.console import Console
 
 from socast.core.errors import SettingsError
+from socast.core.files import replacing
 from socast.core.formatting import format_count
 from socast.core.settings import Settings
 from socast.stream.loop import stop_on_signals
@@ -42,6 +46,7 @@ from socast.tools.terminal.recordings import (
 )
 from socast.tools.terminal.shift_outcomes import ShiftOutcomes, show_outcomes
 from socast.tools.terminal.time_zone import TimeZone, find_zone
+from socast.tools.testing.forecast_differences import compare_recordings, parse_tolerances, show_comparison
 
 SUBSCRIBER_S = 10.0
 """Longest wait for a subscriber before publishing begins without one. [s]"""
@@ -79,6 +84,15 @@ def replay(
             "its layout F.layout.json.",
         ),
     ] = False,
+    expect: Annotated[
+        Path | None,
+        typer.Option(metavar="F.mcap", help="Compare the forecasts with those in F.mcap; exit with 1 if they differ."),
+    ] = None,
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FIELD=D", help="Allow a field of --expect to differ by D in its unit; may be repeated."),
+    ] = None,
+    update: Annotated[bool, typer.Option("--update", help="Write the file of --expect anew.")] = False,
     time_zone: TimeZone = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -89,12 +103,15 @@ def replay(
 
     With --connect or --config the recordings are published, and the listeners at the router make the forecasts.
 
+    With --expect the command is a test: it passes if the forecasts are those of an earlier replay (--out or --update).
+
     With --foxglove the file of --out replays like the original: socast reads nothing that was added for the viewer.
 
     Examples
     --------
     socast replay recordings/shift.mcap
     socast replay recordings/shift.mcap --out viewed.mcap --foxglove
+    socast replay recordings/shift.mcap --expect expected.mcap
     socast replay today.mcap --warm-up december.mcap --model fitted.json --json rides.json
     socast replay recordings/shift.mcap --connect tcp/127.0.0.1:7447 --speed 60
     """
@@ -102,6 +119,7 @@ def replay(
         in_process,
         out,
         foxglove,
+        expect,
         json_file,
         options.models,
         options.effect_files,
@@ -112,16 +130,22 @@ def replay(
     if publishes and (any(local) or options.settings != Settings()):
         raise SettingsError(
             f"{'--connect' if connect else '--config'} only publishes and makes no forecasts; leave out --in-process, "
-            "--out, --foxglove, --json, --model, --effects, --warm-up, --elevation and the settings of cleaning"
+            "--out, --foxglove, --expect, --json, --model, --effects, --warm-up, --elevation and settings of cleaning"
         )
     if foxglove and out is None:
         raise SettingsError("--foxglove adds to what --out records: give --out F.mcap too")
+    if expect is None and (update or tolerance):
+        raise SettingsError("--update and --tolerance belong to --expect: give --expect F.mcap too")
+    if expect and not update and not expect.is_file():
+        raise SettingsError(f"{expect}: does not exist; write it with --update")
+    tolerances = parse_tolerances(tolerance or ())
     layout = out.with_suffix(".layout.json") if out and foxglove else None
     zone = find_zone(time_zone, make_console(json_file))
     prefix = parse_prefix(options.prefix)
     rate = parse_speed(pace or ("1" if publishes else "max"))
     sources = open_recordings(recordings)
-    check_outputs([*recordings, *options.files], out, json_file, layout)
+    check_outputs([*recordings, *options.files], out, json_file, layout, *([expect] if update else []))
+    comparison = None
     with stop_on_signals() as stop:
         source = stop_source(pace_source(merge_sources(sources), rate, longest_gap_s=longest_gap), stop)
         if publishes:
@@ -129,8 +153,20 @@ def replay(
             with Node(joined) as node:
                 _publish(source, ZenohSink(node, prefix), sources, stop, connect or f"the router of {config}")
         else:
-            _forecast(source, sources, rate, options, out, layout, json_file, zone)
+            with replacing(expect) if expect and update else nullcontext() as fresh, TemporaryDirectory() as folder:
+                made = out or fresh or (Path(folder) / "forecasts.mcap" if expect else None)
+                _forecast(source, sources, rate, options, made, layout, json_file, zone)
+                if fresh and out:
+                    shutil.copyfile(out, fresh)
+                comparison = compare_recordings(expect, made, tolerances) if expect and made and not fresh else None
     warn_of_losses(sources)
+    console = make_console(json_file)
+    if update:
+        console.print(f"{expect} holds the forecasts of this replay", markup=False, highlight=False, soft_wrap=True)
+    elif comparison:
+        show_comparison(comparison, console)
+        if not comparison.is_equal:
+            raise typer.Exit(1)
 
 
 def _forecast(

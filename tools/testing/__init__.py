@@ -1,0 +1,1 @@
+"""Test with recordings: compare forecasts with those of an earlier replay, by command and in pytest."""
