@@ -21,6 +21,7 @@ settings.load_profile("quick")
 
 sys.dont_write_bytecode = False  # with the tests that pytest has rewritten in a cache, a worker starts 15 s earlier
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+os.environ.pop("COLUMNS", None)  # parallel workers have it, and the pages show the width of a pipe
 
 MORE_WORKERS = 1
 """Number of parallel workers beyond one for each processor."""
