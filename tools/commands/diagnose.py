@@ -48,6 +48,7 @@ from socast.tools.terminal.output import (
     show_report,
     write_json,
 )
+from socast.tools.terminal.recordings import refuse_duplicates
 from socast.tools.terminal.table_files import KEY, is_table, join_parts, read
 from socast.tools.terminal.table_source import are_dated, complete_tables
 
@@ -118,6 +119,7 @@ def diagnose_rides(
     loaded = models.load(model)
     read_from = [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())]
     check_outputs(read_from, json_file, html_file, suggest, findings, out)
+    refuse_duplicates(inputs(rides))
     dated = are_dated(inputs(rides))
     earlier = read_findings(findings) if findings else []
     wanted = [*loaded.effects, *effects.list_tabulated()]

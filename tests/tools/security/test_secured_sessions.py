@@ -253,6 +253,7 @@ def test_token_of_a_consumer_is_seen_by_another_consumer_alone(fleet):
         car.flush()
         two.flush()
         assert seen == []
+        eventually(lambda: zenoh.SampleKind.DELETE in seen_by_car, seconds=5.0)
         seen_by_car.clear()  # its own token
         token = one.session.liveliness().declare_token(key)
         assert eventually(lambda: zenoh.SampleKind.PUT in seen)

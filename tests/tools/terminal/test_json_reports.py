@@ -65,11 +65,6 @@ def test_recording_without_usable_message_is_refused_in_one_line(command, tmp_pa
     assert "no message that socast can read" in errors
 
 
-def test_fit_of_recording_names_command_that_makes_tables(tmp_path, capsys):
-    message = refused(capsys, "fit", SHIFT, "--recipe", "hybrid", "-o", tmp_path / "m.json")
-    assert f"socast tables {SHIFT} --out" in message
-
-
 def test_fit_without_recipe_recommends_one_and_lists_all(tmp_path, capsys):
     message = refused(capsys, "fit", tmp_path, "-o", tmp_path / "m.json")
     assert "start with --recipe fitted_physical" in message
