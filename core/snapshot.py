@@ -172,7 +172,7 @@ _BY_TEMPERATURE: Final = Many(Number(-1e12, 1e12, unknown=False), count=len(TEMP
 _TABLES: Final = Named(
     leg_energy_per_km=_grid(len(PACES), len(TEMPERATURES)),
     **dict.fromkeys(("climbed_per_km", "descended_per_km"), _BY_PACE),
-    **dict.fromkeys(("climb_energy", "descent_energy", "start_energy", "mean_pause"), REAL),
+    **dict.fromkeys(("climb_energy", "descent_energy", "start_energy", "mean_pause", "ride_pace"), REAL),
     **dict.fromkeys(("driven_energy_per_km", "level_sd"), REAL),
     **dict.fromkeys(("standing_power", "approach_energy", "ride_factor", "ride_power", "relative_sd"), _BY_TEMPERATURE),
     **dict.fromkeys(("idle_factor", "idle_power", "energy_per_km", "mean_power"), _BY_TEMPERATURE),

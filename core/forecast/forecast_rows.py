@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
 from socast.core.columns import ZERO_CELSIUS
-from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE
+from socast.core.forecast.conformal import BY_PLAN, OVER_CHARGE
 from socast.core.forecast.learning.fleet import FleetStatistics
 from socast.core.forecast.outlook import (
     CarEstimate,
     compute_planned_energy,
-    compute_range,
+    compute_reach,
     compute_temperature_weights,
     fill_from_history,
     schedule_plan,
@@ -37,7 +37,8 @@ class ForecastRows(NamedTuple):
     soc, soc_sd : Present charge and its standard deviation. [1]
     end_soc, end_soc_p05, end_soc_p95 : Charge at the end of the shift: mean, 5th and 95th percentile. [1]
     risk : Probability of ending below the reserve. [1]
-    range_km, range_km_p05, range_km_p95 : Range down to the reserve: mean, 5th and 95th percentile. [km]
+    range_km, range_km_p05, range_km_p95 : Distance that the car can drive now without a pause, down to the reserve:
+        mean, 5th and 95th percentile. [km]
     raw_end_soc, raw_end_soc_sd : Charge at the end and its standard deviation, before the conformal correction. [1]
     end : End of the shift. [s]
     basis : `BY_PLAN`, `BY_HISTORY` or `OVER_CHARGE`, (n,) int.
@@ -164,15 +165,10 @@ def compute_forecast_rows(
     errors = LearnedErrors(statistics.conformal, statistics.charged_soc, ahead_c)
     soc = forecast_soc_ahead(estimate, ahead, progress, times, time, charging_since, usual, errors)
     falls = ahead.parts * (np.exp(estimate.compute_mean_log_factor(ahead.hours)) / estimate.capacity)[:, np.newaxis]
-    distance = compute_range(estimate, ahead.reserve, usual)
-    by_plan, by_history = (
-        statistics.conformal.get_quantiles(np.full_like(ahead.basis, basis), distance.mean, ahead_c)[1]
-        for basis in (BY_PLAN, BY_HISTORY)
-    )
-    range_km, range_km_p05, range_km_p95 = (
-        np.maximum(distance.mean + distance.sd * np.where(np.isfinite(planned), planned, usual_bound), 0.0)
-        for planned, usual_bound in zip(by_plan, by_history, strict=True)
-    )
+    reach = compute_reach(estimate, ahead.reserve, usual)
+    by_plan, of_reach = np.full_like(ahead.basis, BY_PLAN), reach.energy / usual.energy_per_km
+    bounds = statistics.conformal.get_quantiles(by_plan, of_reach, ahead_c)[1]
+    range_km, range_km_p05, range_km_p95 = (np.maximum(reach.km.mean + reach.km.sd * each, 0.0) for each in bounds)
     return ForecastRows(
         predicted=predicted,
         soc=estimate.soc,

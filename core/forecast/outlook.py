@@ -28,6 +28,8 @@ OVERTIME: Final = 1800.0
 """A plan applies until this time after its end. [s]"""
 FACTOR_DECAY_TIME: Final = 3.0
 """Time constant of the return of the day's consumption factor to the usual; weather, traffic and load change. [h]"""
+REACH_ITERATIONS: Final = 3
+"""Number of iterations of the mean consumption factor over the range; the third changes it by less than 1e-3."""
 DEFAULT_RESERVE: Final = 0.1
 """State of charge to keep where no plan defines it. [1]"""
 
@@ -132,6 +134,10 @@ class UsualConsumption(NamedTuple):
         Energy of rides and idle periods over the kilometres of rides. [kWh/km]
     mean_power : (n,) float
         The same energy over the hours of both. [kW]
+    driving_energy_per_km : (n,) float
+        Energy of a kilometre on a long way at the usual pace. [kWh/km]
+    ride_pace : (n,) float
+        Time per kilometre of rides. [min/km]
     relative_sd : (n,) float
         Standard deviation of these energies at the temperature, over the energy. [1]
     factor : (n, bases, 2) float
@@ -145,6 +151,8 @@ class UsualConsumption(NamedTuple):
     approach_energy: Floats
     energy_per_km: Floats
     mean_power: Floats
+    driving_energy_per_km: Floats
+    ride_pace: Floats
     relative_sd: Floats
     factor: Floats
     covariance: Floats
@@ -345,8 +353,21 @@ def fill_from_history(
     )
 
 
-def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumption) -> MeanAndSd:
-    """Return the range down to the reserve, with its standard deviation before the conformal correction. [km]
+class Reach(NamedTuple):
+    """Hold the way that n cars can drive down to their reserves, (n,) float each.
+
+    Parameters
+    ----------
+    km : Distance, with its standard deviation before the conformal correction. [km]
+    energy : Energy that it takes, as predicted. [kWh]
+    """
+
+    km: MeanAndSd
+    energy: Floats
+
+
+def compute_reach(estimate: CarEstimate, reserve: Floats, usual: UsualConsumption) -> Reach:
+    """Return how far cars can drive down to their reserves if they drive on without a pause.
 
     Parameters
     ----------
@@ -357,20 +378,25 @@ def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumptio
 
     Returns
     -------
-    MeanAndSd
+    Reach
 
     Notes
     -----
-    The consumption factor decays over the time in which such cars usually spend the remaining energy.
+    It is the length of the ride after which `compute_end_soc` expects the reserve, at the usual pace of rides. The
+    standard deviation of the charge there, over the fall of the charge per kilometre, is that of the distance. The
+    consumption factor returns to the usual within hours, so its mean over the way is found by iteration.
     """
     left = np.maximum(estimate.soc - reserve, 0.0)
+    per_km = usual.correct(np.column_stack([usual.driving_energy_per_km, np.zeros(len(left))]), BY_PLAN).mean
     energy = left * estimate.capacity
-    factor = np.exp(estimate.compute_mean_log_factor(energy / usual.mean_power))
-    km = energy / (factor * usual.energy_per_km)
-    of_soc = np.divide(estimate.variance, left**2, out=np.zeros(len(left)), where=left > 0.0)
-    noise = np.divide(ENERGY_SD**2, energy, out=np.zeros(len(left)), where=energy > 0.0)
-    variance = np.maximum(estimate.log_factor_variance, 0.0) + usual.relative_sd**2 + of_soc + noise
-    return MeanAndSd(km, km * np.sqrt(variance))
+    for _ in range(REACH_ITERATIONS):
+        hours = energy / per_km * usual.ride_pace / 60.0
+        factor = np.exp(estimate.compute_mean_log_factor(hours))
+        energy = left * estimate.capacity / factor
+    km = energy / per_km
+    driving = np.column_stack([km * usual.driving_energy_per_km, np.zeros(len(left))])
+    at_reserve = compute_end_soc(estimate, usual.correct(driving, BY_PLAN), km * usual.ride_pace / 60.0)
+    return Reach(MeanAndSd(km, at_reserve.sd * estimate.capacity / (factor * per_km)), energy)
 
 
 def compute_end_soc(estimate: CarEstimate, energy: MeanAndSd, hours: Floats) -> MeanAndSd:

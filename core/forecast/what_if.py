@@ -13,7 +13,7 @@ equals the forecast that a plan with that ride would produce.
 """
 
 from math import inf, nan
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -26,6 +26,7 @@ from socast.core.errors import AskError
 from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
 from socast.core.forecast.engine import ForecastEngine
 from socast.core.forecast.filter_state import SOC_ESTIMATE
+from socast.core.forecast.interval_columns import ChargeColumns, IntervalColumns
 from socast.core.forecast.outlook import (
     DEFAULT_RESERVE,
     CarEstimate,
@@ -54,26 +55,6 @@ from socast.core.forecast.soc_filter import METER_GAIN_SD, write_estimate
 from socast.core.forecast.soc_reading import READING_SD
 from socast.core.vehicles.catalogue import OVERRIDES
 from socast.core.wire.messages import Interval, Leg, LegOutlook, NextCharge, Outlook, Plan
-
-_ROUNDING_KWH: Final = 1e-9
-
-
-class IntervalColumns(NamedTuple):
-    """Hold mean, 5th and 95th percentile of a quantity, (n,) float each."""
-
-    mean: Floats
-    p05: Floats
-    p95: Floats
-
-    @classmethod
-    def of_soc(cls, soc: SocForecast) -> "IntervalColumns":
-        """Return the intervals of charges. [%]"""
-        return cls(100.0 * soc.mean, 100.0 * soc.p05, 100.0 * soc.p95)
-
-    def list_intervals(self) -> list[Interval | None]:
-        """Return the intervals, None where one is unknown."""
-        rows = zip(self.mean.tolist(), self.p05.tolist(), self.p95.tolist(), strict=True)
-        return [Interval(mean, p05, p95) if np.isfinite([mean, p05, p95]).all() else None for mean, p05, p95 in rows]
 
 
 class CarOutlook:
@@ -108,7 +89,9 @@ class CarOutlook:
         self.mean_pause = inf if self.tables is None else self.tables.mean_pause
         self.errors = LearnedErrors(statistics.conformal, statistics.charged_soc, ambient - ZERO_CELSIUS)
 
-    def forecast(self, begin: CarEstimate, energy: MeanAndSd, hours: Floats, basis: int, most: float) -> SocForecast:
+    def forecast(
+        self, begin: CarEstimate, energy: MeanAndSd, hours: Floats, basis: int, most: float, reserve: float
+    ) -> SocForecast:
         """Return the charge after energies.
 
         Parameters
@@ -121,8 +104,8 @@ class CarOutlook:
             Time in which each is spent. [h]
         basis : int
             Basis of the forecasts.
-        most : float
-            Largest charge that is possible. [1]
+        most, reserve : float
+            Largest charge that is possible, and charge to keep. [1]
 
         Returns
         -------
@@ -130,8 +113,8 @@ class CarOutlook:
         """
         n = len(hours)
         errors = self.errors._replace(ahead_c=np.repeat(self.errors.ahead_c, n))
-        reserve = np.full(n, nan)
-        return forecast_soc(begin, energy, hours, np.full(n, basis), self.usual, errors, reserve, np.full(n, most))
+        limits = np.full(n, reserve), np.full(n, most)
+        return forecast_soc(begin, energy, hours, np.full(n, basis), self.usual, errors, *limits)
 
     def compute_leg_intervals(self, legs: PlannedLegs, energy: MeanAndSd, basis: int) -> IntervalColumns:
         """Return the energy that each leg takes from the battery.
@@ -216,10 +199,10 @@ class RouteAhead(NamedTuple):
         stretch, out = np.cumsum(is_charge), []
         for number in range(int(is_charge.sum()) + 1):
             rows = np.flatnonzero(stretch == number)
-            levels = self._compute_stretch(now, way, soc, legs, rows, number).list_intervals()
-            out += [
-                self._describe_leg(place, energy[place], level)
-                for place, level in zip(rows.tolist(), levels, strict=False)  # the charge may have one more row
+            levels = self._compute_stretch(now, way, soc, legs, rows, number)
+            of_legs = zip(rows.tolist(), levels.list_intervals(), levels.risk.tolist(), strict=False)
+            out += [  # the charge may have one more row
+                self._describe_leg(place, energy[place], level, risk) for place, level, risk in of_legs
             ]
         return out
 
@@ -242,7 +225,7 @@ class RouteAhead(NamedTuple):
 
     def _compute_stretch(
         self, now: CarOutlook, way: "WayAhead", soc: SocAhead, legs: "LegTimes", rows: Ints, number: int
-    ) -> IntervalColumns:
+    ) -> ChargeColumns:
         """Return the charge after each leg of a stretch between charges; a row for its end follows where known."""
         charges = np.flatnonzero(np.isfinite(self.legs.charge_to))
         begin, basis, most = now.estimate, legs.basis, float(now.estimate.soc[0])
@@ -258,23 +241,22 @@ class RouteAhead(NamedTuple):
         spent = now.usual.correct(parts, legs.correct_by)
         timing_sd = now.usual.standing_power * np.sqrt(np.cumsum(legs.pause[rows] ** 2))
         until_leg = MeanAndSd(spent.mean, np.hypot(spent.sd, timing_sd))
-        levels = IntervalColumns.of_soc(
-            now.forecast(begin, until_leg, np.cumsum(legs.pause[rows] + hours), basis, most)
+        levels = ChargeColumns.from_forecast(
+            now.forecast(
+                begin, until_leg, np.cumsum(legs.pause[rows] + hours), basis, most, float(way.energy.reserve[0])
+            )
         )
         if 0 < number < len(charges):
             return levels
-        end = IntervalColumns.of_soc(soc.end if number == len(charges) else soc.charge)
-        until_end = np.append(spent.mean, inf if number else way.energy.energy)
-        return IntervalColumns(
-            *(make_consistent(np.append(of_legs, last), until_end) for of_legs, last in zip(levels, end, strict=True))
-        )
+        end = ChargeColumns.from_forecast(soc.end if number == len(charges) else soc.charge)
+        return levels.lead_to(end, np.append(spent.mean, inf if number else way.energy.energy))
 
-    def _describe_leg(self, place: int, energy: Interval | None, soc: Interval | None) -> LegOutlook:
+    def _describe_leg(self, place: int, energy: Interval | None, soc: Interval | None, risk: float) -> LegOutlook:
         """Return the outlook of the leg at an index."""
         leg = self.legs.plan.legs[place]
         if leg.charge_to_soc_pct is not None:
             return LegOutlook(0.0, leg.duration_s, None, soc, leg.charge_to_soc_pct)
-        return LegOutlook(leg.distance_km or 0.0, leg.duration_s, energy, soc)
+        return LegOutlook(leg.distance_km or 0.0, leg.duration_s, energy, soc, reserve_risk=_none_if_unknown(risk))
 
 
 class LegTimes(NamedTuple):
@@ -305,35 +287,6 @@ class WayAhead(NamedTuple):
     times: PlanTimes
     charging_since: Floats
     energy: EnergyAhead
-
-
-def make_consistent(charge: Floats, spent: Floats) -> Floats:
-    """Return charges ahead that do not rise while energy is spent.
-
-    Intervals are learned for each distance separately, so that a later one may be narrower. The last charge stays as it
-    is. The ones before are raised to it where necessary, because a car below it earlier is also below it later.
-
-    Parameters
-    ----------
-    charge : (n,) or (n, m) float
-        Means or percentiles, one point after another; NaN where unknown.
-    spent : (n,) float
-        Energy until each point. It falls where a descent returns more than the leg takes. [kWh]
-
-    Returns
-    -------
-    (n,) or (n, m) float
-
-    Examples
-    --------
-    >>> make_consistent(np.array([50.0, 40.0, 42.0, 41.0]), np.array([1.0, 2.0, 3.0, 2.5])).tolist()
-    [50.0, 42.0, 42.0, 41.0]
-    """
-    out = charge.copy()
-    for i in reversed(range(len(out) - 1)):
-        if spent[i + 1] >= spent[i] - _ROUNDING_KWH:
-            out[i] = np.where(np.isnan(out[i]), out[i], np.fmax(out[i], out[i + 1]))
-    return out
 
 
 def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan | None) -> Outlook:
@@ -372,8 +325,8 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
     soc = forecast_soc_ahead(
         now.estimate, ahead, way.progress, way.times, np.array([now.time]), way.charging_since, now.usual, now.errors
     )
-    (end_interval,) = IntervalColumns.of_soc(soc.end).list_intervals()
-    (charge,) = IntervalColumns.of_soc(soc.charge).list_intervals()
+    (end_interval,) = ChargeColumns.from_forecast(soc.end).list_intervals()
+    (charge,) = ChargeColumns.from_forecast(soc.charge).list_intervals()
     legs = route.compute_leg_outlooks(now, way, soc)
     capacity = float(now.estimate.capacity[0] * np.exp(now.state["log_capacity"]))
     capacity_sd = capacity * float(np.hypot(np.sqrt(now.state["p_cc"]), METER_GAIN_SD))
@@ -415,7 +368,10 @@ def withhold_charge(outlook: Outlook, silent_s: float) -> Outlook:
     -------
     Outlook
     """
-    queried, *legs = (each and msgspec.structs.replace(each, soc_pct=None) for each in (outlook.asked, *outlook.legs))
+    queried, *legs = (
+        each and msgspec.structs.replace(each, soc_pct=None, reserve_risk=UNSET)
+        for each in (outlook.asked, *outlook.legs)
+    )
     return msgspec.structs.replace(
         outlook,
         asked=queried,

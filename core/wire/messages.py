@@ -216,7 +216,10 @@ class Forecast(Wire, omit_defaults=False):
     ride_energy_measured_kwh: Annotated[float | None, Meta(description="Energy of the ride so far, measured. [kWh]")]
     soc_pct: Annotated[float | None, Meta(description="Filtered state of charge. [%]")]
     soc_sd_pct: Annotated[float | None, Meta(description="Standard deviation of the filtered state of charge. [%]")]
-    range_km: Annotated[Interval | None, Meta(description="Range down to the reserve. [km]")]
+    range_km: Annotated[
+        Interval | None,
+        Meta(description="Distance that the car can drive now, without a pause, down to the reserve. [km]"),
+    ]
     soc_end_of_shift_pct: Annotated[Interval | None, Meta(description="State of charge at the end of the shift. [%]")]
     reserve_risk: Annotated[
         float | None,
@@ -238,6 +241,10 @@ class LegOutlook(Wire, omit_defaults=False):
     charge_to_soc_pct: Annotated[
         float | UnsetType | None,
         Meta(description="State of charge up to which the car charges; absent for a ride. [%]"),
+    ] = UNSET
+    reserve_risk: Annotated[
+        float | UnsetType | None,
+        Meta(description="Probability that a ride ends below the reserve; absent for a charge. [1]"),
     ] = UNSET
 
     def is_charge(self) -> bool:

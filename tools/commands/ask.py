@@ -123,14 +123,13 @@ def verdict(outlook: Outlook) -> tuple[str, str]:
     sentence : str
         The answer in words.
     """
-    ride, risk = outlook.asked, outlook.reserve_risk
-    word, ends, because = "NOT KNOWN", "finish", ""
+    ride, risk, ends, rest = outlook.asked, outlook.reserve_risk, "finish", ""
+    if risk is None and ride and isinstance(ride.reserve_risk, float):
+        risk, ends, rest = ride.reserve_risk, "arrive", "; the rest of its shift is not known"
+    word, because = "NOT KNOWN", ""
     if risk is not None:
         word = "YES" if risk < LOW_RISK else "NO" if risk > HIGH_RISK else "UNCERTAIN"
-        because = f": the risk is {_share(risk)}"
-    elif ride and ride.soc_pct:
-        word, ends = _against(ride.soc_pct, outlook.reserve_soc_pct), "arrive"
-        because = "; the rest of its shift is not known"
+        because = f": the risk is {_share(risk)}{rest}"
     doing = (
         f"take {ride.distance_km:.4g} km in {ride.duration_s / 60:.0f} min and {ends}" if ride else "finish its shift"
     )
@@ -156,7 +155,8 @@ def figures(outlook: Outlook, zone: tzinfo | None = UTC) -> Iterator[tuple[str, 
     reserve = outlook.reserve_soc_pct
     ride, end = outlook.asked, outlook.soc_end_of_shift_pct
     if ride and ride.soc_pct:
-        yield "at arrival", f"{_format_interval(ride.soc_pct, '%')}, {_apart(ride.soc_pct.mean, reserve)}"
+        risk = f", risk {_share(ride.reserve_risk)}" if isinstance(ride.reserve_risk, float) else ""
+        yield "at arrival", f"{_format_interval(ride.soc_pct, '%')}, {_apart(ride.soc_pct.mean, reserve)}{risk}"
     if charge := outlook.next_charge:
         level = f"{_format_interval(charge.soc_pct, '%')} at {format_local(charge.time_s, _CLOCK, zone)}"
         yield "next charge", f"{level}, {_apart(charge.soc_pct.mean, reserve)}"
@@ -188,13 +188,6 @@ def _read(path: Path) -> bytes:
     if not held:
         raise SettingsError(f"{path} is empty; name a file with a plan as JSON, or leave --plan out")
     return held
-
-
-def _against(soc: Interval, reserve: float) -> str:
-    """Return `YES`, `NO` or `UNCERTAIN` for whether a state of charge is above the reserve."""
-    if soc.p05 >= reserve:
-        return "YES"
-    return "NO" if soc.mean < reserve else "UNCERTAIN"
 
 
 def _format_interval(value: Interval, unit: str, digits: int = 0) -> str:

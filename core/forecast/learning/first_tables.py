@@ -27,6 +27,8 @@ FIRST_RELATIVE_SD: Final = 0.15
 """Standard deviation of the energy of a part of a shift over the energy at the level of the shift. [1]"""
 USUAL_SPEED: Final = 10.0
 """Kilometres of rides in an hour of a shift, idle periods included. [km/h]"""
+USUAL_PACE: Final = 2.4
+"""Time per kilometre of rides in a city. [min/km]"""
 USUAL_PAUSE: Final = 0.25
 """Duration of an idle period. [h]"""
 CLIMB_ENERGY_PER_MASS: Final = 3.2e-6
@@ -72,6 +74,7 @@ def make_first_tables(model: VehicleModel, accessory_scale: float) -> LegEnergyT
         mean_power=USUAL_SPEED * usual,
         relative_sd=np.full(len(TEMPERATURES), FIRST_RELATIVE_SD),
         mean_pause=USUAL_PAUSE,
+        ride_pace=USUAL_PACE,
         driven_energy_per_km=DRIVING_SHARE * rated,
         level_sd=FIRST_LEVEL_SD,
     )

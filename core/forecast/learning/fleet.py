@@ -336,6 +336,8 @@ class FleetStatistics:
             approach_energy=interpolate(self._rows.approach_energy),
             energy_per_km=interpolate(self._rows.energy_per_km),
             mean_power=interpolate(self._rows.mean_power),
+            driving_energy_per_km=interpolate(self._rows.driving_energy_per_km),
+            ride_pace=self._rows.ride_pace[kinds, 0],
             relative_sd=interpolate(self._rows.relative_sd),
             factor=np.einsum("nk,bpk->nbp", weights, self.correction.factor),
             covariance=np.einsum("nk,bkpq->nbpq", weights, self.correction.covariance),
@@ -408,6 +410,8 @@ class _StackedTables(NamedTuple):
     approach_energy: Floats
     energy_per_km: Floats
     mean_power: Floats
+    driving_energy_per_km: Floats
+    ride_pace: Floats
     relative_sd: Floats
     driven_energy_per_km: Floats
     level_sd: Floats

@@ -23,6 +23,8 @@ STEEPEST_DESCENT: Final = 300.0
 """Largest descent of a leg that returns energy; a reported descent beyond it returns none. [m/km]"""
 LEAST_KM: Final = 1e-9
 """A shorter distance is none; the time per kilometre would overflow. [km]"""
+LEAST_ENERGY_PER_KM: Final = 0.01
+"""Smallest energy of a level way. [kWh/km]"""
 LARGEST_PER_KM: Final = 5.0
 """Largest plausible energy of rides and idle periods over the kilometres of rides. [kWh/km]"""
 LARGEST_POWER: Final = 100.0
@@ -82,6 +84,8 @@ class LegEnergyTables(NamedTuple):
         Standard deviation of the energy at a temperature, larger where no rides were, over that energy. [1]
     mean_pause : float
         Mean duration of an idle period. [h]
+    ride_pace : float
+        Time per kilometre of rides together. [min/km]
     driven_energy_per_km : float
         Correction that is added for each kilometre driven, 0 for learned tables. [kWh/km]
     level_sd : float
@@ -104,12 +108,19 @@ class LegEnergyTables(NamedTuple):
     mean_power: Floats
     relative_sd: Floats
     mean_pause: float
+    ride_pace: float
     driven_energy_per_km: float = 0.0
     level_sd: float = 0.0
 
     def get_ride_correction(self) -> tuple[Floats, Floats]:
         """Return the factor and the power that correct the predicted energy of rides at each temperature."""
         return self.ride_factor, self.ride_power
+
+    @property
+    def driving_energy_per_km(self) -> Floats:
+        """Energy of a kilometre on a long way that has begun, at the usual pace, (temperatures,). [kWh/km]"""
+        at_pace = compute_knot_weights(np.array([self.ride_pace]), PACES)[0] @ self.leg_energy_per_km
+        return np.asarray(np.maximum(at_pace - self.start_energy / TYPICAL_KM, LEAST_ENERGY_PER_KM))
 
     def is_plausible(self) -> bool:
         """Return whether the consumption is positive and possible at every temperature; else no car has such tables."""

@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints, Lanes
 from socast.core.columns import GRAVITY
-from socast.core.forecast.learning.leg_energy import PACES, TEMPERATURES, TYPICAL_KM, LegEnergyTables
+from socast.core.forecast.learning.leg_energy import (
+    LEAST_ENERGY_PER_KM,
+    PACES,
+    TEMPERATURES,
+    TYPICAL_KM,
+    LegEnergyTables,
+)
 from socast.core.forecast.learning.temperature_transfer import (
     Corrections,
     fit_corrections,
@@ -89,8 +95,6 @@ PRIOR_CELL_SD: Final = 0.1
 """Relative standard deviation of the energy per kilometre of a cell about that from averages. [1]"""
 CORRECTION_LIMITS: Final = 0.2, 5.0
 """Limits of the correction of a model. [1]"""
-LEAST_ENERGY_PER_KM: Final = 0.01
-"""Smallest energy of a level way. [kWh/km]"""
 LEAST_DISTANCE: Final = 100.0
 """Distance from which a cell is known. [m]"""
 LEAST_STANDING_POWER: Final = 0.05
@@ -247,6 +251,7 @@ def build_leg_energy_tables(
         mean_power=_ratio(both["measured"], both["hours"], PRIOR_MEAN_POWER_HOURS, level / mixed_hours),
         relative_sd=corrections.compute_relative_sd(mixed, mixed_hours),
         mean_pause=idle.compute_mean_pause(),
+        ride_pace=float(amounts[:, _DURATION].sum() / 60.0 / km.sum()),
     )
 
 

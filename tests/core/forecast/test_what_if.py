@@ -126,6 +126,21 @@ def test_queried_ride_equals_a_plan_with_that_ride(passed):
     assert astuple(with_plan.soc_end_of_shift_pct) == pytest.approx(astuple(answer.soc_end_of_shift_pct))
 
 
+@pytest.mark.parametrize("planned", [True, False])
+def test_ride_of_the_length_of_the_range_reaches_the_reserve_with_even_odds(planned):
+    pipeline, published = at(4.0 * LEG + 250.0, planned=planned)
+    km = published[max(published)].range_km
+    pace = pipeline.engine.statistics.get_tables(CARS.index(CAR)).ride_pace
+
+    def risk_of(distance):
+        return pipeline.ask(CAR, Leg(distance, 60.0 * pace * distance)).asked.reserve_risk
+
+    assert km.p05 < km.mean < km.p95
+    assert risk_of(km.mean) == pytest.approx(0.5, abs=0.1)
+    assert risk_of(km.p05) == pytest.approx(0.05, abs=0.05)
+    assert risk_of(km.p95) == pytest.approx(0.95, abs=0.15)  # the spread is that at the mean
+
+
 @pytest.mark.parametrize("legs", [[], [Leg(4.0, 400.0), Leg(6.0, 600.0)]])
 def test_without_time_left_the_last_ride_ends_the_shift(monkeypatch, legs):
     """Empty ways count for each leg as they do for the end of the shift."""

@@ -24,8 +24,9 @@ def consumer(tmp_path):
         yield start
 
 
-def arriving(mean: float, p05: float, p95: float) -> LegOutlook:
-    return LegOutlook(18.0, 1500.0, Interval(3.1, 2.7, 3.6), Interval(mean, p05, p95))
+def arriving(mean: float, risk: float) -> LegOutlook:
+    charge = Interval(mean, mean - 3.0, mean + 3.0)
+    return LegOutlook(18.0, 1500.0, Interval(3.1, 2.7, 3.6), charge, reserve_risk=risk)
 
 
 @pytest.mark.parametrize(
@@ -55,15 +56,17 @@ def test_answer_without_ride_is_about_shift():
 @pytest.mark.parametrize(
     ("ride", "word"),
     [
-        (arriving(61.2, 57.0, 65.0), "YES"),
-        (arriving(22.0, 19.0, 25.0), "UNCERTAIN"),
-        (arriving(18.0, 15.0, 21.0), "NO"),
+        (arriving(61.2, 0.01), "YES"),
+        (arriving(22.0, 0.15), "UNCERTAIN"),
+        (arriving(18.0, 0.85), "NO"),
     ],
 )
 def test_answer_is_about_ride_if_rest_of_shift_is_unknown(ride, word):
     first, sentence = verdict(outlook(asked=ride, **NOTHING_AFTER))
     assert first == word
-    assert "arrive above its reserve of 20 %; the rest of its shift is not known" in sentence
+    assert "arrive above its reserve of 20 %: the risk is " in sentence
+    assert sentence.endswith("; the rest of its shift is not known")
+    assert dict(figures(outlook(asked=ride, **NOTHING_AFTER)))["at arrival"].split(", risk ")[1] in sentence
 
 
 def test_answer_is_not_known_if_nothing_is_known():
