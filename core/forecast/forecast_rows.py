@@ -13,7 +13,7 @@ from socast.core.forecast.learning.fleet import FleetStatistics
 from socast.core.forecast.outlook import (
     CarEstimate,
     compute_planned_energy,
-    compute_reach,
+    compute_range,
     compute_temperature_weights,
     fill_from_history,
     schedule_plan,
@@ -165,7 +165,7 @@ def compute_forecast_rows(
     errors = LearnedErrors(statistics.conformal, statistics.charged_soc, ahead_c)
     soc = forecast_soc_ahead(estimate, ahead, progress, times, time, charging_since, usual, errors)
     falls = ahead.parts * (np.exp(estimate.compute_mean_log_factor(ahead.hours)) / estimate.capacity)[:, np.newaxis]
-    reach = compute_reach(estimate, ahead.reserve, usual)
+    reach = compute_range(estimate, ahead.reserve, usual)
     by_plan, of_reach = np.full_like(ahead.basis, BY_PLAN), reach.energy / usual.energy_per_km
     bounds = statistics.conformal.get_quantiles(by_plan, of_reach, ahead_c)[1]
     range_km, range_km_p05, range_km_p95 = (np.maximum(reach.km.mean + reach.km.sd * each, 0.0) for each in bounds)

@@ -28,7 +28,7 @@ OVERTIME: Final = 1800.0
 """A plan applies until this time after its end. [s]"""
 FACTOR_DECAY_TIME: Final = 3.0
 """Time constant of the return of the day's consumption factor to the usual; weather, traffic and load change. [h]"""
-REACH_ITERATIONS: Final = 3
+RANGE_ITERATIONS: Final = 3
 """Number of iterations of the mean consumption factor over the range; the third changes it by less than 1e-3."""
 DEFAULT_RESERVE: Final = 0.1
 """State of charge to keep where no plan defines it. [1]"""
@@ -353,7 +353,7 @@ def fill_from_history(
     )
 
 
-class Reach(NamedTuple):
+class DrivingRange(NamedTuple):
     """Hold the way that n cars can drive down to their reserves, (n,) float each.
 
     Parameters
@@ -366,7 +366,7 @@ class Reach(NamedTuple):
     energy: Floats
 
 
-def compute_reach(estimate: CarEstimate, reserve: Floats, usual: UsualConsumption) -> Reach:
+def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumption) -> DrivingRange:
     """Return how far cars can drive down to their reserves if they drive on without a pause.
 
     Parameters
@@ -378,7 +378,7 @@ def compute_reach(estimate: CarEstimate, reserve: Floats, usual: UsualConsumptio
 
     Returns
     -------
-    Reach
+    DrivingRange
 
     Notes
     -----
@@ -389,14 +389,14 @@ def compute_reach(estimate: CarEstimate, reserve: Floats, usual: UsualConsumptio
     left = np.maximum(estimate.soc - reserve, 0.0)
     per_km = usual.correct(np.column_stack([usual.driving_energy_per_km, np.zeros(len(left))]), BY_PLAN).mean
     energy = left * estimate.capacity
-    for _ in range(REACH_ITERATIONS):
+    for _ in range(RANGE_ITERATIONS):
         hours = energy / per_km * usual.ride_pace / 60.0
         factor = np.exp(estimate.compute_mean_log_factor(hours))
         energy = left * estimate.capacity / factor
     km = energy / per_km
     driving = np.column_stack([km * usual.driving_energy_per_km, np.zeros(len(left))])
     at_reserve = compute_end_soc(estimate, usual.correct(driving, BY_PLAN), km * usual.ride_pace / 60.0)
-    return Reach(MeanAndSd(km, at_reserve.sd * estimate.capacity / (factor * per_km)), energy)
+    return DrivingRange(MeanAndSd(km, at_reserve.sd * estimate.capacity / (factor * per_km)), energy)
 
 
 def compute_end_soc(estimate: CarEstimate, energy: MeanAndSd, hours: Floats) -> MeanAndSd:

@@ -1,11 +1,9 @@
 """Draw the table of a live shift: `python -m tests.support.live_figure` writes `docs/live.svg`.
 
-The shift is that of `recordings/shift.mcap`. Simulated shifts of the same cars on the days before give the forecasts
-their intervals, as `--warm-up` does.
+The shift is that of the demonstration, after some hours.
 """
 
 from dataclasses import replace
-from datetime import UTC, datetime
 from io import StringIO
 from re import DOTALL, sub
 from typing import Final
@@ -13,45 +11,25 @@ from typing import Final
 from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
 
-from socast.core import models
-from socast.core.pipeline import BLOCK, Pipeline
+from socast.core.pipeline import Pipeline
 from socast.stream.loop import Tally
 from socast.stream.mcap_reader import McapSource
-from socast.tools.simulator.fleet import simulate
-from socast.tools.simulator.settings import Faults, Simulation
 from socast.tools.terminal.live_table import describe_counts, make_fleet_table
-from socast.tools.terminal.model_comparison import DEFAULT_MODEL
-from tests.support.paths import ROOT, SHIFT
+from tests.support.evening_shift import EVENING, make_evening_pipeline
+from tests.support.paths import ROOT
 
 FIGURE: Final = ROOT / "docs" / "live.svg"
-EARLIER: Final = Simulation(
-    vehicles=7,
-    days=10,
-    start=datetime(2018, 1, 5, 12, tzinfo=UTC),
-    shift_hours=2.5,
-    seed=2018,
-    faults=Faults(errand=0.0),
-)
-"""Shifts before that of the recording, made as the recording was (see `recordings/README.md`) with another seed."""
 WIDTH: Final = 162
 """Width of the terminal. [characters]"""
 FONTS: Final = "ui-monospace, Menlo, Consolas, 'DejaVu Sans Mono', monospace"
 """Fonts of the figure, which a reader has; it asks no other host for one."""
-SHOWN: Final = 0.8
+SHOWN: Final = 0.55
 """Share of the messages of the shift after which the table is drawn."""
 
 
 def run_shift(share: float = SHOWN) -> tuple[Pipeline, Tally]:
     """Return a pipeline that has taken a share of the messages of the shift, and its counts."""
-    model = models.load(DEFAULT_MODEL)
-    earlier, pipeline = Pipeline(model, keep_tables=False), Pipeline(model)
-    messages = list(simulate(EARLIER))
-    for at in range(0, len(messages), BLOCK):
-        earlier.take(messages[at : at + BLOCK])
-        earlier.forecasts(newest_only=True)
-    pipeline.learn_from(earlier)
-    tally = Tally()
-    blocks = list(McapSource(SHIFT))
+    pipeline, tally, blocks = make_evening_pipeline(), Tally(), list(McapSource(EVENING))
     last = share * sum(map(len, blocks))
     for block in blocks:
         if tally.received >= last:

@@ -25,6 +25,7 @@ from socast.stream.zenoh_session import Connection, Node
 from socast.stream.zenoh_sink import ZenohSink
 from socast.stream.zenoh_source import ZenohSource
 from socast.tools.commands.info import describe_recording
+from socast.tools.terminal.demo_alarms import AlarmWatch, read_findings
 from socast.tools.terminal.demo_verdict import (
     compute_errors_pct,
     list_next_commands,
@@ -35,19 +36,17 @@ from socast.tools.terminal.demo_verdict import (
 )
 from socast.tools.terminal.kernels import compile_kernels
 from socast.tools.terminal.live_table import LiveTable, add_predictions, make_ride_records
-from socast.tools.terminal.model_comparison import DEFAULT_MODEL, ModelNames, load_models
+from socast.tools.terminal.model_comparison import DEFAULT_MODEL, ModelNames, advise_fit, find_models, load_models
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from socast.tools.terminal.shift_outcomes import ShiftOutcomes
 from socast.tools.terminal.time_zone import TimeZone, find_zone
 from socast.tools.terminal.warm_up import learn_from_recordings
 
 RECORDINGS: Final = Path(__file__).parents[2] / "recordings"
-SHIFT: Final = RECORDINGS / "shift.mcap"
-"""The recording that is part of socast."""
+SHIFT: Final = RECORDINGS / "evening.mcap"
+"""The shift that is part of socast; it ends badly for some of its cars."""
 HISTORY: Final = RECORDINGS / "history.mcap"
 """Shifts of the same cars on the days before, from which the forecasts learn."""
-FITTED: Final = RECORDINGS / "fitted.json"
-"""Model fitted to them."""
 TUTORIAL: Final = RECORDINGS / "autumn.mcap"
 """Recording with a hidden effect."""
 QUIET_S: Final = 2.0
@@ -82,7 +81,7 @@ def demo(
     log_lines(level=logging.WARNING)
     own = recording is not None
     shift = recording or SHIFT
-    if not own and (missing := [file for file in (SHIFT, HISTORY, FITTED) if not file.exists()]):
+    if not own and (missing := [file for file in (SHIFT, HISTORY) if not file.exists()]):
         raise SettingsError(
             f"{missing[0]} does not exist; give a recording: socast demo REC, made by `socast simulate`"
         )
@@ -91,7 +90,7 @@ def demo(
     about = describe_recording(source_file)
     console = make_console(json_file)
     zone = find_zone(time_zone, console)
-    chosen = load_models(model or ([DEFAULT_MODEL] if own else [str(FITTED), DEFAULT_MODEL]))
+    chosen = load_models(model or [*find_models(None, shift.parent), DEFAULT_MODEL])
 
     def report(compiled: int, total: int) -> None:
         words = f"compiling kernels, once after installation: {compiled} of {total}"
@@ -104,11 +103,12 @@ def demo(
         pipeline.learn_from(earlier)
     hours, cars = about["duration_s"] / 3600, len(about["vehicles"])
     title = f"{shift.name}: {hours:.1f} h of {cars} cars, {speed:.0f} times real time"
-    missed = _run(pipeline, shift, about["messages"], speed, LiveTable(pipeline, title, console=console, zone=zone))
-    _show_results(console, pipeline, chosen, shift, missed, json_file)
+    table, alarms = LiveTable(pipeline, title, console=console, zone=zone), AlarmWatch(pipeline, about["messages"] // 2)
+    missed = _run(pipeline, shift, about["messages"], speed, table, alarms)
+    _show_results(console, pipeline, chosen, shift, missed, json_file, alarms.list_sentences(zone))
 
 
-def _run(pipeline: Pipeline, shift: Path, messages: int, speed: float, table: LiveTable) -> int:
+def _run(pipeline: Pipeline, shift: Path, messages: int, speed: float, table: LiveTable, alarms: AlarmWatch) -> int:
     """Publish a recording in another process, receive it, and return the number of messages that were missed."""
     with stop_on_signals() as stop, Node(Connection(listen=("tcp/127.0.0.1:0",), mode="router")) as node:
         source = ZenohSource(node, stop)
@@ -125,7 +125,7 @@ def _run(pipeline: Pipeline, shift: Path, messages: int, speed: float, table: Li
                     pipeline,
                     [LatestOnlySink(ZenohSink(node))],
                     publish_s=PUBLISH_S,
-                    watch=combine_watches(table, _stop_at_end(publisher, messages, stop.set)),
+                    watch=combine_watches(table, alarms, _stop_at_end(publisher, messages, stop.set)),
                 )
             finally:
                 publisher.terminate()
@@ -142,8 +142,9 @@ def _show_results(
     shift: Path,
     missed: int,
     json_file: Path | None,
+    alarms: Sequence[str],
 ) -> None:
-    """Print how the cars fared, the verdict and the next commands."""
+    """Print how the cars fared, the alarms, the verdict and the next commands."""
     rides, outcomes = add_predictions(pipeline.take_rides(), pipeline.shadows), ShiftOutcomes(pipeline)
     labels = [monitor.label for monitor in pipeline.shadows.monitors] or [chosen[0].name]
     shifts = outcomes.records()
@@ -156,10 +157,12 @@ def _show_results(
         )
     else:
         verdict = ["Energy: no ride ended that is fit for training."]
-    paths = [Path(os.path.relpath(each)) for each in (shift, TUTORIAL, *((HISTORY,) if shift == SHIFT else ()))]
-    has_workbench = find_spec("uvicorn") is not None
-    commands = list_next_commands(*paths, has_workbench=has_workbench)
-    show_end(console, verdict, commands)
+    recording, tutorial, history = (Path(os.path.relpath(each.resolve())) for each in (shift, TUTORIAL, HISTORY))
+    learned = history if shift == SHIFT else None
+    commands = list_next_commands(recording, tutorial, learned, has_workbench=find_spec("uvicorn") is not None)
+    if advice := advise_fit(chosen[0], str(recording)):
+        verdict.append(f"Model: {advice}.")
+    show_end(console, [*alarms, *read_findings(McapSource(shift)), *verdict], commands)
 
 
 def _stop_at_end(publisher: subprocess.Popen[str], messages: int, stop: Callable[[], None]) -> Callable[[Tally], None]:

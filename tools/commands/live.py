@@ -115,6 +115,6 @@ def live(
     of_fleet = None if shard is None else parse_shard(shard, shard_by)
     if metrics_per_car and metrics is None:
         raise SettingsError("--metrics-per-car adds to what --metrics serves: give --metrics ADDRESS too")
-    kept = connection, options, limits, recording, state, watch
+    kept = connection, options.find_models(recording.folder), limits, recording, state, watch
     zone = find_zone(time_zone, make_console())
     serve(LiveOptions(*kept, report, metrics, metrics_per_car, standby, of_fleet, zone))

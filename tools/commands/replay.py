@@ -34,7 +34,7 @@ from socast.tools.terminal.forecast_options import (
 )
 from socast.tools.terminal.forecast_run import run_forecasts
 from socast.tools.terminal.live_table import add_predictions, make_ride_records, show_rides
-from socast.tools.terminal.model_comparison import load_models, make_records, show_models
+from socast.tools.terminal.model_comparison import advise_fit, load_models, make_records, show_models
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, parse_speed, write_json
 from socast.tools.terminal.recordings import (
     Recordings,
@@ -205,6 +205,8 @@ def _forecast(
     if errors:
         show_models(console, errors, models, rides)
     show_outcomes(console, result["shifts"], zone)
+    if advice := advise_fit(models[0], " ".join(str(source.path) for source in sources)):
+        console.print(advice, markup=False, highlight=False, soft_wrap=not console.is_terminal)
     if layout:
         console.print(f"layout for Foxglove in {layout}", markup=False, highlight=False, soft_wrap=True)
     warn_outside(quality)

@@ -16,7 +16,7 @@ from socast.stream.zenoh_session import LOOPBACK, Connection
 from socast.tools.terminal.elapsed_time import show_elapsed
 from socast.tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
 from socast.tools.terminal.kernels import compile_kernels
-from socast.tools.terminal.model_comparison import load_models
+from socast.tools.terminal.model_comparison import advise_fit, load_models
 from socast.tools.terminal.recordings import refuse_duplicates
 from socast.tools.workbench.fleet.board import Board
 from socast.tools.workbench.fleet.observer import Observer
@@ -136,6 +136,7 @@ def _observe(connection: Connection) -> FleetSource:
 
 def _replay(recordings: list[Path], options: ForecastOptions) -> FleetSource:
     """Return the running player of recordings."""
+    options = options.find_models(recordings[0].parent)
     models = load_models(options.models)
     with show_elapsed("preparing the models"):
         compile_kernels(*models)
@@ -149,6 +150,7 @@ def _replay(recordings: list[Path], options: ForecastOptions) -> FleetSource:
     words += [word for path in options.effect_files for word in ("--effects", str(path))]
     words += [word for path in options.vehicle_files for word in ("--vehicles", str(path))]
     words += [word for path in options.warm_up for word in ("--warm-up", str(path))]
-    player = Player(recordings, make, Board(), words)
+    advice = advise_fit(models[0], " ".join(map(str, recordings))) or ""
+    player = Player(recordings, make, Board(), words, advice)
     player.start()
     return player

@@ -1,7 +1,7 @@
 """The options that `live` and `replay` share: models, settings of cleaning, key prefix and warm-up recordings."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,7 +19,7 @@ from socast.stream.sharded_pipeline import ShardedPipeline
 from socast.stream.zenoh_session import parse_prefix
 from socast.tools.terminal.cleaning_options import insert_cleaning_options
 from socast.tools.terminal.elevation_option import ElevationFiles
-from socast.tools.terminal.model_comparison import ModelNames
+from socast.tools.terminal.model_comparison import ModelNames, find_models
 from socast.tools.terminal.option_groups import insert_options
 from socast.tools.terminal.output import EffectFiles, VehicleFiles, select_model_files
 from socast.tools.terminal.warm_up import WarmUp, learn_from_recordings
@@ -56,6 +56,10 @@ class ForecastOptions:
     prefix: str
     warm_up: Sequence[Path]
     elevation: Sequence[Path]
+
+    def find_models(self, folder: Path | None) -> "ForecastOptions":
+        """Return these options with the fitted model in the folder of the recordings, where they name no model."""
+        return replace(self, models=find_models(self.models, folder))
 
     @property
     def files(self) -> list[Path]:

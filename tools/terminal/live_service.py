@@ -40,7 +40,7 @@ from socast.tools.terminal.forecast_options import ForecastOptions, describe_for
 from socast.tools.terminal.kernels import compile_kernels
 from socast.tools.terminal.limit_options import LimitLog
 from socast.tools.terminal.live_table import LiveTable
-from socast.tools.terminal.model_comparison import load_models
+from socast.tools.terminal.model_comparison import advise_fit, load_models
 from socast.tools.terminal.night_watch import check_watch, make_nightly_diagnosis
 from socast.tools.terminal.recording_options import RecordingOptions
 from socast.tools.terminal.ride_log import RideLog
@@ -352,3 +352,5 @@ def _log_start(node: Node, pipeline: Pipeline, models: Sequence[LinearModel], mo
     if monitor.server:
         beside |= {"metrics": str(monitor.server.address)}
     _log.info("listening", extra=event_fields(endpoints=endpoints, model=models[0].name, **beside))
+    if advice := advise_fit(models[0], "kept", "kept/"):
+        _log.info("model not fitted", extra=event_fields(remedy=advice))

@@ -157,7 +157,7 @@ def make_fleet_table(
     wide: bool = True,
     zone: tzinfo | None = UTC,
 ) -> Table:
-    """Return a table with one row per car, for the cars with the newest samples.
+    """Return a table with one row per car: those at risk first, then those with the newest samples by name.
 
     Parameters
     ----------
@@ -178,8 +178,8 @@ def make_fleet_table(
     -------
     rich.table.Table
     """
-    newest = sorted(sorted(cars, key=lambda car: car.time_s)[-rows:])
-    of_zone = name_zone([car.time_s for car in newest if isfinite(car.time_s)], zone)
+    shown = _choose_cars(cars, rows)
+    of_zone = name_zone([car.time_s for car in shown if isfinite(car.time_s)], zone)
     numbers = (
         *(((f"time\n{of_zone}", 8),) if wide else ()),
         ("SOC\n%", 5),
@@ -197,7 +197,7 @@ def make_fleet_table(
         *((Column("repaired or\nrejected", fixed=True, ratio=1),) if wide else ()),
     ]
     table = make_table(columns, title, caption, expand=True)
-    for car in newest:
+    for car in shown:
         riding = car.ride_distance_km > 0
         off = _compute_off_pct(car.predicted_kwh, car.measured_kwh) if riding else float("nan")
         table.add_row(
@@ -213,9 +213,16 @@ def make_fleet_table(
             draw_charge(car.soc_pct, car.end_pct, WIDE_PICTURE if wide else NARROW_PICTURE, _choose_style(car)),
             *((Text(_format_counts(car.quality)),) if wide else ()),
         )
-    if len(cars) > len(newest):
-        table.add_row(f"and {len(cars) - len(newest):,} more", *[""] * (len(columns) - 1))
+    if len(cars) > len(shown):
+        table.add_row(f"and {len(cars) - len(shown):,} more", *[""] * (len(columns) - 1))
     return table
+
+
+def _choose_cars(cars: Sequence[VehicleStatus], rows: int) -> list[VehicleStatus]:
+    """Return the cars to show: by falling risk, in whole percent so that rows keep their places, then by name."""
+    risky = sorted(filter(_is_at_risk, cars), key=lambda car: (-round(car.risk or 0.0, 2), car.vehicle_id))[:rows]
+    others = sorted((car for car in cars if not _is_at_risk(car)), key=lambda car: car.time_s, reverse=True)
+    return risky + sorted(others[: rows - len(risky)])
 
 
 def _format_end(car: VehicleStatus) -> Text:

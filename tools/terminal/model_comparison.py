@@ -1,6 +1,7 @@
 """Several models in live operation: their options on the command line, and their errors as a table and as JSON."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Any, Final
 
 import msgspec
@@ -19,6 +20,8 @@ from socast.tools.terminal.small_pictures import draw_course
 
 DEFAULT_MODEL: Final = "extended_physical"
 """The model if the command line names none."""
+FITTED: Final = "fitted.json"
+"""Name of the model file that commands look for in the folder of the recordings."""
 VERDICT_NOTE: Final = (
     "better or worse: the 95 % interval of the difference excludes zero; it holds for all models "
     "together, however often the table is read; only ended vehicle-days count"
@@ -45,7 +48,7 @@ ModelNames = Annotated[
         "--model",
         metavar="M",
         help="Model: a name, or a model file. May be repeated: the first makes the forecasts, the others run in its "
-        f"shadow. [default: {DEFAULT_MODEL}]",
+        f"shadow. [default: {DEFAULT_MODEL}; of serve, live and demo a {FITTED} beside the recordings, if it exists]",
     ),
 ]
 
@@ -68,6 +71,46 @@ def load_models(names: Sequence[str] | None) -> list[LinearModel]:
         If a name or file is not a model.
     """
     return [models.load(name) for name in names or [DEFAULT_MODEL]]
+
+
+def find_models(names: Sequence[str] | None, folder: Path | None) -> list[str]:
+    """Return the names of the models to run: those given, else the fitted one in the folder of the recordings.
+
+    Parameters
+    ----------
+    names : sequence of str, optional
+        As given.
+    folder : Path, optional
+        Folder of the recordings.
+
+    Returns
+    -------
+    list of str
+        Empty where no model is known but the catalogue's, `DEFAULT_MODEL`.
+    """
+    if names or folder is None or not (fitted := folder / FITTED).is_file():
+        return list(names or ())
+    return [str(fitted)]
+
+
+def advise_fit(model: LinearModel, data: str, folder: str = "") -> str | None:
+    """Return what fitting would bring where a model knows only the catalogue, None for a fitted model.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Model that forecasts.
+    data : str
+        Recordings or tables of rides, for the command.
+    folder : str
+        Folder in which the command writes the model, with a slash at its end.
+    """
+    if model.training is not None:
+        return None
+    return (
+        f"{model.name} knows only the catalogue. A model fitted to measured rides has no such mean difference, and "
+        f"calibrated intervals: socast fit {data} --recipe road_load -o {folder}{FITTED}"
+    )
 
 
 class ErrorCourses:

@@ -19,7 +19,7 @@ from socast.core.forecast.outlook import (
     MeanAndSd,
     compute_end_soc,
     compute_planned_energy,
-    compute_reach,
+    compute_range,
     compute_temperature_weights,
     fill_from_history,
     schedule_plan,
@@ -241,7 +241,7 @@ def test_sd_is_never_below_that_of_the_quantum():
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 0.5), st.floats(0.0, 1.0))
 def test_range_grows_with_charge_and_is_zero_below_the_reserve(soc, more, reserve):
-    reach = [compute_reach(known(s), np.array([reserve]), usual()).km for s in (soc, min(soc + more, 1.0))]
+    reach = [compute_range(known(s), np.array([reserve]), usual()).km for s in (soc, min(soc + more, 1.0))]
     assert 0.0 <= reach[0].mean[0] <= reach[1].mean[0]
     assert all(each.sd[0] >= 0.0 and np.isfinite(each.sd[0]) for each in reach)
     assert (reach[0].mean[0] == 0.0) == (soc <= reserve)
@@ -250,7 +250,7 @@ def test_range_grows_with_charge_and_is_zero_below_the_reserve(soc, more, reserv
 @given(st.floats(0.3, 1.0), st.floats(-0.3, 0.3))
 def test_ride_of_the_length_of_the_range_ends_at_the_reserve(soc, scale):
     estimate = known(soc, log_factor=scale)
-    km = compute_reach(estimate, np.array([0.1]), usual()).km.mean
+    km = compute_range(estimate, np.array([0.1]), usual()).km.mean
     hours = km * usual().ride_pace / 60.0
     end = compute_end_soc(estimate, certain(float((km * usual().driving_energy_per_km)[0])), hours)
     assert end.mean[0] == pytest.approx(0.1, abs=2e-3)

@@ -30,6 +30,16 @@ def test_car_that_risks_ending_below_reserve_is_marked(width, risk, mark):
     assert ("34 21–61!" in text) == mark
 
 
+def test_cars_at_risk_come_first_and_are_never_left_out():
+    cars = [CAR._replace(vehicle_id=f"taxi-{number}", time_s=CAR.time_s + number) for number in range(9)]
+    cars[2] = cars[2]._replace(end_pct=(8.0, 0.0, 20.0), risk=0.4)
+    cars[1] = cars[1]._replace(end_pct=(3.0, 0.0, 9.0), risk=0.97)
+    console = Console(file=io.StringIO(), width=80)
+    console.print(make_fleet_table(cars, "Live", "", 4, wide=False))
+    names = [line.split()[0] for line in console.file.getvalue().splitlines() if line.split()[:1] and "taxi-" in line]
+    assert names == ["taxi-1", "taxi-2", "taxi-7", "taxi-8"]
+
+
 def test_unknown_charge_at_end_is_dash():
     assert row(CAR, 112).split() == ["taxi-1", "22:13:20", "64.0", "0.00", "–", "–", "–", "–", "·" * 15 + "●" + "·" * 8]
     assert row(CAR).split() == ["taxi-1", "64.0", "0.00", "–", "–", "–", "–", "·" * 7 + "●" + "·" * 4]

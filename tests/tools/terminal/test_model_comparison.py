@@ -4,6 +4,7 @@ import io
 import json
 import logging
 from pathlib import Path
+from shutil import copyfile
 
 import msgspec
 import pandas as pd
@@ -21,7 +22,9 @@ from socast.stream.mcap_writer import McapSink
 from socast.stream.zenoh_session import Connection, Node, find_free_port
 from socast.tools.terminal.live_table import LiveTable, make_fleet_table
 from socast.tools.terminal.model_comparison import (
+    advise_fit,
     describe_gain,
+    find_models,
     load_models,
     make_log_fields,
     make_models_table,
@@ -30,6 +33,7 @@ from socast.tools.terminal.model_comparison import (
 from socast.tools.terminal.ride_log import RideLog
 from tests.support.commands import called, refused
 from tests.support.live_consumers import consumers, logged
+from tests.support.paths import RECORDINGS
 from tests.support.recorded_shift import shift
 from tests.support.zenoh_sessions import eventually
 
@@ -227,3 +231,17 @@ def test_live_table_has_column_per_shadow_and_models_below():
     shown = console.file.getvalue()
     assert "basic_physical/1" in shown
     assert "car-2" in shown
+
+
+def test_fitted_model_beside_the_recordings_is_used_unless_others_are_named(tmp_path):
+    assert find_models(None, tmp_path) == []
+    fitted = copyfile(RECORDINGS / "fitted.json", tmp_path / "fitted.json")
+    assert find_models(None, tmp_path) == [str(fitted)]
+    assert find_models(["basic_physical"], tmp_path) == ["basic_physical"]
+    assert find_models(None, None) == []
+
+
+def test_catalogue_model_says_what_fitting_would_bring():
+    (fitted,), (catalogue,) = load_models([str(RECORDINGS / "fitted.json")]), load_models(None)
+    assert advise_fit(fitted, "kept") is None
+    assert advise_fit(catalogue, "kept", "kept/").endswith("socast fit kept --recipe road_load -o kept/fitted.json")

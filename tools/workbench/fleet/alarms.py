@@ -4,6 +4,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from socast.core.wire.messages import Finding
 from socast.tools.commands.ask import HIGH_RISK, LOW_RISK
 from socast.tools.workbench.fleet.board import Board
 
@@ -34,7 +35,7 @@ def list_alarms(board: Board) -> dict[str, Any]:
         alarms = [_describe_risk(names[row], float(risk[row])) for row in rows.tolist()]
         alarms += [_describe_silence(names[row], float(age[row])) for row in np.flatnonzero(silent).tolist()]
         alarms += [
-            _alarm("finding", "warn", each.who if each.who in board.models else None, each.probability, each.words)
+            _describe_finding(each, each.who if each.who in board.models else None)
             for each in board.findings.values()
             if each.status != "gone"
         ]
@@ -52,6 +53,12 @@ def _describe_silence(car: str, age: float) -> dict[str, Any]:
     """Return the alarm of a car that was silent during a ride."""
     minutes = int(age // 60)
     return _alarm("silent", "warn", car, minutes, "fell silent during a ride")
+
+
+def _describe_finding(finding: Finding, car: str | None) -> dict[str, Any]:
+    """Return the alarm of a finding; the page names the car before the words."""
+    words = finding.words if car is None else finding.words.removeprefix(f"{car} ")
+    return _alarm("finding", "warn", car, finding.probability, words)
 
 
 def _alarm(kind: str, level: str, car: str | None, value: float, words: str) -> dict[str, Any]:

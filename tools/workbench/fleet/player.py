@@ -85,6 +85,8 @@ class Player:
     board : Board
     command : sequence of str
         Words of the command that replays the same without a browser.
+    advice : str
+        What a better model would bring, empty for a fitted one.
     clock : callable
         Function that returns monotonic time. [s]
 
@@ -105,6 +107,7 @@ class Player:
         make_pipeline: Callable[[bool], Pipeline],
         board: Board,
         command: Sequence[str] = (),
+        advice: str = "",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         spans = [span for path in recordings if (span := McapSource(path).span_ns)]
@@ -112,7 +115,7 @@ class Player:
             raise SettingsError(f"{recordings[0]} holds no message; give a recording of a fleet")
         self.begin_ns, self.end_ns = min(first for first, _ in spans), max(last for _, last in spans)
         self.board = board
-        self._has_been_shown, self._command = False, list(command)
+        self._has_been_shown, self._command, self._advice = False, list(command), advice
         self._recordings, self._make_pipeline, self._clock = list(recordings), make_pipeline, clock
         self._changed = Condition()
         is_long = self.end_ns - self.begin_ns > LONG_S * 1e9
@@ -148,6 +151,7 @@ class Player:
             "mode": "replay",
             "recordings": [str(path) for path in self._recordings],
             "model": "" if self.pipeline is None else self.pipeline.context.model_label,
+            "advice": self._advice,
             "begin_s": self.begin_ns * 1e-9,
             "end_s": self.end_ns * 1e-9,
             "time_s": round(self._position_ns * 1e-9, 3),

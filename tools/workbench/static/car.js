@@ -3,7 +3,7 @@
 
 import { chart } from "./chart.js";
 import { el, empty, failed, loading } from "./dom.js";
-import { clock, day, duration, interval, number, quantity, risk, signed } from "./format.js";
+import { clock, day, duration, HIGH_RISK, interval, LOW_RISK, number, quantity, risk, signed } from "./format.js";
 import { LegSchedule, makeClockMarks } from "./leg_schedule.js";
 import { makePlayerBar } from "./player.js";
 import { FleetSocket } from "./socket.js";
@@ -122,7 +122,7 @@ class CarPage {
 
   drawFigures(values, outlook) {
     const figure = (words, text, tone, detail) => el("div", {}, el("dt", {}, words, detail && el("span", {}, ` ${detail}`)), el("dd", { class: tone }, text));
-    const tone = values.risk > 0.5 ? "bad" : values.risk >= 0.05 ? "warn" : "";
+    const tone = values.risk > HIGH_RISK ? "bad" : values.risk >= LOW_RISK ? "warn" : "";
     this.parts.figures.replaceChildren(
       figure("charge now", quantity(values.soc, "%", 1), "", values.soc_sd ? `(± ${number(values.soc_sd, 1)})` : ""),
       figure("at the end of the shift", quantity(values.end, "%"), "", range(values.end_low, values.end_high)),

@@ -3,14 +3,12 @@
 
 import { el, empty, failed } from "./dom.js";
 import { makeFleetTable } from "./fleet_table.js";
-import { number, quantity, risk } from "./format.js";
+import { HIGH_RISK, LOW_RISK, number, quantity, risk } from "./format.js";
 import { nextStep } from "./loop.js";
 import { FleetMap, toX, toY } from "./map.js";
 import { makePlayerBar } from "./player.js";
 import { FleetSocket } from "./socket.js";
 
-const HIGH_RISK = 0.5;
-const LOW_RISK = 0.05;
 const COLORS = {
   soc: {
     title: "State of charge",
@@ -158,7 +156,7 @@ class FleetPage {
     const { alarms } = this.socket;
     this.alarmCount.textContent = number(alarms.total);
     this.alarmCount.hidden = !alarms.total;
-    const items = alarms.list.map((alarm) => el("li", { class: "alarm" },
+    const items = alarms.list.map((alarm) => el("li", { class: `alarm alarm-${alarm.kind}` },
       el("span", { class: `chip ${alarm.level}` }, describeValue(alarm)),
       el("span", { class: "alarm-words" },
         alarm.car ? el("a", { href: this.context.link({ page: "car", path: alarm.car }) }, alarm.car) : null,

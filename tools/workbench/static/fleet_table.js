@@ -2,7 +2,7 @@
 // The frame of the table takes arrow keys, Home, End, Page Up, Page Down and Enter.
 
 import { el } from "./dom.js";
-import { duration, number, risk } from "./format.js";
+import { duration, HIGH_RISK, LOW_RISK, number, risk } from "./format.js";
 
 const ROW_PX = 38;
 const SPARE = 4;
@@ -13,7 +13,7 @@ const COLUMNS = [
   { key: "car", title: "Car", value: (socket, row) => socket.names[row], text: true },
   { key: "soc", title: "Charge", unit: "%", bar: true, show: (value) => number(value, 1) },
   { key: "end", title: "End of shift", unit: "%", show: showEnd },
-  { key: "risk", title: "Risk", show: (value) => risk(value), tone: (value) => (value > 0.5 ? "bad" : value >= 0.05 ? "warn" : "") },
+  { key: "risk", title: "Risk", show: (value) => risk(value), tone: (value) => (value > HIGH_RISK ? "bad" : value >= LOW_RISK ? "warn" : "") },
   { key: "range", title: "Range", unit: "km", wide: true, show: (value) => number(value) },
   { key: "ride_km", title: "Ride", unit: "km", wide: true, show: (value, socket, row) => (socket.is("riding", row) ? number(value, 1) : "–") },
   { key: "predicted", title: "Predicted", unit: "kWh", wide: true, show: (value) => number(value, 2) },
@@ -23,7 +23,15 @@ const COLUMNS = [
   { key: "faults", title: "Faults", wide: true, show: (value) => number(value) },
   { key: "state", title: "State", text: true, value: stateOf, show: (value, socket, row) => (value === "silent" ? `silent ${duration(socket.value("age", row))}` : value) },
 ];
+const TROUBLE = { key: "risk", value: troubleOf };
 const SHOWN = { all: "All cars", riding: "In a ride", charging: "Charging", risky: "At risk", silent: "Silent" };
+
+// How much a car needs attention: its risk in whole percent, so that rows keep their places while it hardly changes.
+function troubleOf(socket, row) {
+  if (socket.is("silent", row)) return socket.is("riding", row) ? LOW_RISK : 0;
+  const share = socket.value("risk", row);
+  return share >= LOW_RISK ? Math.round(100 * share) / 100 : 0;
+}
 
 function errorOf(socket, row) {
   const measured = socket.value("measured", row);
@@ -41,6 +49,7 @@ function showEnd(value, socket, row) {
   return [number(value), el("span", { class: "soft" }, ` ${number(socket.value("end_low", row))}–${number(socket.value("end_high", row))}`)];
 }
 
+const byName = (a, b) => a.localeCompare(b, "en", { numeric: true });
 const valueOf = (column, socket, row) => (column.value ? column.value(socket, row) : socket.value(column.key, row));
 
 export function makeFleetTable(socket, context) {
@@ -79,8 +88,9 @@ class FleetTable {
     return this.narrow.matches ? COLUMNS.filter((column) => !column.wide) : COLUMNS;
   }
 
+  // Without a choice, cars at risk come first and all others follow by name.
   get sort() {
-    return COLUMNS.find((column) => column.key === this.state.sort) ?? COLUMNS[0];
+    return COLUMNS.find((column) => column.key === this.state.sort) ?? TROUBLE;
   }
 
   build() {
@@ -92,14 +102,14 @@ class FleetTable {
   }
 
   sortBy(column) {
-    const isSame = this.sort === column;
+    const isSame = this.state.sort === column.key;
     const order = isSame ? (this.isFalling ? "up" : "down") : column.key === "risk" || column.key === "off" ? "down" : "up";
     this.context.navigate({ sort: column.key, order }, { replace: true });
     this.context.announce(`Sorted by ${column.title}, ${order === "down" ? "largest first" : "smallest first"}`);
   }
 
   get isFalling() {
-    return this.state.order === "down";
+    return this.sort === TROUBLE || this.state.order === "down";
   }
 
   update(state) {
@@ -119,7 +129,7 @@ class FleetTable {
     const { socket, state } = this;
     if (state.filter && !socket.names[row].toLowerCase().includes(state.filter.toLowerCase())) return false;
     if (!state.show || state.show === "all") return true;
-    return state.show === "risky" ? socket.value("risk", row) >= 0.05 : stateOf(socket, row) === state.show;
+    return state.show === "risky" ? socket.value("risk", row) >= LOW_RISK : stateOf(socket, row) === state.show;
   }
 
   draw() {
@@ -130,8 +140,8 @@ class FleetTable {
     const sign = this.isFalling ? -1 : 1;
     rows.sort((a, b) => {
       const [x, y] = [values.get(a), values.get(b)];
-      if (sort.text) return sign * x.localeCompare(y, "en", { numeric: true }) || a - b;
-      return Number.isNaN(x) - Number.isNaN(y) || sign * (x - y) || a - b;
+      if (sort.text) return sign * byName(x, y) || a - b;
+      return Number.isNaN(x) - Number.isNaN(y) || sign * (x - y) || byName(socket.names[a], socket.names[b]);
     });
     this.order = rows;
     this.count.textContent = rows.length === socket.size ? number(rows.length) : `${number(rows.length)} of ${number(socket.size)}`;

@@ -43,6 +43,10 @@ export function duration(seconds) {
   return `${Math.floor(minutes / 60)}${NARROW}h ${String(minutes % 60).padStart(2, "0")}${NARROW}min`;
 }
 
+// Probabilities of falling below the reserve from which a car is at risk, and at high risk.
+export const LOW_RISK = 0.05;
+export const HIGH_RISK = 0.5;
+
 // A probability in percent, never as certainty.
 export function risk(share) {
   if (share === null || share === undefined || !Number.isFinite(share)) return "–";

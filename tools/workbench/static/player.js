@@ -82,7 +82,8 @@ export function makePlayerBar(socket, context) {
       parts.command.replaceChildren(command(source.command));
       if (isOpen) parts.command.querySelector("details").open = true;
     }
-    parts.model.textContent = source.model ? `Forecasts by the model ${source.model}` : "";
+    parts.model.textContent = source.model ? `Forecasts by the model ${source.model.split("/")[0]}. ${source.advice ?? ""}` : "";
+    parts.model.title = source.model;
     const speed = String(source.speed ?? "max");
     if (parts.speed.value !== speed && document.activeElement !== parts.speed) parts.speed.value = speed;
     if (!isDragging) {

@@ -15,7 +15,7 @@ from socast.tools.workbench.workspace import Workspace
 from tests.support.accessibility import list_violations
 from tests.support.browsers import NARROW, WIDE, Visit, open_browser
 from tests.support.players import playing, stand_in_the_middle
-from tests.support.workbench_pictures import DOCS, PICTURES, measure_difference, take_pictures
+from tests.support.workbench_pictures import DOCS, PICTURES, measure_difference, playing_the_evening, take_pictures
 from tests.support.workbenches import serve
 from tests.support.zenoh_sessions import eventually
 
@@ -51,10 +51,11 @@ def browser():
 
 
 @pytest.fixture(scope="module")
-def pictures(browser, server, tmp_path_factory):
+def pictures(browser, tmp_path_factory):
     """Return the folder of fresh pictures of the pages."""
     folder = tmp_path_factory.mktemp("pictures")
-    take_pictures(browser, server, folder)
+    with playing_the_evening() as player, serve(Workbench(Workspace(), Jobs(), fleet=player)) as server:
+        take_pictures(browser, server, folder)
     return folder
 
 
@@ -140,6 +141,11 @@ def test_table_is_sorted_filtered_and_walked_by_keys(visit):
     page = visit.page
     page.wait_for_selector(PAGES["#/fleet"])
     names = "[...document.querySelectorAll('tr.car')].map((line) => line.dataset.car)"
+    page.wait_for_selector("th[aria-sort=descending][data-key=risk]")
+    cells = "[...document.querySelectorAll('tr.car td:nth-child(4)')].map((cell) => cell.textContent)"
+    risks = [int("".join(filter(str.isdigit, text))) for text in page.evaluate(cells)]
+    trouble = [risk if risk >= 5 else 0 for risk in risks]
+    assert trouble == sorted(trouble, reverse=True)
     page.get_by_role("button", name="Charge %").click()
     page.wait_for_selector("th[aria-sort=ascending][data-key=soc]")
     charges = [
