@@ -15,7 +15,7 @@ INSTALL := $(UV) pip install --python $(BIN)/python --require-hashes
 COMPILE := $(UV) pip compile --python-version 3.11.5 --generate-hashes --no-header --no-annotate
 EXTRAS := --extra bridge --extra checkout --extra cluster --extra service --extra workbench
 
-.PHONY: demo test check docs bench bench-hidden lock clean
+.PHONY: demo test check docs bench figures lock clean
 .DEFAULT_GOAL := test
 
 # setuptools warns that it will drop `compat` one day; a user of this file can do nothing about it.
@@ -50,11 +50,11 @@ check: $(INSTALLED) docs  ## lint, types, the examples in docstrings and the doc
 docs: $(INSTALLED)  ## the documentation, into build/docs; a warning is an error
 	$(BIN)/sphinx-build -W --keep-going -n -q -j auto -b html docs build/docs
 
-bench: $(INSTALLED)  ## ratios of speed, into bench.json and BENCHMARKS.md
+bench: $(INSTALLED)  ## ratios of speed, into BENCHMARKS.md
 	$(BIN)/python -m socast.tools.bench
 
-bench-hidden: $(INSTALLED)  ## whether diagnosis finds what a simulation hides, into bench-hidden.json and BENCHMARKS.md
-	$(BIN)/python -m socast.tools.bench.hidden $(OPTIONS)
+figures: $(INSTALLED)  ## measure every figure of the pages again; make figures ONLY="speed league" measures some
+	$(BIN)/python -m socast.tools.bench.figures $(if $(ONLY),--only "$(ONLY)") $(OPTIONS)
 
 lock: $(INSTALLED)  ## pin anew what pyproject.toml asks for
 	$(COMPILE) $(EXTRAS) -o requirements.lock pyproject.toml
@@ -65,5 +65,5 @@ lock: $(INSTALLED)  ## pin anew what pyproject.toml asks for
 	    -r requirements-dev.lock && echo "the lock files serve Python $$version"; done
 
 clean:
-	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis build bench.json bench-hidden.json
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis build bench-hidden.json
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,25 +1,18 @@
-"""`make bench`: measure, print, and write the figures to bench.json and BENCHMARKS.md."""
+"""`make bench`: measure ratios of speed, print them, and publish them."""
 
 import argparse
-import json
-import os
-import platform
 from collections.abc import Callable
-from dataclasses import asdict
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
 from socast.tools.bench.daily_update import measure_daily_update
+from socast.tools.bench.figures.published import publish
 from socast.tools.bench.filters import measure_filters
-from socast.tools.bench.hidden.page import SECTION, read_section, replace_section
 from socast.tools.bench.learning import measure_fit, measure_fit_memory
 from socast.tools.bench.live import measure_batches, measure_live
 from socast.tools.bench.measures import Measure, measure_arrays, measure_replay, measure_scale
-from socast.tools.bench.nothing_hidden import SECTION as NOTHING
 from socast.tools.bench.security import measure_security
-from socast.tools.bench.siblings import SECTION as SIBLINGS
 from socast.tools.bench.startup import measure_effects_start, measure_help_start, measure_version_start
 from socast.tools.terminal.rich_table import Column, make_table
 
@@ -38,11 +31,10 @@ MEASURES: tuple[Callable[[], Measure], ...] = (
     measure_version_start,
     measure_effects_start,
 )
-ROOT = Path(__file__).resolve().parent.parent.parent
 
 
 def main() -> None:
-    """Run every measure, print the ratios, and write both files."""
+    """Run every measure, print the ratios, and publish them."""
     argparse.ArgumentParser(prog="python -m socast.tools.bench", description=__doc__).parse_args()
     console = Console()
     with Progress(console=Console(stderr=True), transient=True) as progress:
@@ -53,18 +45,11 @@ def main() -> None:
         mark = "met" if measure.met else "missed"
         table.add_row(measure.name, measure.over, f"{measure.ratio:.2f}", measure.goal, mark)
     console.print(table)
-    content = [asdict(measure) for measure in measures]
-    (ROOT / "bench.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    path = ROOT / "BENCHMARKS.md"
-    page = make_page(measures)
-    for name in (SECTION, NOTHING, SIBLINGS):  # written by other commands of this package
-        if section := read_section(path, name):
-            page = replace_section(page, section, name)
-    path.write_text(page, encoding="utf-8")
+    publish("speed", "make bench", make_lines(measures))
 
 
-def make_page(measures: list[Measure]) -> str:
-    """Return the text of BENCHMARKS.md.
+def make_lines(measures: list[Measure]) -> list[str]:
+    """Return the lines for the pages.
 
     Parameters
     ----------
@@ -72,13 +57,10 @@ def make_page(measures: list[Measure]) -> str:
         Results of all measures.
     """
     lines = [
-        "# Benchmarks",
-        "",
         (
-            f"Written by `make bench`, on {os.cpu_count()} cores, Python {platform.python_version()}. "
-            "Each ratio compares the"
+            "Each ratio compares the medians of two things measured in turn in one run. The machine is shared and "
+            "noisy: read ratios, not seconds."
         ),
-        "medians of two things measured in turn in one run. The machine is shared and noisy: read ratios, not seconds.",
         "",
         "| what | against | ratio | goal | |",
         "|---|---|---|---|---|",
@@ -86,12 +68,12 @@ def make_page(measures: list[Measure]) -> str:
     for measure in measures:
         met = "met" if measure.met else "missed"
         lines.append(f"| {measure.name} | {measure.over} | {measure.ratio:.2f} | {measure.goal} | {met} |")
-    lines += ["", "## What limits each measure", ""]
+    lines += ["", "### What limits each measure"]
     for measure in measures:
         figures = ", ".join(f"{name} {value:,.3g}" for name, value in measure.figures.items())
         figures = figures.replace("e+05", "e5").replace("e+06", "e6")
-        lines += [f"**{measure.name[0].upper()}{measure.name[1:]}** ({figures}). {measure.bound}", ""]
-    return "\n".join(lines)
+        lines += ["", f"**{measure.name[0].upper()}{measure.name[1:]}** ({figures}). {measure.bound}"]
+    return lines
 
 
 if __name__ == "__main__":

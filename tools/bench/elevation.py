@@ -31,6 +31,7 @@ from socast.core.wire.decoder import Decoder
 from socast.core.wire.messages import Message
 from socast.stream.elevation_files import read_places, write_places
 from socast.stream.elevation_tiles import SRTM_VOID, TILE_SD
+from socast.tools.bench.figures.published import publish
 from socast.tools.commands.evaluate_soc import SocForecasts
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.settings import LOW, NIGHT, STEP, Faults, Simulation
@@ -262,7 +263,7 @@ def measure_fleet(seed: int, keep: Path | None = None, say: Callable[[str], None
     return figures
 
 
-def make_page(results: dict[int, dict[str, Any]]) -> str:
+def make_lines(results: dict[int, dict[str, Any]]) -> list[str]:
     """Return the tables of all fleets as Markdown.
 
     Parameters
@@ -293,7 +294,7 @@ def make_page(results: dict[int, dict[str, Any]]) -> str:
         lines.append(f"| {kind} | {climb:.2f} | {change} | {every} | {gained} | {mean(kind, 'mae_kwh'):.4f} |")
     lines += ["", "| forecasts | MAE of the charge [points] |", "|---|---|"]
     lines += [f"| {name} | {mean('soc_mae_pct', name):.2f} |" for name in (MAPS[0], MAPS[-1])]
-    return "\n".join(lines)
+    return lines
 
 
 def main(arguments: Iterable[str] | None = None) -> None:
@@ -301,14 +302,20 @@ def main(arguments: Iterable[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m socast.tools.bench.elevation", description=__doc__)
     parser.add_argument("seeds", nargs="*", type=int, default=SEEDS, help="seeds of the fleets")
     parser.add_argument("--keep", type=Path, help="folder in which learned maps are kept")
-    parser.add_argument("--json", type=Path, help="file for the figures")
+    parser.add_argument("--json", type=Path, help="file for the figures; one that exists is used again")
+    parser.add_argument("--publish", action="store_true", help="write the tables to the pages")
     options = parser.parse_args(None if arguments is None else list(arguments))
+    known = json.loads(options.json.read_text(encoding="utf-8")) if options.json and options.json.exists() else {}
     results = {}
     for seed in options.seeds:
-        results[seed] = measure_fleet(seed, options.keep)
+        results[seed] = known.get(str(seed)) or measure_fleet(seed, options.keep)
         if options.json:
             options.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    print(make_page(results))
+    lines = make_lines(results)
+    print("\n".join(lines))
+    if options.publish:
+        seeds = " ".join(map(str, options.seeds))
+        publish("elevation", f"python -m socast.tools.bench.elevation {seeds}", lines)
 
 
 if __name__ == "__main__":

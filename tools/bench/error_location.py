@@ -4,7 +4,7 @@ Each seed gives the fleet of the benchmark of hidden effects. Loads of random si
 each ride or vehicle-day, so that voltage and current contain them. Sizes are compared as mean powers, because the
 energy of a kind by catalogue differs from that of the simulated cars.
 
-Example: python -m socast.tools.bench.error_location --seeds 7301-7320 --keep build/location --page
+Example: python -m socast.tools.bench.error_location --seeds 7301-7320 --keep build/location --publish
 """
 
 import argparse
@@ -25,15 +25,13 @@ from socast.core.errors import SocastError
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.fit.ride_blocks import get_numbers
 from socast.core.stats.clustered import compute_wilson_interval
+from socast.tools.bench.figures.published import publish
 from socast.tools.bench.hidden.cases import SeedData
-from socast.tools.bench.hidden.page import get_marks, replace_section
 from socast.tools.bench.hidden.random_loads import RandomLoad, measure_with_loads
-from socast.tools.bench.nothing_hidden import PAGE, ROOT, parse_seeds
+from socast.tools.bench.nothing_hidden import parse_seeds
 from socast.tools.terminal.rich_table import Column, make_table
 
 RECIPE: Final = "road_load"
-SECTION: Final = "bench-error-location"
-"""Name of the section of the page."""
 CASES: Final[dict[str, tuple[RandomLoad, ...]]] = {
     "nothing": (),
     "±300 W per ride": (RandomLoad("ride", "constant", 300.0),),
@@ -65,7 +63,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser("error-location", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", default="7301-7320", help="seeds, such as 7301-7320 or 7,9")
     parser.add_argument("--keep", type=Path, help="folder for the records of each seed; those in it are used again")
-    parser.add_argument("--page", action="store_true", help=f"write the table to {PAGE}")
+    parser.add_argument("--publish", action="store_true", help="write the table to the pages")
     options = parser.parse_args(arguments)
     console = Console()
     try:
@@ -84,10 +82,9 @@ def main(arguments: list[str] | None = None) -> int:
     for name, cells in rows.items():
         table.add_row(name, *cells)
     console.print(table)
-    if options.page:
-        path = ROOT / PAGE
-        section = make_section(rows, options.seeds, records)
-        path.write_text(replace_section(path.read_text(encoding="utf-8"), section, SECTION), encoding="utf-8")
+    if options.publish:
+        command = f"python -m socast.tools.bench.error_location --seeds {options.seeds} --keep build/location"
+        publish("error-location", command, make_lines(rows, records))
     return 0
 
 
@@ -222,37 +219,29 @@ def format_share(count: int, of: int) -> str:
     return f"{count} of {of} ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
 
 
-def make_section(rows: dict[str, list[str]], seeds: str, records: Sequence[Record]) -> str:
-    """Return the section of the page with its marks.
+def make_lines(rows: dict[str, list[str]], records: Sequence[Record]) -> list[str]:
+    """Return the lines for the pages.
 
     Parameters
     ----------
     rows : dict of str to list of str
         Cells of each case.
-    seeds : str
-        Seeds as given.
     records : sequence of dict
         Records.
     """
-    begin, end = get_marks(SECTION)
     seconds = sorted(record["seconds"] for record in records)
-    lines = [
-        begin,
-        "## Location of the error",
-        "",
+    return [
         (
-            f"Written by `python -m socast.tools.bench.error_location --seeds {seeds} --page`. Fleets of 8 cars, about "
-            f"{records[0]['rides']:,} rides each, with loads of random size in voltage and current. Right: all hidden "
-            "loads are claimed at their level and kind, and nothing else. Intervals of shares are those of Wilson, at "
-            f"95 %. Locating took {seconds[len(seconds) // 2]:.1f} s of processor time (median; at most "
-            f"{seconds[-1]:.1f} s)."
+            f"Fleets of 8 cars, about {records[0]['rides']:,} rides each, with loads of random size in voltage and "
+            "current. Right: all hidden loads are claimed at their level and kind, and nothing else. Intervals of "
+            f"shares are those of Wilson, at 95 %. Locating took {seconds[len(seconds) // 2]:.1f} s of processor time "
+            f"(median; at most {seconds[-1]:.1f} s)."
         ),
         "",
         f"| hidden | {' | '.join(HEADS)} |",
         f"|---|{'---|' * len(HEADS)}",
         *(f"| {name} | {' | '.join(cells)} |" for name, cells in rows.items()),
     ]
-    return "\n".join([*lines, "", end])
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple
 from rich.console import Console
 
 from socast.core.errors import SettingsError, SocastError
-from socast.tools.bench.hidden.page import get_marks, replace_section
+from socast.tools.bench.figures.published import publish
 from socast.tools.terminal.rich_table import Column, make_table
 
 ROOT: Final = Path(__file__).resolve().parent.parent.parent
@@ -35,9 +35,6 @@ FLEET: Final = (
 An effect of 3 % of the energy is found in such a fleet. All cars measure voltage and current.
 """
 RECIPE: Final = "road_load"
-PAGE: Final = "BENCHMARKS.md"
-SECTION: Final = "bench-nothing-hidden"
-"""Name of the section of the page."""
 
 
 class Fleet(NamedTuple):
@@ -106,10 +103,9 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     for name, fleets in measured.items():
         print_summaries(name, fleets, console)
-    if options.page:
-        path = ROOT / PAGE
-        section = make_section(measured, f"seeds {options.seeds}, {' '.join(FLEET)}")
-        path.write_text(replace_section(path.read_text(encoding="utf-8"), section, SECTION), encoding="utf-8")
+    if options.publish:
+        command = f"python -m socast.tools.bench.nothing_hidden --seeds {options.seeds}"
+        publish("nothing-hidden", command, make_lines(measured, " ".join(FLEET)))
     if options.json:
         content = {name: [fleet._asdict() for fleet in fleets] for name, fleets in measured.items()}
         settings = {"fleet": " ".join(FLEET), "hidden": hidden, "seeds": options.seeds, "trees": content}
@@ -125,7 +121,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--keep", type=Path, help="folder for recordings and diagnoses; those in it are used again")
     parser.add_argument("--hidden", action="append", default=[], metavar="EFFECT:SIZE", help="effect to hide")
     parser.add_argument("--json", type=Path, help="file for the result of every fleet")
-    parser.add_argument("--page", action="store_true", help=f"write the tables to {PAGE}")
+    parser.add_argument("--publish", action="store_true", help="write the table to the pages")
     return parser
 
 
@@ -314,8 +310,8 @@ def print_summaries(name: str, fleets: Sequence[Fleet], console: Console) -> Non
     console.print(f"{name}: {total} false names in {len(fleets)} fleets")
 
 
-def make_section(measured: Mapping[str, Sequence[Fleet]], description: str) -> str:
-    """Return the section of the page with its marks.
+def make_lines(measured: Mapping[str, Sequence[Fleet]], description: str) -> list[str]:
+    """Return the lines for the pages.
 
     Parameters
     ----------
@@ -324,20 +320,14 @@ def make_section(measured: Mapping[str, Sequence[Fleet]], description: str) -> s
     description : str
         Description of the fleets.
     """
-    begin, end = get_marks(SECTION)
     names = ", ".join(f"{sum(len(each.named) for each in fleets)} by `{tree}`" for tree, fleets in measured.items())
     count = len(next(iter(measured.values())))
     summaries = {tree: {row.effect: row for row in summarise_effects(fleets)} for tree, fleets in measured.items()}
     lines = [
-        begin,
-        "## Nothing hidden",
-        "",
         (
-            f"Written by `python -m socast.tools.bench.nothing_hidden --page` on {count} simulated fleets without a "
-            "hidden "
-            f"effect ({description}), each diagnosed by the source trees in the heads of the columns. False names in "
-            f"all fleets together: {names}. The table shows the z of each candidate beside the base: median (least to "
-            "largest) over the fleets in which it can be identified."
+            f"{count} simulated fleets without a hidden effect (`{description}`), each diagnosed by the source trees "
+            f"in the heads of the columns. False names in all fleets together: {names}. The table shows the z of each "
+            "candidate beside the base: median (least to largest) over the fleets in which it can be identified."
         ),
         "",
         f"| effect | {' | '.join(measured)} |",
@@ -351,7 +341,7 @@ def make_section(measured: Mapping[str, Sequence[Fleet]], description: str) -> s
             for rows in summaries.values()
         ]
         lines.append(f"| {effect} | {' | '.join(cells)} |")
-    return "\n".join([*lines, "", end])
+    return lines
 
 
 if __name__ == "__main__":

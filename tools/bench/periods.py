@@ -18,6 +18,7 @@ import pandas as pd
 from socast.core.fit.recipes import get_recipe
 from socast.core.wire.messages import Message
 from socast.tools.bench.elevation import RECIPE, measure_forecasts, tabulate
+from socast.tools.bench.figures.published import publish
 from socast.tools.simulator.conditions import Conditions
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.settings import NIGHT, Simulation
@@ -110,7 +111,7 @@ def measure_periods(seed: int, periods: Sequence[float], days: int = DAYS) -> di
     return measure_tables(rides, truth, first) | {"soc_mae_pct": measure_forecasts(messages, None)}
 
 
-def make_page(results: dict[str, list[dict[str, Any]]]) -> str:
+def make_lines(results: dict[str, list[dict[str, Any]]]) -> list[str]:
     """Return the table of all periods as Markdown.
 
     Parameters
@@ -129,21 +130,29 @@ def make_page(results: dict[str, list[dict[str, Any]]]) -> str:
             f"| {name} | {errors} | {mean['sds']:.2f} | {100.0 * mean['by_soc']:.0f} % "
             f"| {100.0 * mean['predicted']:.1f} % | {mean['soc_mae_pct']:.2f} points |"
         )
-    return "\n".join(lines)
+    return lines
 
 
 def main(arguments: Iterable[str] | None = None) -> None:
     """Measure every period, and a fleet with all of them, and print the table."""
     parser = argparse.ArgumentParser(prog="python -m socast.tools.bench.periods", description=__doc__)
     parser.add_argument("seeds", nargs="*", type=int, default=SEEDS, help="seeds of the fleets")
-    parser.add_argument("--json", type=Path, help="file for the figures")
+    parser.add_argument("--json", type=Path, help="file for the figures; one that exists is used again")
+    parser.add_argument("--publish", action="store_true", help="write the tables to the pages")
     options = parser.parse_args(None if arguments is None else list(arguments))
     fleets: dict[str, tuple[float, ...]] = {f"{period:g} s" if period else "on change": (period,) for period in PERIODS}
     fleets["1, 3, 10, 30, 60 s in one fleet"] = (1.0, 3.0, 10.0, 30.0, 60.0)
-    results = {name: [measure_periods(seed, periods) for seed in options.seeds] for name, periods in fleets.items()}
+    if options.json and options.json.exists():
+        results = json.loads(options.json.read_text(encoding="utf-8"))
+    else:
+        results = {name: [measure_periods(seed, each) for seed in options.seeds] for name, each in fleets.items()}
     if options.json:
         options.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    print(make_page(results))
+    lines = make_lines(results)
+    print("\n".join(lines))
+    if options.publish:
+        seeds = " ".join(map(str, options.seeds))
+        publish("periods", f"python -m socast.tools.bench.periods {seeds}", lines)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ Each seed gives a simulated fleet of eight cars of two models over ten months. I
 one car always, in one car from a date on, in one car as a leak of tyres, in all cars from a date on, or in a group of
 four cars from a date on. The model is fitted once, to the rides without a hidden effect.
 
-Example: python -m socast.tools.bench.siblings --seeds 320-335 --keep build/siblings --page
+Example: python -m socast.tools.bench.siblings --seeds 320-335 --keep build/siblings --publish
 """
 
 import argparse
@@ -26,16 +26,15 @@ from socast.core.diagnose.siblings.deviations import MONTH, diagnose_deviations
 from socast.core.errors import SettingsError
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.stats.clustered import compute_wilson_interval
+from socast.tools.bench.error_location import format_share
+from socast.tools.bench.figures.published import publish
 from socast.tools.bench.hidden.cases import BARE, Case, SeedData, get_right_names
 from socast.tools.bench.hidden.drives import FLEET, Scope
-from socast.tools.bench.hidden.page import get_marks, replace_section
 from socast.tools.bench.hidden.parts import ABSORBED
-from socast.tools.bench.nothing_hidden import PAGE, ROOT, parse_seeds
+from socast.tools.bench.nothing_hidden import parse_seeds
 from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.simulator.settings import Hidden
 
-SECTION: Final = "bench-siblings"
-"""Name of the section of the page."""
 ANY: Final = tuple(effect for effect in EFFECTS if effect not in BARE)
 """Effects that are hidden."""
 OUTSIDE: Final = tuple(effect for effect in ANY if effect not in ABSORBED)
@@ -55,6 +54,14 @@ GOALS: Final = {
 }
 """Shares that each part should reach."""
 
+ABOUT: Final = (
+    "Eight cars of two models, 39 shifts each over ten months, voltage and current, exact weather. Shares of the "
+    "energy of the rides that have the effect. Constants of the method were chosen on seeds 200 to 209, and the check "
+    "that leaves out single shifts on these and on seeds 300 to 304. Statements about causes and dates are counted "
+    "where the deviation was found, except the goals of leaks and of all cars, which count every data set. Cars drive "
+    "every eighth day, each on another day."
+)
+"""What the table shows."""
 Record = dict[str, Any]
 
 
@@ -69,7 +76,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser("siblings", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", default="320-335", help="seeds, such as 320-335 or 7,9")
     parser.add_argument("--keep", type=Path, required=True, help="folder for results; those in it are used again")
-    parser.add_argument("--page", action="store_true", help=f"write the table to {PAGE}")
+    parser.add_argument("--publish", action="store_true", help="write the table to the pages")
     options = parser.parse_args(arguments)
     console, records = Console(), list[Record]()
     options.keep.mkdir(parents=True, exist_ok=True)
@@ -82,10 +89,9 @@ def main(arguments: list[str] | None = None) -> None:
         console.print(f"seed {seed}: {len(records)} data sets")
     lines = tabulate(records)
     console.print("\n".join(lines), markup=False, highlight=False)
-    if options.page:
-        path = ROOT / PAGE
-        section = make_section(lines, options.seeds)
-        path.write_text(replace_section(path.read_text(encoding="utf-8"), section, SECTION), encoding="utf-8")
+    if options.publish:
+        command = f"python -m socast.tools.bench.siblings --seeds {options.seeds} --keep build/siblings"
+        publish("siblings", command, [ABOUT, "", *lines], list_values(records))
 
 
 def list_cases(seed: int) -> Iterator[tuple[str, Case]]:
@@ -253,27 +259,17 @@ def tabulate(records: Sequence[Record]) -> list[str]:
     return lines
 
 
-def make_section(lines: Sequence[str], seeds: str) -> str:
-    """Return the section of the page with its marks.
-
-    Parameters
-    ----------
-    lines : sequence of str
-        Lines of the table.
-    seeds : str
-        The seeds.
-    """
-    begin, end = get_marks(SECTION)
-    text = (
-        f"Written by `python -m socast.tools.bench.siblings --seeds {seeds} --page`: eight cars of two models, 39 "
-        "shifts each "
-        "over ten months, voltage and current, exact weather. Shares of the energy of the rides that have the effect. "
-        "Constants of the method were chosen on seeds 200 to 209, and the check that leaves out single shifts on these "
-        "and on seeds 300 to 304. Statements about causes and dates are counted where "
-        "the deviation was found, except the goals of leaks and of all cars, which count every data set. Cars drive "
-        "every eighth day, each on another day."
-    )
-    return "\n".join([begin, "## Cars beside their siblings", "", text, "", *lines, "", end])
+def list_values(records: Sequence[Record]) -> dict[str, str]:
+    """Return the figures for the table of results: a car that changed, and cars that are blamed falsely."""
+    found = [bool(each["graded"]["found"]) for each in records if each["part"] == "one car since a date, 6 %"]
+    false = [bool(each["graded"]["false car"]) for each in records]
+    if not found:
+        return {}
+    shares = [format_share(sum(each), len(each)) for each in (found, false)]
+    return {
+        "found": f"found in {shares[0]}; false cars in {shares[1]}",
+        "found_on": f"{len(found)} and {len(false)} simulated data sets",
+    }
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ def test_most_intervals_of_a_fleet_hold_the_true_coefficients(tmp_path, capsys):
     estimates = json.loads(file.read_text())["estimates"]
     assert len(estimates) == 6
     assert sum(each["low"] <= each["truth"] <= each["high"] for each in estimates) >= 4
-    assert "road_load: intervals of 95 %, 1 fleets" in capsys.readouterr().out
+    assert "Intervals of 95 %" in capsys.readouterr().out
 
 
 def test_wrong_seeds_are_refused_in_one_line(capsys):

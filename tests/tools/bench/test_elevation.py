@@ -52,6 +52,6 @@ def test_page_compares_each_kind_with_causal_elevation_without_a_map():
     fleet = {f"{name}, {way}": dict(figures) for name in elevation.MAPS for way in elevation.WAYS}
     fleet["learned map, smoothed"]["climb_m"] = 0.5
     fleet["soc_mae_pct"] = {"no map": 1.5, "learned map": 1.25}
-    page = elevation.make_page({7: fleet})
+    page = "\n".join(elevation.make_lines({7: fleet}))
     assert "| learned map, smoothed | 0.50 | -75 % | 3.00 | -1.0 % | 0.1000 |" in page
     assert "| learned map | 1.25 |" in page

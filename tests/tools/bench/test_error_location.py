@@ -3,7 +3,7 @@
 import pytest
 
 from socast.core.diagnose.error_location.locate import ErrorLocation, LocatedLoad
-from socast.tools.bench.error_location import CASES, format_share, judge, make_section, summarise
+from socast.tools.bench.error_location import CASES, format_share, judge, make_lines, summarise
 
 
 def make_location(*loads):
@@ -31,9 +31,9 @@ def test_nothing_claimed_is_right_where_nothing_is_hidden():
     assert judge(make_location(), {})["right"]
 
 
-def test_section_has_a_row_for_each_case():
+def test_lines_have_a_row_for_each_case():
     records = [judge(make_location(), {}) | {"case": name, "rides": 1300, "seconds": 2.0, "seed": 1} for name in CASES]
-    section = make_section(summarise(records), "1-1", records)
+    section = "\n".join(make_lines(summarise(records), records))
     assert all(f"| {name} |" in section for name in CASES)
     assert "1 of 1 (21 to 100 %)" in section
     assert format_share(0, 0) == "–"

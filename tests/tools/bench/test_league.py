@@ -105,16 +105,17 @@ def test_every_fault_changes_the_samples(name):
     assert FAULTS[name].meaning.endswith(".")
 
 
-def test_command_prints_json_and_writes_its_section(tmp_path, capsys):
-    page = tmp_path / "league.md"
-    page.write_text("# League\n\nProse.\n", encoding="utf-8")
-    code = league.main(["--drives", "6", "--faults", "none,clock_jitter", "--json", "--write", str(page)])
+def test_command_prints_json_and_publishes(monkeypatch, capsys):
+    published = {}
+    monkeypatch.setattr(league, "publish", lambda name, *found: published.update({name: found}))
+    code = league.main(["--drives", "6", "--faults", "none,clock_jitter", "--json", "--publish"])
     printed = json.loads(capsys.readouterr().out)
     assert code == int(any(each["word"] == WRONG for each in printed["drives"]))
     assert len(printed["drives"]) == 6
-    text = page.read_text(encoding="utf-8")
-    assert text.startswith("# League\n\nProse.\n")
-    assert "| `clock_jitter` | Shift each stamp" in text
+    command, lines, values = published["league"]
+    assert command == "python -m socast.tools.bench.league --drives 6 --seed 1"
+    assert any(line.startswith("| `clock_jitter` | Shift each stamp") for line in lines)
+    assert values["wrong_on"] == "6 simulated drives with faults"
 
 
 def test_command_shows_one_drive(capsys):

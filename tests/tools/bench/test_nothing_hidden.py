@@ -7,12 +7,10 @@ import pytest
 
 from socast.core.errors import SettingsError, SocastError
 from socast.tools.bench import nothing_hidden
-from socast.tools.bench.hidden.page import replace_section
 from socast.tools.bench.nothing_hidden import (
     ROOT,
-    SECTION,
     main,
-    make_section,
+    make_lines,
     parse_seeds,
     parse_trees,
     read_fleet,
@@ -77,15 +75,13 @@ def test_each_tree_diagnoses_the_same_recording_and_kept_files_are_used_again(tm
     assert "new: 1 false names in 1 fleets" in capsys.readouterr().out
 
 
-def test_section_of_the_page_compares_trees():
+def test_lines_for_the_pages_compare_trees():
     old = [read_fleet(1, make_diagnosis({"snow": 4.0, "payload": 1.0}, [("snow", "all")]))]
     new = [read_fleet(1, make_diagnosis({"snow": 0.5}))]
-    section = make_section({"before": old, "after": new}, "seed 1")
-    assert "1 by `before`, 0 by `after`" in section
+    section = make_lines({"before": old, "after": new}, "seed 1")
+    assert "1 by `before`, 0 by `after`" in section[0]
     assert "| snow | 4.0 (4.0 to 4.0), named in 1 | 0.5 (0.5 to 0.5) |" in section
     assert "| payload | 1.0 (1.0 to 1.0) | – |" in section
-    page = replace_section("# Benchmarks\n", section, SECTION)
-    assert replace_section(page, section, SECTION) == page
 
 
 def test_a_failed_command_ends_with_its_message():

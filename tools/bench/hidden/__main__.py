@@ -1,4 +1,4 @@
-"""`make bench-hidden`: hide effects, count how often diagnosis names them, and write the figures to BENCHMARKS.md.
+"""Hide effects, count how often diagnosis names them, and publish the figures.
 
 Example: python -m socast.tools.bench.hidden --part one --seeds 2 --effects cold_rolling,headwind --measurements vi
 """
@@ -16,11 +16,12 @@ from rich.progress import Progress
 
 from socast.core.diagnose.diagnosis import diagnose
 from socast.core.errors import SettingsError, SocastError
+from socast.tools.bench.figures.published import publish
 from socast.tools.bench.hidden.cases import Weather
 from socast.tools.bench.hidden.export import export_tasks
 from socast.tools.bench.hidden.figures import compute_figures, list_stated, summarise_timing
 from socast.tools.bench.hidden.grading import Record
-from socast.tools.bench.hidden.page import make_section, replace_section
+from socast.tools.bench.hidden.page import list_values, make_lines
 from socast.tools.bench.hidden.parts import PARTS, SEEDS, SHAPES, SHARES, Selection, draw_sample
 from socast.tools.bench.hidden.recording import Measurement
 from socast.tools.bench.hidden.reliability_figure import FILE, draw_reliability
@@ -30,7 +31,6 @@ from socast.tools.terminal.rich_table import Column, make_table
 
 ROOT = Path(__file__).resolve().parent.parent.parent.parent
 RECORDS = "bench-hidden.json"
-PAGE = "BENCHMARKS.md"
 QUICK = 60
 """Number of data sets of each part with `--quick`."""
 
@@ -68,12 +68,15 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     print_figures(records, console)
     Path(options.json or ROOT / RECORDS).write_text(json.dumps(records) + "\n", encoding="utf-8")
-    if not options.dry:
-        path = ROOT / PAGE
-        drawn = ", ".join(f"{size:,} of part {part}" for part, size in sizes.items())
-        run = f"drawn at random: {drawn}" if drawn else "all data sets"
-        new = make_section(records, f"{choice.seeds} seeds from {choice.first}, {run}")
-        path.write_text(replace_section(path.read_text(encoding="utf-8"), new), encoding="utf-8")
+    if options.publish:
+        words = ["--seeds", str(choice.seeds), "--first-seed", str(choice.first)]
+        words += ["--sample", ",".join(f"{part}={size}" for part, size in sizes.items())] if sizes else []
+        publish(
+            "hidden-effects",
+            f"python -m socast.tools.bench.hidden {' '.join(words)} --keep build/hidden",
+            make_lines(records),
+            list_values(records),
+        )
         (ROOT / FILE).write_text(draw_reliability(list_stated(records)), encoding="utf-8")
     return 0
 
@@ -95,7 +98,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--processes", type=int, default=PROCESSES, help="number of processes")
     parser.add_argument("--json", type=Path, help=f"file for all records; default {RECORDS}")
     parser.add_argument("--export", type=Path, help="folder for the data sets as Parquet files; nothing is diagnosed")
-    parser.add_argument("--dry", action="store_true", help=f"do not write {PAGE}")
+    parser.add_argument("--publish", action="store_true", help="write the tables to the pages")
     return parser
 
 

@@ -1,10 +1,7 @@
-"""Write the section about hidden effects of BENCHMARKS.md."""
+"""Write the figures about hidden effects for the pages."""
 
-import os
-import platform
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
 from socast.tools.bench.hidden.figures import compute_figures, list_stated, summarise_timing
@@ -21,26 +18,26 @@ from socast.tools.bench.hidden.tables import (
 )
 from socast.tools.bench.hidden.visibility import RATIO
 
-SECTION: Final = "bench-hidden"
-"""Name of the section."""
+_VALUES: Final = {
+    "V·I, 1.5 % or more, all: truth first": "vi",
+    "SOC only, 3 % or more, all: truth first": "soc",
+    "all of these: wrong name first": "wrong",
+    "names given with 90 % or more are right": "sure",
+    "truth not in the library: wrong and sure": "outside",
+}
+"""Figures that are among the results."""
 
 
-def make_section(records: Sequence[Record], description: str) -> str:
-    """Return the section with its marks.
+def make_lines(records: Sequence[Record]) -> list[str]:
+    """Return the lines for the pages.
 
     Parameters
     ----------
     records : sequence of Record
         Records of all data sets.
-    description : str
-        Description of the selection that was run.
     """
-    begin, end = get_marks(SECTION)
     lines = [
-        begin,
-        "## Hidden effects",
-        "",
-        _describe_run(records, description),
+        _describe_run(records),
         "",
         "| figure | goal | is | 95 % interval | of | |",
         "|---|---|---|---|---|---|",
@@ -86,7 +83,25 @@ def make_section(records: Sequence[Record], description: str) -> str:
     ):  # fmt: skip
         if len(table) > 2:
             lines += ["", f"### {title}", "", *table]
-    return "\n".join([*lines, "", end])
+    return lines
+
+
+def list_values(records: Sequence[Record]) -> dict[str, str]:
+    """Return the figures for the table of results."""
+    known = {_VALUES[each.what]: each for each in compute_figures(records) if each.what in _VALUES and each.of}
+    sets = f"of {sum('refused' not in each for each in records)} simulated data sets"
+    out = {}
+    if {"vi", "soc"} <= set(known):
+        out["right"] = (
+            f"{known['vi'].text} ({known['vi'].interval}) with voltage and current, at 1.5 % of the energy or more; "
+            f"{known['soc'].text} ({known['soc'].interval}) with the state of charge only, at 3 % or more"
+        )
+        out["right_on"] = f"{known['vi'].of} and {known['soc'].of} {sets}"
+    for name, before in (("wrong", ""), ("sure", "right in "), ("outside", "")):
+        if name in known:
+            out[name] = f"{before}{known[name].text} ({known[name].interval})"
+            out[f"{name}_on"] = f"{known[name].of} {sets}"
+    return out
 
 
 def _show_reliability(records: Sequence[Record]) -> list[str]:
@@ -96,61 +111,14 @@ def _show_reliability(records: Sequence[Record]) -> list[str]:
     return [*tabulate_reliability(stated), "", f"![{text}]({FILE})"] if stated else []
 
 
-def _describe_run(records: Sequence[Record], description: str) -> str:
+def _describe_run(records: Sequence[Record]) -> str:
     """Return the description of the run."""
     refused = sum("refused" in r for r in records)
     parts = Counter(r["part"] for r in records if "refused" not in r)
     each = ", ".join(f"{n:,} of `{part}`" for part, n in parts.items())
     apart = f"; {refused} could not be made, as the effect had nothing to act on" if refused else ""
     return (
-        f"Written by `make bench-hidden` ({description}), on {os.cpu_count()} cores, "
-        f"Python {platform.python_version()}. "
         f"{sum(parts.values()):,} data sets of about 1,300 rides, 8 cars of 2 models, 39 days each over ten months: "
         f"{each}{apart}. "
         "A result is right if the first name is the hidden effect."
     )
-
-
-def read_section(path: Path, name: str = SECTION) -> str:
-    """Return a section of a file with its marks, or an empty text if there is none.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str
-        Name in the marks of the section.
-    """
-    begin, end = get_marks(name)
-    text = path.read_text(encoding="utf-8") if path.exists() else ""
-    return begin + text.partition(begin)[2].partition(end)[0] + end if begin in text and end in text else ""
-
-
-def replace_section(text: str, new: str, name: str = SECTION) -> str:
-    """Return a page with a new section in place of the existing one, or at its end.
-
-    Parameters
-    ----------
-    text : str
-        The page.
-    new : str
-        The section with its marks.
-    name : str
-        Name in the marks of the section.
-    """
-    begin, end = get_marks(name)
-    if begin in text and end in text:
-        before, _, rest = text.partition(begin)
-        return before + new + rest.partition(end)[2]
-    return text.rstrip("\n") + "\n\n" + new + "\n"
-
-
-def get_marks(name: str) -> tuple[str, str]:
-    """Return the lines that begin and end a section of a page.
-
-    Parameters
-    ----------
-    name : str
-        Name of the section.
-    """
-    return f"<!-- {name} begins -->", f"<!-- {name} ends -->"

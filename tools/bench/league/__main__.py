@@ -5,12 +5,11 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
-from socast.tools.bench.hidden.page import replace_section
+from socast.tools.bench.figures.published import publish
 from socast.tools.bench.league.faults import FAULTS
 from socast.tools.bench.league.fleet import (
     CONTROL,
@@ -24,12 +23,12 @@ from socast.tools.bench.league.fleet import (
 from socast.tools.bench.league.laws import WORDS, WRONG, Verdict
 from socast.tools.bench.league.replay import find_difference
 from socast.tools.bench.league.report import (
-    SECTION,
     Line,
     compare,
     list_alone,
     list_pairs,
-    make_section,
+    list_values,
+    make_lines,
     name_drive,
     show_reasons,
     show_shares,
@@ -64,11 +63,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         _show(console, verdicts, given.examples)
         print(f"cut at random, {len(cars) * DRIVES} drives give {'other ' + differs if differs else 'the same bytes'}")
-    if given.write:
+    if given.publish:
+        command = f"python -m socast.tools.bench.league --drives {given.drives} --seed {given.seed}"
         replayed = 0 if differs else len(cars) * DRIVES
-        section = make_section(verdicts, given.seed, replayed, PAIRS)
-        page = given.write.read_text(encoding="utf-8") if given.write.exists() else ""
-        given.write.write_text(replace_section(page, section, SECTION), encoding="utf-8")
+        publish("league", command, make_lines(verdicts, given.seed, replayed, PAIRS), list_values(verdicts))
     return int(bool(differs) or any(each.word == WRONG for each in verdicts))
 
 
@@ -81,7 +79,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--drive", type=int, help="show this drive only, with what was found and its truth")
     parser.add_argument("--examples", type=int, default=0, help="number of wrong drives to show of each fault")
     parser.add_argument("--json", action="store_true", help="print every drive as JSON")
-    parser.add_argument("--write", type=Path, metavar="FILE", help="write the section of this page")
+    parser.add_argument("--publish", action="store_true", help="write the tables to the pages")
     return parser.parse_args(arguments)
 
 

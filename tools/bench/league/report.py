@@ -4,13 +4,10 @@ from collections import Counter, defaultdict
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from socast.tools.bench.hidden.page import get_marks
 from socast.tools.bench.league.faults import FAULTS
 from socast.tools.bench.league.fleet import CONTROL, DRIVES
 from socast.tools.bench.league.laws import AMOUNTS, ODD, UNFIT, WORDS, WRONG, Verdict
 
-SECTION: Final = "league"
-"""Name of the section of the page."""
 REASONS: Final = 3
 """Number of reasons that are named in a line."""
 
@@ -92,8 +89,8 @@ def compare(verdict: Verdict) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def make_section(verdicts: Sequence[Verdict], seed: int, replayed: int, pairs: int) -> str:
-    """Return the section of the page of the documentation, with its marks.
+def make_lines(verdicts: Sequence[Verdict], seed: int, replayed: int, pairs: int) -> list[str]:
+    """Return the lines for the page of the documentation.
 
     Parameters
     ----------
@@ -107,12 +104,8 @@ def make_section(verdicts: Sequence[Verdict], seed: int, replayed: int, pairs: i
     """
     total = summarise("all", "", verdicts)
     shares = zip(WORDS, show_shares(total), strict=True)
-    begin, end = get_marks(SECTION)
     head = f"drives | {' | '.join(WORDS)} | reasons |"
-    lines = [
-        begin,
-        "## Results",
-        "",
+    return [
         f"{total.drives:,} drives of seed {seed}: {', '.join(f'{share or 0} % {word}' for word, share in shares)}.",
         f"The forecasts and tables of {replayed:,} drives are the same to the byte when their stream is cut at random.",
         "",
@@ -127,9 +120,14 @@ def make_section(verdicts: Sequence[Verdict], seed: int, replayed: int, pairs: i
         f"| faults | {head}",
         "|---|---|---|---|---|---|---|---|---|",
         *(_write_row(line.name, line) for line in list_pairs(verdicts, pairs)),
-        end,
     ]
-    return "\n".join(lines)
+
+
+def list_values(verdicts: Sequence[Verdict]) -> dict[str, str]:
+    """Return the share of drives that are fit and wrong, for the table of results."""
+    total = summarise("all", "", verdicts)
+    shares = dict(zip(WORDS, show_shares(total), strict=True))
+    return {"wrong": f"{shares[WRONG] or 0} %", "wrong_on": f"{total.drives:,} simulated drives with faults"}
 
 
 def _write_row(name: str, line: Line) -> str:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from socast.tools.bench.hidden.figures import compute_error_reduction, compute_figures, summarise_timing
-from socast.tools.bench.hidden.page import make_section, read_section, replace_section
+from socast.tools.bench.hidden.page import list_values, make_lines
 from socast.tools.bench.hidden.stlsq import fit_stlsq
 from socast.tools.bench.hidden.tables import (
     tabulate_baselines,
@@ -135,14 +135,14 @@ class TestFigures:
     def test_no_goal_is_met_without_records(self):
         assert not any(figure.met for figure in compute_figures([]))
 
-    def test_section_replaces_the_existing_one(self, tmp_path):
+    def test_lines_hold_every_table_and_values_their_number_of_data_sets(self):
         records = [
             make_record(),
             make_record("outside", "wrong"),
             make_record("two", hidden=[["snow", 0.03], ["payload", 0.03]]),
             {**make_record(), "refused": "no"},
         ]
-        new = make_section(records, "2 seeds")
+        new = "\n".join(make_lines(records))
         for table in (
             tabulate_by_effect(records),
             tabulate_by_share(records),
@@ -152,12 +152,7 @@ class TestFigures:
         ):
             assert len({line.count("|") for line in table}) == 1
             assert all(line in new for line in table)
-        page = replace_section("# Benchmarks\n\nspeed\n", new)
-        assert page.startswith("# Benchmarks\n\nspeed\n\n")
-        assert replace_section(page, new) == page
-        (tmp_path / "page.md").write_text(page, encoding="utf-8")
-        assert read_section(tmp_path / "page.md") == new
-        assert read_section(tmp_path / "none.md") == ""
+        assert list_values(records)["wrong_on"].endswith(" of 3 simulated data sets")
 
 
 class TestBaselines:

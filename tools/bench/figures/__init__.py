@@ -1,0 +1,1 @@
+"""Figures that measurements publish, and the pages that show them."""

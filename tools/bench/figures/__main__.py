@@ -1,0 +1,91 @@
+"""`make figures`: measure every figure of the pages, and write them there.
+
+Example: python -m socast.tools.bench.figures --only speed,league
+"""
+
+import argparse
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from rich.console import Console
+
+from socast.tools.bench.figures.published import ROOT, write_pages
+
+
+class Measurement(NamedTuple):
+    """Hold how a measurement is made.
+
+    Parameters
+    ----------
+    minutes : int
+        Time that it takes on two cores. [min]
+    words : tuple of str
+        Module and arguments of its command.
+    """
+
+    minutes: int
+    words: tuple[str, ...]
+
+
+_BENCH: Final = "socast.tools.bench"
+MEASUREMENTS: Final = {
+    "evaluation": Measurement(5, (f"{_BENCH}.figures.evaluation", "--keep", "build/evaluation")),
+    "soc-forecasts": Measurement(15, (f"{_BENCH}.figures.soc_forecasts", "--keep", "build/soc")),
+    "hidden-effects": Measurement(
+        25,
+        (
+            *(f"{_BENCH}.hidden", "--publish", "--seeds", "10", "--first-seed", "800", "--keep", "build/hidden"),
+            *("--sample", "one=100,two=30,none=30,outside=30"),
+        ),
+    ),
+    "nothing-hidden": Measurement(
+        10, (f"{_BENCH}.nothing_hidden", "--publish", "--seeds", "4501-4540", "--keep", "build/nothing")
+    ),
+    "error-location": Measurement(
+        10, (f"{_BENCH}.error_location", "--publish", "--seeds", "7421-7432", "--keep", "build/location")
+    ),
+    "siblings": Measurement(10, (f"{_BENCH}.siblings", "--publish", "--seeds", "325-334", "--keep", "build/siblings")),
+    "coefficients": Measurement(10, (f"{_BENCH}.coefficients", "--publish", "--seeds", "3201-3260")),
+    "periods": Measurement(5, (f"{_BENCH}.periods", "--publish", "6001", "--json", "build/periods.json")),
+    "elevation": Measurement(
+        15, (f"{_BENCH}.elevation", "--publish", "5001", "5002", "5003", "--json", "build/elevation.json")
+    ),
+    "league": Measurement(5, (f"{_BENCH}.league", "--publish", "--drives", "10000")),
+    "speed": Measurement(10, (_BENCH,)),
+}
+"""Measurements by the name of their block. Ratios of speed come last, when nothing else runs."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure what was asked for, and write the pages; return 1 if a measurement fails."""
+    parser = argparse.ArgumentParser("figures", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", default=",".join(MEASUREMENTS), help="measurements, separated by commas")
+    parser.add_argument("--render", action="store_true", help="measure nothing, write the pages from what is kept")
+    parser.add_argument("--ved", help="folder with the files of the Vehicle Energy Dataset, for real drives")
+    parser.add_argument("--i3", help="folder with the drives of the BMW i3, for real drives")
+    given = parser.parse_args(arguments)
+    names = [] if given.render else [name for name in given.only.replace(" ", ",").split(",") if name]
+    if unknown := sorted(set(names) - set(MEASUREMENTS)):
+        print(f"{unknown[0]} is no measurement; choose from {', '.join(MEASUREMENTS)}", file=sys.stderr)
+        return 2
+    console, failed = Console(), []
+    for name in names:
+        measurement = MEASUREMENTS[name]
+        real = ["--ved", given.ved, "--i3", given.i3] if name == "evaluation" and given.ved and given.i3 else []
+        console.print(f"{name}: about {measurement.minutes} min", highlight=False)
+        began = time.monotonic()
+        words = [sys.executable, "-m", *measurement.words, *real]
+        code = subprocess.run(words, cwd=ROOT, check=False).returncode  # noqa: S603 - our own command
+        console.print(f"{name}: {(time.monotonic() - began) / 60.0:.1f} min", highlight=False)
+        failed += [name] * (code != 0)
+    write_pages()
+    for name in failed:
+        print(f"{name} failed; its figures are those of before", file=sys.stderr)
+    return int(bool(failed))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
