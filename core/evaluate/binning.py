@@ -16,8 +16,6 @@ TEMPERATURES: Final = tuple(range(-30, 41, 5))
 """Edges of the temperature bins. A bin includes its lower edge; the first and last bin are open. [°C]"""
 SPEEDS: Final = (10, 15, 20, 25, 30, 40, 50, 70, 100)
 """Edges of the bins of average ride speed. [km/h]"""
-WINDS: Final = (5, 10, 15, 20, 30, 40)
-"""Edges of the bins of mean wind speed, regardless of direction. [km/h]"""
 SEASONS: Final = ("winter-tyre season (15 Dec to 15 Mar)", "rest of the year")
 """Labels of the seasons of Table 1 of the paper. They are those of the tyres, not of the weather."""
 HOURS_PER_BIN: Final = 3
@@ -171,7 +169,6 @@ BINNERS: Final[Mapping[str, Callable[[pd.DataFrame], Binning]]] = MappingProxyTy
         "speed": _make_binner("average_speed_kmh", SPEEDS),
         "season": _bin_season,
         "time of day": _bin_hours,
-        "wind": _make_binner("wind_speed_kmh", WINDS),
         "vehicle model": _make_name_binner("vehicle_model"),
         "vehicle": _make_name_binner("vehicle_id"),
         "driver": _make_name_binner("driver_id"),

@@ -12,6 +12,8 @@ import pyarrow.parquet as pq
 import typer
 
 from socast.core import models
+from socast.core.diagnose.dataset import gather_windows
+from socast.core.diagnose.residual_survey import read_window_residuals, survey_columns
 from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.compare.datasets import compare_datasets
 from socast.core.evaluate.compare.models import ComparedRides, compare_predictions, select_rides
@@ -20,6 +22,7 @@ from socast.core.evaluate.paper.results import to_json_values
 from socast.core.models import BUILT_IN_MODELS, LinearModel
 from socast.core.settings import Settings
 from socast.tools.cluster.dask_runner import ClusterPlace
+from socast.tools.commands.diagnose import read_both_tables
 from socast.tools.commands.fit import RECORDING, Rides, inputs, ride_files
 from socast.tools.commands.tables import WINDOWS, in_memory, tables_by_workers
 from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables, word_settings
@@ -35,6 +38,9 @@ from socast.tools.terminal.output import (
     write_json,
 )
 from socast.tools.terminal.table_files import KEY, is_table, read
+
+RideTables = tuple[pd.DataFrame, pd.DataFrame]
+"""Ride table and window table."""
 
 
 @insert_cluster_options
@@ -92,10 +98,11 @@ def compare_models(
         if ride is not None:
             result: dict[str, Any] = {"trace": _trace(first, ride, chosen, settings)}
         else:
-            table, read_windows = _read(first, chosen, settings)
+            table, read_windows, read_all = _read(first, chosen, settings)
             selected = select_rides(table, chosen)
             result = compare_predictions(selected)
             _say_commands(result, words, dict(zip(chosen, model, strict=True)))
+            result["failures"] = _find_failures(read_all, selected, chosen)
             if against:
                 shown = " ".join(map(str, rides)), " ".join(map(str, against))
                 result["against"] = _against(selected, second, shown, chosen, settings)
@@ -154,13 +161,26 @@ def _rides(given: Sequence[Path], chosen: Mapping[str, LinearModel], settings: S
 
 def _read(
     given: Sequence[Path], chosen: Mapping[str, LinearModel], settings: Settings
-) -> tuple[pd.DataFrame, Callable[[str], pd.DataFrame]]:
-    """Return the ride table, and a function that reads the windows of a ride by its key."""
+) -> tuple[pd.DataFrame, Callable[[str], pd.DataFrame], Callable[[], RideTables]]:
+    """Return the ride table, and functions that read the windows of a ride by its key, and both tables."""
     if _recorded(given):
         rides, windows = _summed(given, chosen, settings)
-        return rides, lambda _: windows
-    files = ride_files(given)
-    return read(files), lambda key: _windows(files, key)
+        return rides, lambda _: windows, lambda: (rides, windows)
+    files, wanted = ride_files(given), [name for model in chosen.values() for name in model.effects]
+    return read(files), lambda key: _windows(files, key), lambda: read_both_tables(given, wanted)
+
+
+def _find_failures(
+    read_all: Callable[[], RideTables], compared: ComparedRides, chosen: Mapping[str, LinearModel]
+) -> dict[str, Any]:
+    """Return where the windows of the compared rides show that the first model fails; why not, where they cannot."""
+    label, model = next(iter(chosen.items()))
+    try:
+        seen = gather_windows(*read_all(), model)
+    except (ModelError, SettingsError) as error:
+        return {"model": label, "why_not": str(error), "charts": []}
+    kept = read_window_residuals(seen, set(compared.rides["ride_key"].astype(str)))
+    return {"model": label, "unit": kept.unit, "windows": len(kept.value), "charts": survey_columns(kept)}
 
 
 def _trace_worst(

@@ -96,6 +96,17 @@
     draw(figure);
   }
 
+  /* A link to a folded section, or into it, opens it. */
+  function unfold() {
+    const goal = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    const folded = goal && (goal.querySelector(":scope > details") || goal.closest("section > details"));
+    if (!folded || folded.open) return;
+    folded.open = true;
+    goal.scrollIntoView();
+  }
+  addEventListener("hashchange", unfold);
+  unfold();
+
   let waiting = 0;
   addEventListener("resize", () => {
     clearTimeout(waiting);
@@ -104,6 +115,7 @@
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => plots.forEach((plot) => fit(plot)));
   addEventListener("beforeprint", () => {
     document.documentElement.classList.add("printing");
+    document.querySelectorAll("section > details").forEach((folded) => { folded.open = true; });
     waitingFigures().forEach(show);
     plots.forEach((plot) => fit(plot, PRINTED[plot.small]));
   });

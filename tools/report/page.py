@@ -190,7 +190,10 @@ def _section(section: Section, shown: Sequence[Illustration]) -> str:
     tables = "".join(_table(table, captioned=table.title != section.title) for table in filled)
     if section.folded:
         tables = f"<details><summary>As tables</summary>{tables}</details>"
-    return f'<section id="{section.key}"><h2>{escape_text(section.title)}</h2>{text}{drawn}{tables}</section>\n'
+    head, body = f"<h2>{escape_text(section.title)}</h2>", f"{text}{drawn}{tables}"
+    if section.closed:
+        return f'<section id="{section.key}"><details><summary>{head}</summary>{body}</details></section>\n'
+    return f'<section id="{section.key}">{head}{body}</section>\n'
 
 
 def _figures(shown: Sequence[Illustration], heading: str, kind: str) -> str:

@@ -10,13 +10,13 @@ from tests.support.planted_rides import planted
 
 def test_each_ride_is_in_one_bin_of_each_known_property():
     rides = planted(200)
-    rides.loc[3, "wind_speed_kmh"] = np.nan
+    rides.loc[3, "average_speed_kmh"] = np.nan
     result = bin_rides(rides)
     assert "driver" not in result
     assert "time of day" not in result  # these rides have no place
     for name, (codes, labels) in result.items():
         assert codes.max() < len(labels)
-        assert (codes >= 0).sum() == 200 - (name == "wind")
+        assert (codes >= 0).sum() == 200 - (name == "speed")
     ambient = rides["ambient_c"].to_numpy()
     codes, labels = result["temperature"]
     low, high = np.array([[float(x) for x in labels[c].split(" to ")] for c in codes]).T

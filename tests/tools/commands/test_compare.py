@@ -18,9 +18,9 @@ from socast.tools.report.comparison.figures import get_model_style
 from socast.tools.report.comparison.page import MOST_COMMANDS
 from socast.tools.report.evaluation.sections import Section
 from socast.tools.report.evaluation.terminal import print_section
-from tests.support.commands import called
+from tests.support.commands import called, done
 from tests.support.html_pages import assert_axes_are_titled, read_figures, read_page
-from tests.support.paths import ROOT
+from tests.support.paths import RECORDINGS, ROOT
 
 pytestmark = pytest.mark.long
 
@@ -135,7 +135,6 @@ def test_comparison_is_printed_and_written(written, result):
             "speed",
             "season",
             "time of day",
-            "wind",
             "vehicle",
             "driver",
         }
@@ -143,6 +142,30 @@ def test_comparison_is_printed_and_written(written, result):
     assert result["pairs"][0]["p_holm"] < 0.05
     ids = page(written / "c.html").ids
     assert {"models", "places", "worst", "figure-scatter-0", "figure-scatter-1", "figure-by-0"} <= set(ids)
+
+
+def test_first_words_tell_the_error_against_the_noise_and_where_it_is_largest(tmp_path, capsys):
+    folder, model = tmp_path / "autumn", tmp_path / "base.json"
+    done("tables", RECORDINGS / "autumn.mcap", "--out", folder)
+    done("fit", folder, "--recipe", "road_load", "-o", model)
+    capsys.readouterr()
+    out = " ".join(ran(capsys, folder, "--model", model, "--json", tmp_path / "c.json").split())
+    head = out.partition("Errors by condition")[0]
+    assert re.match(
+        r"base is off by 0\.\d{3} kWh per ride on average, \d\.\d times what measurement noise alone causes", head
+    )
+    assert "It fails most along headwind: " in head
+    assert "Headwind, km/h: mean of predicted less measured power of windows, W, and 95 % interval" in head
+    charts = json.loads((tmp_path / "c.json").read_text())["failures"]["charts"]
+    (headwind,) = (chart for chart in charts if chart["column"]["key"] == "headwind_kmh")
+    assert headwind["q"] < 0.01
+    assert headwind["outside"] >= 4
+    assert min(headwind["bins"]["low"]) < 0.0 < max(headwind["bins"]["high"])
+
+
+def test_failures_of_rides_without_windows_say_why_not(halves, capsys):
+    out = " ".join(ran(capsys, halves[0], *MODELS).split())
+    assert "Where it fails cannot be said: " in out
 
 
 def test_every_worst_ride_links_to_its_trace_on_the_page(written, result):

@@ -10,6 +10,7 @@ from socast.core.evaluate.paper.results import to_json_values
 from socast.tools.report.cells import format_count, format_percent
 from socast.tools.report.comparison import figures, tables
 from socast.tools.report.comparison import trace as traced
+from socast.tools.report.comparison.failures import describe_failures, illustrate_failures, list_pictures
 from socast.tools.report.comparison.relative_tables import tabulate_relative_errors
 from socast.tools.report.evaluation.data_tables import MEASURED_BY
 from socast.tools.report.evaluation.illustrations import Illustration
@@ -19,6 +20,7 @@ from socast.tools.report.evaluation.terminal import print_section
 from socast.tools.report.page import escape_text, render_document, save
 
 TITLE: Final = "Models against measurement"
+FAILURES: Final = "failures"
 MODELS: Final = "models"
 PLACES: Final = "places"
 ORDER: Final = (PLACES, "worst", "against", MODELS)
@@ -42,6 +44,9 @@ def show(result: Any, console: Console) -> None:
         for section in reversed(build_trace_sections(values["trace"])):
             print_section(section, console)
         return
+    console.print(Text(describe_failures(values), style="bold"), highlight=False)
+    for line in list_pictures(values):
+        console.print(line, highlight=False)
     shown = [section for section in build_sections(values, commands=False) if section.key in ORDER]
     for section in sorted(shown, key=lambda section: ORDER.index(section.key)):
         print_section(section, console)
@@ -102,6 +107,7 @@ def build_sections(result: Result, *, commands: bool) -> list[Section]:
     against = get_mapping(result, "against")
     sides = f"First: {against['first']}. Second: {against['second']}: {_about(against['about'])}" if against else ""
     sections = [
+        Section(FAILURES, "Where it fails", describe_failures(result), []),
         Section(
             MODELS,
             "The models",
@@ -127,19 +133,22 @@ def build_sections(result: Result, *, commands: bool) -> list[Section]:
             "Errors by condition",
             tables.describe_unbiased_conditions([name for name in conditions if name not in biased]),
             [tables.tabulate_errors_by_condition(result, name) for name in biased],
+            closed=True,
         ),
-        Section("worst", "The worst rides", _explain_worst(result) if commands else "", worst),
-        Section("traces", "Traces of the worst rides", _count_traces(result) if commands else "", []),
+        Section("worst", "The worst rides", _explain_worst(result) if commands else "", worst, closed=True),
+        Section("traces", "Traces of the worst rides", _count_traces(result) if commands else "", [], closed=True),
     ]
     return [
         section
         for section in sections
-        if any(table.rows for table in section.tables) or (section.key in {PLACES, "traces"} and section.text)
+        if any(table.rows for table in section.tables) or (section.key in {FAILURES, PLACES, "traces"} and section.text)
     ]
 
 
 def build_illustrations(result: Result, key: str) -> list[Illustration]:
     """Return the figures of a section."""
+    if key == FAILURES:
+        return illustrate_failures(result)
     if key == MODELS:
         return figures.illustrate_scatters(result)
     if key == PLACES:

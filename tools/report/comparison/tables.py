@@ -29,7 +29,7 @@ from socast.tools.report.evaluation.result import (
 )
 
 UNITS: Final[Mapping[str, str]] = MappingProxyType(
-    {"distance": "km", "temperature": "°C", "speed": "km/h", "wind": "km/h", "time of day": "h"}
+    {"distance": "km", "temperature": "°C", "speed": "km/h", "time of day": "h"}
 )
 """Units of conditions that have one."""
 MOST_BINS: Final = 20

@@ -51,6 +51,8 @@ class Section(NamedTuple):
         Tables in their order.
     folded : bool
         Whether its figures show the same as its tables. The page folds such tables away, the terminal leaves them out.
+    closed : bool
+        Whether the page folds the whole section away until a reader opens it.
     """
 
     key: str
@@ -58,6 +60,7 @@ class Section(NamedTuple):
     text: str
     tables: list[ReportTable]
     folded: bool = False
+    closed: bool = False
 
 
 def build_sections(result: Result) -> list[Section]:

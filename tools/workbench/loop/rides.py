@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from socast.core.diagnose.shown_columns import ShownColumn, describe_column, list_columns
 from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.compare.models import (
     ComparedRides,
@@ -18,7 +19,7 @@ from socast.core.evaluate.compare.ride_trace import find_ride, trace_ride
 from socast.core.evaluate.paper.results import to_json_values
 from socast.tools.workbench.loop.command_lines import compare_command
 from socast.tools.workbench.loop.model_tree import ModelNode
-from socast.tools.workbench.loop.ride_columns import ShownColumn, describe_column, list_columns, select_by_filter
+from socast.tools.workbench.loop.ride_columns import select_by_filter
 from socast.tools.workbench.workspace import Workspace
 
 ENERGIES: Final = (
