@@ -143,8 +143,8 @@ def compute_fieller_interval(above: Floats, below: Floats, clusters: Codes) -> t
     Examples
     --------
     >>> numbers = np.array([1.0, 2.0, 3.0, 4.0])
-    >>> compute_fieller_interval(0.5 * numbers, numbers, np.arange(4))
-    (0.5, 0.5, 0.5)
+    >>> compute_fieller_interval(numbers - 1.0, numbers + 1.0, np.arange(4))[0]
+    0.42857142857142855
     """
     x, y = compute_clustered_mean(above, clusters), compute_clustered_mean(below, clusters)
     if not y.freedom > 0.0 or not y.value - y.ci95 > 0.0:

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 from rich.console import Console
 from rich.text import Text
 
-from socast.core.diagnose.add.error_fall import ErrorFall, ErrorStep, Share, Spread
+from socast.core.diagnose.add.error_fall import ErrorFall, ErrorStep, Spread
 from socast.core.formatting import format_count, format_minus
 
 WH: Final = 1000.0
@@ -24,16 +24,18 @@ PANELS: Final = (("held_out", "held-out days"), ("final", "final hold-out"))
 TITLE: Final = "Error of a ride above the measurement noise [Wh]"
 TOTAL_TITLE: Final = "Mean absolute error of a ride, with its noise, which is unknown [Wh]"
 CAPTION: Final = (
-    "Mean absolute error of a ride less the error that measurement noise alone causes: at 0, a model is as good as the "
-    "measurement. Bars are 95 % intervals by vehicle-day. A step is evaluated on the same rides before and after, so it "
-    "is the interval of the share that shows whether the error fell. The final hold-out decides nothing."
+    "Mean absolute error of a ride less the error that measurement noise alone causes: at 0, a model is as good as "
+    "the measurement. Bars are 95 % intervals by vehicle-day. A step is evaluated on the same rides before and after, "
+    "so it is the interval of the share that shows whether the error fell. The final hold-out decides nothing."
 )
-REMOVED: Final = "Share removed of the error that noise does not explain, with its 95 % interval"
-WIDTH: Final = 640
-LEFT, RIGHT, GAP, TOP, HEIGHT = 58, 626, 44, 96, 200
+REMOVED: Final = "Share removed of the error that noise does not explain, and its 95 % interval"
+WIDTH: Final = 560
+LEFT, RIGHT, GAP, TOP, HEIGHT = 42, 552, 44, 74, 216
 """Edges of the panels, the space between them, and their height. [px]"""
-NAMED: Final = 100
-"""Width of a step from which the picture has its values. [px]"""
+NAMED: Final = 140
+"""Width of a step from which the picture has its values and the words before and after. [px]"""
+BAND: Final = 28
+"""Height of the band of the noise. [px]"""
 STYLE: Final = """
 .error-fall { --paper: #ffffff; --ink: #12202a; --soft: #4a5a66; --grid: #d5dde3; --noise: #e9edf1;
   --held-out: #0072b2; --final: #c24e00; font-family: Helvetica, Arial, sans-serif; }
@@ -63,38 +65,59 @@ class _Panel(NamedTuple):
     left: float
     width: float
 
+    @property
+    def step_width(self) -> float:
+        """Width of a step. [px]"""
+        return self.width / len(self.falls)
+
+    @property
+    def is_named(self) -> bool:
+        """Whether there is room for the values and for the words before and after."""
+        return self.step_width >= NAMED
+
 
 def describe_share(fall: ErrorFall) -> str:
     """Return which share of the error above the noise a step removed, or why that is unknown.
 
     Examples
     --------
-    >>> spread = Spread(0.01, 0.002)
-    >>> fall = ErrorFall(9, 9, 0.03, 0.025, 0.2, spread, 0.02, spread, Spread(0.005, 0.002), Share(0.5, 0.38, 0.61))
+    >>> from socast.core.diagnose.add.error_fall import Share
+    >>> fall = ErrorFall(rides=9, noise_kwh=0.02, above_after_kwh=Spread(0.005, 0.002), removed=Share(0.5, 0.38, 0.61))
     >>> describe_share(fall)
     '50 % (38 to 61 %)'
     """
+    return "; ".join(filter(None, _split_share(fall)))
+
+
+def _split_share(fall: ErrorFall) -> tuple[str, str]:
+    """Return the share that a step removed with its interval, and a remark where nothing beyond noise remains."""
     share = fall.removed
     if isfinite(share.value):
-        text = f"{_percent(min(share.value, 1.0))} ({_number(share.low)} to {_percent(min(share.high, 1.0))})"
-        return f"{text}; nothing beyond noise remains" if fall.is_noise_reached else text
+        ends = f"{_number(share.low)} to {_number(min(share.high, 1.0))} %"
+        remark = "nothing beyond noise remains" if fall.is_noise_reached else ""
+        return f"{_number(min(share.value, 1.0))} % ({ends})", remark
     if not fall.is_noise_known:
-        return "unknown, as the noise is"
+        return "unknown", "because the noise is unknown"
     if fall.is_noise_overestimated:
-        return "unknown: the estimated noise exceeds the error"
-    return "nothing beyond noise to remove"
+        return "unknown", "the estimated noise exceeds the error"
+    return "none", "there was nothing beyond noise"
 
 
 def describe_step(step: ErrorStep) -> str:
     """Return a sentence about the share of the error above the noise that a step removed."""
-    parts = [f"{describe_share(fall)} on {name}" for _, name, fall in _list_falls(step)]
-    done = "" if step.action == "add" else f" ({step.action})"
-    return f"{name_step(step)}{done} removes of what noise does not explain: {', '.join(parts)}." if parts else ""
+    parts = [f"on the {name}, {describe_share(fall)}" for _, name, fall in _list_falls(step)]
+    done = f"{name_step(step)} {_get_outcome(step)}. Share removed of the error that noise does not explain"
+    return f"{done}: {'; '.join(parts)}." if parts else ""
 
 
 def name_step(step: ErrorStep) -> str:
     """Return the effect of a step with its scope."""
     return step.effect if step.scope == "all" else f"{step.effect} ({step.scope})"
+
+
+def _get_outcome(step: ErrorStep) -> str:
+    """Return the past participle of what was done with an effect."""
+    return "added by force" if step.forced else {"add": "added"}.get(step.action, step.action)
 
 
 def draw_error_fall(steps: Sequence[ErrorStep], *, standalone: bool = True) -> str:
@@ -119,23 +142,24 @@ def draw_error_fall(steps: Sequence[ErrorStep], *, standalone: bool = True) -> s
     def place(value: float) -> float:
         return TOP + HEIGHT * (high - value) / (high - low)
 
-    height = TOP + HEIGHT + 66 + 44 * len(shown)
+    below, height = _draw_shares(shown, panels)
     title = TITLE if is_above else TOTAL_TITLE
     words = " ".join(filter(None, map(describe_step, shown)))
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" class="error-fall" viewBox="0 0 {WIDTH} {height}" role="img" '
-        f'font-size="15" aria-label="{escape(f"{title}. {words}")}">',
+        (
+            f'<svg xmlns="http://www.w3.org/2000/svg" class="error-fall" viewBox="0 0 {WIDTH} {height:.0f}" '
+            f'role="img" aria-label="{escape(f"{title}. {words}")}">'
+        ),
         f"<style>{STYLE}</style>" if standalone else "",
-        f'<rect class="paper" width="{WIDTH}" height="{height}" fill="#ffffff"/>',
-        _text(16, 28, title, size=18, weight="bold"),
-        _text(16, 52, f"○ before   ● after{_describe_noise(panels) if is_above else ''}", "soft"),
+        f'<rect class="paper" width="{WIDTH}" height="{height:.0f}" fill="#ffffff"/>',
+        _text(14, 28, title, size=18, weight="bold"),
+        "" if panels[0].is_named else _text(RIGHT, 28, "○ before ● after", "soft", anchor="end", size=14),
     ]
     for panel in panels:
         parts += _draw_grid(panel, place, (low, high, tick), is_above=is_above)
         for i, (step, fall) in enumerate(zip(shown, panel.falls, strict=True)):
             parts += _draw_step(panel, i, step, fall, place, is_above=is_above)
-    parts += _draw_shares(shown, panels)
-    return "".join((*parts, "</svg>\n"))
+    return "".join((*parts, *below, "</svg>\n"))
 
 
 def _place_panels(steps: Sequence[ErrorStep]) -> list[_Panel]:
@@ -158,12 +182,11 @@ def _get_errors(fall: ErrorFall, *, is_above: bool) -> tuple[Spread, Spread]:
 def _find_range(falls: Sequence[ErrorFall], *, is_above: bool) -> tuple[float, float, float]:
     """Return the ends of the axis and the distance of its ticks. [Wh]"""
     errors = [each for fall in falls if fall.rides for each in _get_errors(fall, is_above=is_above)]
-    high = max([each.value + each.ci95 for each in errors] + [1e-3])
-    low = min([each.value - each.ci95 for each in errors] + [0.0])
-    rough = (high - low) / 5.0
-    unit = 10.0 ** floor(log10(rough))
-    tick = next(unit * step for step in (1.0, 2.0, 5.0, 10.0) if unit * step >= rough)
-    return min(floor(low / tick), -0.5) * tick, ceil(1.04 * high / tick) * tick, tick
+    high = 1.04 * max([each.value + each.ci95 for each in errors] + [1e-3])
+    low = min([1.1 * (each.value - each.ci95) for each in errors] + [-high * BAND / (HEIGHT - BAND)])
+    unit = 10.0 ** floor(log10(high / 4.0))
+    tick = next(unit * step for step in (1.0, 2.0, 5.0, 10.0) if 5.0 * unit * step >= high)
+    return low, high, tick
 
 
 def _draw_grid(
@@ -182,7 +205,11 @@ def _draw_grid(
             f'<rect class="noise" x="{x:.1f}" y="{zero:.1f}" width="{panel.width:.1f}" '
             f'height="{TOP + HEIGHT - zero:.1f}" fill="#e9edf1"/>'
         )
-    for k in range(ceil(low / tick), round(high / tick) + 1):
+        alone = next(fall.noise_kwh for fall in reversed(panel.falls) if fall.rides)
+        parts.append(
+            _text(end - 6, TOP + HEIGHT - 9, f"noise alone: {WH * alone:.1f} Wh", "soft", anchor="end", size=14)
+        )
+    for k in range(ceil(low / tick), floor(high / tick) + 1):
         y, kind = place(k * tick), "zero" if k == 0 else "grid"
         width = 2 if k == 0 else 1
         parts.append(
@@ -197,7 +224,7 @@ def _draw_step(
     panel: _Panel, i: int, step: ErrorStep, fall: ErrorFall, place: Callable[[float], float], *, is_above: bool
 ) -> list[str]:
     """Return the error before and after a step, with the line on which it falls."""
-    wide = panel.width / len(panel.falls)
+    wide = panel.step_width
     middle, apart = panel.left + wide * (i + 0.5), min(0.24 * wide, 60.0)
     number = _text(middle, TOP + HEIGHT + 20, f"{i + 1}", "soft", anchor="middle")
     if not fall.rides:
@@ -217,34 +244,30 @@ def _draw_step(
             f'r="6" fill="{"#ffffff" if name == "before" else COLOURS[panel.key]}" stroke="{COLOURS[panel.key]}" '
             'stroke-width="3"/>'
         )
-        if wide >= NAMED:
+        if panel.is_named:
             side, anchor = (-12, "end") if name == "before" else (12, "start")
             parts.append(_text(x + side, y + 5, format_minus(f"{each.value:.1f}"), panel.key, anchor=anchor))
-    return [*parts, number]
+            parts.append(_text(x, TOP + HEIGHT + 20, name, "soft", anchor="middle"))
+    return parts if panel.is_named else [*parts, number]
 
 
-def _draw_shares(steps: Sequence[ErrorStep], panels: Sequence[_Panel]) -> list[str]:
-    """Return the share that each step removed, below its panel."""
-    y = TOP + HEIGHT + 48
-    parts = [_text(16, y, f"{REMOVED}:", "soft", size=14)]
+def _draw_shares(steps: Sequence[ErrorStep], panels: Sequence[_Panel]) -> tuple[list[str], float]:
+    """Return the share that each step removed, below its panel, and the height of the whole picture. [px]"""
+    y = TOP + HEIGHT + 48.0
+    parts = [_text(14, y, REMOVED, "soft", size=14)]
     for i, step in enumerate(steps):
-        y += 22
-        done = "" if step.action == "add" else f", {step.action}"
-        parts.append(_text(16, y, f"{i + 1} {name_step(step)}{done}", weight="bold"))
-        y += 22
+        y += 26
+        place = f"{i + 1}. " if len(steps) > 1 else ""
+        parts.append(_text(14, y, f"{place}{name_step(step)} {_get_outcome(step)}", weight="bold"))
+        shares = {one: _split_share(one.falls[i]) for one in panels if one.falls[i].rides}
+        y += 24
         parts += [
-            _text(panel.left, y, describe_share(panel.falls[i]), panel.key, weight="bold")
-            for panel in panels
-            if panel.falls[i].rides
+            _text(panel.left, y, share, panel.key, weight="bold", size=19) for panel, (share, _) in shares.items()
         ]
-    return parts
-
-
-def _describe_noise(panels: Sequence[_Panel]) -> str:
-    """Return a clause about the noise that the axis leaves out."""
-    noise = [panel.falls[-1].noise_kwh for panel in panels if panel.falls[-1].rides]
-    values = " and ".join(dict.fromkeys(f"{WH * each:.1f}" for each in noise))
-    return f"   0 is a perfect model: noise alone causes {values} Wh" if noise else ""
+        if any(remark for _, remark in shares.values()):
+            y += 20
+            parts += [_text(one.left, y, remark, one.key, size=14) for one, (_, remark) in shares.items()]
+    return parts, y + 14.0
 
 
 def _text(
@@ -267,8 +290,7 @@ def print_error_fall(steps: Sequence[ErrorStep], console: Console) -> None:
     console.print()
     console.print(Text(TITLE if is_above else TOTAL_TITLE, style="bold"))
     for i, step in shown:
-        done = "" if step.action == "add" else f", {step.action}"
-        console.print(Text(f" {i}. {name_step(step)}{done}"))
+        console.print(Text(f" {i}. {name_step(step)} {_get_outcome(step)}"))
         for key, name, fall in _list_falls(step):
             for word, each in zip(("before", "after"), _get_errors(fall, is_above=is_above), strict=True):
                 label = f"{name if word == 'before' else '':<15} {word:<6} {format_minus(f'{each.value:.1f}'):>6} "
@@ -301,10 +323,6 @@ def _list_falls(step: ErrorStep) -> list[tuple[str, str, ErrorFall]]:
     """Return the rides on which a step was evaluated: key, name and errors."""
     falls = [(key, name, getattr(step, key)) for key, name in PANELS]
     return [each for each in falls if each[2].rides and isfinite(each[2].mae_before_kwh)]
-
-
-def _percent(share: float) -> str:
-    return f"{_number(share)} %"
 
 
 def _number(share: float) -> str:

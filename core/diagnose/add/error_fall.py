@@ -90,7 +90,8 @@ class ErrorFall(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record as a mapping, as the history of a model file holds it."""
-        return {key: value._asdict() if isinstance(value, tuple) else value for key, value in self._asdict().items()}
+        fields = self._asdict().items()
+        return {key: value._asdict() if isinstance(value, Spread | Share) else value for key, value in fields}
 
 
 class ErrorStep(NamedTuple):
@@ -188,15 +189,27 @@ def read_fall(given: Any) -> ErrorFall:
     """Return the record of a mapping that `ErrorFall.to_dict` made; what it lacks is unknown."""
     if not isinstance(given, Mapping):
         return ErrorFall()
-    numbers = {key: _number(given.get(key)) for key in ("mae_before_kwh", "mae_after_kwh", "fall", "noise_kwh")}
-    counts = {key: int(np.nan_to_num(_number(given.get(key)))) for key in ("rides", "clusters")}
-    spreads = {key: _read(Spread, given.get(key)) for key in ("change_kwh", "above_before_kwh", "above_after_kwh")}
-    return ErrorFall(**counts, **numbers, **spreads, removed=_read(Share, given.get("removed")))
 
+    def read(key: str) -> float:
+        return _number(given.get(key))
 
-def _read(kind: Any, given: Any) -> Any:
-    """Return a record of numbers from a mapping."""
-    return kind(*(_number(given.get(key)) for key in kind._fields)) if isinstance(given, Mapping) else kind()
+    def read_spread(key: str) -> Spread:
+        of = given.get(key)
+        return Spread(_number(of.get("value")), _number(of.get("ci95"))) if isinstance(of, Mapping) else Spread()
+
+    share = given.get("removed")
+    return ErrorFall(
+        rides=int(np.nan_to_num(read("rides"))),
+        clusters=int(np.nan_to_num(read("clusters"))),
+        mae_before_kwh=read("mae_before_kwh"),
+        mae_after_kwh=read("mae_after_kwh"),
+        fall=read("fall"),
+        change_kwh=read_spread("change_kwh"),
+        noise_kwh=read("noise_kwh"),
+        above_before_kwh=read_spread("above_before_kwh"),
+        above_after_kwh=read_spread("above_after_kwh"),
+        removed=Share(*(_number(share.get(key)) for key in Share._fields)) if isinstance(share, Mapping) else Share(),
+    )
 
 
 def _number(value: Any) -> float:
