@@ -162,7 +162,7 @@ def test_answer_agrees_with_the_truth_file():
         " ".join(text[text.index("The answer") :].split())
         for text in (read(TUTORIAL), read(ROOT / "recordings" / "README.md"))
     ]
-    for words in (f"`{name}`", f"{hidden_drag_area():.1f} m²", f"{100 * hidden['absolute_share']:.0f} %"):
+    for words in (f"`{name}`", f"{hidden_drag_area():.2f} m²", f"{100 * hidden['absolute_share']:.0f} %"):
         assert all(words in answer for answer in answers)
     simulation = TRUTH["simulation"]
     for words in (f"--seed {simulation['seed']}", f"--vehicles {simulation['vehicles']}", f"--hidden {name}:0.06"):
