@@ -81,9 +81,9 @@ def describe_share(fall: ErrorFall) -> str:
 
     Examples
     --------
-    >>> from socast.core.diagnose.add.error_fall import Share
-    >>> fall = ErrorFall(rides=9, noise_kwh=0.02, above_after_kwh=Spread(0.005, 0.002), removed=Share(0.5, 0.38, 0.61))
-    >>> describe_share(fall)
+    >>> from socast.core.diagnose.add.error_fall import RemovedShare
+    >>> share = RemovedShare(0.5, 0.38, 0.61)
+    >>> describe_share(ErrorFall(noise_kwh=0.02, above_after_kwh=Spread(0.005, 0.002), removed=share))
     '50 % (38 to 61 %)'
     """
     return "; ".join(filter(None, _split_share(fall)))

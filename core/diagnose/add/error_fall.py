@@ -31,7 +31,7 @@ class Spread(NamedTuple):
     ci95: float = nan
 
 
-class Share(NamedTuple):
+class RemovedShare(NamedTuple):
     """Hold a share and the ends of its 95 % interval, NaN where they are unknown. [1]"""
 
     value: float = nan
@@ -56,7 +56,7 @@ class ErrorFall(NamedTuple):
         Mean absolute error that measurement noise alone causes on these rides, NaN where it is unknown. [kWh]
     above_before_kwh, above_after_kwh : Spread
         Error above the noise. [kWh]
-    removed : Share
+    removed : RemovedShare
         Share of the error above the noise that the step removed. Unknown where nothing beyond the noise was there
         before, and where the noise is overestimated. [1]
     """
@@ -70,7 +70,7 @@ class ErrorFall(NamedTuple):
     noise_kwh: float = nan
     above_before_kwh: Spread = Spread()
     above_after_kwh: Spread = Spread()
-    removed: Share = Share()
+    removed: RemovedShare = RemovedShare()
 
     @property
     def is_noise_known(self) -> bool:
@@ -91,7 +91,7 @@ class ErrorFall(NamedTuple):
     def to_dict(self) -> dict[str, Any]:
         """Return the record as a mapping, as the history of a model file holds it."""
         fields = self._asdict().items()
-        return {key: value._asdict() if isinstance(value, Spread | Share) else value for key, value in fields}
+        return {key: value._asdict() if isinstance(value, Spread | RemovedShare) else value for key, value in fields}
 
 
 class ErrorStep(NamedTuple):
@@ -160,7 +160,7 @@ def measure_fall(measured: Floats, before: Floats, after: Floats, noise: Floats,
     )
     if fall.is_noise_overestimated:
         return fall
-    return fall._replace(removed=Share(*compute_fieller_interval(worse - better, worse - alone, clusters)))
+    return fall._replace(removed=RemovedShare(*compute_fieller_interval(worse - better, worse - alone, clusters)))
 
 
 def list_error_steps(history: Sequence[Mapping[str, Any]]) -> list[ErrorStep]:
@@ -197,7 +197,8 @@ def read_fall(given: Any) -> ErrorFall:
         of = given.get(key)
         return Spread(_number(of.get("value")), _number(of.get("ci95"))) if isinstance(of, Mapping) else Spread()
 
-    share = given.get("removed")
+    removed = given.get("removed")
+    share = removed if isinstance(removed, Mapping) else {}
     return ErrorFall(
         rides=int(np.nan_to_num(read("rides"))),
         clusters=int(np.nan_to_num(read("clusters"))),
@@ -208,7 +209,9 @@ def read_fall(given: Any) -> ErrorFall:
         noise_kwh=read("noise_kwh"),
         above_before_kwh=read_spread("above_before_kwh"),
         above_after_kwh=read_spread("above_after_kwh"),
-        removed=Share(*(_number(share.get(key)) for key in Share._fields)) if isinstance(share, Mapping) else Share(),
+        removed=RemovedShare(*(_number(share.get(key)) for key in RemovedShare._fields))
+        if isinstance(share, Mapping)
+        else RemovedShare(),
     )
 
 

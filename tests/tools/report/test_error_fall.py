@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from rich.console import Console
 
-from socast.core.diagnose.add.error_fall import ErrorFall, ErrorStep, Share, Spread
+from socast.core.diagnose.add.error_fall import ErrorFall, ErrorStep, RemovedShare, Spread
 from socast.tools.report.error_fall import describe_share, describe_step, draw_error_fall, print_error_fall
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -20,9 +20,9 @@ HELD_OUT = ErrorFall(
     noise_kwh=0.0235,
     above_before_kwh=Spread(0.0125, 0.003),
     above_after_kwh=Spread(0.0065, 0.002),
-    removed=Share(0.48, 0.32, 0.61),
+    removed=RemovedShare(0.48, 0.32, 0.61),
 )
-FINAL = HELD_OUT._replace(rides=102, above_after_kwh=Spread(0.0015, 0.002), removed=Share(0.88, 0.6, 1.2))
+FINAL = HELD_OUT._replace(rides=102, above_after_kwh=Spread(0.0015, 0.002), removed=RemovedShare(0.88, 0.6, 1.2))
 STEP = ErrorStep("headwind", "all", "add", forced=False, held_out=HELD_OUT, final=FINAL)
 REFUSED = STEP._replace(effect="snow", action="refused", final=ErrorFall())
 
@@ -104,11 +104,11 @@ def test_error_without_known_noise_is_drawn_as_a_whole():
     [
         (HELD_OUT, "48 % (32 to 61 %)"),
         (FINAL, "88 % (60 to 100 %); nothing beyond noise remains"),
-        (HELD_OUT._replace(removed=Share(-0.1, -0.3, 0.1)), "−10 % (−30 to 10 %)"),
-        (HELD_OUT._replace(removed=Share(), noise_kwh=float("nan")), "unknown; because the noise is unknown"),
-        (HELD_OUT._replace(removed=Share()), "none; there was nothing beyond noise"),
+        (HELD_OUT._replace(removed=RemovedShare(-0.1, -0.3, 0.1)), "−10 % (−30 to 10 %)"),
+        (HELD_OUT._replace(removed=RemovedShare(), noise_kwh=float("nan")), "unknown; because the noise is unknown"),
+        (HELD_OUT._replace(removed=RemovedShare()), "none; there was nothing beyond noise"),
         (
-            HELD_OUT._replace(removed=Share(), above_after_kwh=Spread(-0.01, 0.002)),
+            HELD_OUT._replace(removed=RemovedShare(), above_after_kwh=Spread(-0.01, 0.002)),
             "unknown; the estimated noise exceeds the error",
         ),
     ],
