@@ -8,13 +8,10 @@ import pandas as pd
 from socast.core.diagnose.add.add import AdditionTrial
 from socast.core.diagnose.add.add import add_effect as _add
 from socast.core.diagnose.add.terms import build_term_columns as _build_term_columns
-from socast.core.diagnose.dataset import gather_windows as _gather
 from socast.core.diagnose.diagnosis import diagnose as _diagnose
 from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.evaluate.paper.results import to_json_values as _plain
 from socast.core.fit.measured_rows import join_tables as _join
-from socast.core.fit.measurement_noise import compute_noise_floor as _compute_noise_floor
-from socast.core.fit.measurement_noise import compute_noise_variance as _compute_noise_variance
 from socast.core.models import LinearModel
 
 __all__ = ["AdditionTrial", "add_effect", "diagnose"]
@@ -93,6 +90,5 @@ def add_effect(
     ModelError
         Where the effect is in the model already or nowhere at work in these rides.
     """
-    floor = _compute_noise_floor(_compute_noise_variance(_gather(rides, windows, model).rides))
     columns = _build_term_columns(effect, scope)
-    return _add(model, effect, columns, _join(rides, windows), rides=rides, floor=floor, least=least_gain)
+    return _add(model, effect, columns, _join(rides, windows), rides=rides, least=least_gain)

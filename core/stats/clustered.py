@@ -115,6 +115,50 @@ def compute_clustered_ratio(above: Floats, below: Floats, clusters: Codes) -> Es
     return deviation._replace(value=ratio)
 
 
+def compute_fieller_interval(above: Floats, below: Floats, clusters: Codes) -> tuple[float, float, float]:
+    """Return the ratio of two means with Fieller's 95 % interval, which holds for an uncertain denominator too.
+
+    Parameters
+    ----------
+    above, below : (n,) float
+        Summands of the numerator and of the denominator.
+    clusters : (n,) int64
+        Cluster of each case.
+
+    Returns
+    -------
+    value, low, high : float
+        Ratio and the ends of its interval; all NaN where the denominator is not distinguished from zero, because the
+        interval is then unbounded.
+
+    Notes
+    -----
+    With the means x and y, their clustered covariance, and the quantile t, the interval holds every ratio r for which
+    x - r y is not distinguished from zero: (x - r y)² <= t² (var_x - 2 r cov + r² var_y).
+
+    References
+    ----------
+    Fieller, Journal of the Royal Statistical Society B 16 (1954) 175, "Some problems in interval estimation".
+
+    Examples
+    --------
+    >>> numbers = np.array([1.0, 2.0, 3.0, 4.0])
+    >>> compute_fieller_interval(numbers - 1.0, numbers + 1.0, np.arange(4))[0]
+    0.42857142857142855
+    """
+    x, y = compute_clustered_mean(above, clusters), compute_clustered_mean(below, clusters)
+    if not y.freedom > 0.0 or not y.value - y.ci95 > 0.0:
+        return nan, nan, nan
+    both, apart = compute_clustered_mean(above + below, clusters), compute_clustered_mean(above - below, clusters)
+    covariance = 0.25 * (both.error**2 - apart.error**2)
+    square = float(stdtrit(y.freedom, 0.975)) ** 2
+    a = y.value**2 - square * y.error**2
+    b = x.value * y.value - square * covariance
+    c = x.value**2 - square * x.error**2
+    half = sqrt(max(b * b - a * c, 0.0))
+    return x.value / y.value, (b - half) / a, (b + half) / a
+
+
 def subtract(minuend: Estimate, subtrahend: Estimate) -> Estimate:
     """Return the difference of two independent estimates, with Satterthwaite's degrees of freedom.
 

@@ -3,12 +3,13 @@
 import json
 import re
 from collections import defaultdict
-from itertools import pairwise
 from statistics import mean
 
+import pandas as pd
 import pytest
 
 from socast.core import models
+from socast.core.diagnose.add.error_fall import list_error_steps
 from socast.tools.simulator.trace import REFERENCE_DENSITY
 from tests.support import picture_figure
 from tests.support.commands import refused
@@ -26,8 +27,8 @@ COMMANDS = {
 """Page -> its commands in order; the tutorial comes first, and other pages use its files."""
 TUTORIAL_NAME = name_of(TUTORIAL)
 TRUTH = json.loads((ROOT / "recordings" / "autumn.truth.json").read_text(encoding="utf-8"))
-AIR_DENSITY = 1.29
-"""Mean density of air at 0 °C at sea level in the autumn of the recording. [kg/m^3]"""
+AIR_DENSITY = 1.28
+"""Mean density of air at 2 °C at sea level in the autumn of the recording. [kg/m^3]"""
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +73,17 @@ def test_no_two_commands_of_the_pages_write_the_same_file():
     assert {file: commands for file, commands in written.items() if len(commands) > 1} == {}
 
 
+def seen_drag_area(rides: pd.DataFrame) -> float:
+    """Return the drag area that the hidden energy of rides has for the wind in their tables. [m^2]
+
+    It is less than the true one, because the wind of a station is not exactly that at a car.
+    """
+    hidden = {ride["ride_id"]: ride["hidden_kwh"]["headwind"] for ride in TRUTH["rides"]}
+    known = rides[rides["ride_id"].isin(list(hidden))]
+    energy = known["ride_id"].map(hidden)
+    return float(energy @ known["effect_headwind"] / (known["effect_headwind"] @ known["effect_headwind"]))
+
+
 def hidden_drag_area() -> float:
     """Return the true drag area of the hidden effect, for the air density of that autumn. [m^2]"""
     hidden = TRUTH["total"]["hidden"]["headwind"]
@@ -87,7 +99,9 @@ def test_diagnosis_names_the_hidden_effect_first_and_its_interval_contains_the_t
     trial = models.load(str(shell.folder / "better.json")).history[-1]
     assert trial["effect"] == name
     low, high = trial["coefficient"]["ci95"]
-    assert low < hidden_drag_area() < high
+    seen = seen_drag_area(pd.read_parquet(shell.folder / "autumn" / "rides.parquet"))
+    assert low < seen < high
+    assert 0.85 < seen / hidden_drag_area() < 1.0
     assert trial["coefficient"]["plausible"]
     assert trial["noise_floor_kwh"] < trial["mae_after_kwh"] < trial["mae_before_kwh"]
     assert trial["final"]["mae_after_kwh"] < trial["final"]["mae_before_kwh"]
@@ -106,13 +120,23 @@ def test_picture_shows_the_missing_effect_of_the_tutorial(shell):
 
 @pytest.mark.usefixtures("tutorial")
 def test_figure_shows_the_falling_error_of_the_tutorial(shell):
-    figure = FIGURE.read_text(encoding="utf-8")
-    drawn = error_figure(models.load(str(shell.folder / "better.json")).history)
-    shown, now = ([float(number) for number in re.findall(r"0\.\d{4}", text)] for text in (figure, drawn))
-    assert shown == pytest.approx(now, rel=0.02), "renew with: python -m tests.support.error_figure"
-    for line in re.findall(r"polyline points='([^']*)'", figure):
-        heights = [float(point.split(",")[1]) for point in line.split()]
-        assert all(before < after for before, after in pairwise(heights)), "the line does not fall"
+    shown, now = (
+        [
+            float(number)
+            for number in re.findall(r"(?<=[> (])\d+(?:\.\d+)?(?=[ <)])", re.sub("<style.*</style>", "", text))
+        ]
+        for text in (FIGURE.read_text(encoding="utf-8"), error_figure(shell.folder))
+    )
+    assert shown == pytest.approx(now, rel=0.02, abs=1.0), "renew with: python -m tests.support.error_figure"
+
+
+@pytest.mark.usefixtures("tutorial")
+def test_error_falls_beyond_doubt_on_the_final_hold_out_of_the_tutorial(shell):
+    [step] = list_error_steps(models.load(str(shell.folder / "better.json")).history)
+    for fall in (step.held_out, step.final):
+        assert fall.change_kwh.value + fall.change_kwh.ci95 < 0.0
+        assert fall.removed.low > 0.0
+        assert not fall.is_noise_overestimated
 
 
 @pytest.mark.usefixtures("tutorial")
@@ -138,8 +162,8 @@ def test_answer_agrees_with_the_truth_file():
         " ".join(text[text.index("The answer") :].split())
         for text in (read(TUTORIAL), read(ROOT / "recordings" / "README.md"))
     ]
-    for words in (f"`{name}`", f"{hidden_drag_area():.1f} m²", f"{100 * hidden['absolute_share']:.0f} %"):
+    for words in (f"`{name}`", f"{hidden_drag_area():.2f} m²", f"{100 * hidden['absolute_share']:.0f} %"):
         assert all(words in answer for answer in answers)
     simulation = TRUTH["simulation"]
-    for words in (f"--seed {simulation['seed']}", f"--vehicles {simulation['vehicles']}", f"--hidden {name}:0.05"):
+    for words in (f"--seed {simulation['seed']}", f"--vehicles {simulation['vehicles']}", f"--hidden {name}:0.06"):
         assert words in answers[1]

@@ -70,12 +70,18 @@ def test_every_file_of_a_recorder_carries_the_metadata(tmp_path: Path):
     assert {McapSource(path).metadata["settings"] for path in recorder.files} == {'{"window":5}'}
 
 
-@pytest.mark.parametrize("name", ["shift.mcap", "autumn.mcap"])
-def test_recording_of_an_earlier_version_has_no_metadata_and_is_read(name: str):
-    source = McapSource(ROOT / "recordings" / name)
-    assert source.metadata == {}
+def test_shipped_recording_without_a_command_is_read():
+    source = McapSource(ROOT / "recordings" / "evening.mcap")
+    assert "command" not in source.metadata
     assert len(next(iter(source))) > 1000
     assert not source.viewer_messages
+
+
+def test_simulated_recording_names_its_seed_and_not_what_it_hides():
+    metadata = McapSource(ROOT / "recordings" / "autumn.mcap").metadata
+    assert metadata["command"] == "simulate"
+    assert '"seed":31' in metadata["settings"]
+    assert "headwind" not in metadata["settings"].replace('"headwind":false', "")
 
 
 @pytest.mark.parametrize(

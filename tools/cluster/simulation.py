@@ -53,7 +53,9 @@ def write_recording(fleet: PreparedFleet, out: Path, workers: Workers) -> Truth:
     simulation, truth = fleet.simulation, Truth()
     describe_fleet(fleet, truth)
     tasks = [(simulation, fleet.factors, number, workers.scratch) for number in range(len(fleet.members))]
-    metadata = make_metadata("simulate", settings=list_changed_settings(simulation, Simulation()))
+    settings = list_changed_settings(simulation, Simulation())
+    settings.pop("hidden", None)  # whoever looks for the effect finds it in the truth only
+    metadata = make_metadata("simulate", settings=settings)
     with McapSink(out, metadata=metadata) as sink, _without_garbage_collection():
         cars: list[CarFile] = list(workers.run(DRIVE, write_car, tasks))
         merges = len(plan_merge(cars))

@@ -10,11 +10,9 @@ import typer
 from socast.core import models
 from socast.core.diagnose.add import add
 from socast.core.diagnose.add.terms import build_term_columns
-from socast.core.diagnose.dataset import gather_windows
 from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.errors import ModelError
 from socast.core.fit.measured_rows import join_tables
-from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from socast.core.models import LinearModel
 from socast.core.settings import Settings
 from socast.tools.commands.diagnose import LeastGain, read_files, read_tables
@@ -103,7 +101,7 @@ def try_effect(
     least: float = LEAST_GAIN,
     report: Callable[[float, str], None] = lambda *_: None,
 ) -> add.AdditionTrial:
-    """Return the trial of an effect, with the noise floor of the rides.
+    """Return the trial of an effect on the rides of two tables.
 
     Parameters
     ----------
@@ -125,6 +123,5 @@ def try_effect(
     AdditionTrial
     """
     columns = build_term_columns(effect, scopes)
-    floor = compute_noise_floor(compute_noise_variance(gather_windows(rides, windows, model).rides))
     joined = join_tables(rides, windows)
-    return add.add_effect(model, effect, columns, joined, rides=rides, floor=floor, least=least, report=report)
+    return add.add_effect(model, effect, columns, joined, rides=rides, least=least, report=report)

@@ -14,7 +14,6 @@ from socast.core import effects, models
 from socast.core.diagnose.add import add
 from socast.core.diagnose.add.holdout import select_final_days
 from socast.core.diagnose.add.terms import build_term_columns
-from socast.core.diagnose.dataset import gather_windows
 from socast.core.diagnose.deviation_words import find_leading_deviation
 from socast.core.diagnose.findings import list_findings, measure_fleet_use, merge_findings
 from socast.core.diagnose.ranking import LEAST_GAIN
@@ -24,7 +23,6 @@ from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.paper.results import to_json_values
 from socast.core.files import write_whole
 from socast.core.fit.measured_rows import join_tables
-from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from socast.core.models.features import EFFECT_PREFIX, FEATURES, is_scope
@@ -391,8 +389,7 @@ def _auto(
     from socast.tools.report.diagnosis import page  # noqa: PLC0415 - figures take seconds to import
 
     final = select_final_days(model.history, get_names(rides, "date"))
-    rows, diagnosed = join_tables(rides, windows), gather_windows(rides, windows, model).rides
-    floor = compute_noise_floor(compute_noise_variance(diagnosed))
+    rows = join_tables(rides, windows)
     for step in range(1, MAX_STEPS + 1):
         result = _diagnose(model, rides, windows, least_gain, leave_out=final, dated=dated)
         page.print_step(result, step, console)
@@ -408,7 +405,6 @@ def _auto(
                 build_term_columns(name, scopes),
                 rows,
                 rides=rides,
-                floor=floor,
                 least=max(least_gain, LEAST_GAIN),
             )
         except ModelError as error:

@@ -4,20 +4,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import plotly.graph_objects as go
 from rich.console import Console
 from rich.text import Text
 
+from socast.core.diagnose.add.error_fall import ATTEMPTS, list_error_steps, read_step
 from socast.core.evaluate.paper.results import to_json_values
 from socast.core.formatting import format_minus
 from socast.core.models import LinearModel
 from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_signed
 from socast.tools.report.diagnosis.sentences import describe_coefficient, format_energy
-from socast.tools.report.evaluation.illustrations import Illustration
+from socast.tools.report.error_fall import CAPTION, draw_error_fall, print_error_fall
+from socast.tools.report.evaluation.illustrations import Drawing
 from socast.tools.report.evaluation.result import get_half_width, get_mapping, get_number
 from socast.tools.report.evaluation.sections import Section
 from socast.tools.report.evaluation.terminal import print_section
-from socast.tools.report.figure_style import REFERENCE_LINE, draw_curve, escape_label, get_style, make_figure
 from socast.tools.report.page import render_document, save
 
 Entry = Mapping[str, Any]
@@ -36,8 +36,6 @@ TRIAL_NOTE: Final = (
 )
 WORSE: Final = 1.05
 """Ratio of the error of a refitted model to that of the model as given from which a line says why. [1]"""
-ATTEMPTS: Final = ("add", "refused", "undecided")
-"""Actions in the history of a model that tried an effect."""
 HISTORY_NOTE: Final = (
     "Error: mean absolute error of a ride on held-out days. Each step is evaluated on the rides given at that time, so "
     "a step may begin with another error than the previous step ended with."
@@ -49,6 +47,7 @@ def print_trial(trial: Any, console: Console) -> None:
     entry = to_json_values(trial)
     for section in build_trial_sections(entry):
         print_section(section, console)
+    print_error_fall([read_step(entry)], console)
     console.print()
     for line in describe_coefficients(entry):
         console.print(Text(line))
@@ -149,6 +148,8 @@ def list_attempts(model: LinearModel) -> list[Entry]:
 def show(model: LinearModel, console: Console) -> None:
     """Print the history of a model."""
     print_section(Section("history", _title(model), "", [tabulate_history(model)]), console)
+    print_error_fall(list_error_steps(model.history), console)
+    console.print()
     for i, entry in enumerate(model.history):
         if entry in list_attempts(model):
             console.print(Text(f"{i}. {_describe_attempt(entry)}"))
@@ -252,44 +253,10 @@ def _describe_attempt(entry: Entry) -> str:
     return f"{entry.get('words') or name}{'' if plausible else ' (not plausible)'}{forced}"
 
 
-def draw_errors(model: LinearModel) -> list[Illustration]:
-    """Draw the error after each step and with each effect that was not added, against the noise."""
-    tried = list_attempts(model)
-    if not tried:
-        return []
-    names, errors = ["initial"], [tried[0].get("mae_before_kwh")]
-    final = [get_mapping(tried[0], "final").get("mae_before_kwh")]
-    refused_at, refused, floors = [], [], [tried[0].get("noise_floor_kwh")]
-    for i, step in enumerate(tried, start=1):
-        taken = step["action"] == "add"
-        names.append(escape_label(f"{i}. {step.get('effect')}{_scope(step)}"))
-        errors.append(step.get("mae_after_kwh") if taken else errors[-1])
-        final.append(get_mapping(step, "final").get("mae_after_kwh") if taken else final[-1])
-        floors.append(step.get("noise_floor_kwh"))
-        if not taken:
-            refused_at.append(names[-1])
-            refused.append(step.get("mae_after_kwh"))
-    traces = [
-        draw_curve("held-out days", get_style(5), names, errors),
-        go.Scatter(
-            name="not added",
-            x=refused_at,
-            y=refused,
-            mode="markers",
-            marker={"symbol": "x-open", "size": 11, "color": get_style(3).colour},
-        ),
-        draw_curve("final hold-out days", get_style(4), names, final),
-        go.Scatter(name="measurement noise", x=names, y=floors, mode="lines", line=REFERENCE_LINE),
-    ]
-    made = make_figure([trace for trace in traces if any(y is not None for y in trace.y or ())], 420)
-    made.update_layout(showlegend=True)
-    made.update_xaxes(title_text="Effect tried", type="category")
-    made.update_yaxes(title_text="Mean absolute error of a ride [kWh]", rangemode="tozero")
-    caption = (
-        "Line: error after each step. Crosses: error with an effect that was not added. Final hold-out days "
-        "decide nothing."
-    )
-    return [Illustration("falling", "Error after each step", caption, made)]
+def draw_errors(model: LinearModel) -> list[Drawing]:
+    """Return the picture of the error before and after each step, in a list that is empty without a step."""
+    svg = draw_error_fall(list_error_steps(model.history))
+    return [Drawing("falling", "Error before and after each step", CAPTION, svg)] if svg else []
 
 
 def _scope(entry: Entry) -> str:

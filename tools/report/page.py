@@ -16,7 +16,7 @@ from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.results import to_json_values
 from socast.core.files import write_whole
 from socast.tools.report.cells import Cell, ReportTable, Row
-from socast.tools.report.evaluation.illustrations import Illustration, build_illustrations
+from socast.tools.report.evaluation.illustrations import Drawing, Illustration, build_illustrations
 from socast.tools.report.evaluation.result import Result, get_mapping
 from socast.tools.report.evaluation.sections import Section, build_sections
 from socast.tools.terminal.output import REPORT_VERSIONS
@@ -92,7 +92,7 @@ def render_document(
     title: str,
     lead: str,
     shown: Sequence[Section],
-    drawn: Callable[[str], Sequence[Illustration]],
+    drawn: Callable[[str], Sequence[Illustration | Drawing]],
     foot: str,
 ) -> str:
     """Return a page of sections.
@@ -179,7 +179,7 @@ def _foot(result: Result) -> str:
     return (f"<ul>{items}</ul>" if items else "") + "<p>Made by <code>socast evaluate</code>.</p>"
 
 
-def _section(section: Section, shown: Sequence[Illustration]) -> str:
+def _section(section: Section, shown: Sequence[Illustration | Drawing]) -> str:
     """Return a section: its text, its figures, its tables."""
     drawn = "".join(
         _figures(list(group), section.title, "small" if small else "wide")
@@ -196,7 +196,7 @@ def _section(section: Section, shown: Sequence[Illustration]) -> str:
     return f'<section id="{section.key}">{head}{body}</section>\n'
 
 
-def _figures(shown: Sequence[Illustration], heading: str, kind: str) -> str:
+def _figures(shown: Sequence[Illustration | Drawing], heading: str, kind: str) -> str:
     """Return figures in a row or a column; a caption that several share stands once, above them."""
     count = Counter(one.caption for one in shown)
     shared = [caption for caption, times in count.items() if times > 1]
@@ -205,15 +205,23 @@ def _figures(shown: Sequence[Illustration], heading: str, kind: str) -> str:
     return f'{above}<div class="{kind}">{figures}</div>'
 
 
-def _figure(one: Illustration, *, titled: bool, captioned: bool) -> str:
+def _figure(one: Illustration | Drawing, *, titled: bool, captioned: bool) -> str:
     """Return a figure, its caption and its data; the title is left out where it is that of the section."""
+    drawn = one.svg if isinstance(one, Drawing) else _plot(one)
+    data = "" if isinstance(one, Drawing) else _figures_data(one)
+    return (
+        f'<figure id="figure-{one.key}">{f"<h3>{escape_text(one.title)}</h3>" if titled else ""}{drawn}'
+        f"{f'<figcaption>{escape_text(one.caption)}</figcaption>' if captioned else ''}{data}</figure>"
+    )
+
+
+def _plot(one: Illustration) -> str:
+    """Return the place of a figure that a script draws, with what it draws."""
     content = one.figure.to_json().replace("<", "\\u003c")
     label = escape_text(f"{one.title}. {one.caption}")
     return (
-        f'<figure id="figure-{one.key}">{f"<h3>{escape_text(one.title)}</h3>" if titled else ""}'
         f'<div class="plot" role="img" aria-label="{label}" style="height:{one.figure.layout.height}px"></div>'
         f'<script type="application/json">{content}</script>'
-        f"{f'<figcaption>{escape_text(one.caption)}</figcaption>' if captioned else ''}{_figures_data(one)}</figure>"
     )
 
 

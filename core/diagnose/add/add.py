@@ -62,7 +62,6 @@ from socast.core.errors import ModelError
 from socast.core.evaluate.paper.results import to_json_values
 from socast.core.fit.block_sums import build_design
 from socast.core.fit.calibration import add_interval
-from socast.core.fit.measurement_noise import compute_noise_floor
 from socast.core.fit.recipes import RECIPES
 from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
 from socast.core.fit.window_recipe import WindowRecipe
@@ -107,7 +106,6 @@ def add_effect(
     joined: pd.DataFrame,
     *,
     rides: pd.DataFrame | None = None,
-    floor: float | None = None,
     seed: int = 0,
     least: float = LEAST_GAIN,
     report: Callable[[float, str], None] = lambda *_: None,
@@ -127,9 +125,6 @@ def add_effect(
     rides : DataFrame, optional
         The ride table. The interval of the model needs it, and so does a model with terms that hold for whole rides
         only.
-    floor : float, optional
-        Mean absolute error of a ride that measurement noise causes. By default it follows from the uncertainties in
-        the tables. [kWh]
     seed : int
         Seed of the folds.
     least : float
@@ -160,7 +155,6 @@ def add_effect(
     final = _choose_final_days(model, data, active)
     results, by_condition = _evaluate(addition, data, final, seed, declared.sign, report)
     results["mae_given_kwh"] = _compute_given_error(model, data, final)
-    results["noise_floor_kwh"] = compute_noise_floor(get_numbers(data.table, "noise")) if floor is None else floor
     results |= _decide(results, least)
     grown = _name_model(pair.after, model, data)
     entry = to_json_values(
@@ -329,6 +323,7 @@ def _evaluate(
         "gain": {"value": evidence.gain, "ci95": evidence.half},
         "p": evidence.p,
         **{key: of_effect[key] for key in ("mae_before_kwh", "mae_after_kwh", "change_kwh")},
+        "noise_floor_kwh": of_effect["noise_kwh"],
         "of_effect": of_effect,
         "on_days": on_days,
         "on_vehicles": on_vehicles,

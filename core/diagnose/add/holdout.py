@@ -19,13 +19,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
+from socast.core.diagnose.add.error_fall import measure_fall
 from socast.core.diagnose.add.refit import TermAddition, hide_vehicle_models, refit_with
 from socast.core.errors import ModelError
 from socast.core.fit.measurement_noise import compute_noise_variance
 from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers
 from socast.core.models import VEHICLE_MODEL
-from socast.core.stats.clustered import assign_vehicle_days, compute_clustered_mean
-from socast.core.stats.scores import UNKNOWN
+from socast.core.stats.clustered import assign_vehicle_days
 from socast.core.stats.splits import split_by_vehicle
 
 FOLDS: Final = 5
@@ -188,40 +188,24 @@ def predict_held_out(
 
 
 def compare_errors(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, Any]:
-    """Return the errors of two models on the same rides, and their mean difference with its interval.
+    """Return the errors of two models on the same rides, and how far the second one is nearer to the noise.
 
     Parameters
     ----------
     table : (rides,) DataFrame
-        `vehicle_id`, `date`, `measured` [kWh].
+        `vehicle_id`, `date`, `measured` [kWh], `noise` (variance of `measured`) [kWh^2].
     before, after : (rides,) float
         Predictions; rides that one of the models does not predict are left out. [kWh]
 
     Returns
     -------
     dict
-        `rides`, `clusters` (vehicle-days), `mae_before_kwh`, `mae_after_kwh`, `fall` (of the error, as a share) and
-        `change_kwh`: `value` (after less before, negative for an improvement) and `ci95`, half the width of its 95 %
-        interval, NaN where there is only one cluster.
+        The fields of `socast.core.diagnose.add.error_fall.ErrorFall`.
     """
     known = np.isfinite(before) & np.isfinite(after)
-    measured = get_numbers(table, "measured")[known]
-    worse, better = np.abs(before[known] - measured), np.abs(after[known] - measured)
-    if not len(measured):
-        errors = dict.fromkeys(("mae_before_kwh", "mae_after_kwh", "fall"), float("nan"))
-        return {"rides": 0, "clusters": 0, **errors, "change_kwh": UNKNOWN.figures()}
-    change = better - worse
+    measured, noise = (get_numbers(table, name)[known] for name in ("measured", "noise"))
     clusters = assign_vehicle_days(table.loc[known])
-    mean_change = compute_clustered_mean(change, clusters)
-    mae = float(worse.mean())
-    return {
-        "rides": len(measured),
-        "clusters": int(clusters.max()) + 1,
-        "mae_before_kwh": mae,
-        "mae_after_kwh": float(better.mean()),
-        "fall": float(-change.mean() / mae) if mae > 0.0 else 0.0,
-        "change_kwh": mean_change.figures(),
-    }
+    return measure_fall(measured, before[known], after[known], noise, clusters).to_dict()
 
 
 APART: Final = 5

@@ -2,11 +2,12 @@
 
 import json
 
+from mcap.writer import Writer
+
 from socast.stream.mcap_writer import McapSink
 from socast.stream.recording_metadata import find_version, make_metadata
 from tests.support.commands import called
 from tests.support.mcap_recordings import make_telemetry
-from tests.support.paths import ROOT
 
 
 def write_with_metadata(path, metadata):
@@ -32,7 +33,15 @@ def test_info_prints_no_control_characters_of_metadata(tmp_path):
 
 
 def test_info_says_nothing_where_the_recording_does_not(tmp_path):
-    out, _, code = called("info", ROOT / "recordings" / "shift.mcap", "--json", tmp_path / "info.json")
+    path = tmp_path / "r.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("Telemetry", "jsonschema", b"{}")
+        channel = writer.register_channel("fleet/car-1/telemetry", "json", schema)
+        writer.add_message(channel, 10**18, b"{}", 10**18)
+        writer.finish()
+    out, _, code = called("info", path, "--json", tmp_path / "info.json")
     assert code == 0
     assert "written by" not in out
     (about,) = json.loads((tmp_path / "info.json").read_text())["recordings"]

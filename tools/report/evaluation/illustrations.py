@@ -50,6 +50,26 @@ class Illustration(NamedTuple):
     small: bool = False
 
 
+class Drawing(NamedTuple):
+    """Hold a picture of a report that is an SVG, with its title and caption.
+
+    Parameters
+    ----------
+    key, title, caption : str
+        As those of an `Illustration`.
+    svg : str
+        SVG that says in words what it shows.
+    small : bool
+        As that of an `Illustration`.
+    """
+
+    key: str
+    title: str
+    caption: str
+    svg: str
+    small: bool = False
+
+
 def build_illustrations(result: Result, section: str) -> list[Illustration]:
     """Return the figures of a section that have something to show.
 

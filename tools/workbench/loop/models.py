@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from socast.core.diagnose.add.error_fall import list_error_steps
 from socast.core.errors import SettingsError
 from socast.core.evaluate.compare.models import compare_predictions
 from socast.core.evaluate.paper.results import to_json_values
@@ -46,7 +47,7 @@ def describe_model(workspace: Workspace, node: ModelNode) -> dict[str, Any]:
     workspace : Workspace
     node : ModelNode
     """
-    from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
+    from socast.tools.report import error_fall, history  # noqa: PLC0415 - figures take seconds to import
 
     recipe = RECIPES.get(node.model.recipe)
     fitted = to_json_values(summary(node.model, recipe.title if recipe else node.model.recipe))
@@ -62,6 +63,7 @@ def describe_model(workspace: Workspace, node: ModelNode) -> dict[str, Any]:
         "coefficients": fitted["fits"].get(ANY, {}).get("coefficients", []),
         "by_vehicle_model": {key: fit["coefficients"] for key, fit in fitted["fits"].items() if key != ANY},
         "progress": history.describe_progress(node.model),
+        "picture": error_fall.draw_error_fall(list_error_steps(node.model.history), standalone=False),
         "steps": [_describe_step(entry) for entry in history.list_attempts(node.model)],
         "commands": [*(list_fit_commands(workspace, node) if node.origin == "fitted" else []), *commands],
     }

@@ -20,6 +20,11 @@ export function svg(name, attributes, ...children) {
   return fill(document.createElementNS(SVG, name), attributes, children);
 }
 
+// The element of an SVG that the server drew; its colours are those of the page's style.
+export function picture(text) {
+  return document.importNode(new DOMParser().parseFromString(text, "image/svg+xml").documentElement, true);
+}
+
 // A state that fills a page or a card: loading, empty or failed.
 export function loading(words) {
   return el("div", { class: "state loading", role: "status" }, el("span", { class: "pulse", "aria-hidden": "true" }), words);

@@ -1,10 +1,10 @@
 // The page "Models": the tree of versions, the history of each, comparisons, and shadows in service.
 
 import { chart } from "./chart.js";
-import { el } from "./dom.js";
+import { el, picture } from "./dom.js";
 import { number, quantity, signed } from "./format.js";
 import { choice, command, field, fill, heading, nextStep, openWorkspace, progress, put, query } from "./loop.js";
-import { coefficients, staircase } from "./step.js";
+import { coefficients } from "./step.js";
 
 const ORIGINS = { given: "given", fitted: "fitted to these rides", added: "effect added", found: "from the folder" };
 const VERDICTS = { better: "good", worse: "bad", undecided: "warn" };
@@ -54,7 +54,6 @@ export function mount(root, first, context) {
   async function drawModel(host, name, tree) {
     const record = await context.get(`/models/${encodeURIComponent(name)}`);
     const node = tree.models.find((each) => each.name === name);
-    const stairs = el("div", {});
     const values = el("div", {});
     const said = el("div", {});
     const others = tree.models.filter((each) => each.name !== name).map((each) => [each.name, each.name]);
@@ -81,11 +80,10 @@ export function mount(root, first, context) {
           others.length > 0 && field("Compare with", "with", choice([["", "choose…"], ...others], "", (value) => value && context.navigate({ model: name, with: value })))),
         said,
         record.training && el("p", { class: "note small" }, `${record.title}, fitted to ${number(record.training.rides)} rides from ${record.training.first_date} to ${record.training.last_date}. File: ${record.file}`)),
-      el("section", { class: "card stack", "aria-label": "History" }, el("h2", {}, "History"), record.steps.length > 0 && stairs, drawSteps(record.steps)),
+      el("section", { class: "card stack", "aria-label": "History" }, el("h2", {}, "History"), record.picture && picture(record.picture), drawSteps(record.steps)),
       el("section", { class: "card stack", "aria-label": "Coefficients" }, el("h2", {}, "Coefficients"), values),
       command(record.commands));
-    const plot = staircase(stairs, record.steps);
-    plots.push(...[plot, record.coefficients.length ? coefficients(values, [record]) : null].filter(Boolean));
+    if (record.coefficients.length) plots.push(coefficients(values, [record]));
   }
 
   function drawSteps(steps) {

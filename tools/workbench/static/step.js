@@ -1,7 +1,7 @@
-// The step that adding an effect takes: error before and after, the staircase, and the coefficients.
+// The step that adding an effect takes: error before and after, its picture, and the coefficients.
 
 import { chart } from "./chart.js";
-import { el } from "./dom.js";
+import { el, picture } from "./dom.js";
 import { number, quantity, signed } from "./format.js";
 import { put } from "./loop.js";
 import { bare, estimate, plain } from "./scales.js";
@@ -32,42 +32,6 @@ export function errorTable(trial) {
     el("caption", {}, "Mean absolute error of a ride"),
     el("thead", {}, el("tr", {}, head.map((words, i) => el("th", { class: i ? `number ${i === 1 ? "wide-only" : ""}` : null, scope: "col" }, words)))),
     el("tbody", {}, rows)));
-}
-
-// The error after each step of a history against the noise floor. Return the chart, or null without a step.
-export function staircase(host, steps) {
-  if (!steps.length) return null;
-  const names = ["start"];
-  const errors = [steps[0].mae_before_kwh];
-  const floors = [steps[0].noise_floor_kwh];
-  const refused = { x: [], y: [] };
-  steps.forEach((step, i) => {
-    const added = step.action === "add";
-    names.push(`${i + 1}. ${step.effect}`);
-    errors.push(added ? step.mae_after_kwh : errors.at(-1));
-    floors.push(step.noise_floor_kwh);
-    if (!added) {
-      refused.x.push(i + 1);
-      refused.y.push(step.mae_after_kwh);
-    }
-  });
-  const last = names.length;
-  const places = [...names.keys()];
-  const edges = [...places.map((i) => i - 0.5), last - 0.5];
-  const layers = [
-    { type: "stairs", x: edges, y: [...errors, errors.at(-1)], colour: "--blue", thick: 3.5, name: "error on held-out days" },
-    { type: "stairs", x: edges, y: [...floors, floors.at(-1)], colour: "--ink-soft", dash: "5 4", name: "measurement noise alone" },
-    { type: "means", x: places, y: errors, colour: "--blue", tell: (i) => [names[i], `error ${number(errors[i], 4)} kWh`, `measurement noise ${number(floors[i], 4)} kWh`] },
-  ];
-  if (refused.x.length) layers.push({ type: "means", x: refused.x, y: refused.y, colour: "--vermilion", open: () => true, name: "refused", tell: (i) => [names[refused.x[i]], "refused", `error it would give ${number(refused.y[i], 4)} kWh`] });
-  return chart(host, {
-    title: "Error of a ride after each step",
-    summary: `From ${number(errors[0], 4)} to ${number(errors.at(-1), 4)} kWh; measurement noise alone ${number(floors.at(-1), 4)} kWh.`,
-    height: 280,
-    x: { label: "Effect tried", names },
-    y: { label: "Mean absolute error", unit: "kWh", domain: [0, 1.15 * Math.max(...errors, ...refused.y)] },
-    layers,
-  });
 }
 
 // Coefficients of one or two models with their intervals.
@@ -118,7 +82,6 @@ export function drawStep(host, record, { actions, live }) {
   const { trial } = record;
   const helps = record.accepted;
   const title = helps ? `${trial.effect} was added` : record.added ? `${trial.effect} was added by force` : trial.outcome === "undecided" ? `${trial.effect} is undecided` : `${trial.effect} was refused`;
-  const stairs = el("div", {});
   const values = el("div", {});
   const fall = -100 * (trial.of_effect?.fall ?? 0);
   put(host, el("section", { class: "card stack step", "aria-label": "Step" },
@@ -132,11 +95,9 @@ export function drawStep(host, record, { actions, live }) {
     el("div", { class: "row" }, actions),
     (trial.warnings ?? []).map((line) => el("p", { class: "warn" }, line.replace(/^\*: /, ""))),
     el("div", { class: "grid" },
-      el("div", { class: "span-5 stack" }, el("h3", {}, helps ? "The error falls towards the noise" : "Error after each step"), stairs),
+      el("div", { class: "span-5 stack" }, el("h3", {}, helps ? "The error falls towards the noise" : "Error before and after each step"), record.after.picture && picture(record.after.picture)),
       el("div", { class: "span-7 stack" }, el("h3", {}, "On rides that the fit did not use"), errorTable(trial), el("p", { class: "note small" }, "± is half of the 95 % interval. The final hold-out days decide nothing."))),
     record.added && el("div", {}, el("h3", {}, "Coefficients before and after"), values),
     live));
-  const plots = [staircase(stairs, record.after.steps)];
-  if (record.added) plots.push(coefficients(values, [record.before, record.after]));
-  return plots.filter(Boolean);
+  return record.added ? [coefficients(values, [record.before, record.after])] : [];
 }

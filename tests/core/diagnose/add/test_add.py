@@ -287,7 +287,9 @@ def test_interval_of_paired_difference_is_clustered_by_vehicle_day():
     held = []
     for _ in range(120):
         days = np.repeat(np.arange(30), 5)
-        table = pd.DataFrame({"vehicle_id": "a", "date": days.astype(str), "measured": rng.normal(3.0, 1.0, 150)})
+        table = pd.DataFrame(
+            {"vehicle_id": "a", "date": days.astype(str), "measured": rng.normal(3.0, 1.0, 150)}
+        ).assign(noise=0.0)
         shared = rng.normal(0.0, 0.05, 30)[days]
         before = table["measured"] + 0.5
         after = table["measured"] + 0.4 + shared
@@ -298,7 +300,7 @@ def test_interval_of_paired_difference_is_clustered_by_vehicle_day():
 
 
 def test_unpredicted_rides_are_left_out_of_comparison():
-    table = pd.DataFrame({"vehicle_id": list("aab"), "date": "d", "measured": [1.0, 1.0, 1.0]})
+    table = pd.DataFrame({"vehicle_id": list("aab"), "date": "d", "measured": [1.0, 1.0, 1.0], "noise": 0.0})
     result = compare_errors(table, np.array([1.5, 1.5, np.nan]), np.array([1.25, 1.25, 1.0]))
     assert (result["rides"], result["mae_before_kwh"], result["mae_after_kwh"]) == (2, 0.5, 0.25)
     nothing = compare_errors(table, np.full(3, np.nan), np.full(3, np.nan))

@@ -77,7 +77,7 @@ def _page_makes_no_error(visit):
 def test_pages_lead_from_the_rides_to_the_fallen_error_and_back(visit):
     page = visit.page
     visit.go("#/rides")
-    page.get_by_text("137 rides of 5 cars").wait_for()
+    page.get_by_text("537 rides of 5 cars").wait_for()
     page.get_by_role("link", name="where the model fails", exact=True).click()
     page.locator(".survey button").first.wait_for()
     assert any("Headwind" in text for text in page.locator(".survey button").all_inner_texts()[:3])
@@ -118,7 +118,7 @@ def test_ride_opens_by_keyboard_and_shows_where_it_diverges(visit):
 def test_navigation_keeps_the_chosen_model(visit):
     page = visit.page
     visit.go("#/rides?model=extended_physical")
-    page.get_by_text("137 rides of 5 cars").wait_for()
+    page.get_by_text("537 rides of 5 cars").wait_for()
     page.get_by_role("link", name="Models", exact=True).click()
     page.wait_for_url("**#/models?model=extended_physical")
 
@@ -128,9 +128,9 @@ def test_filter_is_in_the_address_and_counts_its_rides(visit):
     visit.go("#/rides?filter=ambient_c:..0")
     page.get_by_role("button", name="Remove the filter Outside temperature").wait_for()
     fewer = int(page.locator(".figures dd").first.inner_text())
-    assert fewer < 137
+    assert fewer < 537
     page.get_by_role("button", name="Remove the filter Outside temperature").click()
-    page.wait_for_function("() => document.querySelector('.figures dd').textContent === '137'")
+    page.wait_for_function("() => document.querySelector('.figures dd').textContent === '537'")
     assert "filter" not in page.url
 
 

@@ -57,15 +57,15 @@ def test_rides_have_every_column_with_its_unit(workspace, base):
     units = {column["key"]: column["unit"] for column in record["columns"]}
     assert units["ambient_c"] == "°C"
     assert units["vehicle_id"] == ""
-    assert {len(values) for values in record["values"].values()} == {len(record["keys"])} == {137}
+    assert {len(values) for values in record["values"].values()} == {len(record["keys"])} == {537}
 
 
 def test_selection_measures_only_the_filtered_rides(workspace, base):
     every = rides.measure_selection(workspace, base, "")
     cold = rides.measure_selection(workspace, base, "ambient_c:..0;vehicle_id:taxi-001|taxi-002")
     none = rides.measure_selection(workspace, base, "distance_km:500..")
-    assert every["errors"]["rides"] == 137
-    assert 0 < cold["errors"]["rides"] == len(cold["kept"]) < 137
+    assert every["errors"]["rides"] == 537
+    assert 0 < cold["errors"]["rides"] == len(cold["kept"]) < 537
     assert none["errors"] is None
 
 
@@ -106,7 +106,7 @@ def test_facets_divide_the_windows(workspace, base):
 def test_category_has_a_mean_for_each_name(workspace, base):
     bins = residuals.explore_residuals(workspace, base, x="vehicle_id", level="rides")["facets"][0]["bins"]
     assert bins["x"] == [f"taxi-00{i}" for i in range(1, 6)]
-    assert sum(bins["rows"]) == 137
+    assert sum(bins["rows"]) == 537
 
 
 def test_survey_shows_every_column(workspace, base):
@@ -145,6 +145,8 @@ def test_added_effect_lowers_the_error(step):
     assert step["trial"]["mae_after_kwh"] < step["trial"]["mae_before_kwh"]
     assert [share for share, _ in step["told"]] == sorted(share for share, _ in step["told"])
     assert step["after"]["steps"][-1]["effect"] == "headwind"
+    assert step["after"]["picture"].startswith("<svg")
+    assert not step["before"]["picture"]
     assert {"headwind"} == {c["term"] for c in step["after"]["coefficients"]} - {
         c["term"] for c in step["before"]["coefficients"]
     }
