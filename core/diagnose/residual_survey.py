@@ -170,8 +170,8 @@ def _test_means(seen: ColumnResiduals, rows: Ints, place: Ints, known: NDArray[n
     weight = np.bincount(place, seen.weight[rows], bins)
     used = seen.weight[rows] * known[place]
     off = seen.value[rows] - np.average(seen.value[rows], weights=used)
-    of_days: Floats = np.bincount(seen.day[rows] * bins + place, used * off, days * bins).reshape(days, bins)[:, known]
-    sums = of_days / weight[known]
+    of_days = np.asarray(np.bincount(seen.day[rows] * bins + place, used * off, days * bins), dtype=np.float64)
+    sums = of_days.reshape(days, bins)[:, known] / weight[known]
     share = weight[known] / weight[known].sum()
     sums = sums - (sums @ share)[:, np.newaxis]
     rng, larger = np.random.default_rng(0), 1
