@@ -245,6 +245,7 @@ class Workspace:
             "folder": str(self.models.folder),
             "temporary": self.is_temporary,
             "models": self.models.names,
+            "parents": {node.name: node.parent for node in self.models.list_nodes()},
             "first": self.models.first.name if self.models.names else "",
             "rides": 0 if made is None else len(made.rides),
             "windows": 0 if made is None else len(made.windows),

@@ -368,8 +368,10 @@ def _judge(results: dict[str, Any], least: float) -> tuple[str, str]:
     """Return the outcome of a trial, and why."""
     gain, half, change = results["gain"]["value"], results["gain"]["ci95"], results["change_kwh"]
     days = results["of_effect"]["clusters"]
-    interval = f"95 % interval {format_minus(f'{100.0 * (gain - half):.1f}')} % to {100.0 * (gain + half):.1f} %"
-    share = format_minus(f"{100.0 * gain:.1f}")
+    share, low, high = (
+        format_minus(f"{round(100.0 * each, 1) + 0.0:.1f}") for each in (gain, gain - half, gain + half)
+    )
+    interval = f"95 % interval {low} % to {high} %"
     statement = f"it explains {share} % ({interval}) of the squared error on held-out days"
     if isnan(half) or isnan(change["ci95"]):
         return UNDECIDED, "there are too few vehicle-days to distinguish a gain from chance; give more days"

@@ -175,6 +175,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
       });
       if (context.signal.aborted) return;
       showStep(result, name, scopes);
+      if (result.added) context.use(result.model, model);
       context.announce(result.added ? `${name} was added; the error falls from ${number(result.trial.mae_before_kwh, 4)} to ${number(result.trial.mae_after_kwh, 4)} kWh.` : `${name} was not added: ${result.trial.reason}.`);
     } catch (error) {
       put(step, el("section", { class: "card" }, el("p", { class: "bad", role: "alert" }, error.message), el("button", { type: "button", onclick: () => put(step) }, "Close")));
@@ -188,6 +189,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
     const actions = result.added
       ? [
         el("a", { class: "button primary", href: context.link({ page: "causes", model: result.model }) }, "Is another effect missing?"),
+        el("a", { class: "button", href: context.link({ page: "failures", model: result.model }) }, "See where it failed"),
         el("a", { class: "button", href: context.link({ page: "rides", model: result.model }) }, "See the rides"),
         el("a", { class: "button", href: context.link({ page: "models", model: model, with: result.model }) }, "Compare"),
         el("button", { type: "button", onclick: () => undo(result.model) }, "Undo"),
@@ -208,6 +210,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
   async function undo(name) {
     try {
       const { model: before } = await context.post("/undo", { model: name });
+      context.use(before);
       put(step, el("section", { class: "card" }, el("p", { role: "status" }, `Undone: ${name} is removed, and ${before} is as it was.`)));
       diagnosis.hidden = false;
       drawNext();

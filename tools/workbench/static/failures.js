@@ -50,7 +50,8 @@ function makeView(root, { state: first, model, workspace, rides, context }) {
   const location = el("div", {});
   const copied = el("div", {});
   const level = () => (state.level === "rides" ? "rides" : "windows");
-  const unitWords = () => (level() === "rides" ? "kWh" : "W");
+  const parent = workspace.parents[model]; // the model before the step that made this one
+  const pair = () => (parent && state.before !== "no" ? parent : null);
 
   put(root, 
     heading("Where it fails", "The residual is predicted less measured. Where its mean leaves zero, the model misses something.", modelChoice(workspace, state, context)),
@@ -67,8 +68,11 @@ function makeView(root, { state: first, model, workspace, rides, context }) {
   );
 
   async function drawSurvey() {
-    survey = await context.get(`/survey?${query({ model, level: level(), filter: state.filter })}`);
-    const sizes = survey.charts.map(({ bins }) => Math.max(...bins.mean.filter((_, i) => bins.ci95[i] !== null).map(Math.abs))).sort((a, b) => a - b);
+    const ask = (which) => context.get(`/survey?${query({ model: which, level: level(), filter: state.filter })}`);
+    const [found, earlier] = await Promise.all([ask(model), pair() ? ask(pair()) : null]);
+    survey = found;
+    const was = (key) => earlier?.charts.find((each) => each.column.key === key)?.bins;
+    const sizes = [...survey.charts, ...(earlier?.charts ?? [])].map(({ bins }) => Math.max(...bins.mean.filter((_, i) => bins.ci95[i] !== null).map(Math.abs))).sort((a, b) => a - b);
     const most = 1.6 * (sizes[Math.floor(0.85 * (sizes.length - 1))] ?? 1) || 1;
     const chosen = state.x ?? survey.charts[0]?.column.key;
     put(surveyBox, survey.charts.length
@@ -76,7 +80,7 @@ function makeView(root, { state: first, model, workspace, rides, context }) {
         type: "button",
         "aria-pressed": String(each.column.key === chosen),
         onclick: () => { context.navigate({ x: each.column.key }); document.getElementById("explorer").scrollIntoView({ block: "start" }); },
-      }, el("span", {}, each.column.label), sparkline(each.bins, most), el("span", { class: "soft small" }, `${each.outside} of ${each.of} off zero`))))
+      }, el("span", {}, each.column.label), sparkline(each.bins, most, was(each.column.key)), el("span", { class: "soft small" }, `${each.outside} of ${each.of} off zero`))))
       : el("p", { class: "note" }, "Too few rides pass the filter to average them."));
   }
 
@@ -90,13 +94,16 @@ function makeView(root, { state: first, model, workspace, rides, context }) {
       put(charts, el("p", { class: "note" }, "Remove a filter to see more rides."));
       return;
     }
-    const record = await context.get(`/residuals?${query({ model, level: level(), x, colour: state.colour, facet: state.facet, filter: state.filter })}`);
+    const ask = (which) => context.get(`/residuals?${query({ model: which, level: level(), x, colour: state.colour, facet: state.facet, filter: state.filter })}`);
+    const [record, earlier] = await Promise.all([ask(model), pair() ? ask(pair()) : null]);
+    for (const facet of record.facets) facet.before = earlier?.facets.find((each) => each.title === facet.title)?.bins;
     const options = record.columns.map((each) => [each.key, each.label]);
     put(controls, 
       field("Along", "x", choice(options, x, (value) => context.navigate({ x: value }))),
       field("Colour", "colour", choice([["", "none"], ...options], state.colour, (value) => context.navigate({ colour: value }))),
       field("A chart for each", "facet", choice([["", "none"], ...options], state.facet, (value) => context.navigate({ facet: value }))),
       field("Scale", "scale", choice([["", "means"], ["points", "all points"]], state.scale, (value) => context.navigate({ scale: value }))),
+      parent && field("Model before", "before", choice([["", parent], ["no", "not shown"]], state.before, (value) => context.navigate({ before: value }))),
     );
     const grid = el("div", { class: record.facets.length > 1 ? "facets" : null });
     put(charts, grid);
@@ -131,7 +138,8 @@ function makeView(root, { state: first, model, workspace, rides, context }) {
       layers: [
         { type: "points", x: spread, y: points.y, colour: "--sky", tints: tints.of(points), alpha: 0.5, name: level() === "rides" ? "ride" : "window", tell: (i) => [points.ride[i], `${x.label} ${x.number ? withUnit(points.x[i], x.unit) : points.x[i]}`, say(points.y[i]), "Enter or click opens the ride"], pick: (i) => context.navigate({ page: "rides", model: state.model, ride: points.ride[i] }) },
         { type: "rule", y: 0 },
-        { type: "means", x: bins.x.map(at), y: bins.mean, ci: bins.ci95, colour: "--vermilion", name: "mean with 95 % interval", tell: (i) => [`${x.label} ${x.number ? `${plain(bins.low[i])} to ${withUnit(bins.high[i], x.unit)}` : bins.x[i]}`, `mean ${say(bins.mean[i])}${bins.ci95[i] ? ` ± ${number(bins.ci95[i], record.unit === "kWh" ? 3 : 0)}` : ""}`, `${number(bins.rows[i])} ${level()}, ${number(bins.days[i])} vehicle-days`, "Enter or click filters to it"], pick: (i) => context.navigate({ filter: changeFilter(state.filter, x.key, x.number ? `${bins.low[i].toFixed(3)}..${bins.high[i].toFixed(3)}` : encodeURIComponent(bins.x[i])) }) },
+        ...(facet.before ? [{ type: "means", x: facet.before.x.map(at), y: facet.before.mean, ci: facet.before.ci95, colour: "--line-strong", open: () => true, name: `before, ${parent}`, tell: (i) => [`${x.label} ${x.number ? `${plain(facet.before.low[i])} to ${withUnit(facet.before.high[i], x.unit)}` : facet.before.x[i]}`, `mean of ${parent}: ${say(facet.before.mean[i])}`] }] : []),
+        { type: "means", x: bins.x.map(at), y: bins.mean, ci: bins.ci95, colour: "--vermilion", name: facet.before ? `now, ${model}` : "mean with 95 % interval", tell: (i) => [`${x.label} ${x.number ? `${plain(bins.low[i])} to ${withUnit(bins.high[i], x.unit)}` : bins.x[i]}`, `mean ${say(bins.mean[i])}${bins.ci95[i] ? ` ± ${number(bins.ci95[i], record.unit === "kWh" ? 3 : 0)}` : ""}`, `${number(bins.rows[i])} ${level()}, ${number(bins.days[i])} vehicle-days`, "Enter or click filters to it"], pick: (i) => context.navigate({ filter: changeFilter(state.filter, x.key, x.number ? `${bins.low[i].toFixed(3)}..${bins.high[i].toFixed(3)}` : encodeURIComponent(bins.x[i])) }) },
       ],
     };
   }
@@ -201,7 +209,7 @@ function makeView(root, { state: first, model, workspace, rides, context }) {
   drawDiagnosis();
   return {
     update(next) {
-      const whole = next.filter !== state.filter || next.level !== state.level;
+      const whole = next.filter !== state.filter || next.level !== state.level || next.before !== state.before;
       const moved = next.x !== state.x;
       state = next;
       if (whole) drawTop();
@@ -218,7 +226,7 @@ function makeView(root, { state: first, model, workspace, rides, context }) {
 function domains(record, all) {
   const { x, facets } = record;
   const names = x.number ? null : [...new Set(facets.flatMap((facet) => facet.bins.x))].sort();
-  const ends = facets.flatMap(({ bins }) => bins.mean.flatMap((m, i) => [m - (bins.ci95[i] ?? 0), m + (bins.ci95[i] ?? 0)]));
+  const ends = facets.flatMap((facet) => [facet.bins, facet.before]).filter(Boolean).flatMap((bins) => bins.mean.flatMap((m, i) => [m - (bins.ci95[i] ?? 0), m + (bins.ci95[i] ?? 0)]));
   const most = 1.35 * Math.max(...ends.map(Math.abs), 1e-9);
   return {
     names,
@@ -243,17 +251,19 @@ function tinter(record) {
   return { of: (points) => points.colour.map(of), legend: legendOf(shown) };
 }
 
-function sparkline(given, most) {
+function sparkline(given, most, before) {
   const [wide, high] = [200, 64];
   const rows = given.mean.map((_, i) => i).filter((i) => given.ci95[i] !== null);
   const bins = { mean: rows.map((i) => given.mean[i]), ci95: rows.map((i) => given.ci95[i]) };
   const count = bins.mean.length;
   const x = (i) => (count > 1 ? 4 + (i / (count - 1)) * (wide - 8) : wide / 2);
   const y = (value) => Math.max(1, Math.min(high - 1, high / 2 - (value / most) * (high / 2 - 3)));
+  const old = before?.mean.length === given.mean.length ? before.mean.map((value, i) => `${x(i).toFixed(1)} ${y(value).toFixed(1)}`) : [];
   const path = (values) => values.map((value, i) => `${x(i).toFixed(1)} ${y(value).toFixed(1)}`);
   const band = [...path(bins.mean.map((m, i) => m + bins.ci95[i])), ...path(bins.mean.map((m, i) => m - bins.ci95[i])).reverse()];
   return svg("svg", { viewBox: `0 0 ${wide} ${high}`, preserveAspectRatio: "none", "aria-hidden": "true" },
     svg("line", { x1: 0, x2: wide, y1: high / 2, y2: high / 2, stroke: "var(--line-strong)" }),
     svg("path", { d: `M${band.join("L")}Z`, fill: "var(--vermilion)", "fill-opacity": 0.18 }),
+    old.length > 1 && svg("path", { d: `M${old.join("L")}`, fill: "none", stroke: "var(--ink-soft)", "stroke-width": 1.5, "stroke-dasharray": "3 3", "vector-effect": "non-scaling-stroke" }),
     svg("path", { d: `M${path(bins.mean).join("L")}`, fill: "none", stroke: "var(--vermilion)", "stroke-width": 2, "vector-effect": "non-scaling-stroke" }));
 }

@@ -64,6 +64,7 @@ export function mount(root, first, context) {
       onclick: async () => {
         try {
           const { model } = await context.post("/undo", { model: name });
+          context.use(model);
           context.announce(`Undone. ${name} is removed.`);
           context.navigate({ model, with: null });
         } catch (error) { put(said, el("p", { class: "bad", role: "alert" }, error.message)); }

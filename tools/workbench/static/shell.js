@@ -24,6 +24,7 @@ let session = null;
 let current = null; // {name, path, page}
 let turn = 0;
 let model; // the model that was chosen last; links to other pages keep it
+let before; // the model that was in use before the last step, to which a button goes back
 
 export function readState(hash) {
   const [path, query = ""] = hash.replace(/^#\/?/, "").split("?");
@@ -63,17 +64,38 @@ function makeContext(controller) {
     navigate,
     announce,
     session,
+    use,
     signal: controller.signal,
     link: (state) => writeState(state),
   };
 }
 
+// Go on with another model on every page; `previous` stays a click away.
+function use(next, previous) {
+  [model, before] = [next, previous];
+  drawNavigation({ ...readState(location.hash), model: next });
+}
+
+function drawModelInUse() {
+  const shown = document.getElementById("in-use");
+  shown.hidden = !before;
+  if (!before) return;
+  shown.replaceChildren(el("span", { class: "soft" }, "Model "), el("strong", {}, model),
+    el("button", { type: "button", class: "quiet small", onclick: () => {
+      const goal = before;
+      use(goal, model);
+      navigate({ model: goal });
+    } }, `back to ${before}`));
+}
+
 function drawNavigation({ page: name, ...state }) {
+  if (state.model && state.model === before) [model, before] = [before, model];
   model = state.model ?? model;
   const chosen = PAGES[name]?.within ?? name;
   const links = Object.entries(PAGES).filter(([, page]) => !page.within).map(([key, page]) =>
     el("a", { href: writeState({ page: key, model: key === FIRST ? undefined : model }), "aria-current": key === chosen ? "page" : null }, page.title));
   document.getElementById("pages").replaceChildren(...links);
+  drawModelInUse();
 }
 
 async function show() {

@@ -88,15 +88,25 @@ def test_pages_lead_from_the_rides_to_the_fallen_error_and_back(visit):
     step.get_by_role("heading", name="headwind was added").wait_for()
     before, after = step.locator(".big-step").inner_text().split("kWh")[0].split("→")
     assert float(after) < float(before)
-    step.get_by_role("button", name="Undo").click()
-    page.get_by_text("Undone: extended_physical-headwind is removed").wait_for()
+    in_use = page.locator("#in-use")
+    assert "extended_physical-headwind" in in_use.inner_text()
+    step.get_by_role("link", name="See where it failed").click()
+    page.get_by_text("before, extended_physical").first.wait_for()
+    assert page.locator('.survey path[stroke-dasharray="3 3"]').count() > 3
+    in_use.get_by_role("button", name="back to extended_physical").click()
+    visit.wait("location.hash.includes('model=extended_physical') && !location.hash.includes('headwind')")
+    in_use.get_by_role("button", name="back to extended_physical-headwind").click()
+    page.get_by_role("link", name="Models", exact=True).click()
+    page.get_by_role("button", name="Undo").click()
+    page.get_by_role("region", name="Steps").wait_for()
+    assert in_use.is_hidden()
 
 
 def test_refused_effect_says_why_and_stays_in_the_history(visit):
     page = visit.page
-    visit.go("#/causes?effect=cornering")
-    page.get_by_role("button", name="Add cornering").click()
-    page.get_by_role("heading", name="cornering was refused").wait_for()
+    visit.go("#/causes?effect=snow")
+    page.get_by_role("button", name="Add snow").click()
+    page.get_by_role("heading", name="snow was refused").wait_for()
     page.get_by_text(re.compile("not worth a term|grows by at least")).first.wait_for()
     visit.go("#/models")
     page.get_by_role("region", name="Steps").get_by_text("refused", exact=True).wait_for()
