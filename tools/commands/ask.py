@@ -173,7 +173,7 @@ def figures(outlook: Outlook, zone: tzinfo | None = UTC) -> Iterator[tuple[str, 
         share = f"{outlook.consumption_scale * 100:.0f} %"
         yield (
             "this car today",
-            f"consumes {share} of what {outlook.model} predicts once the fleet's rides have corrected it",
+            f"consumes {share} of what the model predicts once the fleet's rides have corrected it",
         )
     if outlook.why_not:
         yield "not known", outlook.why_not

@@ -18,6 +18,7 @@ from socast.tools.terminal.forecast_options import ForecastOptions, insert_forec
 from socast.tools.terminal.kernels import compile_kernels
 from socast.tools.terminal.model_comparison import advise_fit, load_models
 from socast.tools.terminal.recordings import refuse_duplicates
+from socast.tools.terminal.time_zone import parse_zone
 from socast.tools.workbench.fleet.board import Board
 from socast.tools.workbench.fleet.observer import Observer
 from socast.tools.workbench.fleet.player import Player
@@ -76,6 +77,13 @@ def serve(
     read_only: Annotated[
         bool, typer.Option("--read-only", help="Refuse every request that changes something.", rich_help_panel=SERVER)
     ] = False,
+    time_zone: Annotated[
+        str,
+        typer.Option(
+            metavar="ZONE",
+            help="Time zone of the times on the pages, such as America/Montreal. Default: that of the browser.",
+        ),
+    ] = "",
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Print the address only, and open no browser.", rich_help_panel=SERVER)
     ] = False,
@@ -109,7 +117,10 @@ def serve(
     refuse_duplicates(given or [])
     router = ", ".join(connect or [LOOPBACK]) if live else None
     workspace = Workspace(Given(tuple(given or ()), tuple(options.models), tuple(options.effect_files), folder, router))
-    workbench = Workbench(workspace, Jobs(), read_only=read_only, tiles=TileFile(tiles) if tiles else None)
+    if time_zone:
+        parse_zone(time_zone)
+    drawn = TileFile(tiles) if tiles else None
+    workbench = Workbench(workspace, Jobs(), read_only=read_only, tiles=drawn, time_zone=time_zone)
     with ExitStack() as ending:
         ending.callback(workspace.close)
         ending.callback(workbench.jobs.end)

@@ -39,6 +39,11 @@ def find_zone(name: str | None, console: Console) -> tzinfo | None:
     """
     if name is None:
         return SYSTEM if console.is_terminal else UTC
+    return parse_zone(name)
+
+
+def parse_zone(name: str) -> tzinfo:
+    """Return the time zone of a name; `SettingsError` if there is no such zone."""
     try:
         return UTC if name == "UTC" else ZoneInfo(name)
     except (ZoneInfoNotFoundError, ValueError, OSError) as error:

@@ -48,6 +48,8 @@ class Workbench:
         Player of recordings or observer of a live service; None without one.
     tiles : TileFile, optional
         Map beneath the fleet; None without one.
+    time_zone : str
+        Zone of the times on the pages; empty for that of the browser.
     """
 
     workspace: Any
@@ -55,6 +57,7 @@ class Workbench:
     read_only: bool = False
     fleet: FleetSource | None = None
     tiles: TileFile | None = None
+    time_zone: str = ""
 
 
 Handler = Callable[[Workbench, JsonRequest], Any]

@@ -38,6 +38,7 @@ def _get_session(workbench: Workbench, _: JsonRequest) -> dict[str, Any]:
         **workbench.workspace.describe(),
         "version": version("socast"),
         "read_only": workbench.read_only,
+        "time_zone": workbench.time_zone,
         "fleet": workbench.fleet and workbench.fleet.describe(),
         "tiles": workbench.tiles and workbench.tiles.range._asdict(),
     }

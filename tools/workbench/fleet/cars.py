@@ -8,6 +8,7 @@ import numpy as np
 from socast.core.errors import SocastError
 from socast.core.forecast.soc_filter import SHIFT_GAP
 from socast.tools.commands.ask import figures, verdict
+from socast.tools.terminal.time_zone import parse_zone
 from socast.tools.workbench.fleet.board import POINT, Board
 from socast.tools.workbench.fleet.source import FleetSource
 from socast.tools.workbench.json_routes import JsonRequest, NotFoundError, Workbench
@@ -73,16 +74,20 @@ def make_history(board: Board, vehicle_id: str) -> dict[str, list[float]]:
 
 
 def answer_question(workbench: Workbench, request: JsonRequest) -> dict[str, Any]:
-    """Return the answer to the question whether a car can take a ride, as `socast ask` prints it."""
+    """Return the answer to the question whether a car can take a ride, as `socast ask` prints it.
+
+    The times in it are in the zone of the parameter `zone`.
+    """
     given = {name: request.parameters[name] for name in RIDE_FIELDS if request.parameters.get(name)}
     vehicle_id = request.path["car"]
     outlook = get_fleet(workbench).ask(vehicle_id, given)
     word, sentence = verdict(outlook)
+    zone = parse_zone(request.parameters.get("zone") or "UTC")
     options = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in given.items())
     return {
         "word": word,
         "sentence": sentence,
-        "figures": [{"name": name, "text": text} for name, text in figures(outlook)],
+        "figures": [{"name": name, "text": text} for name, text in figures(outlook, zone)],
         "outlook": msgspec.to_builtins(outlook),
         "command": f"socast ask {vehicle_id} {options}".rstrip(),
     }

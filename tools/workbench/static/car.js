@@ -3,13 +3,14 @@
 
 import { chart } from "./chart.js";
 import { el, empty, failed, loading } from "./dom.js";
-import { clock, day, duration, HIGH_RISK, interval, LOW_RISK, number, quantity, risk, signed } from "./format.js";
+import { clock, day, duration, getZone, HIGH_RISK, interval, LOW_RISK, number, quantity, risk, signed, zoneName } from "./format.js";
 import { LegSchedule, makeClockMarks } from "./leg_schedule.js";
 import { makePlayerBar } from "./player.js";
 import { FleetSocket } from "./socket.js";
 
 const REFRESH_MS = { replay: 1000, live: 2500 };
 const QUESTION = { km: "distance_km", min: "duration_s", up: "gained_m", down: "lost_m" };
+const FIELDS = { distance_km: "Distance", duration_s: "Duration", gained_m: "Climb", lost_m: "Descent" };
 const CAUSES = {
   repaired_time: "times repaired", rejected_speed: "speeds rejected", duplicate: "duplicates", gap: "gaps", out_of_range: "values out of range",
 };
@@ -128,7 +129,7 @@ class CarPage {
       figure("at the end of the shift", quantity(values.end, "%"), "", range(values.end_low, values.end_high)),
       figure("risk of the reserve", risk(values.risk), tone),
       figure("range to the reserve", quantity(values.range, "km"), "", range(values.range_low, values.range_high)),
-      figure("shift ends, UTC", clock(outlook?.shift_end_s)),
+      figure(`shift ends, ${zoneName(outlook?.shift_end_s ?? values.time)}`, clock(outlook?.shift_end_s)),
       figure("usable capacity", quantity(outlook?.usable_capacity_kwh, "kWh", 1)));
   }
 
@@ -160,10 +161,10 @@ class CarPage {
         { type: "rule", x: outlook.time_s, colour: "--line-strong" });
     }
     const end = outlook?.soc_end_of_shift_pct;
-    const summary = `Charge now ${quantity(values.soc, "%", 1)}.` + (end ? ` At the end of the shift at ${clock(outlook.shift_end_s)} UTC: ${interval(end.mean, end.p05, end.p95, "%")}. Reserve ${quantity(outlook.reserve_soc_pct, "%")}.` : "");
+    const summary = `Charge now ${quantity(values.soc, "%", 1)}.` + (end ? ` At the end of the shift at ${clock(outlook.shift_end_s)} ${zoneName(outlook.shift_end_s)}: ${interval(end.mean, end.p05, end.p95, "%")}. Reserve ${quantity(outlook.reserve_soc_pct, "%")}.` : "");
     this.charts.fan.update({
       title: "Charge of the car over time", summary, height: 330, layers,
-      x: { label: "time of day, UTC", domain, marks: (room) => makeClockMarks(domain, room) }, y: { label: "state of charge", unit: "%", domain: [0, 100] },
+      x: { label: `time of day, ${zoneName(domain[0])}`, domain, marks: (room) => makeClockMarks(domain, room) }, y: { label: "state of charge", unit: "%", domain: [0, 100] },
     });
     const why = whyNot ?? outlook?.why_not;
     this.parts.fanWords.replaceChildren(...(why ? [el("p", { class: "note small" }, `End of the shift not known: ${why}.`)] : []));
@@ -180,7 +181,7 @@ class CarPage {
         el("td", { class: "number" }, bounded(leg.energy_kwh, 2)), el("td", { class: "number" }, bounded(leg.soc_pct, 0)));
     });
     return el("div", {}, el("div", { class: "table-frame legs-frame", tabindex: 0, role: "region", "aria-label": "Legs of the plan" }, el("table", {},
-      el("thead", {}, el("tr", {}, ["", "Leg", "Begins, UTC", "km", "min", "Energy, kWh", "Charge after, %"].map((words, i) =>
+      el("thead", {}, el("tr", {}, ["", "Leg", `Begins, ${zoneName(outlook.time_s)}`, "km", "min", "Energy, kWh", "Charge after, %"].map((words, i) =>
         el("th", { scope: "col", class: i === 1 ? null : "number" }, words || el("span", { class: "hidden" }, "Number"))))), el("tbody", {}, rows))),
     el("p", { class: "note small" }, "A plan does not say when legs begin: the waits are spread evenly. In brackets: nine outcomes in ten."));
   }
@@ -225,7 +226,7 @@ class CarPage {
       this.answer.replaceChildren();
       return;
     }
-    const parameters = new URLSearchParams(Object.entries(given).filter(([, value]) => value));
+    const parameters = new URLSearchParams([...Object.entries(given).filter(([, value]) => value), ["zone", getZone()]]);
     try {
       const answer = await this.context.get(`/cars/${encodeURIComponent(this.car)}/answer?${parameters}`);
       this.answer.replaceChildren(
@@ -233,9 +234,14 @@ class CarPage {
         el("dl", { class: "pairs" }, answer.figures.map(({ name, text }) => [el("dt", {}, name), el("dd", {}, text)])),
         el("p", { class: "note small" }, "The same on the command line:"), el("code", { class: "command" }, answer.command));
     } catch (error) {
-      if (error.name !== "AbortError") this.answer.replaceChildren(el("p", { class: "bad", role: "alert" }, error.message));
+      if (error.name !== "AbortError") this.answer.replaceChildren(el("p", { class: "bad", role: "alert" }, nameFields(error.message)));
     }
   }
+}
+
+// A message with the names that the form shows.
+function nameFields(message) {
+  return Object.entries(FIELDS).reduce((words, [name, label]) => words.replaceAll(name, label), message);
 }
 
 function range(low, high) {
@@ -248,7 +254,7 @@ function bounded(value, digits) {
 }
 
 function tellPoint(point) {
-  return [point.words, interval(point.mean, point.low, point.high, "%"), `${clock(point.time)} UTC`];
+  return [point.words, interval(point.mean, point.low, point.high, "%"), `${clock(point.time)} ${zoneName(point.time)}`];
 }
 
 // The form of a question; its fields are part of the address.
@@ -300,6 +306,6 @@ function makeRides(rides) {
     el("td", { class: "number" }, number(ride.predicted_kwh, 2)), el("td", { class: "number" }, number(ride.energy_kwh, 2)),
     el("td", { class: "number" }, signed(ride.error_pct)), el("td", { class: "soft" }, (ride.unfit_reason ?? "").replaceAll("_", " "))));
   return el("div", { class: "table-frame rides-frame", tabindex: 0, role: "region", "aria-label": "Rides that have ended" }, el("table", {},
-    el("thead", {}, el("tr", {}, ["Start, UTC", "Ride", "km", "min", "Predicted, kWh", "Measured, kWh", "Error, %", "Unfit for training"].map((words, i) =>
+    el("thead", {}, el("tr", {}, [`Start, ${zoneName(rides[0]?.start_s)}`, "Ride", "km", "min", "Predicted, kWh", "Measured, kWh", "Error, %", "Unfit for training"].map((words, i) =>
       el("th", { scope: "col", class: i > 1 && i < 7 ? "number" : null }, words)))), el("tbody", {}, rows)));
 }

@@ -24,15 +24,44 @@ export function interval(mean, low, high, unit, digits = 0) {
   return `${quantity(mean, unit, digits)} (${number(low, digits)} to ${number(high, digits)})`;
 }
 
-// Time of day, UTC.
+// The zone of all times that a person reads; addresses, files and JSON hold UTC.
+const BROWSER = Intl.DateTimeFormat().resolvedOptions().timeZone || "UTC";
+let zone = BROWSER;
+let parts = makeParts();
+
+function makeParts() {
+  const digits = { year: "numeric", month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", second: "2-digit" };
+  return new Intl.DateTimeFormat("en-CA", { timeZone: zone, hourCycle: "h23", timeZoneName: "short", ...digits });
+}
+
+export function setZone(name) {
+  try {
+    Intl.DateTimeFormat("en", { timeZone: name || BROWSER });
+    zone = name || BROWSER;
+  } catch { zone = "UTC"; }
+  parts = makeParts();
+}
+
+export const getZone = () => zone;
+
+const read = (seconds) => Object.fromEntries(parts.formatToParts(seconds * 1000).map((part) => [part.type, part.value]));
+
+// Name of the zone at a time, such as EST.
+export function zoneName(seconds) {
+  return zone === "UTC" ? "UTC" : read(Number.isFinite(seconds) && seconds !== null ? seconds : 0).timeZoneName;
+}
+
+// Time of day.
 export function clock(seconds, withSeconds = false) {
   if (!Number.isFinite(seconds) || seconds === null) return "–";
-  return new Date(seconds * 1000).toISOString().slice(11, withSeconds ? 19 : 16);
+  const { hour, minute, second } = read(seconds);
+  return `${hour}:${minute}${withSeconds ? `:${second}` : ""}`;
 }
 
 export function day(seconds) {
   if (!Number.isFinite(seconds) || seconds === null) return "–";
-  return new Date(seconds * 1000).toISOString().slice(0, 10);
+  const now = read(seconds);
+  return `${now.year}-${now.month}-${now.day}`;
 }
 
 export function duration(seconds) {

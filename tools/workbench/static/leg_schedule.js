@@ -1,5 +1,7 @@
 // When the legs of a plan are expected, and the marks of an axis of time.
 
+import { clock, day } from "./format.js";
+
 const STEPS_S = [300, 600, 900, 1800, 3600, 7200, 10_800, 21_600, 43_200, 86_400];
 const NINE_IN_TEN = 1.645; // standard deviations on each side
 
@@ -40,7 +42,7 @@ export function makeClockMarks([low, high], room) {
   const step = STEPS_S.find((each) => (high - low) / each <= room) ?? STEPS_S.at(-1);
   const marks = [];
   for (let time = Math.ceil(low / step) * step; time <= high; time += step) {
-    marks.push({ value: time, text: new Date(1000 * time).toISOString().slice(...(step < 86_400 ? [11, 16] : [5, 10])) });
+    marks.push({ value: time, text: step < 86_400 ? clock(time) : day(time).slice(5) });
   }
   return marks;
 }

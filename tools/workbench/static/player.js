@@ -1,7 +1,7 @@
 // The bar above the pages of the fleet: it controls a replay, or tells what a live service sends.
 
 import { el } from "./dom.js";
-import { clock, day, number } from "./format.js";
+import { clock, day, number, zoneName } from "./format.js";
 import { command } from "./loop.js";
 
 const SPEEDS = [1, 10, 60, 300, "max"];
@@ -56,7 +56,7 @@ export function makePlayerBar(socket, context) {
     return begin + ((end - begin) * Number(parts.slider.value)) / 1000;
   };
 
-  const timeWords = (seconds) => [el("strong", {}, clock(seconds, true)), el("span", { class: "soft small" }, ` ${day(seconds)} UTC`)];
+  const timeWords = (seconds) => [el("strong", {}, clock(seconds, true)), el("span", { class: "soft small" }, ` ${day(seconds)} ${zoneName(seconds)}`)];
 
   function draw() {
     const source = socket.source;
@@ -91,7 +91,7 @@ export function makePlayerBar(socket, context) {
       parts.slider.value = Math.round(1000 * share);
       parts.time.replaceChildren(...timeWords(source.time_s));
     }
-    parts.slider.setAttribute("aria-valuetext", `${clock(source.time_s, true)} UTC on ${day(source.time_s)}`);
+    parts.slider.setAttribute("aria-valuetext", `${clock(source.time_s, true)} ${zoneName(source.time_s)} on ${day(source.time_s)}`);
     status.textContent = source.seeking ? "Computing the state at this time" : source.at_end ? "End of the recording" : "";
     if (source.problem) {
       status.textContent = `The replay stopped: ${source.problem}`;

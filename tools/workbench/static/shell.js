@@ -6,6 +6,7 @@
 
 import * as api from "./api.js";
 import { el, empty, failed, loading } from "./dom.js";
+import { getZone, setZone } from "./format.js";
 
 const PAGES = {
   fleet: { title: "Fleet", load: () => import("./fleet.js") },
@@ -152,6 +153,29 @@ function startTheme() {
     document.dispatchEvent(new CustomEvent("themechange")));
 }
 
+// Times are in the zone of the browser, or of --time-zone; the button switches to UTC and back.
+function startZone() {
+  const button = document.getElementById("zone");
+  let isUtc = false;
+  try { isUtc = localStorage.getItem("zone") === "UTC"; } catch { /* storage is off */ }
+  const apply = () => {
+    setZone(isUtc ? "UTC" : session.time_zone);
+    button.textContent = isUtc ? "UTC" : getZone().split("/").at(-1).replaceAll("_", " ");
+    button.title = `Times in ${getZone()}; choose ${isUtc ? "local time" : "UTC"}`;
+  };
+  apply();
+  button.hidden = false;
+  button.addEventListener("click", () => {
+    isUtc = !isUtc;
+    try { localStorage.setItem("zone", isUtc ? "UTC" : "local"); } catch { /* storage is off */ }
+    apply();
+    announce(button.title);
+    current?.page?.unmount?.();
+    current = null;
+    show();
+  });
+}
+
 // A request that ended because its page was left is no error.
 window.addEventListener("unhandledrejection", (event) => {
   if (event.reason?.name === "AbortError") event.preventDefault();
@@ -171,6 +195,7 @@ async function start() {
     main.replaceChildren(failed(error, () => location.reload()));
     return;
   }
+  startZone();
   const badge = document.getElementById("badge");
   badge.hidden = !session.read_only;
   badge.textContent = "read-only";

@@ -260,3 +260,29 @@ def test_workbench_without_a_fleet_says_how_to_get_one(browser):
         assert list_violations(visit.page) == []
         visit.close()
     assert (visit.strangers, visit.errors) == ([], [])
+
+
+def test_times_are_in_the_zone_of_the_reader_and_name_it(visit):
+    page = visit.page
+    page.wait_for_selector(PAGES["#/fleet"])
+    told = page.evaluate(
+        """async () => {
+          const format = await import("/static/format.js");
+          const before = format.getZone();
+          const tell = () => [format.clock(1.7e9, true), format.day(1.7e9), format.zoneName(1.7e9)];
+          const zones = ["America/Toronto", "Asia/Kolkata", "UTC", "no/zone"];
+          const out = zones.map((zone) => { format.setZone(zone); return tell(); });
+          format.setZone(before);
+          return out;
+        }"""
+    )
+    assert told[0][:2] == ["17:13:20", "2023-11-14"]
+    assert told[1][:2] == ["03:43:20", "2023-11-15"]
+    assert told[2] == told[3] == ["22:13:20", "2023-11-14", "UTC"]
+    assert told[0][2] != "UTC"
+
+
+def test_mistakes_in_a_question_have_the_names_of_the_form(visit):
+    page = visit.page
+    visit.go("#/car/taxi-001?km=18")
+    page.get_by_text("Duration is not given; a ride needs Distance and Duration").wait_for()
