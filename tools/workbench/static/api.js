@@ -34,9 +34,18 @@ export function post(path, body = {}) {
 }
 
 // Start background work by POST /api{path}, follow it, and return its result. `onProgress` receives
-// {share, words, cancel}; `cancel()` asks the server to stop the work.
+// {share, words, cancel}; `cancel()` asks the server to stop the work. The work waits for other work that runs.
 export async function job(path, body, onProgress = () => {}) {
-  return follow(await post(path, body), onProgress);
+  for (;;) {
+    try {
+      return await follow(await post(path, body), onProgress);
+    } catch (error) {
+      const busy = /^another job runs: ([^;]*);/.exec(error.message);
+      if (!busy) throw error;
+      onProgress({ words: `waiting for ${busy[1]}` });
+      await new Promise((resolve) => setTimeout(resolve, 500));
+    }
+  }
 }
 
 // Follow background work from its record, and return its result.

@@ -98,7 +98,7 @@ def test_pages_lead_from_the_rides_to_the_fallen_error_and_back(visit):
     in_use.get_by_role("button", name="back to extended_physical-headwind").click()
     page.get_by_role("link", name="Models", exact=True).click()
     page.get_by_role("button", name="Undo").click()
-    visit.wait("document.getElementById('in-use').hidden")
+    visit.wait("document.getElementById('in-use').hidden && !location.hash.includes('headwind')")
 
 
 def test_refused_effect_says_why_and_stays_in_the_history(visit):
