@@ -22,11 +22,11 @@ def test_page_shows_the_commands_in_the_order_of_the_story():
     assert [verb for i, verb in enumerate(verbs) if verb in story and verb not in verbs[:i]] == story
 
 
-def test_effect_is_not_named_before_the_diagnosis():
+def test_effect_is_not_named_before_the_comparison_shows_it():
     """The description of the recording does not name it before its answer either."""
     truth = json.loads(RECORDING.with_suffix(".truth.json").read_text(encoding="utf-8"))
     (name,) = truth["total"]["hidden"]
-    assert name not in TEXT[: TEXT.index("$ socast diagnose")].lower()
+    assert name not in TEXT[: TEXT.index("$ socast compare")].lower()
     assert TEXT.index("truth") > TEXT.index("## The answer")
     about_recordings = read(ROOT / "recordings" / "README.md")
     assert name not in about_recordings[: about_recordings.index("The answer")]

@@ -93,7 +93,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser("coefficients", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", default=SEEDS, help="seeds, such as 3201-3260 or 7,9")
     parser.add_argument("--processes", type=int, default=2, help="number of processes")
-    parser.add_argument("--json", type=Path, help="file for every coefficient")
+    parser.add_argument("--json", type=Path, help="file for every coefficient; one that exists is used again")
     parser.add_argument("--publish", action="store_true", help="write the table to the pages")
     options = parser.parse_args(arguments)
     try:
@@ -101,8 +101,11 @@ def main(arguments: list[str] | None = None) -> int:
     except SocastError as error:
         print(error, file=sys.stderr)
         return 2
-    with ProcessPoolExecutor(options.processes, get_context("spawn")) as pool:  # a fork would copy locks of threads
-        estimates = [estimate for fleet in pool.map(measure_fleet, seeds) for estimate in fleet]
+    if options.json and options.json.exists():
+        estimates = [Estimate(**each) for each in json.loads(options.json.read_text(encoding="utf-8"))["estimates"]]
+    else:
+        with ProcessPoolExecutor(options.processes, get_context("spawn")) as pool:  # a fork would copy locks of threads
+            estimates = [estimate for fleet in pool.map(measure_fleet, seeds) for estimate in fleet]
     rows = list_rows(estimates)
     table = make_table([Column(HEADS[0]), *(Column(head, number=True) for head in HEADS[1:])], "Intervals of 95 %")
     for row in rows:

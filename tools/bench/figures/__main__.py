@@ -48,7 +48,9 @@ MEASUREMENTS: Final = {
         10, (f"{_BENCH}.error_location", "--publish", "--seeds", "7421-7432", "--keep", "build/location")
     ),
     "siblings": Measurement(10, (f"{_BENCH}.siblings", "--publish", "--seeds", "325-334", "--keep", "build/siblings")),
-    "coefficients": Measurement(10, (f"{_BENCH}.coefficients", "--publish", "--seeds", "3201-3260")),
+    "coefficients": Measurement(
+        10, (f"{_BENCH}.coefficients", "--publish", "--seeds", "3201-3260", "--json", "build/coefficients.json")
+    ),
     "periods": Measurement(5, (f"{_BENCH}.periods", "--publish", "6001", "--json", "build/periods.json")),
     "elevation": Measurement(
         15, (f"{_BENCH}.elevation", "--publish", "5001", "5002", "5003", "--json", "build/elevation.json")
