@@ -38,7 +38,7 @@ MEASUREMENTS: Final = {
         25,
         (
             *(f"{_BENCH}.hidden", "--publish", "--seeds", "10", "--first-seed", "800", "--keep", "build/hidden"),
-            *("--sample", "one=100,two=30,none=30,outside=30"),
+            *("--part", "one,two,outside", "--sample", "one=100,two=30,outside=30"),
         ),
     ),
     "nothing-hidden": Measurement(

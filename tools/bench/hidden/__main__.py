@@ -69,7 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
     print_figures(records, console)
     Path(options.json or ROOT / RECORDS).write_text(json.dumps(records) + "\n", encoding="utf-8")
     if options.publish:
-        words = ["--seeds", str(choice.seeds), "--first-seed", str(choice.first)]
+        words = ["--part", ",".join(parts), "--seeds", str(choice.seeds), "--first-seed", str(choice.first)]
         words += ["--sample", ",".join(f"{part}={size}" for part, size in sizes.items())] if sizes else []
         publish(
             "hidden-effects",
