@@ -379,7 +379,9 @@ def _judge(results: dict[str, Any], least: float) -> tuple[str, str]:
         return REFUSED, growth
     if gain < least:
         below = f"{statement}; below {100.0 * least:g} % it is not worth a term"
-        return (REFUSED if gain + half < least else UNDECIDED), below
+        if gain + half < least:
+            return REFUSED, below
+        return UNDECIDED, below + _count_deciding(days, least - gain, half)
     doubt = ""
     if results["p"] >= LEVEL:
         doubt = f"its evidence in these rides may be due to chance, p = {results['p']:.2g}"
@@ -413,13 +415,23 @@ def _list_growing(results: dict[str, Any]) -> str:
     return " and ".join(found)
 
 
-def _count_deciding(days: int, value: float, half: float) -> str:
-    """Return how many vehicle-days would show an improvement beyond doubt if it stays as it is."""
-    if value <= 0.0:
+def _count_deciding(days: int, distance: float, half: float) -> str:
+    """Return how many vehicle-days would decide if the gain stays as far from the limit as it is.
+
+    Examples
+    --------
+    >>> _count_deciding(100, 0.01, 0.02), _count_deciding(100, 0.03, 0.02)
+    ('; about 400 vehicle-days would decide, 100 are given', '; give more days')
+    >>> _count_deciding(100, 0.00001, 0.02)
+    '; even 100,000 vehicle-days would not decide'
+    """
+    if distance <= 0.0:
         return "; with more days, it may turn out not to help"
-    needed = days * (half / value) ** 2
-    if needed <= days or needed > MOST_DAYS:
-        return ""
+    needed = days * (half / distance) ** 2
+    if needed > MOST_DAYS:
+        return f"; even {MOST_DAYS:,.0f} vehicle-days would not decide"
+    if needed <= days:
+        return "; give more days"
     return f"; about {needed:,.0f} vehicle-days would decide, {days:,} are given"
 
 
