@@ -367,7 +367,6 @@ def _decide(results: dict[str, Any], least: float) -> dict[str, Any]:
 def _judge(results: dict[str, Any], least: float) -> tuple[str, str]:
     """Return the outcome of a trial, and why."""
     gain, half, change = results["gain"]["value"], results["gain"]["ci95"], results["change_kwh"]
-    days = results["of_effect"]["clusters"]
     share, low, high = (
         format_minus(f"{round(100.0 * each, 1) + 0.0:.1f}") for each in (gain, gain - half, gain + half)
     )
@@ -381,17 +380,20 @@ def _judge(results: dict[str, Any], least: float) -> tuple[str, str]:
         below = f"{statement}; below {100.0 * least:g} % it is not worth a term"
         if gain + half < least:
             return REFUSED, below
-        return UNDECIDED, below + _count_deciding(days, least - gain, half)
-    doubt = ""
-    if results["p"] >= LEVEL:
-        doubt = f"its evidence in these rides may be due to chance, p = {results['p']:.2g}"
-    elif gain - half <= 0.0:
-        doubt = f"{statement}, which may be due to chance"
-    if doubt:
-        return UNDECIDED, doubt + _count_deciding(days, gain, half)
-    if growing := _list_growing(results):
-        return UNDECIDED, f"{statement}, but the mean error of rides grows: {growing}; give more days"
-    return ADDED, statement
+        return UNDECIDED, below + _count_deciding(results["of_effect"]["clusters"], least - gain, half)
+    doubt = _find_doubt(results, statement)
+    return (UNDECIDED, doubt) if doubt else (ADDED, statement)
+
+
+def _find_doubt(results: dict[str, Any], statement: str) -> str:
+    """Return why a gain may be due to chance and what would decide, empty where it is beyond chance."""
+    gain, half = results["gain"]["value"], results["gain"]["ci95"]
+    if results["p"] >= LEVEL or gain - half <= 0.0:
+        by_chance = f"its evidence in these rides may be due to chance, p = {results['p']:.2g}"
+        doubt = by_chance if results["p"] >= LEVEL else f"{statement}, which may be due to chance"
+        return doubt + _count_deciding(results["of_effect"]["clusters"], gain, half)
+    growing = _list_growing(results)
+    return f"{statement}, but the mean error of rides grows: {growing}; give more days" if growing else ""
 
 
 def _find_growth(results: dict[str, Any]) -> str:

@@ -153,8 +153,8 @@ def add_to_model(
     Returns
     -------
     dict
-        `accepted`, `added` (also if undecided or by force), the `trial`, the `model` after it, and the records of the model `before`
-        and `after`.
+        `accepted`, `added` (also if undecided or by force), the `trial`, the `model` after it, and the records of the
+        model `before` and `after`.
     """
     node = workspace.get_node(name)
     rides, windows = workspace.check_rides(node.model)

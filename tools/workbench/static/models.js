@@ -90,8 +90,7 @@ export function mount(root, first, context) {
 
   function drawSteps(steps) {
     if (!steps.length) return el("p", { class: "note" }, "No effect has been tried yet. Ask what is missing, and add it.");
-    return el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Steps" }, el("table", {},
-      el("caption", {}, "Mean absolute error of a ride on held-out days"),
+    const table = el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Steps" }, el("table", {},
       el("thead", {}, el("tr", {}, ["step", "result", "before, kWh", "after, kWh", "change, kWh"].map((words, i) => el("th", { class: i > 1 ? "number" : null, scope: "col" }, words)))),
       el("tbody", {}, steps.map((step, i) => el("tr", {},
         el("th", { scope: "row" }, `${i + 1}. ${step.effect.replaceAll("_", " ")}${step.scope && step.scope !== "all" ? ` (${step.scope})` : ""}`),
@@ -99,6 +98,7 @@ export function mount(root, first, context) {
         el("td", { class: "number" }, number(step.mae_before_kwh, 4)),
         el("td", { class: "number" }, number(step.mae_after_kwh, 4)),
         el("td", { class: "number" }, `${signed(step.change_kwh?.value, 4)}${step.change_kwh?.ci95 ? ` ± ${number(step.change_kwh.ci95, 4)}` : ""}`))))));
+    return [el("p", { class: "note small" }, "Mean absolute error of a ride on held-out days."), table];
   }
 
   async function drawComparison(host, name, other) {
@@ -120,8 +120,8 @@ export function mount(root, first, context) {
       el("section", { class: "card stack", "aria-label": "Comparison" },
         el("div", { class: "card-head" }, el("h2", {}, `${name} and ${other}`), el("a", { class: "button", href: context.link({ page: "models", model: name }) }, "Close")),
         el("p", {}, words),
+        el("p", { class: "note small" }, `The table: errors on the same ${number(record.about.rides)} rides${seen.length ? `, in sample for ${seen.join(" and ")}` : ""}.`),
         el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Errors" }, el("table", {},
-          el("caption", {}, `On the same ${number(record.about.rides)} rides${seen.length ? `; in sample for ${seen.join(" and ")}` : ""}`),
           el("thead", {}, el("tr", {}, ["model", "error, kWh", "bias, kWh", "of the energy", "within ±10 %"].map((head, i) => el("th", { class: i ? `number ${i === 2 ? "wide-only" : ""}` : null, scope: "col" }, head)))),
           el("tbody", {}, rows))),
         seen.length > 0 && el("p", { class: "note small" }, "In sample: fitted to rides of these dates, on which a model looks better than on others."),

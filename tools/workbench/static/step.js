@@ -40,7 +40,6 @@ export function errorTable(trial) {
   });
   const head = ["evaluated on", "rides", "before, kWh", "after, kWh", "change, kWh", "%"];
   return el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Errors before and after" }, el("table", { class: "errors" },
-    el("caption", {}, "Mean absolute error of a ride, by other ways to hold rides out"),
     el("thead", {}, el("tr", {}, head.map((words, i) => el("th", { class: i ? `number ${i === 1 ? "wide-only" : ""}` : null, scope: "col" }, words)))),
     el("tbody", {}, rows)));
 }
@@ -110,7 +109,7 @@ export function drawStep(host, record, { actions, live }) {
     el("div", { class: "row" }, actions),
     (trial.warnings ?? []).map((line) => el("p", { class: "warn" }, line.replace(/^\*: /, ""))),
     el("div", {}, el("h3", {}, helps ? "The error falls towards the noise" : "Error before and after each step"), record.after.picture && picture(record.after.picture)),
-    el("details", { class: "same" }, el("summary", {}, "Checks: all terms refitted, other vehicles, final hold-out days"), errorTable(trial), el("p", { class: "note small" }, "In the numbers above, the coefficient of the effect is fitted without the held-out days. ± is half of the 95 % interval. The final hold-out days decide nothing.")),
+    el("details", { class: "same" }, el("summary", {}, "Checks: all terms refitted, other vehicles, final hold-out days"), el("p", { class: "note small" }, "Mean absolute error of a ride, by other ways to hold rides out."), errorTable(trial), el("p", { class: "note small" }, "In the numbers above, the coefficient of the effect is fitted without the held-out days. ± is half of the 95 % interval. The final hold-out days decide nothing.")),
     record.added && el("div", {}, el("h3", {}, "Coefficients before and after"), values),
     live));
   return record.added ? [coefficients(values, [record.before, record.after])] : [];
