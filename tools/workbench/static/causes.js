@@ -174,8 +174,8 @@ function makeView(root, { state: first, workspace, context, redraw }) {
         put(step, el("section", { class: "card" }, progress(`Adding ${name} to ${model}`, now)));
       });
       if (context.signal.aborted) return;
+      if (result.added) context.use(result.model, model); // first, as it changes the height of the head
       showStep(result, name, scopes);
-      if (result.added) context.use(result.model, model);
       context.announce(result.added ? `${name} was added; error of a ride on held-out days ${heldOut(result.trial)}.` : `${name} is ${result.trial.outcome}, and was not added: ${result.trial.reason}.`);
     } catch (error) {
       put(step, el("section", { class: "card" }, el("p", { class: "bad", role: "alert" }, error.message), el("button", { type: "button", onclick: () => put(step) }, "Close")));
