@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from datetime import UTC, datetime
+from datetime import UTC, datetime, tzinfo
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from socast.stream.mcap_reader import McapSource
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from socast.tools.terminal.recordings import Recordings, open_recordings, refuse_unusable, show_progress, warn_of_losses
 from socast.tools.terminal.rich_table import Column, make_table
+from socast.tools.terminal.time_zone import TimeZone, find_zone, format_local, name_zone
 
 MOST_TOPICS = 30
 """Largest number of topics shown on a terminal; the JSON report has all."""
@@ -23,7 +24,7 @@ OTHER = "other"
 """Kind of the messages that do not follow the wire contract."""
 
 
-def info(recordings: Recordings, json_file: JsonFile = None) -> None:
+def info(recordings: Recordings, json_file: JsonFile = None, time_zone: TimeZone = None) -> None:
     """Show what recordings contain and what is lost: time span, vehicles, topics and schemas.
 
     Every chunk is read and checked, but no payload is decoded: `socast tables` reports what is wrong inside payloads.
@@ -39,8 +40,9 @@ def info(recordings: Recordings, json_file: JsonFile = None) -> None:
         contents = [describe_recording(source, step) for source in sources]
     write_json(json_file, "info", {"recordings": contents})
     console = make_console(json_file)
+    zone = find_zone(time_zone, console)
     for source, content in zip(sources, contents, strict=True):
-        _show(console, content)
+        _show(console, content, zone)
         warn_of_losses([source], console)
     for source, content in zip(sources, contents, strict=True):
         refuse_unusable([source], content["messages"] - content["kinds"].get(OTHER, 0))
@@ -116,15 +118,23 @@ def _describe_metadata(metadata: Mapping[str, str]) -> str:
 
 
 def _format_time(time_ns: int | None) -> str | None:
-    """Return a time as ISO 8601, to the second."""
+    """Return a time as ISO 8601 in UTC, to the second."""
     return None if time_ns is None else datetime.fromtimestamp(time_ns // 10**9, UTC).isoformat()
 
 
-def _show(console: Console, content: dict[str, Any]) -> None:
+def _describe_span(content: Mapping[str, Any], zone: tzinfo | None) -> str:
+    """Return from when to when a recording is, in a time zone."""
+    if not content["begin"]:
+        return "empty"
+    ends = [datetime.fromisoformat(content[name]).timestamp() for name in ("begin", "end")]
+    first, last = (format_local(each, "%Y-%m-%d %H:%M:%S", zone) for each in ends)
+    return f"{first} to {last} {name_zone(ends, zone)}, {content['duration_s'] / 3600:.2f} h"
+
+
+def _show(console: Console, content: dict[str, Any], zone: tzinfo | None) -> None:
     """Print what a recording contains."""
-    span = f"{content['begin']} to {content['end']}, {content['duration_s'] / 3600:.2f} h"
     name = escape(Path(content["path"]).name)
-    console.print(f"[bold]{name}[/bold]  {span if content['begin'] else 'empty'}", highlight=False, soft_wrap=True)
+    console.print(f"[bold]{name}[/bold]  {_describe_span(content, zone)}", highlight=False, soft_wrap=True)
     console.print(
         f"{format_count(content['messages'], 'message')}, {format_count(len(content['vehicles']), 'vehicle')}, "
         f"{len(content['stations']):,} stations, {content['chunks']:,} chunks, {content['bytes']:,} bytes",

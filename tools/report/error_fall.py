@@ -153,7 +153,7 @@ def draw_error_fall(steps: Sequence[ErrorStep], *, standalone: bool = True) -> s
         f"<style>{STYLE}</style>" if standalone else "",
         f'<rect class="paper" width="{WIDTH}" height="{height:.0f}" fill="#ffffff"/>',
         _text(14, 28, title, size=18, weight="bold"),
-        "" if panels[0].is_named else _text(RIGHT, 28, "○ before ● after", "soft", anchor="end", size=14),
+        "" if panels[0].is_named else _text(14, TOP + HEIGHT + 44, "○ before ● after each step", "soft", size=14),
     ]
     for panel in panels:
         parts += _draw_grid(panel, place, (low, high, tick), is_above=is_above)
@@ -253,7 +253,7 @@ def _draw_step(
 
 def _draw_shares(steps: Sequence[ErrorStep], panels: Sequence[_Panel]) -> tuple[list[str], float]:
     """Return the share that each step removed, below its panel, and the height of the whole picture. [px]"""
-    y = TOP + HEIGHT + 48.0
+    y = TOP + HEIGHT + (48.0 if panels[0].is_named else 72.0)
     parts = [_text(14, y, REMOVED, "soft", size=14)]
     for i, step in enumerate(steps):
         y += 26

@@ -256,6 +256,7 @@ class Workspace:
                 "vehicles": int(made.rides["vehicle_id"].nunique()),
                 "first_date": str(made.rides["date"].min()),
                 "last_date": str(made.rides["date"].max()),
+                "seen": [node.name for node in self.models.list_nodes() if _is_in_sample(node.model, made.rides)],
                 "lacking": list_lacking_effects(self.given.effects, made.windows),
             }
         return described
@@ -284,6 +285,12 @@ class Workspace:
         if not self.given.data:
             return "no rides were given; start the workbench with socast serve RECORDING"
         return "the rides are still being read; wait until the tables are made"
+
+
+def _is_in_sample(model: LinearModel, rides: pd.DataFrame) -> bool:
+    """Return whether a model was fitted to rides of dates of these rides, so that its error on them is in sample."""
+    fitted = model.training
+    return fitted is not None and fitted.first_date <= rides["date"].max() and fitted.last_date >= rides["date"].min()
 
 
 def _name_built_in() -> str:

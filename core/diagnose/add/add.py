@@ -367,7 +367,6 @@ def _decide(results: dict[str, Any], least: float) -> dict[str, Any]:
 def _judge(results: dict[str, Any], least: float) -> tuple[str, str]:
     """Return the outcome of a trial, and why."""
     gain, half, change = results["gain"]["value"], results["gain"]["ci95"], results["change_kwh"]
-    days = results["of_effect"]["clusters"]
     share, low, high = (
         format_minus(f"{round(100.0 * each, 1) + 0.0:.1f}") for each in (gain, gain - half, gain + half)
     )
@@ -379,17 +378,22 @@ def _judge(results: dict[str, Any], least: float) -> tuple[str, str]:
         return REFUSED, growth
     if gain < least:
         below = f"{statement}; below {100.0 * least:g} % it is not worth a term"
-        return (REFUSED if gain + half < least else UNDECIDED), below
-    doubt = ""
-    if results["p"] >= LEVEL:
-        doubt = f"its evidence in these rides may be due to chance, p = {results['p']:.2g}"
-    elif gain - half <= 0.0:
-        doubt = f"{statement}, which may be due to chance"
-    if doubt:
-        return UNDECIDED, doubt + _count_deciding(days, gain, half)
-    if growing := _list_growing(results):
-        return UNDECIDED, f"{statement}, but the mean error of rides grows: {growing}; give more days"
-    return ADDED, statement
+        if gain + half < least:
+            return REFUSED, below
+        return UNDECIDED, below + _count_deciding(results["of_effect"]["clusters"], least - gain, half)
+    doubt = _find_doubt(results, statement)
+    return (UNDECIDED, doubt) if doubt else (ADDED, statement)
+
+
+def _find_doubt(results: dict[str, Any], statement: str) -> str:
+    """Return why a gain may be due to chance and what would decide, empty where it is beyond chance."""
+    gain, half = results["gain"]["value"], results["gain"]["ci95"]
+    if results["p"] >= LEVEL or gain - half <= 0.0:
+        by_chance = f"its evidence in these rides may be due to chance, p = {results['p']:.2g}"
+        doubt = by_chance if results["p"] >= LEVEL else f"{statement}, which may be due to chance"
+        return doubt + _count_deciding(results["of_effect"]["clusters"], gain, half)
+    growing = _list_growing(results)
+    return f"{statement}, but the mean error of rides grows: {growing}; give more days" if growing else ""
 
 
 def _find_growth(results: dict[str, Any]) -> str:
@@ -413,13 +417,23 @@ def _list_growing(results: dict[str, Any]) -> str:
     return " and ".join(found)
 
 
-def _count_deciding(days: int, value: float, half: float) -> str:
-    """Return how many vehicle-days would show an improvement beyond doubt if it stays as it is."""
-    if value <= 0.0:
+def _count_deciding(days: int, distance: float, half: float) -> str:
+    """Return how many vehicle-days would decide if the gain stays as far from the limit as it is.
+
+    Examples
+    --------
+    >>> _count_deciding(100, 0.01, 0.02), _count_deciding(100, 0.03, 0.02)
+    ('; about 400 vehicle-days would decide, 100 are given', '; give more days')
+    >>> _count_deciding(100, 0.00001, 0.02)
+    '; even 100,000 vehicle-days would not decide'
+    """
+    if distance <= 0.0:
         return "; with more days, it may turn out not to help"
-    needed = days * (half / value) ** 2
-    if needed <= days or needed > MOST_DAYS:
-        return ""
+    needed = days * (half / distance) ** 2
+    if needed > MOST_DAYS:
+        return f"; even {MOST_DAYS:,.0f} vehicle-days would not decide"
+    if needed <= days:
+        return "; give more days"
     return f"; about {needed:,.0f} vehicle-days would decide, {days:,} are given"
 
 

@@ -1,6 +1,8 @@
 """`socast info` shows what wrote a recording."""
 
 import json
+from datetime import datetime
+from zoneinfo import ZoneInfo
 
 from mcap.writer import Writer
 
@@ -24,6 +26,18 @@ def test_info_shows_what_wrote_the_recording(tmp_path):
     assert f'written by socast {find_version()} simulate; prefix montreal; settings {{"seed":7}}' in out
     (about,) = json.loads((tmp_path / "info.json").read_text())["recordings"]
     assert about["metadata"] == {"version": find_version()} | metadata
+
+
+def test_info_shows_times_in_the_chosen_zone_and_names_it(tmp_path):
+    path = write_with_metadata(tmp_path / "r.mcap", {})
+    begin = json.loads(called("info", path, "--json", "-")[0])["recordings"][0]["begin"]
+    assert begin.endswith("+00:00")
+    local = datetime.fromisoformat(begin).astimezone(ZoneInfo("Asia/Kolkata"))
+    assert f"{local:%Y-%m-%d %H:%M:%S} to " in called("info", path, "--time-zone", "Asia/Kolkata")[0]
+    assert " IST, " in called("info", path, "--time-zone", "Asia/Kolkata")[0]
+    assert " UTC, " in called("info", path)[0]
+    _, err, code = called("info", path, "--time-zone", "Moon")
+    assert (code, "--time-zone is 'Moon', which is no time zone" in err) == (2, True)
 
 
 def test_info_prints_no_control_characters_of_metadata(tmp_path):

@@ -104,7 +104,7 @@ def _draw_change(place: int, one: Mapping[str, Any]) -> Illustration:
     made = make_figure([*ends, points, change], 340)
     begin, finish = one.get("since_ci90") or (one["since"], one["since"])
     made.add_vrect(x0=begin, x1=finish, fillcolor="#8a8a8a", opacity=0.18, line_width=0)
-    made.update_xaxes(title_text="Date")
+    made.update_xaxes(title_text="Date [UTC]")
     made.update_yaxes(title_text="Energy beyond the model [% of the energy]", zeroline=True)
     caption = (
         f"{describe_deviation(one)[0]}. Points: each shift by itself, with its standard error, for the most probable "

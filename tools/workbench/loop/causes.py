@@ -57,7 +57,7 @@ def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Mapping
             "probability": cause["probability"],
             "credible": cause["effect"] in credible,
             "words": CAUSE_NAMES.get(str(cause["effect"])),
-            "refused": tried.get(str(cause["effect"]), {}).get("reason"),
+            "tried": _describe_attempt(tried.get(str(cause["effect"]))),
             **_describe_candidate(str(cause["effect"]), ranked),
         }
         for cause in diagnosis.get("causes") or ()
@@ -128,6 +128,7 @@ def add_to_model(
     effect: str,
     *,
     scopes: Sequence[str] = (),
+    even_if_undecided: bool = False,
     force: bool = False,
     report: Report = lambda *_: None,
 ) -> dict[str, Any]:
@@ -142,6 +143,8 @@ def add_to_model(
         Name of an effect or of a variant.
     scopes : sequence of str
         Where the effect holds.
+    even_if_undecided : bool
+        Whether to add the effect even if the rides do not decide whether it helps.
     force : bool
         Whether to add the effect even if it does not help.
     report : callable
@@ -150,14 +153,15 @@ def add_to_model(
     Returns
     -------
     dict
-        `accepted`, `added` (also by force), the `trial`, the `model` after it, and the records of the model `before`
-        and `after`.
+        `accepted`, `added` (also if undecided or by force), the `trial`, the `model` after it, and the records of the
+        model `before` and `after`.
     """
     node = workspace.get_node(name)
     rides, windows = workspace.check_rides(node.model)
     report(0.0, "measuring the noise floor")
     added: AdditionTrial = try_effect(node.model, effect, scopes, rides, windows, report=report)
-    if force and not added.trial["accepted"]:
+    undecided = added.trial["outcome"] == UNDECIDED
+    if not added.trial["accepted"] and (force or (undecided and even_if_undecided)):
         added = force_addition(added)
     after = workspace.models.insert_trial(node.name, added)
     return {
@@ -167,9 +171,14 @@ def add_to_model(
         "model": after.name,
         "before": describe_model(workspace, node),
         "after": describe_model(workspace, after),
-        "command": add_command(workspace, node, effect, scopes, force=force),
+        "command": add_command(workspace, node, effect, scopes, even_if_undecided=even_if_undecided, force=force),
         "live_command": live_command(workspace, [node, after]) if after.name != node.name else "",
     }
+
+
+def _describe_attempt(entry: Mapping[str, Any] | None) -> dict[str, str] | None:
+    """Return the outcome of the last attempt that did not add an effect, and why; None without one."""
+    return entry and {"outcome": str(entry["action"]), "reason": str(entry.get("reason"))}
 
 
 def _describe_candidate(name: str, ranked: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

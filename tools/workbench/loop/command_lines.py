@@ -20,13 +20,20 @@ def diagnose_command(workspace: Workspace, node: ModelNode) -> str:
 
 
 def add_command(
-    workspace: Workspace, node: ModelNode, effect: str, scopes: Sequence[str] = (), *, force: bool = False
+    workspace: Workspace,
+    node: ModelNode,
+    effect: str,
+    scopes: Sequence[str] = (),
+    *,
+    even_if_undecided: bool = False,
+    force: bool = False,
 ) -> str:
     """Return the command that adds an effect to a model."""
     words = ["socast", "add", effect, *_data(workspace), *_models([node])]
     words += [word for scope in scopes for word in ("--scope", scope)]
     out = str(Path(node.path).with_name(f"{node.name}-{effect.partition('@')[0]}.json"))
-    return shlex.join([*words, *_effects(workspace), *(["--force"] if force else []), "-o", out])
+    also = ["--force"] if force else ["--even-if-undecided"] if even_if_undecided else []
+    return shlex.join([*words, *_effects(workspace), *also, "-o", out])
 
 
 def live_command(workspace: Workspace, nodes: Sequence[ModelNode]) -> str:

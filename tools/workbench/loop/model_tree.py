@@ -7,7 +7,7 @@ from threading import RLock
 from typing import Any, Final, NamedTuple
 
 from socast.core import models
-from socast.core.diagnose.add.add import AdditionTrial, log_attempt
+from socast.core.diagnose.add.add import REFUSED, UNDECIDED, AdditionTrial, log_attempt
 from socast.core.errors import ModelError, SettingsError
 from socast.core.models import LinearModel
 
@@ -177,7 +177,7 @@ class ModelTree:
             return node.parent
 
     def list_records(self) -> list[dict[str, Any]]:
-        """Return what the tree shows of each model."""
+        """Return what the tree shows of each model, with the errors on held-out days of the step that made it."""
         parents = {node.parent for node in self._nodes.values()}
         return [
             {
@@ -188,12 +188,8 @@ class ModelTree:
                 "recipe": node.model.recipe,
                 "file": str(node.file),
                 "path": node.path,
-                "effect": _find_last_addition(node.model).get("effect") if node.parent else None,
-                "refused": [
-                    str(entry["effect"])
-                    for entry in node.model.history
-                    if entry.get("action") in {"refused", "undecided"}
-                ],
+                **_describe_last_addition(node),
+                "tried": _count_attempts(node.model),
                 "removable": bool(node.parent) and node.name not in parents,
             }
             for node in self._nodes.values()
@@ -210,6 +206,19 @@ class ModelTree:
         while free in self._nodes or (self.folder / f"{free}{SUFFIX}").exists():
             free, place = f"{name}-{place}", place + 1
         return free
+
+
+def _describe_last_addition(node: ModelNode) -> dict[str, Any]:
+    """Return the effect that made a model of its parent, and the errors on held-out days before and after."""
+    entry = _find_last_addition(node.model) if node.parent else {}
+    return {name: entry.get(name) for name in ("effect", "mae_before_kwh", "mae_after_kwh")}
+
+
+def _count_attempts(model: LinearModel) -> dict[str, int]:
+    """Return how many effects were tried on a model after its last addition and not added, by outcome."""
+    actions = [entry.get("action") for entry in model.history]
+    last = max((i for i, action in enumerate(actions) if action == "add"), default=-1)
+    return {outcome: actions[last + 1 :].count(outcome) for outcome in (REFUSED, UNDECIDED)}
 
 
 def _find_last_addition(model: LinearModel) -> Mapping[str, Any]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from socast.core.diagnose.add.add import ADDED
 from socast.core.diagnose.add.error_fall import list_error_steps
 from socast.core.errors import SettingsError
 from socast.core.evaluate.compare.models import compare_predictions
@@ -27,15 +28,8 @@ from socast.tools.workbench.workspace import Report, Workspace
 
 
 def list_models(workspace: Workspace) -> dict[str, Any]:
-    """Return the tree of models, with the error of each on all rides."""
+    """Return the tree of models, and the folder of their files."""
     records = workspace.models.list_records()
-    for record in records:
-        record["mae_kwh"] = None
-    if records and workspace.is_ready:
-        compared = select_compared(workspace, workspace.models.list_nodes())
-        for record in records:
-            error = compared.predicted[record["name"]] - compared.measured
-            record["mae_kwh"] = float(abs(error).mean())
     return {"models": records, "folder": str(workspace.models.folder), "temporary": workspace.is_temporary}
 
 
@@ -70,7 +64,7 @@ def describe_model(workspace: Workspace, node: ModelNode) -> dict[str, Any]:
 
 
 def compare_two(workspace: Workspace, one: ModelNode, other: ModelNode) -> dict[str, Any]:
-    """Return the errors of two models on the same rides, and their difference.
+    """Return the errors of two models on the same rides, and the step between them if one was made of the other.
 
     Raises
     ------
@@ -84,6 +78,7 @@ def compare_two(workspace: Workspace, one: ModelNode, other: ModelNode) -> dict[
         "about": result["about"],
         "models": {name: {**result["models"][name], "worst": None, "by": None} for name in (one.name, other.name)},
         "difference": result["pairs"][0] if result["pairs"] else None,
+        "step": _find_step(one, other) or _find_step(other, one),
         "rides": result["rides"],
         "coefficients": {node.name: describe_model(workspace, node)["coefficients"] for node in (one, other)},
         "command": compare_command(workspace, [one, other]),
@@ -133,8 +128,16 @@ def export_model(node: ModelNode) -> dict[str, Any]:
     return {"file": f"{node.name}.json", "text": read_model_file(node).decode()}
 
 
+def _find_step(before: ModelNode, after: ModelNode) -> dict[str, Any] | None:
+    """Return the step that made a model of another, with its errors on held-out days; None where there is none."""
+    if after.parent != before.name:
+        return None
+    taken = [entry for entry in after.model.history if entry.get("action") == ADDED]
+    return _describe_step(taken[-1]) if taken else None
+
+
 def _describe_step(entry: Mapping[str, Any]) -> dict[str, Any]:
     """Return one attempt of the history of a model."""
     names = ("action", "effect", "scope", "mae_before_kwh", "mae_after_kwh", "change_kwh", "noise_floor_kwh", "final")
-    more = ("words", "reason", "forced", "coefficient", "gain", "rides", "first_date", "last_date")
+    more = ("words", "reason", "outcome", "forced", "coefficient", "gain", "rides", "first_date", "last_date")
     return {name: entry.get(name) for name in (*names, *more)}

@@ -6,7 +6,7 @@ import { number, quantity, signed } from "./format.js";
 import { command, fill, getReady, heading, modelChoice, nextStep, openWorkspace, progress, put, query } from "./loop.js";
 import { mountOwnEffects } from "./own-effects.js";
 import { bare, plain } from "./scales.js";
-import { drawStep, unitOf } from "./step.js";
+import { drawStep, heldOut, unitOf } from "./step.js";
 
 const LIKELY = 0.005;
 const WORDS = { "not there": "the data do not show it", "not identifiable beside the model": "the model can imitate it", "not in the data": "its signal was not recorded" };
@@ -100,9 +100,9 @@ function makeView(root, { state: first, workspace, context, redraw }) {
         class: cause.credible ? "credible" : null,
         "aria-pressed": cause.effect ? String(cause.name === chosen()) : null,
         disabled: !cause.effect,
-        title: cause.refused ? `not added: ${cause.refused}` : (WORDS[cause.status] ?? cause.status),
+        title: cause.tried ? `${cause.tried.outcome}: ${cause.tried.reason}` : (WORDS[cause.status] ?? cause.status),
         onclick: () => context.navigate({ effect: cause.name }),
-      }, el("span", {}, nameOf(cause), cause.refused && el("span", { class: "chip warn" }, "not added")), el("span", { class: "track" }, bar), el("span", { class: "value" }, share));
+      }, el("span", {}, nameOf(cause), cause.tried && el("span", { class: "chip warn" }, cause.tried.outcome)), el("span", { class: "track" }, bar), el("span", { class: "value" }, share));
     });
     put(list, 
       el("p", { class: "note small" }, "Blue: the credible set, which holds the largest cause in nine cases of ten."),
@@ -144,7 +144,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
         el("div", { class: "card-head" }, el("h2", {}, name.replaceAll("_", " ")), button),
         readOnly && el("p", { class: "note small" }, "This workbench is read-only; start socast serve without --read-only to add an effect."),
         el("p", {}, effect.summary.split(": P = ")[0], ". ", missing && missing.sentences[0].charAt(0).toUpperCase() + missing.sentences[0].slice(1) + "."),
-        cause.refused && el("p", { class: "warn" }, `Not added before: ${cause.refused}.`),
+        cause.tried && el("p", { class: "warn" }, `Tried before, ${cause.tried.outcome}: ${cause.tried.reason}.`),
         picture,
         el("dl", { class: "facts" },
           fact("formula", el("span", { class: "formula" }, effect.formula)),
@@ -164,19 +164,19 @@ function makeView(root, { state: first, workspace, context, redraw }) {
     });
   }
 
-  async function add(name, scopes, force = false) {
+  async function add(name, scopes, also = {}) {
     busy = true;
     document.getElementById("add")?.setAttribute("disabled", "");
     put(step, el("section", { class: "card" }, progress(`Adding ${name} to ${model}`)));
     step.scrollIntoView({ block: "center" });
     try {
-      const result = await context.job("/add", { model, effect: name, scopes, force }, (now) => {
+      const result = await context.job("/add", { model, effect: name, scopes, ...also }, (now) => {
         put(step, el("section", { class: "card" }, progress(`Adding ${name} to ${model}`, now)));
       });
       if (context.signal.aborted) return;
+      if (result.added) context.use(result.model, model); // first, as it changes the height of the head
       showStep(result, name, scopes);
-      if (result.added) context.use(result.model, model);
-      context.announce(result.added ? `${name} was added; the error falls from ${number(result.trial.mae_before_kwh, 4)} to ${number(result.trial.mae_after_kwh, 4)} kWh.` : `${name} was not added: ${result.trial.reason}.`);
+      context.announce(result.added ? `${name} was added; error of a ride on held-out days ${heldOut(result.trial)}.` : `${name} is ${result.trial.outcome}, and was not added: ${result.trial.reason}.`);
     } catch (error) {
       put(step, el("section", { class: "card" }, el("p", { class: "bad", role: "alert" }, error.message), el("button", { type: "button", onclick: () => put(step) }, "Close")));
     } finally {
@@ -196,14 +196,16 @@ function makeView(root, { state: first, workspace, context, redraw }) {
       ]
       : [
         el("button", { type: "button", onclick: () => { put(step); redraw(); } }, "Choose another"),
-        el("button", { type: "button", class: "quiet", onclick: () => add(name, scopes, true) }, "Add it all the same"),
+        result.trial.outcome === "undecided"
+          ? el("button", { type: "button", onclick: () => add(name, scopes, { even_if_undecided: true }) }, "Add even so")
+          : el("button", { type: "button", class: "quiet", onclick: () => add(name, scopes, { force: true }) }, "Add it by force"),
       ];
     const live = [result.live_command && command(result.live_command, "Run it as a shadow in service"), command(result.command)];
     drawStep(step, result, { actions, live });
     diagnosis.hidden = result.added; // it is that of the model before the step
     put(next, result.added
-      ? nextStep(`the error fell. See whether`, context.link({ page: "causes", model: result.model }), "another effect is missing")
-      : nextStep("the effect does not help, so the model stays as it is. Choose another candidate."));
+      ? nextStep("every page now shows the new model. See whether", context.link({ page: "causes", model: result.model }), "another effect is missing")
+      : nextStep(result.trial.outcome === "undecided" ? "the model stays as it is. Give more rides, choose another candidate, or add it even so." : "the effect does not help, so the model stays as it is. Choose another candidate."));
     step.scrollIntoView({ block: "start" });
   }
 

@@ -408,10 +408,10 @@ function short(text, most) {
 
 // A legend of names with their colours. A shape is "line", "dash", "dot" or "box".
 export function legendOf(named) {
-  const shape = ({ type, shape: given, colour, dash, tint }) => {
+  const shape = ({ type, shape: given, colour, dash, tint, open }) => {
     const paint = tint ?? `var(${colour ?? "--blue"})`;
     const kind = given ?? (type === "points" || type === "means" ? "dot" : type === "area" || type === "span" ? "box" : "line");
-    const drawn = kind === "dot" ? svg("circle", { cx: 11, cy: 7, r: 5, fill: paint })
+    const drawn = kind === "dot" ? svg("circle", open?.(0) ? { cx: 11, cy: 7, r: 4, fill: "none", stroke: paint, "stroke-width": 2 } : { cx: 11, cy: 7, r: 5, fill: paint })
       : kind === "box" ? svg("rect", { x: 1, y: 1, width: 20, height: 12, rx: 2, fill: paint, "fill-opacity": tint ? 1 : 0.3 })
         : svg("line", { x1: 0, x2: 22, y1: 7, y2: 7, stroke: paint, "stroke-width": 3, "stroke-dasharray": dash });
     return svg("svg", { width: 22, height: 14, "aria-hidden": "true" }, drawn);

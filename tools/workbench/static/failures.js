@@ -5,6 +5,7 @@ import { el, svg } from "./dom.js";
 import { number, quantity, signed } from "./format.js";
 import { changeFilter, choice, command, field, fill, filterBar, getReady, heading, modelChoice, nextStep, openWorkspace, put, query } from "./loop.js";
 import { categoryToken, extent, plain, sequential, token, withUnit } from "./scales.js";
+import { heldOut } from "./step.js";
 
 const MOST_COLOURS = 8;
 const LEVELS = [["windows", "minutes"], ["rides", "whole rides"]];
@@ -21,7 +22,9 @@ export function mount(root, first, context) {
       if (!workspace) return;
       const model = workspace.models.includes(state.model) ? state.model : workspace.first;
       const rides = await context.get(`/rides?${query({ model })}`);
-      view = makeView(root, { state, model, workspace, rides, context });
+      const { models } = await context.get("/models");
+      const step = models.find((each) => each.name === model && each.effect);
+      view = makeView(root, { state, model, workspace, rides, step, context });
     });
   }
 
@@ -37,7 +40,7 @@ export function mount(root, first, context) {
   };
 }
 
-function makeView(root, { state: first, model, workspace, rides, context }) {
+function makeView(root, { state: first, model, workspace, rides, step, context }) {
   let state = first;
   let plots = [];
   const located = [];
@@ -56,6 +59,8 @@ function makeView(root, { state: first, model, workspace, rides, context }) {
   put(root, 
     heading("Where it fails", "The residual is predicted less measured. Where its mean leaves zero, the model misses something.", modelChoice(workspace, state, context)),
     el("div", { class: "stack" },
+      step && el("p", { class: "step-line" }, "Adding ", el("strong", {}, step.effect.replaceAll("_", " ")), ` to ${step.parent}: error of a ride on held-out days `, el("strong", {}, heldOut(step)), `, ${signed(100 * (step.mae_after_kwh / step.mae_before_kwh - 1), 1)}\u202f%.`),
+      step && !workspace.seen.includes(parent) && el("p", { class: "note small" }, `${parent} was not fitted to these rides, and the step refitted all its terms: part of what lies between the two residuals is due to that. The errors above leave it out.`),
       nextStep("pick a chart to see the residual along that column, then ask", context.link({ page: "causes", model: state.model }), "what is missing"),
       el("section", { class: "card", "aria-label": "Survey" },
         el("div", { class: "card-head" }, el("h2", {}, "The residual along each column"), field("Mean over", "level", choice(LEVELS, level(), (value) => context.navigate({ level: value })))),
@@ -114,7 +119,7 @@ function makeView(root, { state: first, model, workspace, rides, context }) {
       grid.append(host);
       plots.push(chart(host, describeChart(record, facet, shared, tints)));
     }
-    if (record.facets.length > 1) charts.append(legendOf([{ name: level() === "rides" ? "ride" : "window", colour: "--sky", shape: "dot" }, { name: "mean with 95 % interval", colour: "--vermilion", shape: "dot" }]));
+    if (record.facets.length > 1) charts.append(legendOf([{ name: level() === "rides" ? "ride" : "window", colour: "--sky", shape: "dot" }, ...(pair() ? [{ name: `before, ${parent}`, colour: "--line-strong", shape: "dot", open: () => true }] : []), { name: pair() ? `now, ${model}` : "mean with 95 % interval", colour: "--vermilion", shape: "dot" }]));
     if (tints.legend) charts.append(tints.legend);
     const drawn = record.every > 1 ? ` One in ${record.every} is drawn.` : "";
     charts.append(el("p", { class: "note small" }, `${number(record.rows)} ${level() === "rides" ? "rides" : "windows of about a minute"}.${drawn} Means are of about equal numbers; bars are 95 % intervals by vehicle-day. Click a point to open its ride.`));

@@ -4,7 +4,7 @@ import { chart } from "./chart.js";
 import { el, picture } from "./dom.js";
 import { number, quantity, signed } from "./format.js";
 import { choice, command, field, fill, heading, nextStep, openWorkspace, progress, put, query } from "./loop.js";
-import { coefficients } from "./step.js";
+import { coefficients, heldOut, outcomeOf } from "./step.js";
 
 const ORIGINS = { given: "given", fitted: "fitted to these rides", added: "effect added", found: "from the folder" };
 const VERDICTS = { better: "good", worse: "bad", undecided: "warn" };
@@ -33,7 +33,8 @@ export function mount(root, first, context) {
         el("div", { class: "stack" },
           nextStep("choose a model to see its history, or", context.link({ page: "causes", model: name }), `ask what ${name} lacks`),
           el("div", { class: "grid top" },
-            el("nav", { class: "card span-4 tree", "aria-label": "Tree of models" }, el("h2", {}, "Versions"), branch(tree.models, "", name)),
+            el("nav", { class: "card span-4 tree", "aria-label": "Tree of models" }, el("h2", {}, "Versions"), branch(tree.models, "", name),
+              tree.models.some((each) => each.effect) && el("p", { class: "note small" }, "Error of a ride on held-out days, before → after the step.")),
             detail)));
       await fill(detail, `Reading ${name}`, context, () => (other ? drawComparison(detail, name, other, tree) : drawModel(detail, name, tree)));
     });
@@ -46,8 +47,8 @@ export function mount(root, first, context) {
     return el("ul", {}, own.map((each) => el("li", {},
       el("a", { class: "node", href: context.link({ page: "models", model: each.name }), "aria-current": each.name === chosen ? "true" : null },
         el("span", {}, el("strong", {}, each.effect ? `+ ${each.effect.replaceAll("_", " ")}` : each.name), " ", el("span", { class: "soft small" }, ORIGINS[each.origin])),
-        el("span", { class: "soft small" }, each.mae_kwh === null ? "" : quantity(each.mae_kwh, "kWh", 4)),
-        each.refused.length > 0 && el("span", { class: "chip warn" }, `${each.refused.length} refused`)),
+        each.effect && el("span", { class: "soft small" }, heldOut(each)),
+        Object.entries(each.tried).map(([outcome, count]) => count > 0 && el("span", { class: "chip warn" }, `${count} ${outcome}`)).filter(Boolean)),
       branch(models, each.name, chosen))));
   }
 
@@ -89,14 +90,15 @@ export function mount(root, first, context) {
 
   function drawSteps(steps) {
     if (!steps.length) return el("p", { class: "note" }, "No effect has been tried yet. Ask what is missing, and add it.");
-    return el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Steps" }, el("table", {},
+    const table = el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Steps" }, el("table", {},
       el("thead", {}, el("tr", {}, ["step", "result", "before, kWh", "after, kWh", "change, kWh"].map((words, i) => el("th", { class: i > 1 ? "number" : null, scope: "col" }, words)))),
       el("tbody", {}, steps.map((step, i) => el("tr", {},
         el("th", { scope: "row" }, `${i + 1}. ${step.effect.replaceAll("_", " ")}${step.scope && step.scope !== "all" ? ` (${step.scope})` : ""}`),
-        el("td", {}, el("span", { class: `chip ${step.action === "add" ? "good" : "warn"}` }, step.forced ? "added by force" : step.action === "add" ? "added" : step.action), " ", el("span", { class: "small soft wide-only" }, step.action === "add" ? step.words : step.reason)),
+        el("td", {}, el("span", { class: `chip ${outcomeOf(step)[1]}` }, outcomeOf(step)[0]), " ", el("span", { class: "small soft wide-only" }, step.action === "add" ? step.words : step.reason)),
         el("td", { class: "number" }, number(step.mae_before_kwh, 4)),
         el("td", { class: "number" }, number(step.mae_after_kwh, 4)),
         el("td", { class: "number" }, `${signed(step.change_kwh?.value, 4)}${step.change_kwh?.ci95 ? ` ± ${number(step.change_kwh.ci95, 4)}` : ""}`))))));
+    return [el("p", { class: "note small" }, "Mean absolute error of a ride on held-out days."), table];
   }
 
   async function drawComparison(host, name, other) {
@@ -105,7 +107,8 @@ export function mount(root, first, context) {
     const values = el("div", {});
     const shadow = el("div", {});
     const gain = record.difference?.difference_kwh;
-    const words = !gain ? "" : Math.abs(gain.value) > (gain.ci95 ?? Infinity)
+    const seen = [name, other].filter((each) => workspace.seen.includes(each));
+    const words = record.step ? `Adding ${record.step.effect.replaceAll("_", " ")} changed the error of a ride on held-out days: ${heldOut(record.step)}.` : !gain ? "" : Math.abs(gain.value) > (gain.ci95 ?? Infinity)
       ? `${gain.value > 0 ? other : name} is better by ${number(1000 * Math.abs(gain.value), 1)} ± ${number(1000 * gain.ci95, 1)} Wh per ride.`
       : `The difference, ${number(1000 * Math.abs(gain.value), 1)} ± ${number(1000 * (gain.ci95 ?? NaN), 1)} Wh per ride, may be due to chance.`;
     const rows = [name, other].map((each) => {
@@ -117,10 +120,11 @@ export function mount(root, first, context) {
       el("section", { class: "card stack", "aria-label": "Comparison" },
         el("div", { class: "card-head" }, el("h2", {}, `${name} and ${other}`), el("a", { class: "button", href: context.link({ page: "models", model: name }) }, "Close")),
         el("p", {}, words),
+        el("p", { class: "note small" }, `The table: errors on the same ${number(record.about.rides)} rides${seen.length ? `, in sample for ${seen.join(" and ")}` : ""}.`),
         el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Errors" }, el("table", {},
           el("thead", {}, el("tr", {}, ["model", "error, kWh", "bias, kWh", "of the energy", "within ±10 %"].map((head, i) => el("th", { class: i ? `number ${i === 2 ? "wide-only" : ""}` : null, scope: "col" }, head)))),
           el("tbody", {}, rows))),
-        el("p", { class: "note small" }, `On the same ${number(record.about.rides)} rides. Models that were fitted to these rides look better on them than on others.`),
+        seen.length > 0 && el("p", { class: "note small" }, "In sample: fitted to rides of these dates, on which a model looks better than on others."),
         scatter),
       el("section", { class: "card stack", "aria-label": "Shadow" },
         el("h2", {}, "Run as a shadow"),

@@ -110,7 +110,7 @@ async function mountRides(body, { state, model, workspace, context }) {
     const half = (estimate) => (estimate.ci95 === null ? "" : `± ${number(estimate.ci95, 3)}`);
     put(figures, 
       one("rides", number(errors.rides)),
-      one("mean absolute error of a ride", quantity(errors.mae_kwh.value, "kWh", 3), half(errors.mae_kwh)),
+      one(`mean absolute error of a ride${workspace.seen.includes(model) ? ", in sample" : ""}`, quantity(errors.mae_kwh.value, "kWh", 3), half(errors.mae_kwh)),
       one("of the energy", quantity(100 * errors.relative, "%", 1)),
       one("bias", `${signed(errors.bias_kwh.value, 3)}\u202fkWh`, half(errors.bias_kwh)),
       one("within ±10 %", quantity(100 * errors.within[10], "%", 0)),
@@ -170,7 +170,8 @@ async function mountRides(body, { state, model, workspace, context }) {
     heading("Rides", words, modelChoice(workspace, state, context)),
     nextStep("open a ride that is far off the line, or find out", context.link({ page: "failures", model: state.model }), "where the model fails"),
     workspace.notes.length > 0 && el("p", { class: "note" }, workspace.notes.join(" ")),
-    el("section", { class: "card", "aria-label": "Errors" }, figures),
+    el("section", { class: "card", "aria-label": "Errors" }, figures,
+      workspace.seen.includes(model) && el("p", { class: "note small" }, `In sample: ${model} was fitted to rides of these dates, on which it looks better than on others. The page Models has its errors on held-out days.`)),
     el("div", { class: "grid" },
       el("section", { class: "card span-6" }, el("h2", {}, "Predicted against measured"), scatter, el("p", { class: "note small" }, "Drag a box to select rides; click a point to open its ride."), filters),
       el("section", { class: "card span-6" }, list)),

@@ -7,7 +7,6 @@ import { put } from "./loop.js";
 import { bare, estimate, plain } from "./scales.js";
 
 const HELD_OUT = [
-  ["of_effect", "held-out days, effect refitted"],
   ["on_days", "held-out days, all refitted"],
   ["on_vehicles", "held-out vehicles, all refitted"],
   ["final", "final hold-out days"],
@@ -15,7 +14,19 @@ const HELD_OUT = [
 
 export const unitOf = (unit) => (unit === "1" ? "" : (unit ?? "").replaceAll("^2", "²").replaceAll("^3", "³").replaceAll("*", "·"));
 
-// A table of the errors before and after, on rides that the fit did not use.
+// The errors of a ride before and after a step, on held-out days: the one pair of numbers by which every page tells it.
+export function heldOut({ mae_before_kwh: before, mae_after_kwh: after }) {
+  if (!Number.isFinite(before) || !Number.isFinite(after)) return "not known";
+  return `${number(before, 4)} → ${quantity(after, "kWh", 4)}`;
+}
+
+// What became of an effect that was tried, and the colour of it.
+export function outcomeOf({ action, outcome, forced }) {
+  if (action === "add") return forced ? [outcome === "undecided" ? "added, undecided" : "added by force", "warn"] : ["added", "good"];
+  return [action ?? outcome, "warn"];
+}
+
+// A table of the errors before and after by other ways to hold rides out, which check the step.
 export function errorTable(trial) {
   const rows = HELD_OUT.filter(([key]) => trial[key]).map(([key, words]) => {
     const one = trial[key];
@@ -29,7 +40,6 @@ export function errorTable(trial) {
   });
   const head = ["evaluated on", "rides", "before, kWh", "after, kWh", "change, kWh", "%"];
   return el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Errors before and after" }, el("table", { class: "errors" },
-    el("caption", {}, "Mean absolute error of a ride"),
     el("thead", {}, el("tr", {}, head.map((words, i) => el("th", { class: i ? `number ${i === 1 ? "wide-only" : ""}` : null, scope: "col" }, words)))),
     el("tbody", {}, rows)));
 }
@@ -81,22 +91,25 @@ export function coefficients(host, models) {
 export function drawStep(host, record, { actions, live }) {
   const { trial } = record;
   const helps = record.accepted;
-  const title = helps ? `${trial.effect} was added` : record.added ? `${trial.effect} was added by force` : trial.outcome === "undecided" ? `${trial.effect} is undecided` : `${trial.effect} was refused`;
+  const undecided = trial.outcome === "undecided";
+  const name = trial.effect.replaceAll("_", " ");
+  const title = helps ? `${name} was added` : record.added ? `${name} was added ${undecided ? "though undecided" : "by force"}` : undecided ? `${name} is undecided` : `${name} was refused`;
+  const lead = !undecided ? "" : `These rides do not show whether ${name} helps${record.added ? "" : ", so nothing was added"}: `;
+  const reason = lead ? trial.reason : `${trial.reason.charAt(0).toUpperCase()}${trial.reason.slice(1)}`;
   const values = el("div", {});
   const fall = -100 * (trial.of_effect?.fall ?? 0);
   put(host, el("section", { class: "card stack step", "aria-label": "Step" },
-    el("div", { class: `verdict ${helps ? "good" : "bad"}`, role: "status" },
+    el("div", { class: `verdict ${helps ? "good" : "warn"}`, role: "status" },
       el("h2", {}, title),
-      el("p", {}, `${trial.reason.charAt(0).toUpperCase()}${trial.reason.slice(1)}.`),
+      el("p", {}, `${lead}${reason}.`),
       record.added && el("p", {}, `${trial.words.charAt(0).toUpperCase()}${trial.words.slice(1)}.`)),
     el("p", { class: "big-step" },
-      `${number(trial.mae_before_kwh, 4)} → ${quantity(trial.mae_after_kwh, "kWh", 4)}`,
+      heldOut(trial),
       el("span", { class: "soft small" }, `mean absolute error of a ride on held-out days, ${signed(fall, 1)}\u202f%; measurement noise alone ${quantity(trial.noise_floor_kwh, "kWh", 4)}`)),
     el("div", { class: "row" }, actions),
     (trial.warnings ?? []).map((line) => el("p", { class: "warn" }, line.replace(/^\*: /, ""))),
-    el("div", { class: "grid" },
-      el("div", { class: "span-5 stack" }, el("h3", {}, helps ? "The error falls towards the noise" : "Error before and after each step"), record.after.picture && picture(record.after.picture)),
-      el("div", { class: "span-7 stack" }, el("h3", {}, "On rides that the fit did not use"), errorTable(trial), el("p", { class: "note small" }, "± is half of the 95 % interval. The final hold-out days decide nothing."))),
+    el("div", {}, el("h3", {}, helps ? "The error falls towards the noise" : "Error before and after each step"), record.after.picture && picture(record.after.picture)),
+    el("details", { class: "same" }, el("summary", {}, "Checks: all terms refitted, other vehicles, final hold-out days"), el("p", { class: "note small" }, "Mean absolute error of a ride, by other ways to hold rides out."), errorTable(trial), el("p", { class: "note small" }, "In the numbers above, the coefficient of the effect is fitted without the held-out days. ± is half of the 95 % interval. The final hold-out days decide nothing.")),
     record.added && el("div", {}, el("h3", {}, "Coefficients before and after"), values),
     live));
   return record.added ? [coefficients(values, [record.before, record.after])] : [];

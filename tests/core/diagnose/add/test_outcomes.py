@@ -27,7 +27,9 @@ def make_results(gain, p, change, *, on_days=(-0.01, 0.005), on_vehicles=None):
         pytest.param(make_results((0.2, 0.05), 1e-6, (0.01, 0.02)), UNDECIDED, "grows: by 10 ± 20 Wh", id="may grow"),
         pytest.param(make_results((0.2, 0.05), 1e-6, (0.03, 0.02)), REFUSED, "grows by at least 0.01", id="grows"),
         pytest.param(make_results((0.0, 0.001), 0.7, (0.0, 0.01)), REFUSED, "not worth a term", id="explains nothing"),
-        pytest.param(make_results((0.001, 0.01), 0.3, (0.0, 0.01)), UNDECIDED, "not worth", id="may explain"),
+        pytest.param(
+            make_results((0.001, 0.01), 0.3, (0.0, 0.01)), UNDECIDED, "about 10,000 vehicle-days", id="may explain"
+        ),
         pytest.param(make_results((0.05, 0.1), 0.3, (-0.02, 0.01)), UNDECIDED, "p = 0.3; about 400", id="by chance"),
         pytest.param(make_results((0.2, nan), 1e-6, (-0.02, nan)), UNDECIDED, "give more days", id="one day"),
         pytest.param(

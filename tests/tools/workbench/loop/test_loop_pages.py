@@ -86,17 +86,24 @@ def test_pages_lead_from_the_rides_to_the_fallen_error_and_back(visit):
     page.get_by_role("button", name="Add headwind").click()
     step = page.get_by_role("region", name="Step")
     step.get_by_role("heading", name="headwind was added").wait_for()
-    before, after = step.locator(".big-step").inner_text().split("kWh")[0].split("→")
+    pair = step.locator(".big-step").inner_text().split("kWh")[0].strip()
+    before, after = pair.split("→")
     assert float(after) < float(before)
     in_use = page.locator("#in-use")
     assert "extended_physical-headwind" in in_use.inner_text()
     step.get_by_role("link", name="See where it failed").click()
     page.get_by_text("before, extended_physical").first.wait_for()
     assert page.locator('.survey path[stroke-dasharray="3 3"]').count() > 3
+    assert pair in page.locator(".step-line").inner_text()
     in_use.get_by_role("button", name="back to extended_physical").click()
     visit.wait("location.hash.includes('model=extended_physical') && !location.hash.includes('headwind')")
     in_use.get_by_role("button", name="back to extended_physical-headwind").click()
     page.get_by_role("link", name="Models", exact=True).click()
+    page.get_by_role("region", name="Steps").get_by_text(after.strip()).wait_for()
+    assert pair in page.locator(".tree").inner_text()
+    page.get_by_role("combobox", name="Compare with").select_option("extended_physical")
+    assert pair in page.get_by_role("region", name="Comparison").inner_text()
+    page.get_by_role("region", name="Comparison").get_by_role("link", name="Close").click()
     page.get_by_role("button", name="Undo").click()
     visit.wait("document.getElementById('in-use').hidden && !location.hash.includes('headwind')")
 
@@ -109,6 +116,22 @@ def test_refused_effect_says_why_and_stays_in_the_history(visit):
     page.get_by_text(re.compile("not worth a term|grows by at least")).first.wait_for()
     visit.go("#/models")
     page.get_by_role("region", name="Steps").get_by_text("refused", exact=True).wait_for()
+
+
+def test_undecided_effect_says_what_would_decide_and_can_be_added_even_so(visit):
+    page = visit.page
+    visit.go("#/causes?effect=cornering")
+    page.get_by_role("button", name="Add cornering").click()
+    step = page.get_by_role("region", name="Step")
+    step.get_by_role("heading", name="cornering is undecided").wait_for()
+    verdict = step.get_by_role("status").inner_text()
+    assert "do not show whether cornering helps" in verdict
+    assert "vehicle-days would decide" in verdict
+    step.get_by_role("button", name="Add even so").click()
+    step.get_by_role("heading", name="cornering was added though undecided").wait_for()
+    assert "--even-if-undecided" in step.get_by_text("socast add cornering").text_content()
+    step.get_by_role("button", name="Undo").click()
+    page.get_by_text("Undone: extended_physical-cornering is removed").wait_for()
 
 
 def test_ride_opens_by_keyboard_and_shows_where_it_diverges(visit):

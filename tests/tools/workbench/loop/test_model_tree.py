@@ -61,7 +61,7 @@ def test_refused_effect_is_logged_and_the_model_stays(tree):
     assert after.name == "base"
     assert after.model.version == tree.find("base").model.version
     assert models.load(after.file).history[-1]["effect"] == "cornering"
-    assert tree.list_records()[0]["refused"] == ["cornering"]
+    assert tree.list_records()[0]["tried"] == {"refused": 1, "undecided": 0}
 
 
 def test_undo_removes_the_last_model_and_its_file(tree):
