@@ -3,7 +3,7 @@
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import stdtr, stdtrit
 
 from socast.core.batch import Floats, Ints
 
@@ -20,12 +20,15 @@ class BinMeans(NamedTuple):
         Weighted mean.
     ci95 : (b,) float
         Half width of its 95 % interval; NaN where a bin holds too few vehicle-days.
+    p : (b,) float
+        Probability of a mean at least as far from zero by chance; NaN where there is no interval. [1]
     windows, days : (b,) int64
         Number of windows and of vehicle-days.
     """
 
     value: Floats
     ci95: Floats
+    p: Floats
     windows: Ints
     days: Ints
 
@@ -71,10 +74,12 @@ def average_in_bins(place: Ints, bins: int, values: Floats, weight: Floats, day:
     error = np.sqrt(np.bincount(bin_of_pair, sums**2 / rest, bins)) / total
     freedom = 1.0 / np.bincount(bin_of_pair, share**2, bins) - 1.0
     enough = freedom >= LEAST_FREEDOM
-    half = np.where(enough, stdtrit(np.maximum(freedom, LEAST_FREEDOM), 0.975) * error, np.nan)
-    return BinMeans(
-        mean, half, np.bincount(place, minlength=bins).astype(np.int64), np.bincount(bin_of_pair, minlength=bins)
-    )
+    freedom = np.maximum(freedom, LEAST_FREEDOM)
+    half = np.where(enough, stdtrit(freedom, 0.975) * error, np.nan)
+    apart = np.divide(np.abs(mean), error, out=np.where(mean == 0.0, 0.0, np.inf), where=error > 0.0)
+    p = np.where(enough, 2.0 * stdtr(freedom, -apart), np.nan)
+    windows = np.bincount(place, minlength=bins).astype(np.int64)
+    return BinMeans(mean, half, p, windows, np.bincount(bin_of_pair, minlength=bins))
 
 
 def split_at_quantiles(values: Floats, most: int) -> tuple[Ints, int]:

@@ -1,7 +1,8 @@
 """Average the residual of a model in bins along every column, and say along which it differs from zero.
 
 The residuals are those of windows, because what meets a car on the way out and on the way home, such as wind, cancels
-over a ride. Intervals are clustered by vehicle-day, and the rate of false discoveries is controlled over all columns.
+over a ride. Intervals are clustered by vehicle-day. The rate of false discoveries is controlled over all columns, and
+among bins over those of all columns.
 """
 
 from typing import Any, Final, NamedTuple
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.bin_means import average_in_bins, split_at_quantiles
-from socast.core.diagnose.dataset import Windows
+from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.shown_columns import CATEGORIES, NUMBERS, ShownColumn, describe_column, list_columns
 from socast.core.evaluate.compare import ride_wind
+from socast.core.models import LinearModel
 from socast.core.stats.multiple_testing import adjust_false_discovery
 
 BINS: Final = 12
@@ -28,7 +30,7 @@ LEAST_ROWS: Final = 5
 FLIPS, FLIPS_AT_ONCE = 20, 100
 """Number of times that the signs of vehicle-days are flipped at random: so many blocks of so many."""
 SIGNIFICANCE: Final = 0.05
-"""Rate of false discoveries below which the residual varies along a column beyond chance. [1]"""
+"""Rate of false discoveries below which a column varies, or a bin differs from zero, beyond chance. [1]"""
 
 
 class ColumnResiduals(NamedTuple):
@@ -56,6 +58,34 @@ class ColumnResiduals(NamedTuple):
     unit: str
 
 
+def survey_model(
+    rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel, kept: set[str] | None = None
+) -> dict[str, Any]:
+    """Return where a model fails on the windows of rides.
+
+    Parameters
+    ----------
+    rides, windows : DataFrame
+        The tables of the same recordings.
+    model : LinearModel
+        The model.
+    kept : set of str, optional
+        Keys of the rides to look at; all without it.
+
+    Returns
+    -------
+    dict
+        `unit` of the residual, number of `windows`, and the `charts` of `survey_columns`.
+
+    Raises
+    ------
+    ModelError
+        As `socast.core.diagnose.dataset.gather_windows` does.
+    """
+    seen = read_window_residuals(gather_windows(rides, windows, model), kept)
+    return {"unit": seen.unit, "windows": len(seen.value), "charts": survey_columns(seen)}
+
+
 def read_window_residuals(seen: Windows, kept: set[str] | None = None) -> ColumnResiduals:
     """Return the residuals of the windows of rides; of all, or of those whose keys are kept."""
     rows = np.arange(len(seen.ride))
@@ -78,10 +108,10 @@ def survey_columns(seen: ColumnResiduals) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        For each `column` its `bins` (see `bin_residual`); `outside`, the number of bins `of` all with an interval that
-        excludes zero; `spread`, the root mean square of the means beyond what their standard errors cause; and `q`, the
-        rate of false discoveries if all columns that vary at least as significantly were reported. The largest spread
-        comes first.
+        For each `column` its `bins` (see `bin_residual`), each with `q`, the rate of false discoveries if all bins of
+        all columns that are at least as significantly off zero were reported; `outside`, the number of bins `of` all
+        with an interval for which this rate is below `SIGNIFICANCE`; `spread`, the root mean square of the means beyond
+        what their standard errors cause; and `q`, the rate for columns that vary. The largest spread comes first.
 
     Notes
     -----
@@ -98,15 +128,28 @@ def survey_columns(seen: ColumnResiduals) -> list[dict[str, Any]]:
     for column, values in seen.columns:
         rows, place = _place_in_bins(column, values, np.arange(len(values)))
         bins = bin_residual(seen, column, values, np.arange(len(values)))
-        pairs = [(mean, half) for mean, half in zip(bins["mean"], bins["ci95"], strict=True) if half]
-        if len(pairs) > 1:
-            outside = sum(abs(mean) > half for mean, half in pairs)
-            chart = {"column": describe_column(column), "bins": bins, "outside": outside, "of": len(pairs)}
+        known = np.array([bool(half) for half in bins["ci95"]])
+        if known.sum() > 1:
+            chart = {"column": describe_column(column), "bins": bins, "of": int(known.sum())}
             charts.append(chart | {"spread": _measure_spread(bins)})
-            p.append(_test_means(seen, rows, place, np.array([bool(half) for half in bins["ci95"]])))
+            p.append(_test_means(seen, rows, place, known))
     for chart, q in zip(charts, adjust_false_discovery(np.array(p)).tolist(), strict=True):
         chart["q"] = q
+    _adjust_bins(charts)
     return sorted(charts, key=lambda chart: -chart["spread"])
+
+
+def _adjust_bins(charts: list[dict[str, Any]]) -> None:
+    """Insert the rate of false discoveries of every bin, over the bins of all columns, and count those off zero."""
+    p = []
+    for chart in charts:
+        bins = chart["bins"]
+        p += [each if half else None for each, half in zip(bins.pop("p"), bins["ci95"], strict=True)]
+    rates = iter(adjust_false_discovery(np.array(p, dtype=np.float64)).tolist())
+    for chart in charts:
+        q = [next(rates) for _ in chart["bins"]["mean"]]
+        chart["bins"]["q"] = [each if np.isfinite(each) else None for each in q]
+        chart["outside"] = sum(each < SIGNIFICANCE for each in q)  # NaN is not
 
 
 def bin_residual(seen: ColumnResiduals, column: ShownColumn, along: Any, rows: Ints) -> dict[str, Any]:
@@ -125,12 +168,12 @@ def bin_residual(seen: ColumnResiduals, column: ShownColumn, along: Any, rows: I
     Returns
     -------
     dict
-        In bins: `x` (mean, or name), `low` and `high` ends, `mean` and half width `ci95` of its interval, numbers of
-        `rows` and of vehicle-`days`.
+        In bins: `x` (mean, or name), `low` and `high` ends, `mean`, half width `ci95` of its interval and probability
+        `p` of a mean so far from zero by chance, numbers of `rows` and of vehicle-`days`.
     """
     rows, place = _place_in_bins(column, along, rows)
     if not len(rows):
-        return {name: [] for name in ("x", "low", "high", "mean", "ci95", "rows", "days")}
+        return {name: [] for name in ("x", "low", "high", "mean", "ci95", "p", "rows", "days")}
     values, bins = along[rows], int(place.max()) + 1
     ends: list[Any] = [[], []]
     if column.unit:
@@ -145,6 +188,7 @@ def bin_residual(seen: ColumnResiduals, column: ShownColumn, along: Any, rows: I
         "high": ends[1],
         "mean": means.value.tolist(),
         "ci95": [half if np.isfinite(half) else None for half in means.ci95.tolist()],
+        "p": [each if np.isfinite(each) else None for each in means.p.tolist()],
         "rows": means.windows.tolist(),
         "days": means.days.tolist(),
     }

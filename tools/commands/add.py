@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import pandas as pd
 import typer
@@ -11,6 +11,7 @@ from socast.core import models
 from socast.core.diagnose.add import add
 from socast.core.diagnose.add.terms import build_term_columns
 from socast.core.diagnose.ranking import LEAST_GAIN
+from socast.core.diagnose.residual_survey import survey_model
 from socast.core.errors import ModelError
 from socast.core.fit.measured_rows import join_tables
 from socast.core.models import LinearModel
@@ -21,6 +22,7 @@ from socast.tools.terminal.cleaning_options import insert_cleaning_options, refu
 from socast.tools.terminal.elapsed_time import show_elapsed
 from socast.tools.terminal.output import (
     EffectFiles,
+    HtmlFile,
     JsonFile,
     VehicleFiles,
     check_outputs,
@@ -60,6 +62,7 @@ def add_effect(
     settings: Settings,
     least_gain: LeastGain = LEAST_GAIN,
     json_file: JsonFile = None,
+    html_file: HtmlFile = None,
 ) -> None:
     """Add an effect to a model, refit it, and compare the errors on held-out days and vehicles."""
     from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
@@ -68,14 +71,21 @@ def add_effect(
     base = models.load(model)
     build_term_columns(effect, scope or ())  # refuses a wrong scope before the rides are read
     check_outputs(
-        [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())], out, json_file
+        [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())],
+        out,
+        json_file,
+        html_file,
     )
     tables = read_tables(rides, base, settings)
     with show_elapsed("fitting with and without the effect"):
         added = try_effect(base, effect, scope or (), *tables, least=least_gain)
     write_json(json_file, "add", added.trial)
     console = make_console(json_file)
+    if html_file:
+        history.write_trial(added.trial, survey_both(base, added.model, *tables), html_file)
     history.print_trial(added.trial, console)
+    if html_file:
+        console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)
     if not added.trial["accepted"]:
         undecided = added.trial["outcome"] == add.UNDECIDED
         if not (force or (undecided and even_if_undecided)):
@@ -89,6 +99,16 @@ def add_effect(
     models.save(added.model, out)
     message = f"{out}: {base.name} with {effect}, version {added.model.version}; show its steps: socast history {out}"
     console.print(message, markup=False, highlight=False, soft_wrap=True)
+
+
+def survey_both(
+    before: LinearModel, after: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame
+) -> list[dict[str, Any]]:
+    """Return where two models fail on the windows of rides; an empty list where the windows do not show it."""
+    try:
+        return [survey_model(rides, windows, model) for model in (before, after)]
+    except ModelError:
+        return []
 
 
 def try_effect(

@@ -12,8 +12,7 @@ import pyarrow.parquet as pq
 import typer
 
 from socast.core import models
-from socast.core.diagnose.dataset import gather_windows
-from socast.core.diagnose.residual_survey import read_window_residuals, survey_columns
+from socast.core.diagnose.residual_survey import survey_model
 from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.compare.datasets import compare_datasets
 from socast.core.evaluate.compare.models import ComparedRides, compare_predictions, select_rides
@@ -176,11 +175,10 @@ def _find_failures(
     """Return where the windows of the compared rides show that the first model fails; why not, where they cannot."""
     label, model = next(iter(chosen.items()))
     try:
-        seen = gather_windows(*read_all(), model)
+        survey = survey_model(*read_all(), model, set(compared.rides["ride_key"].astype(str)))
     except (ModelError, SettingsError) as error:
         return {"model": label, "why_not": str(error), "charts": []}
-    kept = read_window_residuals(seen, set(compared.rides["ride_key"].astype(str)))
-    return {"model": label, "unit": kept.unit, "windows": len(kept.value), "charts": survey_columns(kept)}
+    return {"model": label, **survey}
 
 
 def _trace_worst(

@@ -1,20 +1,21 @@
 """Show the trial of one effect and the history of a model, in the terminal and as an HTML page."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
 from rich.text import Text
 
-from socast.core.diagnose.add.error_fall import ATTEMPTS, list_error_steps, read_step
+from socast.core.diagnose.add.error_fall import ATTEMPTS, ErrorStep, list_error_steps, read_step
 from socast.core.evaluate.paper.results import to_json_values
 from socast.core.formatting import format_minus
 from socast.core.models import LinearModel
 from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_signed
+from socast.tools.report.comparison.failures import illustrate_change
 from socast.tools.report.diagnosis.sentences import describe_coefficient, format_energy
 from socast.tools.report.error_fall import CAPTION, draw_error_fall, print_error_fall
-from socast.tools.report.evaluation.illustrations import Drawing
+from socast.tools.report.evaluation.illustrations import Drawing, Illustration
 from socast.tools.report.evaluation.result import get_half_width, get_mapping, get_number
 from socast.tools.report.evaluation.sections import Section
 from socast.tools.report.evaluation.terminal import print_section
@@ -54,6 +55,35 @@ def print_trial(trial: Any, console: Console) -> None:
     for line in entry.get("warnings") or ():
         console.print(Text(f"warning: {line}", style="yellow"))
     console.print(Text(_outcome(entry), style="bold"))
+
+
+def write_trial(trial: Any, surveys: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Write the trial of an effect as an HTML page that loads no other file.
+
+    Parameters
+    ----------
+    trial : mapping
+        The trial of an `AdditionTrial`.
+    surveys : sequence of mapping
+        Where the model fails before and after, as `socast.core.diagnose.residual_survey.survey_model` returns it; empty
+        where this is unknown.
+    path : Path
+        File to write.
+    """
+    entry = to_json_values(trial)
+    errors, *_ = build_trial_sections(entry)
+    text = " ".join(f"{line}." for line in (*describe_coefficients(entry), *(entry.get("warnings") or ())))
+    changes = illustrate_change(*surveys) if surveys else []
+    sections = [
+        Section("fall", "Error above the noise", _outcome(entry), []),
+        *([Section("change", "Where it fails, before and after", "", [])] if changes else []),
+        errors._replace(title="Before and after", text=text, tables=errors.tables[:1]),
+        errors._replace(key="conditions", title="By condition", tables=errors.tables[1:], closed=True),
+    ]
+    drawn: dict[str, Sequence[Illustration | Drawing]] = {"fall": _draw_steps([read_step(entry)]), "change": changes}
+    made_by = "<p>Made by <code>socast add</code>.</p>"
+    shown = [section for section in sections if section.tables or drawn.get(section.key) or section.key == "fall"]
+    save(render_document("add", errors.title, "", shown, lambda key: drawn.get(key, []), made_by), path)
 
 
 def describe_coefficients(trial: Entry) -> list[str]:
@@ -255,7 +285,12 @@ def _describe_attempt(entry: Entry) -> str:
 
 def draw_errors(model: LinearModel) -> list[Drawing]:
     """Return the picture of the error before and after each step, in a list that is empty without a step."""
-    svg = draw_error_fall(list_error_steps(model.history))
+    return _draw_steps(list_error_steps(model.history))
+
+
+def _draw_steps(steps: Sequence[ErrorStep]) -> list[Drawing]:
+    """Return the picture of the error before and after steps, in a list that is empty without one."""
+    svg = draw_error_fall(steps)
     return [Drawing("falling", "Error before and after each step", CAPTION, svg)] if svg else []
 
 

@@ -87,7 +87,7 @@
     return Plotly.newPlot(div, data, layout, { displayModeBar: false }).then(() => fit(plot));
   }
 
-  const waitingFigures = () => [...document.querySelectorAll("figure:not(.drawn)")];
+  const waitingFigures = () => [...document.querySelectorAll("figure:has(.plot):not(.drawn)")];
 
   function show(figure) {
     if (figure.classList.contains("drawn")) return;
@@ -129,5 +129,5 @@
     (entries) => entries.filter((entry) => entry.isIntersecting).forEach((entry) => show(entry.target)),
     { rootMargin: "1000px 0px" },
   );
-  document.querySelectorAll("figure").forEach((figure) => near.observe(figure));
+  waitingFigures().forEach((figure) => near.observe(figure));
 })();

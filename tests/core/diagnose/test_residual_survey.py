@@ -41,6 +41,11 @@ def test_columns_without_an_effect_are_seldom_named():
     assert np.mean(named) <= 0.1  # 5 % are expected
 
 
+def test_bins_without_an_effect_are_seldom_marked():
+    marked = [any(chart["outside"] for chart in survey_columns(make_residuals(seed))) for seed in range(100)]
+    assert np.mean(marked) <= 0.1  # 5 % are expected
+
+
 def test_bias_that_is_the_same_everywhere_belongs_to_no_column():
     seen = make_residuals(5)
     charts = survey_columns(seen._replace(value=seen.value + 1000.0))

@@ -50,6 +50,11 @@ def here(folder, tmp_path) -> Path:
     return tmp_path
 
 
+def read_parts(path: Path) -> list[str]:
+    """Return the identifiers of a page."""
+    return re.findall(r'id="([^"]+)"', path.read_text(encoding="utf-8"))
+
+
 def adding(here: Path, effect: str, *more: object) -> tuple[object, ...]:
     return "add", effect, here / "tables", "--model", here / "base.json", "-o", here / "m2.json", *more
 
@@ -381,3 +386,24 @@ def test_diagnosis_since_a_date_reads_later_rides_only(here, monkeypatch):
 )
 def test_wrong_date_and_findings_of_the_loop_are_refused(here, capsys, more, part):
     assert part in refused(capsys, "diagnose", here / "tables", "--model", here / "base.json", *more)
+
+
+def test_page_of_an_added_effect_shows_error_and_failures_before_and_after(here, capsys):
+    done(*adding(here, "cold_rolling", "--html", here / "a.html"))
+    assert f"report in {here / 'a.html'}" in capsys.readouterr().out
+    assert {"fall", "figure-falling", "change", "figure-change-0", "trial", "conditions"} <= set(
+        read_parts(here / "a.html")
+    )
+    text = (here / "a.html").read_text(encoding="utf-8")
+    assert "cold_rolling helps: it explains" in text
+    assert "Made by <code>socast add</code>" in text
+
+
+def test_page_of_a_refused_effect_is_written_too(here, capsys):
+    refused(capsys, *adding(here, "headwind", "--html", here / "a.html"))
+    assert "headwind does not help" in (here / "a.html").read_text(encoding="utf-8")
+
+
+def test_page_of_an_effect_that_would_overwrite_the_model_is_refused(here, capsys):
+    message = refused(capsys, *adding(here, "cold_rolling", "--html", here / "base.json"))
+    assert "is read and would be overwritten" in message

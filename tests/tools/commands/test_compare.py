@@ -18,6 +18,7 @@ from socast.tools.report.comparison.figures import get_model_style
 from socast.tools.report.comparison.page import MOST_COMMANDS
 from socast.tools.report.evaluation.sections import Section
 from socast.tools.report.evaluation.terminal import print_section
+from tests.support.browsers import WIDE, open_browser
 from tests.support.commands import called, done
 from tests.support.html_pages import assert_axes_are_titled, read_figures, read_page
 from tests.support.paths import RECORDINGS, ROOT
@@ -149,18 +150,28 @@ def test_first_words_tell_the_error_against_the_noise_and_where_it_is_largest(tm
     done("tables", RECORDINGS / "autumn.mcap", "--out", folder)
     done("fit", folder, "--recipe", "road_load", "-o", model)
     capsys.readouterr()
-    out = " ".join(ran(capsys, folder, "--model", model, "--json", tmp_path / "c.json").split())
-    head = out.partition("Errors by condition")[0]
+    out = ran(capsys, folder, "--model", model, "--json", tmp_path / "c.json")
+    head = " ".join(out.partition("Errors by condition")[0].split())
     assert re.match(
         r"base is off by 0\.\d{3} kWh per ride on average, \d\.\d times what measurement noise alone causes", head
     )
     assert "It fails most along headwind: " in head
-    assert "Headwind, km/h: mean of predicted less measured power of windows, W, and 95 % interval" in head
+    assert "Headwind [km/h]: predicted less measured power, mean of windows [W]" in head
     charts = json.loads((tmp_path / "c.json").read_text())["failures"]["charts"]
+    assert charts[0]["column"]["key"] == "headwind_kmh"
     (headwind,) = (chart for chart in charts if chart["column"]["key"] == "headwind_kmh")
     assert headwind["q"] < 0.01
     assert headwind["outside"] >= 4
     assert min(headwind["bins"]["low"]) < 0.0 < max(headwind["bins"]["high"])
+
+
+def test_page_with_its_folded_parts_fits_on_five_screens(written):
+    with open_browser() as browser:
+        shown = browser.new_page(viewport=WIDE)
+        shown.goto((written / "c.html").as_uri())
+        shown.wait_for_selector("#figure-scatter-0.drawn")
+        assert shown.evaluate("document.documentElement.scrollHeight") <= 5 * WIDE["height"]
+        assert shown.locator("section > details[open]").count() == 0
 
 
 def test_failures_of_rides_without_windows_say_why_not(halves, capsys):

@@ -1,6 +1,7 @@
 """Show where a model fails: its error against the noise, and the mean residual of windows along a column."""
 
 from collections.abc import Mapping, Sequence
+from math import floor, log10
 from typing import Any, Final
 
 import plotly.graph_objects as go
@@ -8,19 +9,28 @@ from rich.text import Text
 
 from socast.core.diagnose.residual_survey import SIGNIFICANCE
 from socast.core.formatting import format_count, format_minus
+from socast.tools.report.comparison.figures import get_model_style
 from socast.tools.report.comparison.tables import list_models
 from socast.tools.report.evaluation.illustrations import Illustration
 from socast.tools.report.evaluation.result import Result, get_mapping, get_number, get_part
-from socast.tools.report.figure_style import make_figure
+from socast.tools.report.figure_style import REFERENCE_LINE, escape_label, make_figure
 
-WIDTH: Final = 36
-"""Number of characters of a picture in a terminal."""
+WIDTHS: Final = (16, 60)
+"""Smallest and largest number of characters of the intervals in a terminal."""
+LONGEST: Final = 22
+"""Largest number of characters of the name of a bin in a terminal."""
 MOST_CHARTS: Final = 6
 """Largest number of charts of a page."""
+MOST_CHANGES: Final = 2
+"""Largest number of charts of a page that shows a step."""
 MOST_NAMED: Final = 3
 """Largest number of columns that are named."""
-POINT, SPAN, ZERO = "●", "─", "│"
-"""Characters of a mean, of its interval, and of the line of zero."""
+POINT, SPAN, ZERO, CROSSED = "●", "─", "│", "┼"
+"""Characters of a mean, of its interval, of the line of zero, and of both."""
+LEGEND: Final = (
+    f"{POINT} mean, {SPAN * 2} its 95 % interval by vehicle-day. * off zero, with the bins of all columns tested "
+    "together: 1 in 20 marks is expected to be a false finding."
+)
 
 
 def describe_failures(result: Result) -> str:
@@ -40,7 +50,7 @@ def describe_failures(result: Result) -> str:
         return f"{words}. Along no column does the residual of its windows vary beyond chance."
     first, *others = failing
     words += f". It fails most along {_name(first)}: {describe_worst_bin(first)}; "
-    words += f"{first['outside']} of {first['of']} intervals exclude zero"
+    words += f"{first['outside']} of {first['of']} bins are off zero"
     if others:
         words += f". Then along {', '.join(_name(each) for each in others[: MOST_NAMED - 1])}"
     return f"{words}."
@@ -55,7 +65,7 @@ def list_failing(failures: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 def describe_worst_bin(chart: Mapping[str, Any]) -> str:
     """Return the mean residual of the bin that differs most from zero, in words."""
     bins = chart["bins"]
-    known = [i for i in range(len(bins["mean"])) if _is_outside(bins, i)]
+    known = [i for i in _list_known(bins) if is_off_zero(bins, i)]
     worst = max(known, key=lambda i: float(abs(bins["mean"][i])))
     mean, half = bins["mean"][worst], bins["ci95"][worst]
     more = "more" if mean > 0.0 else "less"
@@ -63,92 +73,157 @@ def describe_worst_bin(chart: Mapping[str, Any]) -> str:
 
 
 def name_bin(chart: Mapping[str, Any], place: int) -> str:
-    """Return the range or the name of a bin."""
+    """Return the range with its unit, or the name of a bin."""
     bins, column = chart["bins"], chart["column"]
     if not column["number"]:
         return str(bins["x"][place])
-    low, high = (_format(bins[end][place]) for end in ("low", "high"))
-    return f"{low} to {high} {column['unit']}"
+    return f"{_name_ranges(bins)[place]} {column['unit']}"
 
 
-def draw_chart(chart: Mapping[str, Any], width: int = WIDTH) -> list[Text]:
+def _name_ranges(bins: Mapping[str, Any]) -> list[str]:
+    """Return the ranges of the bins of numbers, with the digits that the narrowest of them needs."""
+    widths = [high - low for low, high in zip(bins["low"], bins["high"], strict=True) if high > low]
+    digits = min(max(1 - floor(log10(min(widths))), 0), 2) if widths else 0
+    ends = [[format_minus(f"{value:,.{digits}f}") for value in bins[end]] for end in ("low", "high")]
+    return [low if low == high else f"{low} to {high}" for low, high in zip(*ends, strict=True)]
+
+
+def draw_chart(chart: Mapping[str, Any], columns: int) -> list[Text]:
     """Return the mean residual in the bins along a column, with its interval, as lines of text.
 
     Parameters
     ----------
     chart : mapping
         A chart of `socast.core.diagnose.residual_survey.survey_columns`.
-    width : int
-        Number of characters of the picture.
+    columns : int
+        Number of characters of a line.
     """
     bins, column = chart["bins"], chart["column"]
-    known = [i for i, half in enumerate(bins["ci95"]) if half is not None]
+    known = _list_known(bins)
+    names = _name_ranges(bins) if column["number"] else [_shorten(str(name)) for name in bins["x"]]
+    numbers = {i: format_minus(f"{bins['mean'][i]:+,.0f} ± {bins['ci95'][i]:,.0f}") for i in known}
+    room, wide = max(len(names[i]) for i in known), max(map(len, numbers.values()))
+    width = min(max(columns - room - wide - 8, WIDTHS[0]), WIDTHS[1])
     reach: float = max(abs(bins["mean"][i]) + bins["ci95"][i] for i in known)
-    names = [name_bin(chart, i).removesuffix(f" {column['unit']}") for i in known]
-    room = max(map(len, [*names, column["label"]]))
-
-    def place(power: float) -> int:
-        return round((power / reach + 1.0) / 2.0 * (width - 1))
-
-    unit = f", {column['unit']}" if column["unit"] else ""
-    head = f"{column['label']}{unit}: mean of predicted less measured power of windows, W, and 95 % interval"
-    lines = [Text(head, style="bold")]
-    for i, name in zip(known, names, strict=True):
-        mean, half, sure = bins["mean"][i], bins["ci95"][i], _is_outside(bins, i)
-        marks = [" "] * width
-        marks[place(0.0)] = ZERO
-        for at in range(place(max(mean - half, -reach)), place(min(mean + half, reach)) + 1):
-            marks[at] = SPAN
-        marks[place(mean)] = POINT
-        told = format_minus(f"{mean:+,.0f} ± {half:,.0f}")
-        line = Text(f"  {name:>{room}}  ")
-        line.append("".join(marks), "bold red" if sure else "")
-        line.append(f"  {told:>14}{' *' if sure else ''}")
+    unit = f" [{column['unit']}]" if column["unit"] else ""
+    lines = [Text(f"{column['label']}{unit}: predicted less measured power, mean of windows [W]", style="bold")]
+    for i in known:
+        sure = is_off_zero(bins, i)
+        line = Text(f"  {names[i]:>{room}}  ")
+        line.append(_draw_interval(bins["mean"][i] / reach, bins["ci95"][i] / reach, width), "bold" if sure else "")
+        line.append(f"  {numbers[i]:>{wide}}{' *' if sure else ''}")
         lines.append(line)
-    ends = f"{format_minus(f'{-reach:,.0f}')}{f'{reach:,.0f}':>{width - len(f'{-reach:,.0f}')}}"
-    lines.append(Text(f"  {'':>{room}}  {ends}", style="dim"))
-    return lines
+    ends = [format_minus(f"{-reach:,.0f}"), "0", f"{reach:,.0f} W"]
+    middle = _place(0.0, width)
+    scale = f"{ends[0]:<{middle}}{ends[1]}{ends[2]:>{width - middle - 1}}"
+    return [*lines, Text(f"  {'':>{room}}  {scale}", style="dim"), Text(LEGEND, style="dim")]
+
+
+def _draw_interval(mean: float, half: float, width: int) -> str:
+    """Return a mean and its interval on a scale from -1 to 1, with the line of zero.
+
+    Examples
+    --------
+    >>> _draw_interval(0.6, 0.2, 21), _draw_interval(0.0, 0.2, 9)
+    ('          │   ──●──  ', '   ─●─   ')
+    >>> _draw_interval(-0.2, 0.4, 21)
+    '    ────●─┼──        '
+    """
+    marks = [" "] * width
+    for at in range(_place(max(mean - half, -1.0), width), _place(min(mean + half, 1.0), width) + 1):
+        marks[at] = SPAN
+    zero = _place(0.0, width)
+    marks[zero] = CROSSED if marks[zero] == SPAN else ZERO
+    marks[_place(mean, width)] = POINT
+    return "".join(marks)
+
+
+def _place(share: float, width: int) -> int:
+    """Return the character at which a value of a scale from -1 to 1 stands."""
+    return round((share + 1.0) / 2.0 * (width - 1))
+
+
+def _shorten(name: str) -> str:
+    """Return a name that fits beside a picture."""
+    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
 
 
 def illustrate_failures(result: Result) -> list[Illustration]:
     """Return a figure for each of the columns along which the model fails most."""
-    failures = get_mapping(result, "failures")
     caption = (
         "Mean of predicted less measured power of windows in bins along the column, with 95 % intervals clustered by "
-        "vehicle-day. Filled: the interval excludes zero."
+        "vehicle-day. Filled: off zero; 1 in 20 of the filled points is expected to be a false finding."
     )
     return [
         Illustration(f"failure-{i}", _name(chart), caption, _draw(chart), small=True)
-        for i, chart in enumerate(list_failing(failures)[:MOST_CHARTS])
+        for i, chart in enumerate(list_failing(get_mapping(result, "failures"))[:MOST_CHARTS])
     ]
 
 
-def _draw(chart: Mapping[str, Any]) -> go.Figure:
-    """Return the figure of a chart."""
-    bins, column = chart["bins"], chart["column"]
-    known = [i for i, half in enumerate(bins["ci95"]) if half is not None]
-    sure = [_is_outside(bins, i) for i in known]
-    trace = go.Scatter(
-        x=[bins["x"][i] for i in known],
-        y=[bins["mean"][i] for i in known],
-        error_y={"array": [bins["ci95"][i] for i in known], "thickness": 1.2, "width": 3},
-        mode="markers",
-        marker={"size": 9, "symbol": ["circle" if each else "circle-open" for each in sure]},
-        customdata=[f"{format_count(bins['rows'][i], 'window')}, {name_bin(chart, i)}" for i in known],
-        hovertemplate="%{customdata}: %{y:,.0f} W<extra></extra>",
-        showlegend=False,
+def illustrate_change(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Illustration]:
+    """Return where a model fails before and after a step, along the columns along which it fails most before or after.
+
+    Parameters
+    ----------
+    before, after : mapping
+        As `socast.core.diagnose.residual_survey.survey_model` returns them, of the same rides.
+    """
+    caption = (
+        "Mean of predicted less measured power of all windows in bins along the column, with 95 % intervals clustered "
+        "by vehicle-day. Squares: before. Circles: after. Filled: off zero. The model after was fitted to these rides."
     )
-    made = make_figure([trace], height=300)
+    then, now = ({chart["column"]["key"]: chart for chart in side["charts"]} for side in (before, after))
+    failing = dict.fromkeys(chart["column"]["key"] for side in (before, after) for chart in list_failing(side))
+    return [
+        Illustration(f"change-{i}", _name(then[key]), caption, _draw(now[key], then[key]), small=True)
+        for i, key in enumerate([key for key in failing if key in then and key in now][:MOST_CHANGES])
+    ]
+
+
+def _draw(chart: Mapping[str, Any], before: Mapping[str, Any] | None = None) -> go.Figure:
+    """Return the figure of a chart, or of two."""
+    traces = [_draw_means(before, "before", str(REFERENCE_LINE["color"]), "square")] if before else []
+    made = make_figure(
+        [*traces, _draw_means(chart, "after" if before else "", get_model_style(0).colour, "circle")], height=300
+    )
+    column = chart["column"]
     unit = f" [{column['unit']}]" if column["unit"] else ""
     made.update_xaxes(title=f"{column['label']}{unit}")
     made.update_yaxes(title="predicted less measured [W]", zeroline=True)
     return made
 
 
-def _is_outside(bins: Mapping[str, Any], place: int) -> bool:
-    """Return whether the interval of a bin excludes zero."""
-    half = bins["ci95"][place]
-    return half is not None and bool(abs(bins["mean"][place]) > half)
+def _draw_means(chart: Mapping[str, Any], name: str, colour: str, symbol: str) -> go.Scatter:
+    """Return the means of a chart with their intervals; those off zero are filled."""
+    bins = chart["bins"]
+    known = _list_known(bins)
+    x = [bins["x"][i] if chart["column"]["number"] else escape_label(str(bins["x"][i])) for i in known]
+    return go.Scatter(
+        name=name,
+        x=x,
+        y=[bins["mean"][i] for i in known],
+        error_y={"array": [bins["ci95"][i] for i in known], "thickness": 1.2, "width": 3},
+        mode="markers",
+        marker={
+            "size": 9,
+            "color": colour,
+            "symbol": [symbol if is_off_zero(bins, i) else f"{symbol}-open" for i in known],
+        },
+        customdata=[f"{format_count(bins['rows'][i], 'window')}, {escape_label(name_bin(chart, i))}" for i in known],
+        hovertemplate="%{customdata}: %{y:,.0f} W<extra></extra>",
+        showlegend=bool(name),
+    )
+
+
+def is_off_zero(bins: Mapping[str, Any], place: int) -> bool:
+    """Return whether the mean of a bin differs from zero beyond chance, among all bins of all columns."""
+    q = bins["q"][place]
+    return q is not None and bool(q < SIGNIFICANCE)
+
+
+def _list_known(bins: Mapping[str, Any]) -> list[int]:
+    """Return the places of the bins that have an interval."""
+    return [i for i, half in enumerate(bins["ci95"]) if half is not None]
 
 
 def _name(chart: Mapping[str, Any]) -> str:
@@ -156,12 +231,7 @@ def _name(chart: Mapping[str, Any]) -> str:
     return str(chart["column"]["label"]).lower()
 
 
-def _format(value: float) -> str:
-    """Return a bound of a bin with sensible digits."""
-    return format_minus(f"{value:.0f}" if abs(value) >= 20.0 else f"{value:.1f}")
-
-
-def list_pictures(result: Result) -> Sequence[Text]:
+def list_pictures(result: Result, columns: int) -> Sequence[Text]:
     """Return the picture of the column along which the model fails most, none where it fails along none."""
     failing = list_failing(get_mapping(result, "failures"))
-    return draw_chart(failing[0]) if failing else []
+    return draw_chart(failing[0], columns) if failing else []

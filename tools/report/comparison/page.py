@@ -30,7 +30,7 @@ MOST_COMMANDS: Final = 3
 
 
 def show(result: Any, console: Console) -> None:
-    """Print a comparison, with its main result last; or the trace of a ride.
+    """Print a comparison, first where the first model fails and last the errors of the models; or the trace of a ride.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def show(result: Any, console: Console) -> None:
             print_section(section, console)
         return
     console.print(Text(describe_failures(values), style="bold"), highlight=False)
-    for line in list_pictures(values):
+    for line in list_pictures(values, console.width):
         console.print(line, highlight=False)
     shown = [section for section in build_sections(values, commands=False) if section.key in ORDER]
     for section in sorted(shown, key=lambda section: ORDER.index(section.key)):
