@@ -178,7 +178,7 @@ def add_to_model(
 
 def _describe_attempt(entry: Mapping[str, Any] | None) -> dict[str, str] | None:
     """Return the outcome of the last attempt that did not add an effect, and why; None without one."""
-    return entry and {"outcome": str(entry["action"]), "reason": str(entry.get("reason"))}
+    return {"outcome": str(entry["action"]), "reason": str(entry.get("reason"))} if entry else None
 
 
 def _describe_candidate(name: str, ranked: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
