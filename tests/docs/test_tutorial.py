@@ -1,4 +1,4 @@
-"""The tutorial tells its story in order and does not name the hidden effect before the diagnosis."""
+"""The tutorial tells its story in order and does not name the hidden effect before a command shows it."""
 
 import json
 import re
