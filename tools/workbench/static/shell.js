@@ -82,7 +82,7 @@ function drawModelInUse() {
   shown.hidden = !before;
   if (!before) return;
   shown.replaceChildren(el("span", { class: "soft" }, "Model "), el("strong", {}, model),
-    el("button", { type: "button", class: "quiet small", onclick: () => {
+    el("button", { type: "button", class: "quiet small", title: `back to ${before}`, onclick: () => {
       const goal = before;
       use(goal, model);
       navigate({ model: goal });
