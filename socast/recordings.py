@@ -4,12 +4,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import msgspec
 import pandas as pd
 
 from socast.core import effects
 from socast.core.batch import Lanes
 from socast.core.errors import ModelError, RecordingError
+from socast.core.forecast.forecast_table import tabulate_forecasts as _tabulate_forecasts
 from socast.core.models import EXTENDED_PHYSICAL, LinearModel
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
@@ -119,7 +119,8 @@ def read_forecasts(messages: Iterable[Message]) -> pd.DataFrame:
     Returns
     -------
     (n, columns) DataFrame
-        The fields of a forecast message; nested fields are joined by a dot, such as `range_km.mean`.
+        All fields of a forecast message; nested fields are joined by a dot, such as `range_km.mean`. A value that is
+        absent or null is NaN.
 
     Examples
     --------
@@ -129,8 +130,7 @@ def read_forecasts(messages: Iterable[Message]) -> pd.DataFrame:
     >>> "ride_energy_predicted_kwh" in forecasts
     True
     """
-    payloads = [msgspec.json.decode(m.payload) for m in messages if m.key.endswith("/forecast")]
-    return pd.json_normalize(payloads)
+    return _tabulate_forecasts(messages)
 
 
 def make_tables(

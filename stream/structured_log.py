@@ -29,7 +29,7 @@ def event_fields(**values: Any) -> dict[str, Any]:
     return {"fields": values}
 
 
-def flatten_counts(counts: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flatten_counts(counts: Mapping[str, Any], prefix: str = "", *, keep_zeros: bool = False) -> dict[str, Any]:
     """Return nested counters as one level, with names joined by dots, without zeros and empty values.
 
     Parameters
@@ -38,6 +38,8 @@ def flatten_counts(counts: Mapping[str, Any], prefix: str = "") -> dict[str, Any
         Counters, or mappings of counters, by name.
     prefix : str
         Text before every name.
+    keep_zeros : bool
+        Whether to return zeros too.
 
     Returns
     -------
@@ -51,8 +53,8 @@ def flatten_counts(counts: Mapping[str, Any], prefix: str = "") -> dict[str, Any
     out: dict[str, Any] = {}
     for name, value in counts.items():
         if isinstance(value, Mapping):
-            out |= flatten_counts(value, f"{prefix}{name}.")
-        elif value:
+            out |= flatten_counts(value, f"{prefix}{name}.", keep_zeros=keep_zeros)
+        elif value or keep_zeros:
             out[prefix + name] = value
     return out
 

@@ -6,6 +6,7 @@ messages are dropped and counted, so that it never blocks a publisher.
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from threading import Lock
 from typing import Any, Final
 
@@ -29,6 +30,8 @@ class ZenohObserver:
     ----------
     node : Node
         Session and prefix to subscribe with; with a shard by chunk, the cars are those of the chunks before `fleet`.
+    sent : sequence of str
+        Last chunks of what to observe of that which cars and gateways send.
 
     Attributes
     ----------
@@ -36,12 +39,12 @@ class ZenohObserver:
         Number of messages that were dropped because the reader was slow.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, sent: Sequence[str] = OF_CARS) -> None:
         self.dropped = 0
         self._waiting: deque[Message] = deque()
         self._waiting_bytes = 0
         self._lock = Lock()
-        keys = [f"{cars}/{end}" for cars in node.list_cars() for end in OF_CARS]
+        keys = [f"{cars}/{end}" for cars in node.list_cars() for end in sent]
         keys += [f"{node.prefix}{each}" for each in PUBLISHED]
         self._subscribers: list[Any] = [node.session.declare_subscriber(each, self._receive) for each in keys]
 

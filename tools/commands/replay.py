@@ -16,6 +16,7 @@ from rich.console import Console
 
 from socast.core.errors import SettingsError
 from socast.core.files import replacing
+from socast.core.forecast.forecast_table import FORECAST_COLUMNS
 from socast.core.formatting import format_count
 from socast.core.settings import Settings
 from socast.stream.loop import stop_on_signals
@@ -46,7 +47,10 @@ from socast.tools.terminal.recordings import (
 )
 from socast.tools.terminal.shift_outcomes import ShiftOutcomes, show_outcomes
 from socast.tools.terminal.time_zone import TimeZone, find_zone
-from socast.tools.testing.forecast_differences import compare_recordings, parse_tolerances, show_comparison
+from socast.tools.testing.difference_report import show_comparison
+from socast.tools.testing.golden_files import compare_recordings, compare_with_old, describe_update
+from socast.tools.testing.table_differences import TableComparison
+from socast.tools.testing.tolerances import Tolerances, parse_tolerances, resolve_tolerances
 
 SUBSCRIBER_S = 10.0
 """Longest wait for a subscriber before publishing begins without one. [s]"""
@@ -90,9 +94,14 @@ def replay(
     ] = None,
     tolerance: Annotated[
         list[str] | None,
-        typer.Option(metavar="FIELD=D", help="Allow a field of --expect to differ by D in its unit; may be repeated."),
+        typer.Option(
+            metavar="FIELD=D",
+            help="Allow a field of --expect to differ by D, such as soc=0.1% or range_km=2%; may be repeated.",
+        ),
     ] = None,
-    update: Annotated[bool, typer.Option("--update", help="Write the file of --expect anew.")] = False,
+    update: Annotated[
+        bool, typer.Option("--update", help="Write the file of --expect anew, and say what changes.")
+    ] = False,
     time_zone: TimeZone = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -104,6 +113,7 @@ def replay(
     With --connect or --config the recordings are published, and the listeners at the router make the forecasts.
 
     With --expect the command is a test: it passes if the forecasts are those of an earlier replay (--out or --update).
+    A tolerance is in the unit of its field; % of a field that is not in % is relative to the expected value.
 
     With --foxglove the file of --out replays like the original: socast reads nothing that was added for the viewer.
 
@@ -139,34 +149,50 @@ def replay(
     if expect and not update and not expect.is_file():
         raise SettingsError(f"{expect}: does not exist; write it with --update")
     tolerances = parse_tolerances(tolerance or ())
+    resolve_tolerances(tolerances, FORECAST_COLUMNS)  # report mistakes before the replay
     layout = out.with_suffix(".layout.json") if out and foxglove else None
     zone = find_zone(time_zone, make_console(json_file))
     prefix = parse_prefix(options.prefix)
     rate = parse_speed(pace or ("1" if publishes else "max"))
     sources = open_recordings(recordings)
     check_outputs([*recordings, *options.files], out, json_file, layout, *([expect] if update else []))
-    comparison = None
     with stop_on_signals() as stop:
         source = stop_source(pace_source(merge_sources(sources), rate, longest_gap_s=longest_gap), stop)
         if publishes:
             joined = Connection((connect,) if connect else (), mode="client", config=config)
             with Node(joined) as node:
                 _publish(source, ZenohSink(node, prefix), sources, stop, connect or f"the router of {config}")
-        else:
-            with replacing(expect) if expect and update else nullcontext() as fresh, TemporaryDirectory() as folder:
-                made = out or fresh or (Path(folder) / "forecasts.mcap" if expect else None)
-                _forecast(source, sources, rate, options, made, layout, json_file, zone)
-                if fresh and out:
-                    shutil.copyfile(out, fresh)
-                comparison = compare_recordings(expect, made, tolerances) if expect and made and not fresh else None
+            warn_of_losses(sources)
+            return
+        with replacing(expect) if expect and update else nullcontext() as fresh, TemporaryDirectory() as folder:
+            made = out or fresh or (Path(folder) / "forecasts.mcap" if expect else None)
+            _forecast(source, sources, rate, options, made, layout, json_file, zone)
+            if fresh and out:
+                shutil.copyfile(out, fresh)
+            comparison = _compare(expect, made, tolerances, update=update) if expect and made else None
     warn_of_losses(sources)
-    console = make_console(json_file)
+    _show_comparison(comparison, expect, make_console(json_file), update=update)
+
+
+def _compare(expect: Path, made: Path, tolerances: Tolerances, *, update: bool) -> TableComparison | str:
+    """Compare forecasts with those in a file, or say why there is nothing to compare with."""
     if update:
-        console.print(f"{expect} holds the forecasts of this replay", markup=False, highlight=False, soft_wrap=True)
-    elif comparison:
-        show_comparison(comparison, console)
-        if not comparison.is_equal:
-            raise typer.Exit(1)
+        return compare_with_old(expect, lambda file: compare_recordings(file, made, tolerances))
+    return compare_recordings(expect, made, tolerances)
+
+
+def _show_comparison(
+    comparison: TableComparison | str | None, expect: Path | None, console: Console, *, update: bool
+) -> None:
+    """Print whether forecasts are as expected, or what an update has changed; exit with 1 where they differ."""
+    if comparison is None or expect is None:
+        return
+    if update or isinstance(comparison, str):
+        console.print(describe_update(expect, comparison), markup=False, highlight=False, soft_wrap=True)
+        return
+    show_comparison(comparison, console)
+    if not comparison.is_equal:
+        raise typer.Exit(1)
 
 
 def _forecast(

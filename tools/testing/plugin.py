@@ -3,109 +3,212 @@
 Nothing is imported before a fixture is used, so that other tests start as fast as before.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from glob import glob
+from os.path import relpath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from socast.core.wire.messages import Message
+    from socast.tools.testing.golden_files import Checked
+    from socast.tools.testing.live_consumer import LiveConsumer
+    from socast.tools.testing.replayed import Replayed
+
 RECORDING = "socast_recording"
 """Argument of a test that runs once for each recording of the project."""
-
-
-class Replayed(NamedTuple):
-    """Hold what a replay gave.
-
-    Parameters
-    ----------
-    forecasts : DataFrame
-        One row per forecast with the fields of the payload; those of an object have its name before them, such as
-        `range_km.mean`.
-    rides : DataFrame
-        The ride table.
-    quality : dict
-        Counters of the samples that were repaired or rejected, by cause, and of messages.
-    file : Path
-        Recording of the forecasts.
-    """
-
-    forecasts: "pd.DataFrame"
-    rides: "pd.DataFrame"
-    quality: dict[str, Any]
-    file: Path
+RECORDINGS = "socast_recordings"
+"""Setting, and marker of a test, with the patterns of these recordings."""
+UPDATED = "socast_updated"
+"""Property of a test that says what it has written."""
+MODEL = "extended_physical"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that writes expectations, and the setting that names the recordings."""
+    """Add the option that writes golden files, and the setting that names the recordings."""
     group = parser.getgroup("socast", "tests with recordings of socast")
-    group.addoption("--socast-update", action="store_true", help="write the forecasts that tests expect anew")
-    parser.addini("socast_recordings", "recordings of the project, as a pattern", default="recordings/*.mcap")
+    group.addoption(
+        "--socast-update", action="store_true", help="write the golden files of socast_expect and socast_golden anew"
+    )
+    parser.addini(RECORDINGS, "recordings of socast_recording, as patterns", type="args", default=["recordings/*.mcap"])
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Declare the marker."""
+    config.addinivalue_line("markers", f"{RECORDINGS}(*patterns): recordings with which {RECORDING} runs this test")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run a test with the argument `socast_recording` once for each recording of the project."""
     if RECORDING not in metafunc.fixturenames:
         return
-    root, pattern = metafunc.config.rootpath, str(metafunc.config.getini("socast_recordings"))
-    files = sorted(root.glob(pattern))
-    metafunc.parametrize(RECORDING, files, ids=[file.relative_to(root).as_posix() for file in files])
+    mark, root = metafunc.definition.get_closest_marker(RECORDINGS), metafunc.config.rootpath
+    patterns = [str(each) for each in (mark.args if mark else metafunc.config.getini(RECORDINGS))]
+    found = [each for pattern in patterns for each in glob(pattern, root_dir=root, recursive=True)]  # noqa: PTH207
+    files = sorted({root / each for each in found})
+    if not files:
+        where = f"the marker {RECORDINGS}" if mark else f"{RECORDINGS} in the settings of pytest"
+        pytest.fail(
+            f"{metafunc.function.__name__}: no recording matches {', '.join(patterns)} in {root}; put recordings "
+            f"there, or change {where}",
+            pytrace=False,
+        )
+    stems = [file.stem for file in files]
+    names = stems if len({*stems}) == len(stems) else [relpath(file, root) for file in files]
+    metafunc.parametrize(RECORDING, files, ids=names)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say what golden files were written, and what this has changed."""
+    reports = [report for group in terminalreporter.stats.values() for report in group]
+    written = [
+        str(text) for report in reports for name, text in getattr(report, "user_properties", ()) if name == UPDATED
+    ]
+    if written:
+        terminalreporter.section("golden files of socast")
+        for text in dict.fromkeys(written):
+            terminalreporter.write_line(text)
 
 
 @pytest.fixture
-def socast_replay(tmp_path: Path) -> Callable[..., Replayed]:
+def _socast_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder for the files of this test; `tmp_path` belongs to the test, which may replay it as a whole."""
+    return tmp_path_factory.mktemp("socast")
+
+
+@pytest.fixture
+def socast_replay(_socast_folder: Path) -> "Callable[..., Replayed]":
     """Return a function that replays recordings through a model.
 
-    It takes a recording, a folder or several of them, and `model`, the name or file of a model, and returns `Replayed`.
+    It takes a recording, a folder or several of them, and `model`, the name or file of a model, and returns the tables
+    `forecasts`, `rides` and `quality`, and `file`, the recording of the forecasts.
     """
-    from socast.tools.testing.replayed import replay_recordings  # noqa: PLC0415 - it imports everything
 
-    def replay(*recordings: str | Path, model: str | Path = "extended_physical") -> Replayed:
-        number = len(list(tmp_path.glob("forecasts-*.mcap")))
-        return Replayed(*replay_recordings(recordings, model, tmp_path / f"forecasts-{number}.mcap"))
+    def replay(*recordings: str | Path, model: str | Path = MODEL) -> "Replayed":
+        from socast.tools.testing.replayed import replay_recordings  # noqa: PLC0415 - it imports everything
+
+        return replay_recordings(recordings, model, _name_file(_socast_folder / "replayed"))
 
     return replay
 
 
 @pytest.fixture
-def socast_make_recording(tmp_path: Path) -> Callable[..., Path]:
-    """Return a function that writes a recording of samples.
+def socast_car() -> "Callable[..., list[Message]]":
+    """Return the function that makes the messages of a car, see `socast.tools.testing.made_recording.make_car`."""
+    from socast.tools.testing.made_recording import make_car  # noqa: PLC0415 - it imports everything
 
-    It takes samples, mappings with the fields of the telemetry of the wire contract such as `vehicle_id`, `time_s` and
-    `speed_kmh`, in the order of their time, and returns the file.
+    return make_car
+
+
+@pytest.fixture
+def socast_make_recording(_socast_folder: Path) -> Callable[..., Path]:
+    """Return a function that writes a recording and returns the file.
+
+    It takes the messages of cars that `socast_car` makes, or lists of samples, mappings with the fields of the
+    telemetry of the wire contract such as `vehicle_id`, `time_s` and `speed_kmh`.
     """
-    from socast.tools.testing.replayed import write_samples  # noqa: PLC0415 - it imports everything
 
-    def write(samples: Iterable[Mapping[str, Any]], name: str = "made.mcap") -> Path:
-        return write_samples(samples, tmp_path / name)
+    def write(*parts: "Iterable[Message | Mapping[str, Any]]", name: str = "") -> Path:
+        from socast.tools.testing.made_recording import (  # noqa: PLC0415 - it imports everything
+            gather_messages,
+            write_recording,
+        )
+
+        return write_recording(gather_messages(*parts), _name_file(_socast_folder / "made", name))
 
     return write
 
 
 @pytest.fixture
-def socast_expect(request: pytest.FixtureRequest, socast_replay: Callable[..., Replayed]) -> Callable[..., Replayed]:
+def socast_expect(
+    request: pytest.FixtureRequest, socast_replay: "Callable[..., Replayed]"
+) -> "Callable[..., Replayed]":
     """Return a function that replays a recording and fails where its forecasts are not those of a file.
 
-    It takes the recording, the file, `model` and `tolerances`, the largest difference of a field by its name. With
+    It takes the recording or several, the file, `model` and `tolerances`, and returns what `socast_replay` does. With
     `--socast-update`, it writes the file.
     """
-    from socast.tools.testing.replayed import check_forecasts  # noqa: PLC0415 - it imports everything
 
     def expect(
         recording: str | Path | Sequence[str | Path],
         expected: str | Path,
         *,
-        model: str | Path = "extended_physical",
-        tolerances: Mapping[str, float] | None = None,
-    ) -> Replayed:
+        model: str | Path = MODEL,
+        tolerances: Mapping[str, float | str] | None = None,
+    ) -> "Replayed":
         __tracebackhide__ = True
+        from socast.tools.testing.golden_files import check_forecasts  # noqa: PLC0415 - it imports everything
+
         recordings = [recording] if isinstance(recording, str | Path) else recording
         replayed = socast_replay(*recordings, model=model)
-        update = bool(request.config.getoption("--socast-update"))
-        if difference := check_forecasts(Path(expected), replayed.file, tolerances, update=update):
-            pytest.fail(difference, pytrace=False)
+        _report(request, check_forecasts(Path(expected), replayed.file, tolerances, update=_updates(request)))
         return replayed
 
     return expect
+
+
+@pytest.fixture
+def socast_golden(request: pytest.FixtureRequest) -> Callable[..., None]:
+    """Return a function that fails where a table is not that of a file.
+
+    It takes the `DataFrame`, the file, whose name ends with `.csv` or `.parquet`, `key`, the columns that name a row,
+    and `tolerances`. With `--socast-update`, it writes the file.
+    """
+
+    def check(
+        table: "pd.DataFrame",
+        expected: str | Path,
+        *,
+        key: Sequence[str] = (),
+        tolerances: Mapping[str, float | str] | None = None,
+    ) -> None:
+        __tracebackhide__ = True
+        from socast.tools.testing.golden_files import check_table  # noqa: PLC0415 - it imports everything
+
+        checked = check_table(Path(expected), table, key=key, tolerances=tolerances, update=_updates(request))
+        _report(request, checked)
+
+    return check
+
+
+@pytest.fixture
+def socast_live(_socast_folder: Path) -> "Iterator[Callable[..., LiveConsumer]]":
+    """Return a function that starts a live consumer on loopback, which ends with the test.
+
+    It takes `model`, the name or file of a model. What is published to the consumer with `publish` gives the tables of
+    `results`, and after its end those of `finish`.
+    """
+    with ExitStack() as ending:
+
+        def start(*, model: str | Path = MODEL) -> "LiveConsumer":
+            from socast.tools.testing.live_consumer import LiveConsumer  # noqa: PLC0415 - it imports everything
+
+            return ending.enter_context(LiveConsumer(model, _name_file(_socast_folder / "live")))
+
+        yield start
+
+
+def _name_file(folder: Path, name: str = "") -> Path:
+    """Return a recording in a folder, by default with a number that none of the folder has."""
+    folder.mkdir(exist_ok=True)
+    file = folder / (name or f"{len(list(folder.iterdir()))}.mcap")
+    file.touch()
+    return file
+
+
+def _updates(request: pytest.FixtureRequest) -> bool:
+    return bool(request.config.getoption("--socast-update"))
+
+
+def _report(request: pytest.FixtureRequest, checked: "Checked") -> None:
+    """Fail with what differs, and keep what was written for the summary."""
+    __tracebackhide__ = True
+    if checked.written:
+        request.node.user_properties.append((UPDATED, checked.written))
+    if checked.difference:
+        pytest.fail(checked.difference, pytrace=False)

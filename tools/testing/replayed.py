@@ -1,118 +1,109 @@
-"""What the fixtures of pytest do: replay recordings, write samples, and compare forecasts."""
+"""Replay recordings to tables of forecasts, rides and counters."""
 
-import shutil
-from collections.abc import Iterable, Mapping, Sequence
-from io import StringIO
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, NamedTuple
 
-import msgspec
 import pandas as pd
-from rich.console import Console
 
 from socast.core import models
 from socast.core.errors import SettingsError
-from socast.core.files import replacing
+from socast.core.forecast.forecast_table import is_forecast, tabulate_forecasts
 from socast.core.pipeline import Pipeline
-from socast.core.wire.messages import Message, Telemetry, encode
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
 from socast.stream.source import merge_sources
-from socast.tools.testing.forecast_differences import compare_recordings, list_fields, show_comparison
-
-WIDTH: Final = 120
-"""Width of a difference in the output of pytest. [characters]"""
+from socast.stream.structured_log import flatten_counts
+from socast.tools.terminal.live_table import add_predictions
 
 
-def replay_recordings(
-    recordings: Sequence[str | Path], model: str | Path, out: Path
-) -> tuple[pd.DataFrame, pd.DataFrame, dict[str, Any], Path]:
-    """Replay recordings through a model.
+class Replayed(NamedTuple):
+    """Hold what a replay, or a live consumer, gave.
 
     Parameters
     ----------
-    recordings : sequence of str or Path
-        Recordings, or folders that hold some, merged in the order of time.
-    model : str or Path
-        Name or file of a model.
-    out : Path
-        Receives the forecasts.
-
-    Returns
-    -------
-    forecasts, rides : DataFrame
-    quality : dict
+    forecasts : DataFrame
+        One row per forecast with the fields of the message; those of an object have its name before them, such as
+        `range_km.mean`.
+    rides : DataFrame
+        The ride table, with `predicted_kwh` and `error_pct` of the model, in order of the rides' starts.
+    quality : DataFrame
+        Counters of messages, and of the samples that were repaired or rejected: the column `count` by `counter`, such
+        as `samples.speed_rejected`.
     file : Path
-        `out`.
+        Recording of the forecasts.
+    """
+
+    forecasts: pd.DataFrame
+    rides: pd.DataFrame
+    quality: pd.DataFrame
+    file: Path
+
+
+def list_recordings(recordings: Sequence[str | Path]) -> list[Path]:
+    """Return recordings, where a folder stands for those in it.
 
     Raises
     ------
     SettingsError
         There is no recording.
     """
-    files = [
-        file for path in map(Path, recordings) for file in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])
-    ]
+    files: list[Path] = []
+    for path in map(Path, recordings):
+        inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+        if not inside:
+            raise SettingsError(f"{path}: no *.mcap in this folder; give a recording, or a folder of recordings")
+        files += inside
     if not files:
-        raise SettingsError(f"{', '.join(map(str, recordings)) or 'nothing'}: no recording to replay; give MCAP files")
-    pipeline = Pipeline(models.load(str(model)))
-    payloads: list[dict[str, Any]] = []
-    with McapSink(out) as sink:
-        for messages in merge_sources([McapSource(file) for file in files]):
-            payloads += _record(sink, pipeline.push(messages))
-        payloads += _record(sink, pipeline.finish())
-    return pd.DataFrame(payloads), pipeline.take_rides(), pipeline.quality(), out
+        raise SettingsError("no recording to replay; give an MCAP file, or a folder of them")
+    return files
 
 
-def write_samples(samples: Iterable[Mapping[str, Any]], path: Path) -> Path:
-    """Write samples as a recording, and return its path.
+def replay_recordings(recordings: Sequence[str | Path], model: str | Path, out: Path) -> Replayed:
+    """Replay recordings, or folders that hold some, merged in the order of time, through a model.
+
+    Parameters
+    ----------
+    recordings : sequence of str or Path
+    model : str or Path
+        Name or file of a model.
+    out : Path
+        Receives the forecasts.
 
     Raises
     ------
     SettingsError
-        A sample has a field that the wire contract does not have, or a value of another kind.
+        There is no recording.
+    RecordingError
+        A recording cannot be read.
+    ModelError
+        The model is unknown.
     """
-    with McapSink(path) as sink:
-        for number, sample in enumerate(samples, start=1):
-            try:
-                telemetry = msgspec.convert(dict(sample), Telemetry)
-            except msgspec.ValidationError as error:
-                raise SettingsError(f"sample {number}: {error}") from None
-            if unknown := sorted(sample.keys() - set(Telemetry.__struct_fields__)):
-                raise SettingsError(f"sample {number}: telemetry has no field {unknown[0]!r}")
-            receipt = round(telemetry.time_s * 1e9)
-            sink.put([Message(f"fleet/{telemetry.vehicle_id}/telemetry", encode(telemetry), receipt)])
-    return path
+    files = list_recordings(recordings)
+    pipeline = Pipeline(models.load(str(model)))
+    forecasts = []
+    for messages in merge_sources([McapSource(file) for file in files]):
+        forecasts += [each for each in pipeline.push(messages) if is_forecast(each)]
+    forecasts += [each for each in pipeline.finish() if is_forecast(each)]
+    with McapSink(out) as sink:
+        sink.put(forecasts)
+    return Replayed(tabulate_forecasts(forecasts), *take_tables(pipeline), out)
 
 
-def check_forecasts(expected: Path, found: Path, tolerances: Mapping[str, float] | None, *, update: bool) -> str:
-    """Return how the forecasts in a recording differ from expected ones, empty where they agree.
-
-    Parameters
-    ----------
-    expected, found : Path
-        Recordings that hold forecasts.
-    tolerances : mapping of str to float, optional
-        See `socast.tools.testing.forecast_differences.compare_recordings`.
-    update : bool
-        Whether to write the expected ones anew.
-    """
-    if update:
-        with replacing(expected) as fresh:
-            shutil.copyfile(found, fresh)
-        return ""
-    if not expected.is_file():
-        return f"{expected}: does not exist; write it with pytest --socast-update"
-    comparison = compare_recordings(expected, found, tolerances)
-    if comparison.is_equal:
-        return ""
-    text = StringIO()
-    show_comparison(comparison, Console(file=text, width=WIDTH))
-    return f"{text.getvalue()}\nIf this is meant to be, write {expected} with pytest --socast-update."
+def take_tables(pipeline: Pipeline) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the rides that have ended since the last call, with the predictions of the model, and all counters."""
+    return sort_rides(add_predictions(pipeline.take_rides(), pipeline.shadows)), tabulate_counters(pipeline.quality())
 
 
-def _record(sink: McapSink, messages: Sequence[Message]) -> list[dict[str, Any]]:
-    """Record the forecasts among messages, and return their fields."""
-    forecasts = [message for message in messages if message.key.endswith("/forecast")]
-    sink.put(forecasts)
-    return [dict(list_fields(msgspec.json.decode(message.payload))) for message in forecasts]
+def sort_rides(rides: pd.DataFrame) -> pd.DataFrame:
+    """Return rides in the order of their starts."""
+    return rides.sort_values(["start_s", "vehicle_id"], ignore_index=True)
+
+
+def tabulate_counters(quality: Mapping[str, Any]) -> pd.DataFrame:
+    """Return counters as a table with the column `count`, by the name of the counter."""
+    counts = flatten_counts(quality, keep_zeros=True)
+    names = pd.Index(list(counts), name="counter", dtype=object)
+    return pd.DataFrame(
+        {"count": pd.to_numeric(pd.Series(list(counts.values()), dtype=object)).to_numpy()}, index=names
+    )
