@@ -7,11 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
-from socast.core import models
+from tests.support.example_project import change_coefficient, write_example
 from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.long
@@ -89,26 +88,21 @@ def test_demo_runs_from_the_wheel(environment, tmp_path):
 
 
 def test_example_of_the_guide_passes_and_fails_after_a_change_of_one_percent(environment, tmp_path):
-    guide = (ROOT / "docs" / "guide" / "test-with-recordings.md").read_text(encoding="utf-8")
-    (tmp_path / "recordings").mkdir()
-    (tmp_path / "expected").mkdir()
-    (tmp_path / "core").mkdir()
-    (tmp_path / "core" / "__init__.py").touch()
-    (tmp_path / "test_forecasts.py").write_text(guide.partition("```python\n")[2].partition("```")[0])
-    shutil.copy(ROOT / "recordings" / "shift.mcap", tmp_path / "recordings" / "monday.mcap")
-    model = models.load(str(ROOT / "recordings" / "fitted.json"))
-    models.save(model, tmp_path / "model.json")
-    pytest_of = (environment / "bin" / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
-    run(environment, tmp_path, *pytest_of, "--socast-update")
-    assert "2 passed" in run(environment, tmp_path, *pytest_of)
-    fits = {}
-    for key, fit in model.fits.items():
-        first, second, *others = fit.coefficients
-        fits[key] = msgspec.structs.replace(fit, coefficients=(first, 1.01 * second, *others))
-    models.save(models.stamp(msgspec.structs.replace(model, fits=fits)), tmp_path / "model.json")
+    python = (environment / "bin" / "python", "-m")
+    pytest_of = (*python, "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
+    *others, update, test = write_example(tmp_path)
+    for command in others:
+        run(environment, tmp_path, "sh", "-c", command)
+    assert "expected/rides.csv: written for the first time" in run(environment, tmp_path, *pytest_of, update.split()[1])
+    assert (test, "6 passed" in run(environment, tmp_path, *pytest_of)) == ("pytest", True)
+    change_coefficient(tmp_path / "model.json", "rolling", 1.01)
     failed = subprocess.run(pytest_of, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert failed.returncode == 1
-    assert "1 failed, 1 passed" in failed.stdout
-    found = r"taxi-00\d  ride_energy_predicted_kwh  [\d.]+ -> [\d.]+ at 2018-01-16T\S+, in \d+ of \d+ by up to 0.00\d+"
-    assert re.search(found, failed.stdout)
-    assert "write expected/monday.mcap with pytest --socast-update" in failed.stdout.replace(f"{tmp_path}/", "")
+    assert "4 failed, 2 passed" in failed.stdout
+    summary = r"\d+ values of 1 field differ \(ride_energy_predicted_kwh\); \d+ forecasts compared"
+    assert len(re.findall(summary, failed.stdout)) == 3
+    in_all = r"predicted_kwh \[kWh\]: differs in \d+ of \d+ \w+, 2 cars, by up to 0.\d+ \(0.\d+ %\) of taxi-00\d at"
+    assert len(re.findall(in_all, failed.stdout)) == 4
+    first = r"taxi-00\d  \d\d:\d\d:\d\d UTC +0.\d+ +0.\d+ +\+0.001\d* +0.001"
+    assert re.search(first, failed.stdout)
+    assert "write tests/expected/rides.csv with pytest --socast-update" in failed.stdout.replace(f"{tmp_path}/", "")

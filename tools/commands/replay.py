@@ -167,6 +167,8 @@ def replay(
         with replacing(expect) if expect and update else nullcontext() as fresh, TemporaryDirectory() as folder:
             made = out or fresh or (Path(folder) / "forecasts.mcap" if expect else None)
             _forecast(source, sources, rate, options, made, layout, json_file, zone)
+            if expect and stop.is_set():
+                raise SettingsError(f"stopped before the end: {expect} needs the whole replay and is as it was")
             if fresh and out:
                 shutil.copyfile(out, fresh)
             comparison = _compare(expect, made, tolerances, update=update) if expect and made else None

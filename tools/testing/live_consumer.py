@@ -7,7 +7,7 @@ forecasts, as a replay does, and not only the newest of each round, so that they
 
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import chain, groupby, islice
 from pathlib import Path
@@ -24,7 +24,7 @@ from socast.core.wire.messages import Message, address
 from socast.stream.loop import Tally, run
 from socast.stream.mcap_reader import McapSource
 from socast.stream.query_service import QueryService
-from socast.stream.source import merge_sources
+from socast.stream.source import Source, merge_sources
 from socast.stream.zenoh_observer import ZenohObserver
 from socast.stream.zenoh_queryable import ZenohQueryable, query_outlook
 from socast.stream.zenoh_session import Connection, Node
@@ -108,7 +108,7 @@ class LiveConsumer:
             The consumer has ended, or does not take the messages in time.
         """
         self._refuse_ended()
-        for burst in _divide(chain.from_iterable(map(_read, given))):
+        for burst in _divide(_read(given)):
             self._publisher.put(burst)
             self._sent += len(burst)
             self._wait(lambda: self._tally.received >= self._sent, "the consumer does not take what was published")
@@ -213,13 +213,14 @@ class LiveConsumer:
             raise SettingsError("the consumer has ended; start another one")
 
 
-def _read(given: Given) -> Iterable[Message]:
-    """Yield the messages of a recording, a folder of recordings, or those given, that a consumer takes."""
-    if isinstance(given, str | Path):
-        blocks = merge_sources([McapSource(file) for file in list_recordings([given])])
-        messages: Iterable[Message] = chain.from_iterable(blocks)
-    else:
-        messages = gather_messages([given] if isinstance(given, Message | Mapping) else given)
+def _read(given: Sequence[Given]) -> Iterable[Message]:
+    """Yield the messages of recordings, folders and lists that a consumer takes, merged by their times of receipt."""
+    files = [each for each in given if isinstance(each, str | Path)]
+    sources: list[Source] = [McapSource(file) for file in (list_recordings(files) if files else [])]
+    lists = [each for each in given if not isinstance(each, str | Path)]
+    if made := gather_messages(*([each] if isinstance(each, Message | Mapping) else each for each in lists)):
+        sources.append([made])
+    messages: Iterable[Message] = chain.from_iterable(merge_sources(sources)) if sources else ()
     for message in messages:
         at = address(message.key)
         if at is None or at.kind not in _INPUTS:

@@ -1,5 +1,8 @@
 """Test `socast replay --expect`."""
 
+from contextlib import nullcontext
+from threading import Event
+
 import pytest
 
 from tests.support.commands import called, refused
@@ -44,6 +47,22 @@ def test_update_prints_what_changes(expected, tmp_path):
     assert "ride_energy_predicted_kwh [kWh]: differs in " in out
     assert [path.name for path in tmp_path.iterdir()] == ["expected.mcap"]
     assert called("replay", SHIFT, "--expect", file, "--model", "basic_physical")[2] == 0
+
+
+def test_stopped_replay_neither_passes_nor_replaces_the_expectation(expected, capsys, monkeypatch):
+    class LateStop(Event):
+        asked = 0
+
+        def is_set(self):
+            self.asked += 1
+            return self.asked > 1
+
+    before = expected.read_bytes()
+    for options in ((), ("--update",)):
+        monkeypatch.setattr("socast.tools.commands.replay.stop_on_signals", lambda: nullcontext(LateStop()))
+        assert "stopped before the end" in refused(capsys, "replay", SHIFT, "--expect", expected, *options)
+    assert expected.read_bytes() == before
+    assert [path.name for path in expected.parent.iterdir()] == [expected.name]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,37 @@
+"""The example project of the guide "Test with recordings": its files, its commands, and a change of its model."""
+
+import re
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from socast.core import models
+from tests.support.paths import ROOT
+
+GUIDE: Final = ROOT / "docs" / "guide" / "test-with-recordings.md"
+FILE: Final = re.compile(r"`([\w/]+\.(?:py|toml))`:\n\n```\w+\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+COMMANDS: Final = re.compile(r"^```sh\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+def write_example(folder: Path) -> list[str]:
+    """Write the files of the example, and return the commands that make its recordings, its model and its tests run."""
+    guide = GUIDE.read_text(encoding="utf-8")
+    for name, content in FILE.findall(guide):
+        file = folder / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(content, encoding="utf-8")
+    return str(COMMANDS.findall(guide)[-1]).splitlines()
+
+
+def change_coefficient(file: Path, term: str, factor: float) -> None:
+    """Multiply a coefficient of a model file."""
+    model = models.load(str(file))
+    place = [each.name for each in model.terms].index(term)
+    fits = {
+        car: msgspec.structs.replace(
+            fit, coefficients=tuple(c * factor if i == place else c for i, c in enumerate(fit.coefficients))
+        )
+        for car, fit in model.fits.items()
+    }
+    models.save(models.stamp(msgspec.structs.replace(model, fits=fits)), file)
