@@ -309,7 +309,7 @@ def test_info_shows_contents_of_recording(recording, tmp_path):
     assert about["duration_s"] == pytest.approx((sent[-1].receipt_ns - sent[0].receipt_ns) * 1e-9)
     assert about["losses"] == []
     assert f"{len(sent):,} messages" in out
-    assert "2018-01-15T12:00:00" in out
+    assert "2018-01-15 12:00:00" in out
 
 
 def test_info_shows_losses_of_recording(recording, tmp_path):

@@ -121,7 +121,6 @@ class TestStream:
             "start": "2018-01-16T12:00:00Z",
             "shift_hours": 0.5,
             "seed": 3,
-            "hidden": [["headwind", 0.05]],
         }
         truth = json.loads((tmp_path / "small.truth.json").read_text())
         messages = [message for block in source for message in block]
