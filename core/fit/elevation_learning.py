@@ -23,8 +23,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.linalg import LinearOperator, cg
+from scipy.sparse import coo_array, diags_array
+from scipy.sparse.linalg import LinearOperator, cg, splu
 from threadpoolctl import threadpool_limits
 
 from socast.core.batch import Batch, Floats, Ints
@@ -46,10 +46,12 @@ LAST_SAMPLES: Final = 16
 """Samples of the posterior for the uncertainty of places, which is thereby known to 18 %."""
 SEED: Final = 20_260_101
 """Seed of the samples, so that the same fixes give the same map."""
-PRECISION: Final = 1e-4
+FINEST: Final = 2
+"""Number of fine grids, whose nodes are too many for a direct solution."""
+PRECISION: Final = 1e-5
 """Relative residual at which the solution of a system is accepted. [1]"""
 MOST_STEPS: Final = 2000
-"""Largest number of steps of conjugate gradients; six days of six cars take up to 230."""
+"""Largest number of steps of conjugate gradients; 537 rides of five cars take up to 150."""
 CLIP: Final = 3.0
 """Residual beyond which the weight of a fix is reduced. [standard deviations]"""
 FIRST_FIX_SD: Final = 3.0
@@ -214,44 +216,63 @@ def _number_values(values: Ints) -> Ints:
 
 
 class _System:
-    """The linear model of the fixes, and its posterior for given variances."""
+    """The linear model of the fixes."""
 
     def __init__(self, design: Any, component: Ints) -> None:
         self.design, self.transposed, self.component = design, design.T.tocsr(), component
         self.squares = self.transposed.power(2)
-        self.coefficients: Floats = np.zeros(design.shape[1])
+        self.far = np.flatnonzero(component >= FINEST)
+        self.of_far = design[:, self.far]
 
-    def solve(self, elevation: Floats, weight: Floats, precision: Floats, start: Floats | None = None) -> Floats:
-        """Return the posterior mean of the coefficients, by the weight of each fix and the precision of each column.
+
+class _Posterior:
+    """The posterior of the coefficients, given the weight of each fix and the precision of each column.
+
+    Its equations are solved by conjugate gradients. The preconditioner solves those of wide grids, rides and cars
+    exactly: these columns overlap, and with the diagonal alone their sum would converge long before its parts.
+    """
+
+    def __init__(self, system: _System, weight: Floats, precision: Floats) -> None:
+        self._system, self._weight, self._precision = system, weight, precision
+        size, self._diagonal = (len(precision),) * 2, system.squares @ weight + precision
+        far = system.of_far.T @ diags_array(weight) @ system.of_far + diags_array(precision[system.far])
+        options = {"SymmetricMode": True}
+        self._of_far = splu(far.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+        self._matrix = LinearOperator(size, matvec=self._apply)
+        self._preconditioner = LinearOperator(size, matvec=self._precondition)
+
+    def _apply(self, vector: Floats) -> Floats:
+        system = self._system
+        return np.asarray(system.transposed @ (self._weight * (system.design @ vector)) + self._precision * vector)
+
+    def _precondition(self, vector: Floats) -> Floats:
+        out = np.asarray(vector / self._diagonal)
+        out[self._system.far] = self._of_far.solve(vector[self._system.far])
+        return out
+
+    def find_mean(self, elevation: Floats, start: Floats | None = None) -> Floats:
+        """Return the posterior mean of the coefficients.
 
         Raises
         ------
         RecordingError
             If `MOST_STEPS` steps do not reach `PRECISION`.
         """
-        size = len(precision)
-
-        def apply(vector: Floats) -> Floats:
-            return np.asarray(self.transposed @ (weight * (self.design @ vector)) + precision * vector)
-
-        diagonal = self.squares @ weight + precision
-        scaled = LinearOperator((size, size), matvec=lambda vector: vector / diagonal)
-        matrix = LinearOperator((size, size), matvec=apply)
-        right = self.transposed @ (weight * elevation)
-        solution, status = cg(matrix, right, x0=start, rtol=PRECISION, maxiter=MOST_STEPS, M=scaled)
+        right = self._system.transposed @ (self._weight * elevation)
+        solution, status = cg(self._matrix, right, x0=start, rtol=PRECISION, maxiter=MOST_STEPS, M=self._preconditioner)
         if status != 0:
-            residual = float(np.linalg.norm(right - apply(solution)) / np.linalg.norm(right))
+            residual = float(np.linalg.norm(right - self._apply(solution)) / np.linalg.norm(right))
             raise RecordingError(
-                f"no map: after {MOST_STEPS:,} steps the equations of {len(weight):,} fixes have a residual of "
+                f"no map: after {MOST_STEPS:,} steps the equations of {len(elevation):,} fixes have a residual of "
                 f"{residual:.1e}, above {PRECISION:g}; learn from fewer days, or from a smaller area at a time"
             )
         return np.asarray(solution)
 
-    def draw(self, weight: Floats, precision: Floats, rng: np.random.Generator) -> Floats:
+    def draw(self, rng: np.random.Generator) -> Floats:
         """Return a sample of the posterior, less its mean."""
-        coefficients = rng.normal(size=len(precision)) / np.sqrt(precision)
-        simulated = self.design @ coefficients + rng.normal(size=len(weight)) / np.sqrt(weight)
-        return coefficients - self.solve(simulated, weight, precision)
+        coefficients = rng.normal(size=len(self._precision)) / np.sqrt(self._precision)
+        errors = rng.normal(size=len(self._weight)) / np.sqrt(self._weight)
+        return coefficients - self.find_mean(self._system.design @ coefficients + errors)
 
 
 class _Fit(NamedTuple):
@@ -341,9 +362,9 @@ def _estimate(system: _System, fixes: ElevationFixes, ride: Ints, rng: np.random
 def _improve(system: _System, elevation: Floats, ride: Ints, fit: _Fit, rng: np.random.Generator) -> _Fit:
     """Return the fit after one round of the EM algorithm for offsets and errors."""
     component = system.component
-    precision = 1.0 / fit.variances[component]
-    coefficients = system.solve(elevation, fit.weight, precision, fit.coefficients)
-    samples = [system.draw(fit.weight, precision, rng) for _ in range(SAMPLES)]
+    posterior = _Posterior(system, fit.weight, 1.0 / fit.variances[component])
+    coefficients = posterior.find_mean(elevation, fit.coefficients)
+    samples = [posterior.draw(rng) for _ in range(SAMPLES)]
     variances = fit.variances.copy()
     variances[-2:] = [
         _compute_mean_square(coefficients, samples, component == place) for place in component[-1] - [1, 0]
@@ -375,7 +396,7 @@ def _choose_exponent(system: _System, fixes: ElevationFixes, fit: _Fit) -> float
     errors = []
     for exponent in EXPONENTS:
         variances = np.append(_compute_ground_variances(fixes, exponent), fit.variances[-2:])
-        coefficients = system.solve(fixes.elevation, weight, 1.0 / variances[system.component])
+        coefficients = _Posterior(system, weight, 1.0 / variances[system.component]).find_mean(fixes.elevation)
         residual = (fixes.elevation - system.design @ coefficients)[unseen]
         errors.append(float(np.mean(np.minimum(np.abs(residual), CLIP * fit.fix_sd) ** 2)))
     return EXPONENTS[int(np.argmin(errors))]
@@ -413,10 +434,10 @@ def _make_places(
     row, column = _dilate(measured[0], measured[1])
     design, without = columns.design(row.astype(np.float64), column.astype(np.float64))
     cars = system.component == system.component[-1]
-    precision = 1.0 / fit.variances[system.component]
+    posterior = _Posterior(system, fit.weight, 1.0 / fit.variances[system.component])
     square = np.zeros(len(row))
     for _ in range(LAST_SAMPLES):
-        square += _evaluate(design, system.draw(fit.weight, precision, rng), cars) ** 2
+        square += _evaluate(design, posterior.draw(rng), cars) ** 2
     variance = square / LAST_SAMPLES + without @ fit.variances[: len(SPACINGS)]
     place = np.searchsorted(number_nodes(row, column), number_nodes(measured[0], measured[1]))
     count = np.zeros(len(row), np.int64)

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from socast.core.batch import Floats, Ints
+from socast.core.batch import Floats
 from socast.core.fit.nested_effects import (
     EXPECTED_LEVELS,
     SHARED,
@@ -25,8 +25,8 @@ from socast.core.fit.nested_effects import (
     Gaussian,
     LevelSpreads,
     RideProducts,
+    add_groups,
     compute_coefficients,
-    find_starts,
     integrate_out,
     without_car_factor,
 )
@@ -108,9 +108,9 @@ def differentiate_level_evidence(
     shared = slice(p + 1, p + 1 + SHARED)
     scaled = products.sums / spreads.row**2
     rides = _Level.of(scaled, shared, (spreads.ride_drive, spreads.ride_power))
-    days = _Level.of(_add(rides.left, products.day), shared, (spreads.day_drive, spreads.day_power))
+    days = _Level.of(add_groups(rides.left, products.day), shared, (spreads.day_drive, spreads.day_power))
     last = scaled.shape[1] - 1
-    cars = _Level.of(_add(days.left, products.car), slice(last, last + 1), (spreads.car,))
+    cars = _Level.of(add_groups(days.left, products.car), slice(last, last + 1), (spreads.car,))
     total = cars.left.sum(axis=0)
     posterior, evidence = _solve(prior, total)
     rows = float(products.rows.sum())
@@ -156,12 +156,11 @@ class _Level(NamedTuple):
         """Return the level of effects on some columns."""
         integrated = integrate_out(sums, at, spreads)
         variance = np.square(np.array(spreads))
-        inverse = np.linalg.inv(np.eye(len(variance)) + variance[:, np.newaxis] * sums[:, at, at])
-        return _Level(sums, integrated.sums, at, variance, inverse, integrated.log_determinant)
+        return _Level(sums, integrated.sums, at, variance, integrated.inverse, integrated.log_determinant)
 
     def pass_back(self, by_left: Floats) -> tuple[Floats, tuple[float, ...]]:
         """Return the derivatives of the evidence by the sums and by the logarithms of the standard deviations."""
-        beside, own = self.sums[:, :, self.at], self.sums[:, self.at, self.at]
+        beside, own = np.ascontiguousarray(self.sums[:, :, self.at]), self.sums[:, self.at, self.at]
         middle = self.inverse * self.variance
         changed = -beside @ middle
         changed[:, self.at] += np.eye(len(self.variance))
@@ -170,14 +169,9 @@ class _Level(NamedTuple):
         by_sums[:, self.at] = np.swapaxes(changed, 1, 2) @ by_sums
         by_sums[:, self.at, self.at] -= 0.5 * middle
         gain = beside @ self.inverse
-        by_variance = -np.sum(gain * (by_left @ gain), axis=(0, 1))
+        by_variance = -np.einsum("mis,mis->s", gain, by_left @ gain)
         by_variance -= 0.5 * np.sum(np.swapaxes(own, 1, 2) * self.inverse, axis=(0, 1))
         return by_sums, tuple((2.0 * self.variance * by_variance).tolist())
-
-
-def _add(sums: Floats, code: Ints) -> Floats:
-    """Return the sums of each code."""
-    return np.asarray(np.add.reduceat(sums, find_starts(code), axis=0))
 
 
 def estimate_spreads(

@@ -25,6 +25,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
+from scipy.sparse import csr_array
 
 from socast.core.batch import Floats, Ints
 
@@ -145,12 +146,15 @@ class Integrated(NamedTuple):
         Sums without the effects.
     gain : (m, s, q) float
         Expected effects for each column.
+    inverse : (m, s, s) float
+        Inverse of the identity plus the variances of the effects times the sums of their columns.
     log_determinant : float
         Logarithm of the determinant that the effects add to the covariance of the errors.
     """
 
     sums: Floats
     gain: Floats
+    inverse: Floats
     log_determinant: float
 
 
@@ -201,10 +205,8 @@ def eliminate(products: RideProducts, spreads: LevelSpreads) -> Elimination:
     shared = slice(p + 1, p + 1 + SHARED)
     scaled = products.sums / spreads.row**2
     rides = integrate_out(scaled, shared, (spreads.ride_drive, spreads.ride_power))
-    days = integrate_out(
-        np.add.reduceat(rides.sums, find_starts(products.day), axis=0), shared, (spreads.day_drive, spreads.day_power)
-    )
-    cars = np.add.reduceat(days.sums, find_starts(products.car), axis=0)
+    days = integrate_out(add_groups(rides.sums, products.day), shared, (spreads.day_drive, spreads.day_power))
+    cars = add_groups(days.sums, products.car)
     return Elimination(rides.sums, days.sums, cars, rides.gain, days.gain)
 
 
@@ -314,15 +316,22 @@ def integrate_out(sums: Floats, at: slice, spreads: Sequence[float]) -> Integrat
     """
     variance = np.square(np.asarray(spreads, dtype=np.float64))
     inner = np.eye(len(variance)) + variance[:, np.newaxis] * sums[:, at, at]
-    beside = sums[:, :, at]
-    gain = np.linalg.solve(inner, variance[:, np.newaxis] * np.swapaxes(beside, 1, 2))
+    beside = np.ascontiguousarray(sums[:, :, at])
+    # `solve` takes ten times as long for many right sides of few equations
+    inverse = np.asarray(np.linalg.inv(inner), dtype=np.float64)
+    gain = np.asarray((inverse * variance) @ np.swapaxes(beside, 1, 2), dtype=np.float64)
     _, logarithm = np.linalg.slogdet(inner)
-    return Integrated(sums - beside @ gain, np.asarray(gain, dtype=np.float64), float(logarithm.sum()))
+    left = beside @ gain
+    np.subtract(sums, left, out=left)
+    return Integrated(left, gain, inverse, float(logarithm.sum()))
 
 
-def find_starts(code: Ints) -> Ints:
-    """Return the position of the first entry of each code."""
-    return np.flatnonzero(np.r_[True, np.diff(code) != 0])
+def add_groups(sums: Floats, code: Ints) -> Floats:
+    """Return the sums of each code, which ascends without a gap."""
+    # a product with a sparse matrix takes a tenth of the time of `np.add.reduceat` along the first axis
+    ends = np.append(np.flatnonzero(np.r_[True, np.diff(code) != 0]), len(code))
+    adding = csr_array((np.ones(len(code)), np.arange(len(code)), ends))
+    return np.asarray(adding @ sums.reshape(len(code), -1)).reshape(-1, *sums.shape[1:])
 
 
 def _renumber(code: Ints) -> Ints:

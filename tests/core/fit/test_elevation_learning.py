@@ -95,7 +95,7 @@ def test_too_few_fixes_are_refused_with_the_remedy():
 
 def test_equations_that_are_not_solved_are_an_error_with_the_remedy(monkeypatch):
     monkeypatch.setattr("socast.core.fit.elevation_learning.MOST_STEPS", 3)
-    with pytest.raises(RecordingError, match=r"^no map: after 3 steps .* above 0.0001; learn from fewer days"):
+    with pytest.raises(RecordingError, match=r"^no map: after 3 steps .* above 1e-05; learn from fewer days"):
         learn_elevation(street_fixes(12))
 
 
