@@ -268,13 +268,6 @@ WINDOW_COLUMNS: Final = (
 def expand_effect_columns(columns: Iterable[Column], effects: Iterable[str]) -> tuple[Column, ...]:
     """Return columns with `EFFECT_COLUMN` replaced by one column per effect.
 
-    Parameters
-    ----------
-    columns : iterable of Column
-        `RIDE_COLUMNS` or `WINDOW_COLUMNS`.
-    effects : iterable of str
-        Names of the summed effects, in their order.
-
     Examples
     --------
     >>> [column.name for column in expand_effect_columns([EFFECT_COLUMN], ["rolling", "climbing"])]

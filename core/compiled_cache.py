@@ -11,13 +11,6 @@ def watch_sources(function: Any, *modules: ModuleType) -> None:
 
     The functions of these modules that it calls must be compiled with `cache=False`. Otherwise numba would link their
     cached versions, which are checked against one file each.
-
-    Parameters
-    ----------
-    function : compiled function
-        Result of `numba.njit(cache=True)`.
-    modules : module
-        Modules other than its own whose functions or constants it uses.
     """
     files = [function.py_func.__code__.co_filename, *(str(module.__file__) for module in modules)]
     digest = sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()

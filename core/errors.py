@@ -62,17 +62,6 @@ class AskError(SocastError):
 def suggest_names(name: str, known: Iterable[str]) -> str:
     """Return the remedy for an unknown name: the names that resemble it, or all known ones.
 
-    Parameters
-    ----------
-    name : str
-        Unknown name.
-    known : iterable of str
-        Known names.
-
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> suggest_names("rod_load", ["road_load", "hybrid"]), suggest_names("horse", ["road_load", "hybrid"])
@@ -86,21 +75,7 @@ def suggest_names(name: str, known: Iterable[str]) -> str:
 def read_input(path: Path, limit: int = LARGEST_INPUT) -> bytes:
     """Return the content of a file, if it is not too large to be what it is taken for.
 
-    Parameters
-    ----------
-    path : Path
-        File to read.
-    limit : int
-        Largest size. [B]
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read or is larger than the limit.
+    Units: limit [B].
     """
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size  # zero for a pipe

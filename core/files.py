@@ -12,19 +12,7 @@ _LONGEST: Final = 50  # characters of a name, so that the name of the new file i
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file; return once it is on disk.
-
-    Parameters
-    ----------
-    path : Path
-        File to write; an existing one is replaced as a whole.
-    content : bytes
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written; an existing one is as it was.
-    """
+    """Write a file; return once it is on disk."""
     with replacing(path) as fresh:
         fresh.write_bytes(content)
 
@@ -35,18 +23,6 @@ def replacing(path: Path, *, is_kept: bool = True) -> Iterator[Path]:
 
     If anything is raised, the new file is removed, and an existing one is as it was. A link stays a link. A pipe or a
     device, such as `/dev/stdout`, is itself yielded.
-
-    Parameters
-    ----------
-    path : Path
-        File to replace; it need not exist.
-    is_kept : bool
-        Wait until the file is on disk, as for whatever outlives the command.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
     """
     if path.exists() and not path.is_file():
         yield path
@@ -72,18 +48,7 @@ def replacing(path: Path, *, is_kept: bool = True) -> Iterator[Path]:
 
 
 def sync(path: Path) -> None:
-    """Wait until the content of a file, or the names of the files in a folder, are on disk.
-
-    Parameters
-    ----------
-    path : Path
-        File or folder.
-
-    Raises
-    ------
-    OSError
-        If it cannot be opened, or if the disk refuses it.
-    """
+    """Wait until the content of a file, or the names of the files in a folder, are on disk."""
     number = os.open(path, os.O_RDONLY)
     try:
         os.fsync(number)

@@ -26,18 +26,6 @@ _SIGNED_ZERO: Final = re.compile(r"(?<![\w.])[-+](?=0(?:\.0*)?(?![\d.,eE]))")
 def everyday(value: float, unit: str) -> str:
     """Return a quantity as text in its everyday unit.
 
-    Parameters
-    ----------
-    value : float
-        Quantity in SI units.
-    unit : str
-        Its SI unit. A unit without an everyday unit is kept.
-
-    Returns
-    -------
-    str
-        Number and unit.
-
     Examples
     --------
     >>> everyday(293.15, "K"), everyday(600.0, "s"), everyday(0.0003, "m"), everyday(0.9, "1"), everyday(3.0, "N")
@@ -49,13 +37,6 @@ def everyday(value: float, unit: str) -> str:
 
 def rounded(value: float, half: float | None = None) -> str:
     """Return a number as text, rounded to its uncertainty, or to two digits without one.
-
-    Parameters
-    ----------
-    value : float
-        Number.
-    half : float, optional
-        Half the width of its interval, in the same unit.
 
     Returns
     -------
@@ -75,15 +56,6 @@ def rounded(value: float, half: float | None = None) -> str:
 
 def format_count(count: int, noun: str, plural: str = "") -> str:
     """Return a number of things, with the singular after 1.
-
-    Parameters
-    ----------
-    count : int
-        Number of things.
-    noun : str
-        Singular.
-    plural : str
-        Plural, where it is not the singular and an s.
 
     Examples
     --------
@@ -110,15 +82,6 @@ def format_minus(text: str) -> str:
     A number that is rounded to zero has no sign. JSON, logs and error messages keep the hyphen. So do exponents, ranges
     and names.
 
-    Parameters
-    ----------
-    text : str
-        Text with numbers.
-
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> format_minus("taxi-003: -0.5 (-1.2e-07 to 0.2)")
@@ -136,10 +99,6 @@ def format_range(text: str) -> str:
     ----------
     text : str
         Name of a bin. A name that is no range of two numbers keeps its words.
-
-    Returns
-    -------
-    str
 
     Examples
     --------

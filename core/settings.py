@@ -131,21 +131,6 @@ LIVE_KEY_RATE = 50.0
 def checked(settings: Settings) -> Settings:
     """Return the settings if each of them is within its limits.
 
-    Parameters
-    ----------
-    settings : Settings
-        Settings to check.
-
-    Returns
-    -------
-    Settings
-        The same settings.
-
-    Raises
-    ------
-    SettingsError
-        If a setting is outside its limits; the message names the setting, its value and its limits.
-
     Examples
     --------
     >>> checked(Settings(window=5)).window
@@ -157,21 +142,6 @@ def checked(settings: Settings) -> Settings:
 
 def check_limits(limits: Limits) -> Limits:
     """Return the limits if each of them is possible.
-
-    Parameters
-    ----------
-    limits : Limits
-        Limits to check.
-
-    Returns
-    -------
-    Limits
-        The same limits.
-
-    Raises
-    ------
-    SettingsError
-        If a limit is not possible; the message names the limit, its value and its bounds.
 
     Examples
     --------

@@ -57,40 +57,13 @@ _DIGEST: Final = sha256().digest_size
 
 
 def seal_snapshot(state: dict[str, Any]) -> bytes:
-    """Return a state as bytes with a checksum.
-
-    Parameters
-    ----------
-    state : dict of str to object
-        State of plain lists, dicts, numbers and text.
-
-    Returns
-    -------
-    bytes
-        SHA-256 digest, followed by MessagePack.
-    """
+    """Return a state as bytes with a checksum."""
     content = msgspec.msgpack.encode({"version": SNAPSHOT, "fields": FIELDS} | state)
     return sha256(content).digest() + content
 
 
 def open_snapshot(snapshot: bytes) -> dict[str, Any]:
-    """Return the state that `seal_snapshot` encoded.
-
-    Parameters
-    ----------
-    snapshot : bytes
-        Result of `seal_snapshot`.
-
-    Returns
-    -------
-    dict of str to object
-        State, with its version, fields, model and effects.
-
-    Raises
-    ------
-    SocastError
-        If the bytes are not a snapshot, or one of another version.
-    """
+    """Return the state that `seal_snapshot` encoded."""
     digest, content = snapshot[:_DIGEST], snapshot[_DIGEST:]
     if sha256(content).digest() != digest:
         raise SocastError("not a snapshot of this product, or a damaged one: start without it")
@@ -110,15 +83,6 @@ def open_snapshot(snapshot: bytes) -> dict[str, Any]:
 
 def describe_model_change(content: Mapping[str, Any], model: str, effects: Sequence[str]) -> str:
     """Return how the model of a state and its effects differ from those of the pipeline; empty where they do not.
-
-    Parameters
-    ----------
-    content : mapping of str to object
-        Result of `open_snapshot`.
-    model : str
-        Name and version of the first model of the pipeline.
-    effects : sequence of str
-        Names of the effects that the pipeline sums.
 
     Examples
     --------
@@ -312,15 +276,6 @@ def load_components(components: Mapping[str, Stateful], content: dict[str, Any],
     ----------
     components : mapping of str to Stateful
         Components by name, in the order in which they must load.
-    content : dict of str to object
-        Result of `open_snapshot`.
-    effects : sequence of str
-        Names of the effects that the pipeline sums, in its order.
-
-    Raises
-    ------
-    SocastError
-        If the state of a component has another form, or if a component is unknown or missing.
     """
     name, state = "state", content.get("state")
     try:

@@ -72,20 +72,7 @@ class Checkpoints:
         self._recovered = 0
 
     def restore(self) -> list[Message]:
-        """Continue from the last state, then from what was recorded after it, and save the state.
-
-        Returns
-        -------
-        list of Message
-            Newest forecast of each vehicle whose forecast became due in the recording.
-
-        Raises
-        ------
-        SocastError
-            If the file holds no state of this version and model.
-        SettingsError
-            If the file cannot be read or written.
-        """
+        """Continue from the last state, then from what was recorded after it, and save the state."""
         forecasts: dict[str, Message] = {}
         if self._file.exists:
             note = self._file.load(self._pipeline.restore)
@@ -109,13 +96,7 @@ class Checkpoints:
             _log.error("state not kept: %s", error)
 
     def save(self) -> None:
-        """Sync the recording to disk, then replace the state.
-
-        Raises
-        ------
-        SettingsError
-            If the file cannot be written.
-        """
+        """Sync the recording to disk, then replace the state."""
         note = None
         if self._recorder is not None:
             self._recorder.sync()

@@ -39,18 +39,7 @@ COLUMNS: Final = {
 
 
 def open_elevation(files: Sequence[Path]) -> ElevationMap | None:
-    """Return the map that files make up, None without files.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        Tiles and learned maps.
-
-    Raises
-    ------
-    SettingsError
-        If a file cannot be read, is given twice, or is neither a tile nor a learned map.
-    """
+    """Return the map that files make up, None without files."""
     if not files:
         return None
     layers: list[ElevationLayer] = []
@@ -70,20 +59,7 @@ def open_elevation(files: Sequence[Path]) -> ElevationMap | None:
 
 
 def write_places(places: ElevationPlaces, path: Path) -> None:
-    """Write a learned map.
-
-    Parameters
-    ----------
-    places : ElevationPlaces
-        Places.
-    path : Path
-        File to write; it ends in `.parquet`.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be written.
-    """
+    """Write a learned map."""
     columns = {
         "row": places.row,
         "column": places.column,
@@ -109,18 +85,7 @@ def write_places(places: ElevationPlaces, path: Path) -> None:
 
 
 def read_places(path: Path) -> ElevationPlaces:
-    """Return a learned map.
-
-    Parameters
-    ----------
-    path : Path
-        File that `write_places` wrote.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, or is no learned map of this version.
-    """
+    """Return a learned map."""
     if not path.is_file():
         raise SettingsError(f"there is no map of elevation {path}; give a file that `socast elevation learn` wrote")
     try:

@@ -43,15 +43,6 @@ def read_tile(path: Path) -> ElevationRaster:
     ----------
     path : Path
         `.hgt`, `.hgt.gz`, `.hgt.zip`, `.zip` with one `.hgt` inside, `.tif` or `.tiff`, in upper or lower case.
-
-    Returns
-    -------
-    ElevationRaster
-
-    Raises
-    ------
-    SettingsError
-        If rasterio is not installed, or the file cannot be read as a tile.
     """
     try:
         from rasterio.errors import RasterioError  # noqa: PLC0415 - an extra

@@ -51,16 +51,6 @@ class HttpAddress(NamedTuple):
 def parse_http_address(text: str) -> HttpAddress:
     """Return an address of the form PORT, HOST:PORT or [IPV6]:PORT.
 
-    Parameters
-    ----------
-    text : str
-        A port alone is one on loopback.
-
-    Raises
-    ------
-    SettingsError
-        If the text has another form, or the port is above 65535.
-
     Examples
     --------
     >>> parse_http_address("9464"), parse_http_address("[::1]:9464")

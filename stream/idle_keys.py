@@ -27,12 +27,7 @@ class IdleKeys:
         self._used_s: dict[str, float] = {}  # the key that was used last is the last one
 
     def use(self, keys: Iterable[str]) -> list[str]:
-        """Note that keys are used now; forget and return the keys that were not used for longer than the limit.
-
-        Parameters
-        ----------
-        keys : iterable of str
-        """
+        """Note that keys are used now; forget and return the keys that were not used for longer than the limit."""
         now, used_s = self._clock(), self._used_s
         for key in keys:
             used_s.pop(key, None)

@@ -38,11 +38,6 @@ class LatestOnlySink:
         ----------
         messages : sequence of Message
             Messages to pass on; an empty sequence is allowed.
-
-        Raises
-        ------
-        Exception
-            The error that stopped the sink.
         """
         self._raise_failure()
         if messages:
@@ -51,13 +46,7 @@ class LatestOnlySink:
                 self._changed.notify()
 
     def close(self) -> None:
-        """Wait until the thread has passed on all messages, then close the sink.
-
-        Raises
-        ------
-        Exception
-            The error that stopped the sink, unless `put` has already raised it.
-        """
+        """Wait until the thread has passed on all messages, then close the sink."""
         with self._changed:
             self._closing = True
             self._changed.notify()

@@ -22,15 +22,7 @@ _RENEW: Final = "make another one with `socast secure renew`, and give it with -
 
 
 def explain_failure(endpoint: str, tls: Mapping[str, Any]) -> str:
-    """Return why no connection to an endpoint can be made, with the remedy; an empty text if nothing is found.
-
-    Parameters
-    ----------
-    endpoint : str
-        Endpoint of a router, such as `tls/router.example:7447`.
-    tls : mapping
-        Setting `transport/link/tls` of the configuration.
-    """
+    """Return why no connection to an endpoint can be made, with the remedy; an empty text if nothing is found."""
     protocol, _, address = endpoint.partition("/")
     host, _, port = re.split(r"[?#]", address)[0].rpartition(":")
     if protocol not in {"tcp", "tls"} or not port.isdecimal():

@@ -33,30 +33,10 @@ class Forecaster(Protocol):
         """Process the messages that are new, after `record` has received them."""
 
     def forecasts(self, *, newest_only: bool = False) -> list[Message]:
-        """Return the forecasts that became due since the last call.
-
-        Parameters
-        ----------
-        newest_only : bool
-            Return only the newest forecast of each vehicle.
-
-        Returns
-        -------
-        list of Message
-        """
+        """Return the forecasts that became due since the last call."""
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
-        """Return the errors of several models after each ride that ended since the last call.
-
-        Parameters
-        ----------
-        newest_only : bool
-            Return only the errors after the last of these rides.
-
-        Returns
-        -------
-        list of Message
-        """
+        """Return the errors of several models after each ride that ended since the last call."""
 
     def finish(self) -> list[Message]:
         """Close open rides and return the last forecasts."""
@@ -129,29 +109,14 @@ def run(
         Source that ends by itself or at its stop event. The loop logs its counts `missed` and `dropped`;
         `missed` is None where nothing is requested again. It counts the messages of the type `RecoveredMessage` if the
         source says `has_recovered`.
-    pipeline : Forecaster
-        Pipeline that turns messages into forecasts.
     sinks : sequence of Sink
         Sinks that receive the forecasts and the errors of models. The loop closes them at the end.
-    recorder : Recorder, optional
-        Recorder of the received messages that are new.
-    keep_open : bool
-        Leave rides in progress open at the end, because a state holds them.
     publish_s : float
         Time between two rounds of the newest forecast of each vehicle. [s] A consumer that has fallen behind then does
         not flood its subscribers, and one that keeps pace publishes every forecast. With 0 the loop passes on all
         forecasts.
     watch : callable
         Function that the loop calls after each list of messages, empty lists included, for a screen or a progress bar.
-    report_s : float
-        Time between two lines of counters in the log. [s]
-    clock : callable
-        Function that returns monotonic time. [s]
-
-    Returns
-    -------
-    Tally
-        Counts of the whole run.
     """
     tally, began, which = Tally(), clock(), {"newest_only": publish_s > 0.0}
     keep, counters = _make_keeper(source, recorder, tally), _CounterLog(tally, source, pipeline, recorder)
@@ -204,13 +169,7 @@ def collect_garbage_rarely() -> Iterator[None]:
 
 @contextmanager
 def stop_on_signals() -> Iterator[Event]:
-    """Provide an event that SIGINT and SIGTERM set; a second SIGINT interrupts immediately, as usual.
-
-    Yields
-    ------
-    threading.Event
-        Event that requests the stop. The previous signal handlers return at the end.
-    """
+    """Provide an event that SIGINT and SIGTERM set; a second SIGINT interrupts immediately, as usual."""
     stop = Event()
 
     def handle(number: int, frame: FrameType | None) -> None:

@@ -118,19 +118,7 @@ class Channels:
             self.foreign[number] = (topic, reason)
 
     def find_keys(self, channel: Ints, key: Ints, losses: Losses, for_viewers: Counter[str]) -> None:
-        """Write the number of the key of each message, -1 where it has none; count those that are left out.
-
-        Parameters
-        ----------
-        channel : (n,) int
-            Channels of messages.
-        key : (n,) int
-            Numbers to write.
-        losses : Losses
-            It counts messages of other contracts, and of channels that are nowhere described.
-        for_viewers : Counter of str
-            It counts messages for viewers, by topic.
-        """
+        """Write the number of the key of each message, -1 where it has none; count those that are left out."""
         known = channel < len(self._keys)
         key[known], key[~known] = self._keys[channel[known]], _UNKNOWN
         if (key >= 0).all():

@@ -49,24 +49,7 @@ class OversizedError(ValueError):
 def read_records(file: BinaryIO, start: int, length: int, largest: int) -> Iterator[tuple[int, bytes]]:
     """Yield the opcode and the body of each record of a part of a file, one at a time.
 
-    Parameters
-    ----------
-    file : file
-    start, length : int
-        Place and size of the part. [B]
-    largest : int
-        Size of the largest record. [B]
-
-    Yields
-    ------
-    tuple of (int, bytes)
-
-    Raises
-    ------
-    struct.error
-        If the file ends within the head of a record.
-    ValueError
-        If a record has no opcode, is too large, or reaches beyond the part.
+    Units: start [B], length [B], largest [B].
     """
     file.seek(start)
     while length:
@@ -80,25 +63,7 @@ def read_records(file: BinaryIO, start: int, length: int, largest: int) -> Itera
 def iterate_strings(body: bytes, at: int, count: int) -> Iterator[bytes]:
     """Yield strings, each of which follows its length in the record.
 
-    Parameters
-    ----------
-    body : bytes
-        Body of the record.
-    at : int
-        Offset of the first length. [B]
-    count : int
-        Number of strings.
-
-    Yields
-    ------
-    bytes
-
-    Raises
-    ------
-    ValueError
-        If a string reaches beyond the record.
-    struct.error
-        If a length reaches beyond the record.
+    Units: at [B].
     """
     for _ in range(count):
         (length,) = _LENGTH.unpack_from(body, at)
@@ -109,43 +74,13 @@ def iterate_strings(body: bytes, at: int, count: int) -> Iterator[bytes]:
 
 
 def decode_metadata(body: bytes) -> tuple[str, dict[str, str]]:
-    """Return the name and the entries of a metadata record.
-
-    Parameters
-    ----------
-    body : bytes
-        Body of the record.
-
-    Returns
-    -------
-    tuple of (str, dict of str to str)
-
-    Raises
-    ------
-    ValueError, struct.error
-        If a string is not UTF-8 or reaches beyond the record.
-    """
+    """Return the name and the entries of a metadata record."""
     (name,) = iterate_strings(body, 0, 1)
     return name.decode(), _decode_map(body, _LENGTH.size + len(name))
 
 
 def decode_channel(body: bytes) -> tuple[str, str, dict[str, str]]:
-    """Return the topic, the encoding of messages and the metadata of a channel record.
-
-    Parameters
-    ----------
-    body : bytes
-        Body of the record.
-
-    Returns
-    -------
-    tuple of (str, str, dict of str to str)
-
-    Raises
-    ------
-    ValueError, struct.error
-        If a string is not UTF-8 or reaches beyond the record.
-    """
+    """Return the topic, the encoding of messages and the metadata of a channel record."""
     topic, encoding = iterate_strings(body, 4, 2)
     at = 4 + 2 * _LENGTH.size + len(topic) + len(encoding)
     return topic.decode(), encoding.decode(), _decode_map(body, at)
@@ -166,25 +101,7 @@ def _decode_map(body: bytes, at: int) -> dict[str, str]:
 def decompress_chunk(record: bytes, limit: int = LARGEST_CHUNK) -> bytes:
     """Return the decompressed records of a chunk, after a check of size and checksum.
 
-    Parameters
-    ----------
-    record : bytes
-        The whole chunk record.
-    limit : int
-        Largest size of the result. [B]
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    ValueError
-        If the chunk is incomplete, its compression is unknown, or its size or checksum differs.
-    OversizedError
-        If the chunk claims more than the limit. No more than it claims is decompressed.
-    zstandard.ZstdError, RuntimeError
-        If the compressed data are damaged.
+    Units: limit [B].
     """
     opcode, _, _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(record)
     at = _CHUNK_HEAD.size + name_length
@@ -223,19 +140,6 @@ def _list_lacking(kind: str, data: bytes) -> list[str]:
 
 def explain_foreign_channel(topic: str, encoding: str, name: str, schema_encoding: str, data: bytes) -> str:
     """Return the reason why a channel does not follow the wire contract.
-
-    Parameters
-    ----------
-    topic : str
-        Topic of the channel.
-    encoding : str
-        Encoding of its messages.
-    name : str
-        Name of its schema.
-    schema_encoding : str
-        Encoding of its schema.
-    data : bytes
-        Text of its schema.
 
     Returns
     -------

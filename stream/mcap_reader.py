@@ -207,11 +207,6 @@ class McapSource:
         ----------
         start_ns, stop_ns : float
             The first time, and the time before which the span ends; either may be infinite. [Unix ns]
-
-        Raises
-        ------
-        RecordingError
-            If a message is outside the span of time of its chunk, or if a chunk does not describe its channels.
         """
         counted, others = (Losses(), Counter[str]()), (Losses(), Counter[str]())
         parts: list[MessageBlock] = []

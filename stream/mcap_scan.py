@@ -68,13 +68,7 @@ NO_RECORDS: Final = ChunkRecords(
 
 
 def scan_chunk(data: bytes) -> ChunkRecords:
-    """Return the places of messages and descriptions in a chunk.
-
-    Parameters
-    ----------
-    data : bytes
-        Records of the chunk.
-    """
+    """Return the places of messages and descriptions in a chunk."""
     end, data = len(data), data + bytes(PADDING)
     text = np.frombuffer(data, np.uint8)
     most = end // _HEAD

@@ -44,10 +44,6 @@ def find_sections(file: BinaryIO) -> tuple[list[Section], int]:
     """Return the recordings in a file that begins with one, and the number of bytes that belong to none.
 
     A recording ends with its footer. One that breaks off or is damaged ends where the next one begins.
-
-    Parameters
-    ----------
-    file : file
     """
     size = file.seek(0, 2)
     sections: list[Section] = []

@@ -145,18 +145,7 @@ class McapSink(Closeable):
         return len(self._channels) >= MOST_CHANNELS
 
     def room(self, messages: Sequence[Message]) -> int:
-        """Return how many of the messages, from the first on, fit into the recording by their number of keys.
-
-        Parameters
-        ----------
-        messages : sequence of Message
-            Messages that are to be put.
-
-        Returns
-        -------
-        int
-            Number of leading messages whose keys the recording can hold.
-        """
+        """Return how many of the messages, from the first on, fit into the recording by their number of keys."""
         left = MOST_CHANNELS - len(self._channels)
         if len(messages) <= left:
             return len(messages)
@@ -173,15 +162,8 @@ class McapSink(Closeable):
 
         Parameters
         ----------
-        messages : sequence of Message
-            Messages in order of receipt.
         for_viewers : bool
             Put them on channels of their own, which only viewers read and `McapSource` leaves out.
-
-        Raises
-        ------
-        RecordingError
-            If the disk is full, or if the messages have more than `MOST_CHANNELS` keys in total.
         """
         parts, pack, body = self._parts, MESSAGE_HEAD.pack, _BODY
         keys = self._viewer_keys if for_viewers else self._keys
@@ -206,13 +188,7 @@ class McapSink(Closeable):
         self._end_chunk()
 
     def sync(self) -> None:
-        """Write the unfinished chunk, and return once the operating system has everything on disk.
-
-        Raises
-        ------
-        RecordingError
-            If the disk refuses the data.
-        """
+        """Write the unfinished chunk, and return once the operating system has everything on disk."""
         self._end_chunk()
         try:
             os.fdatasync(self._file.fileno())
@@ -222,13 +198,7 @@ class McapSink(Closeable):
             ) from error
 
     def close(self) -> None:
-        """Write the summary and close the file.
-
-        Raises
-        ------
-        RecordingError
-            If the disk is full.
-        """
+        """Write the summary and close the file."""
         if self._file.closed:
             return
         try:

@@ -39,16 +39,7 @@ class MessageQueue:
     def put(self, messages: MessageBlock, size: int, *, recovered: bool = False, patience_s: float) -> bool:
         """Append messages as soon as the queue is not full.
 
-        Parameters
-        ----------
-        messages : MessageBlock
-            Messages to append.
-        size : int
-            Size of their payloads. [B]
-        recovered : bool
-            Whether some of the messages came from the caches of publishers.
-        patience_s : float
-            Longest wait. [s]
+        Units: size [B].
 
         Returns
         -------
@@ -66,13 +57,7 @@ class MessageQueue:
         return True
 
     def wait(self, patience_s: float) -> bool:
-        """Wait until messages are queued or the queue has ended; return whether messages are queued.
-
-        Parameters
-        ----------
-        patience_s : float
-            Longest wait. [s]
-        """
+        """Wait until messages are queued or the queue has ended; return whether messages are queued."""
         with self._changed:
             self._changed.wait_for(lambda: self._has_ended or self._blocks, patience_s)
             return bool(self._blocks)
@@ -82,19 +67,7 @@ class MessageQueue:
 
         Messages that came from the caches of publishers are not joined with others.
 
-        Parameters
-        ----------
-        most_messages : int
-            Number of messages after which no further block is taken.
-        most_bytes : int
-            Size after which no further block is taken. [B]
-
-        Returns
-        -------
-        messages : MessageBlock
-            Empty if nothing is queued.
-        recovered : bool
-            Whether some of them came from the caches of publishers.
+        Units: most_bytes [B].
         """
         out: list[MessageBlock] = []
         count = size = 0

@@ -281,27 +281,14 @@ def make_registry(
 ) -> "CollectorRegistry":
     """Return the registry of the metrics of the service and of its process.
 
+    Units: now [Unix s].
+
     Parameters
     ----------
     get_snapshot : callable
         Function that returns the newest snapshot, None before the first.
-    is_ready : callable
-        Function that returns whether the service is ready.
-    get_loop_age : callable
-        Function that returns the time since the loop moved. [s]
-    now : callable
-        Function that returns the present time. [Unix s]
     shard : str
         Shard of the service, such as `2/4`, which becomes a label of each metric; empty without shards.
-
-    Returns
-    -------
-    prometheus_client.CollectorRegistry
-
-    Raises
-    ------
-    SettingsError
-        If the package prometheus-client is not installed.
     """
     try:
         from prometheus_client import CollectorRegistry, ProcessCollector  # noqa: PLC0415 - an extra
@@ -344,17 +331,7 @@ def make_families(
 ) -> Iterable["Metric"]:
     """Yield the metric families of a snapshot.
 
-    Parameters
-    ----------
-    snapshot : ServiceSnapshot
-    now : float
-        Present time. [Unix s]
-    shard : mapping of str to str
-        Labels that every metric has.
-
-    Yields
-    ------
-    prometheus_client.Metric
+    Units: now [Unix s].
     """
     from prometheus_client.core import (  # noqa: PLC0415 - an extra
         CounterMetricFamily,

@@ -155,13 +155,7 @@ class MqttSource(Closeable):
         return self._open[self._connection]
 
     def take(self, wait_s: float) -> list[MqttMessage]:
-        """Return the messages that have come, after a wait for the first one.
-
-        Parameters
-        ----------
-        wait_s : float
-            Longest wait. [s]
-        """
+        """Return the messages that have come, after a wait for the first one."""
         taken: list[MqttMessage] = []
         try:
             taken.append(self._waiting.get(timeout=wait_s))
@@ -173,13 +167,7 @@ class MqttSource(Closeable):
         return taken
 
     def acknowledge(self, tickets: Sequence[Ticket]) -> None:
-        """Tell the broker that it need not keep messages any longer.
-
-        Parameters
-        ----------
-        tickets : sequence of Ticket
-            Tickets of messages that were taken.
-        """
+        """Tell the broker that it need not keep messages any longer."""
         for ticket in tickets:
             self._open[ticket.connection] -= 1
             if ticket.connection == self._connection:
@@ -267,20 +255,6 @@ class MqttSource(Closeable):
 def parse_broker(url: str) -> tuple[str, str, int]:
     """Return scheme, host and port of the address of a broker.
 
-    Parameters
-    ----------
-    url : str
-        Address such as `mqtt://127.0.0.1:1883`.
-
-    Returns
-    -------
-    tuple of (str, str, int)
-
-    Raises
-    ------
-    SettingsError
-        If the address is not valid, or holds a password.
-
     Examples
     --------
     >>> parse_broker("mqtts://broker.example")
@@ -302,19 +276,10 @@ def parse_broker(url: str) -> tuple[str, str, int]:
 def check_broker(broker: Broker) -> ssl.SSLContext | None:
     """Check the address and the files of a broker without connecting, and return the settings of TLS.
 
-    Parameters
-    ----------
-    broker : Broker
-
     Returns
     -------
     ssl.SSLContext or None
         None for an address without TLS.
-
-    Raises
-    ------
-    SettingsError
-        If the address is not valid or holds a password, files are given without TLS, or one cannot be read.
     """
     scheme, _, _ = parse_broker(broker.url)
     if scheme == "mqtts":

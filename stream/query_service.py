@@ -57,21 +57,8 @@ class OutlookProvider(Protocol):
 
         Parameters
         ----------
-        vehicle_id : str
-            Identifier of the car.
         leg : Leg or None
             The ride that the query is about; None for the shift as planned.
-        plan : Plan or None
-            A plan that replaces the known one in this answer.
-
-        Returns
-        -------
-        Outlook
-
-        Raises
-        ------
-        SocastError
-            If the query cannot be answered.
         """
 
 
@@ -119,13 +106,7 @@ class QueryService:
                 return
 
     def counts(self) -> dict[str, Any]:
-        """Return the counters since the start.
-
-        Returns
-        -------
-        dict
-            `answered`, and `refused` as a dict by cause.
-        """
+        """Return the counters since the start."""
         return {"answered": self.answered, "refused": dict(self.refused)}
 
     def end(self) -> None:

@@ -165,17 +165,7 @@ class Recorder(Closeable):
         self._rotates = True
 
     def read_after(self, place: Place) -> Iterator[Sequence[Message]]:
-        """Yield the messages that were recorded after a place, in their order.
-
-        Parameters
-        ----------
-        place : Place
-            Place in a file of this folder, that an earlier process noted.
-
-        Yields
-        ------
-        sequence of Message
-        """
+        """Yield the messages that were recorded after a place, in their order."""
         files = list_recordings(self._folder)
         if place.file and place.file not in {path.name for path in files}:
             _log.warning("%s is gone: samples that only it holds are not in the state", self._folder / place.file)
@@ -277,13 +267,7 @@ class Recorder(Closeable):
 
 
 def list_recordings(folder: Path) -> list[Path]:
-    """Return the files of a recorder, the oldest first.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the files.
-    """
+    """Return the files of a recorder, the oldest first."""
     return sorted(folder.glob("*.mcap"), key=lambda path: _order(path.name))
 
 

@@ -31,22 +31,6 @@ def make_metadata(
 ) -> dict[str, str]:
     """Return the entries of the metadata record; what is not given has no entry.
 
-    Parameters
-    ----------
-    command : str
-        Command that writes the recording.
-    prefix : str
-        Key chunks before those of the wire contract.
-    models : sequence of str
-        Name and version of each model; the first one makes the forecasts.
-    settings : mapping of str to object
-        Settings that differ from the defaults, see `list_changed_settings`.
-
-    Returns
-    -------
-    dict of str to str
-        `command`, `prefix`, `model`, `shadows` (separated by commas) and `settings` (a JSON object).
-
     Examples
     --------
     >>> make_metadata("simulate", settings={"seed": 7})
@@ -64,15 +48,6 @@ def make_metadata(
 
 def list_changed_settings(value: Any, usual: Any) -> dict[str, Any]:
     """Return the fields of a record that differ from the usual ones; of a field that is a record, only its changes.
-
-    Parameters
-    ----------
-    value, usual : dataclass or named tuple
-        Two records of the same type.
-
-    Returns
-    -------
-    dict of str to object
 
     Examples
     --------

@@ -53,14 +53,7 @@ class ServiceMonitor(Closeable):
         self._notifier.set_status(f"starting: {step}")
 
     def make_watches(self, take_snapshot: SnapshotTaker, stop: Event) -> list[Callable[[Tally], None]]:
-        """Return the watch of the loop, or none where nobody is told.
-
-        Parameters
-        ----------
-        take_snapshot : SnapshotTaker
-        stop : Event
-            Event that requests the stop of the service.
-        """
+        """Return the watch of the loop, or none where nobody is told."""
         if self.server is None and not self._notifier.is_connected:
             return []
         self._watch = ServiceWatch(self._status, take_snapshot, self._notifier, stop)

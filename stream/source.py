@@ -91,17 +91,6 @@ def stop_source(source: Source, stop: Event) -> Iterator[Sequence[Message]]:
     """Yield the lists of a source until `stop` is set.
 
     The function suits only sources, such as recordings, that hold no messages which a stop would lose.
-
-    Parameters
-    ----------
-    source : Source
-        Source to stop.
-    stop : Event
-        Event that ends the iteration.
-
-    Yields
-    ------
-    sequence of Message
     """
     for messages in source:
         if stop.is_set():
@@ -121,26 +110,13 @@ def pace_source(
 
     Parameters
     ----------
-    source : Source
-        Messages in order of receipt.
     speed : float
         Ratio of recorded time to real time: 1 for real time, `math.inf` for as fast as possible. [1]
-    longest_gap_s : float
-        Length to which a longer silence in the recording is shortened. [s of the recording]
-    clock : callable
-        Function that returns monotonic time. [s]
-    sleep : callable
-        Function that waits for a number of seconds.
 
     Yields
     ------
     sequence of Message
         Messages that have fallen due; an empty list every `LOOK_UP_S` of silence.
-
-    Raises
-    ------
-    SettingsError
-        If the speed or the gap is not positive.
     """
     if not speed > 0:
         raise SettingsError(f"speed is {speed:g}, must be above 0; give a number such as 60, or `max`")

@@ -69,11 +69,6 @@ class StateFile(Closeable):
         ----------
         restore : callable
             Function that takes a snapshot and raises `SocastError` if it cannot use it.
-
-        Raises
-        ------
-        SocastError
-            If neither the last state nor the one before can be used; the message concerns the last one.
         """
         failure: SocastError | None = None
         for path in (self.path, self._previous):
@@ -94,18 +89,7 @@ class StateFile(Closeable):
         raise failure or SettingsError(f"{self.path} does not exist")
 
     def save(self, snapshot: bytes) -> None:
-        """Replace the state; return once it is on disk.
-
-        Parameters
-        ----------
-        snapshot : bytes
-            State of every car.
-
-        Raises
-        ------
-        SettingsError
-            If the file cannot be written; the last state remains.
-        """
+        """Replace the state; return once it is on disk."""
         try:
             with replacing(self.path) as fresh:
                 fresh.write_bytes(snapshot)

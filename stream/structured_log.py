@@ -15,35 +15,12 @@ _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ01234567
 
 
 def event_fields(**values: Any) -> dict[str, Any]:
-    """Return the fields of an event in the form that `logging` takes as `extra`.
-
-    Parameters
-    ----------
-    **values
-        Fields of the event by name.
-
-    Returns
-    -------
-    dict
-    """
+    """Return the fields of an event in the form that `logging` takes as `extra`."""
     return {"fields": values}
 
 
 def flatten_counts(counts: Mapping[str, Any], prefix: str = "", *, keep_zeros: bool = False) -> dict[str, Any]:
     """Return nested counters as one level, with names joined by dots, without zeros and empty values.
-
-    Parameters
-    ----------
-    counts : mapping
-        Counters, or mappings of counters, by name.
-    prefix : str
-        Text before every name.
-    keep_zeros : bool
-        Whether to return zeros too.
-
-    Returns
-    -------
-    dict
 
     Examples
     --------
@@ -110,10 +87,6 @@ def log_lines(*, as_json: bool = False, to: TextIO | None = None, level: int = l
     ----------
     as_json : bool
         Whether each line is a JSON object instead of `key=value` pairs.
-    to : TextIO, optional
-        Stream of the log lines; by default standard error.
-    level : int
-        Lowest level that is logged.
     """
     handler = logging.StreamHandler(to) if to else _Standard()
     handler.setFormatter(LineFormatter(as_json=as_json))

@@ -81,10 +81,7 @@ class SystemdNotifier:
     def feed_watchdog(self, now: float) -> None:
         """Tell that the loop moves, at most four times per time of the watchdog.
 
-        Parameters
-        ----------
-        now : float
-            Monotonic time. [s]
+        Units: now [s].
         """
         if self.watchdog_s is not None and now >= self._due_s:
             self._due_s = now + self.watchdog_s / 4.0

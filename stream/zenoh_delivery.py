@@ -48,22 +48,10 @@ class ZenohDelivery(Closeable):
     def deliver(self, messages: Sequence[Message], stop: Event) -> bool:
         """Publish messages, and return whether a router has read them all.
 
-        Parameters
-        ----------
-        messages : sequence of Message
-            Messages to publish.
-        stop : Event
-            Event that ends the wait for a router.
-
         Returns
         -------
         bool
             False if `stop` was set before a router had read them.
-
-        Raises
-        ------
-        SettingsError
-            If a key is not a Zenoh key expression, or if the session is closed.
         """
         while self._wait_for_router(stop):
             lost = self._lost

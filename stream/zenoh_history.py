@@ -89,10 +89,7 @@ class CacheHistory:
     def collect(self, now: float) -> list[Any]:
         """Return the samples that caches have sent since the last call, and ask publishers that have appeared.
 
-        Parameters
-        ----------
-        now : float
-            Monotonic time. [s]
+        Units: now [s].
         """
         for subscriber in self._tokens:
             tokens, _ = _receive(subscriber.handler)
@@ -116,10 +113,7 @@ class CacheHistory:
     def is_waiting(self, now: float) -> bool:
         """Return whether answers are under way, so that live samples must wait.
 
-        Parameters
-        ----------
-        now : float
-            Monotonic time. [s]
+        Units: now [s].
         """
         if self._is_cut_off:
             return True
@@ -243,10 +237,6 @@ def merge_samples(samples: Sequence[Any]) -> list[Any]:
     ----------
     samples : sequence of zenoh.Sample
         Samples of any keys; the same sample may come more than once, and then the first one is returned.
-
-    Returns
-    -------
-    list of zenoh.Sample
     """
     publishers: dict[Any, dict[int, Any]] = {}
     arrival = count()

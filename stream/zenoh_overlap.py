@@ -128,13 +128,7 @@ class Overlaps:
         self._warned_s = 0.0
 
     def look(self, events: Sequence[tuple[str, bool]]) -> None:
-        """Take in the tokens that came and went, and warn where consumers overlap.
-
-        Parameters
-        ----------
-        events : sequence of (str, bool)
-            Names of tokens, and whether each is there.
-        """
+        """Take in the tokens that came and went, and warn where consumers overlap."""
         now = self._clock()
         for token, is_there in events:
             self._take(token, now, is_there=is_there)

@@ -72,25 +72,13 @@ class ZenohQuery:
         self.payload: bytes | None = None if query.payload is None else query.payload.to_bytes()
 
     def reply(self, payload: bytes) -> None:
-        """Answer with JSON. Zenoh sends only the first answer, and none if the sender of the query has gone.
-
-        Parameters
-        ----------
-        payload : bytes
-            JSON text of the answer.
-        """
+        """Answer with JSON. Zenoh sends only the first answer, and none if the sender of the query has gone."""
         self._send(
             self._query, partial(self._query.reply, self._key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
         )
 
     def refuse(self, words: str) -> None:
-        """Answer with an error reply, `{"error": words}`.
-
-        Parameters
-        ----------
-        words : str
-            Reason of the refusal.
-        """
+        """Answer with an error reply, `{"error": words}`."""
         payload = msgspec.json.encode(_Refusal(words))
         self._send(self._query, partial(self._query.reply_err, payload, encoding=zenoh.Encoding.APPLICATION_JSON))
 
@@ -165,33 +153,7 @@ class ZenohQueryable(Closeable):
 def query_outlook(
     node: Node, vehicle: str, parameters: Mapping[str, str], payload: bytes | None = None, timeout_s: float = 5.0
 ) -> bytes:
-    """Query the consumer that answers for a vehicle, and return its answer.
-
-    Parameters
-    ----------
-    node : Node
-        Session to query in; its prefix comes before the key.
-    vehicle : str
-        Identifier of the car.
-    parameters : mapping of str to str
-        Description of the ride, as `socast.core.forecast.plan_checks.parse_leg` takes it.
-    payload : bytes, optional
-        A plan, as `socast.core.forecast.plan_checks.parse_plan` takes it.
-    timeout_s : float
-        Longest wait for the answer. [s]
-
-    Returns
-    -------
-    bytes
-        JSON of a `socast.core.wire.messages.Outlook`.
-
-    Raises
-    ------
-    AskError
-        If the consumer refuses the query; the message is its reason.
-    SettingsError
-        If no consumer answers, or none in time.
-    """
+    """Query the consumer that answers for a vehicle, and return its answer."""
     key = f"{node.prefix}fleet/{vehicle}/outlook"
     refusals: list[str | None] = []
     try:

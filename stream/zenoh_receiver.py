@@ -125,8 +125,6 @@ def adapt_nap(nap_s: float, fullness: float) -> float:
 
     Parameters
     ----------
-    nap_s : float
-        Wait before the last look. [s]
     fullness : float
         Number of samples that the last look found, relative to the most that it takes. [1]
 
@@ -207,12 +205,7 @@ class ZenohReceiver:
     def predict_block(self, messages: int, size: int) -> None:
         """Take only so many samples at once that they are not much larger than `BLOCK_BYTES`.
 
-        Parameters
-        ----------
-        messages : int
-            Number of messages that were received.
-        size : int
-            Size of their payloads. [B]
+        Units: size [B].
         """
         self._block = max(1, min(BLOCK, BLOCK_BYTES * messages // max(1, size)))
 

@@ -161,20 +161,6 @@ class Node(Closeable):
 def parse_prefix(text: str) -> str:
     """Return a key prefix with one slash at its end; an empty text for an empty prefix.
 
-    Parameters
-    ----------
-    text : str
-        Key chunks, with or without slashes at the ends.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    SettingsError
-        If the chunks contain wildcards, are empty or are not valid in a Zenoh key.
-
     Examples
     --------
     >>> parse_prefix("/quebec/montreal/"), parse_prefix("")
@@ -199,14 +185,7 @@ def parse_prefix(text: str) -> str:
 def limit_sizes(largest_bytes: float) -> dict[str, Any]:
     """Return the item of Zenoh's setting `low_pass_filter` that drops larger payloads on arrival.
 
-    Parameters
-    ----------
-    largest_bytes : float
-        Size of the largest payload that passes. [B]
-
-    Returns
-    -------
-    dict
+    Units: largest_bytes [B].
     """
     return {
         "id": "largest payload",
@@ -225,17 +204,7 @@ def find_free_port() -> int:
 
 
 def format_zenoh_error(error: Exception) -> str:
-    """Return the message of a Zenoh error on one line, without locations in Zenoh's source.
-
-    Parameters
-    ----------
-    error : Exception
-        Error that Zenoh raised.
-
-    Returns
-    -------
-    str
-    """
+    """Return the message of a Zenoh error on one line, without locations in Zenoh's source."""
     text = re.sub(r"\s+at /\S+?:\d+\.?", "", str(error)).replace("\n", " ")
     inner = re.search(r'msg: "(.*?)"', text)
     return (inner.group(1) if inner else text).strip(" .!")

@@ -62,13 +62,7 @@ class ZenohSignals(Closeable):
             raise SettingsError(f"cannot subscribe to {keys}: {format_zenoh_error(error)}") from error
 
     def take(self, wait_s: float) -> list[SignalSample]:
-        """Return the samples that have come, after a wait for the first one.
-
-        Parameters
-        ----------
-        wait_s : float
-            Longest wait. [s]
-        """
+        """Return the samples that have come, after a wait for the first one."""
         deadline = time.monotonic() + wait_s
         receive = self._subscriber.handler.try_recv
         while (sample := receive()) is None:

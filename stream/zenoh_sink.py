@@ -53,18 +53,7 @@ class ZenohSink:
             return bool(status.matching)
 
     def put(self, messages: Sequence[Message]) -> None:
-        """Publish messages; the call blocks while the network is slow.
-
-        Parameters
-        ----------
-        messages : sequence of Message
-            Messages to publish; their times of receipt are not sent.
-
-        Raises
-        ------
-        SettingsError
-            If a key is not a Zenoh key expression, or if the session is closed.
-        """
+        """Publish messages; the call blocks while the network is slow."""
         publishers = self._publishers
         try:
             for key, payload, _ in messages:

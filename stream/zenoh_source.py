@@ -93,13 +93,7 @@ class ZenohSource:
         return self._queue.size
 
     def __iter__(self) -> Iterator[MessageBlock]:
-        """Yield the queued messages, a few thousand at a time, or an empty block every `LOOK_UP_S` of silence.
-
-        Raises
-        ------
-        Exception
-            What the receiving thread raised.
-        """
+        """Yield the queued messages, a few thousand at a time, or an empty block every `LOOK_UP_S` of silence."""
         errors: list[Exception] = []
         thread = Thread(target=self._receive_all, args=(errors,), name="zenoh-source", daemon=True)
         thread.start()

@@ -89,15 +89,7 @@ class Election:
         return is_fresh and self._active
 
     def look(self, events: Sequence[tuple[str, bool]], *, has_router: bool) -> None:
-        """Take in the tokens that came and went, and decide.
-
-        Parameters
-        ----------
-        events : sequence of (str, bool)
-            Names of tokens, and whether each is there.
-        has_router : bool
-            Whether the consumer is connected to a router.
-        """
+        """Take in the tokens that came and went, and decide."""
         now = self._clock()
         paused = now - self._looked_s >= FENCE_S
         for token, is_there in events:

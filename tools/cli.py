@@ -162,10 +162,6 @@ def application(chosen: str | None = None) -> typer.Typer:
     ----------
     chosen : str, optional
         The command that is called; None where only the general help is wanted.
-
-    Returns
-    -------
-    typer.Typer
     """
     app = typer.Typer(
         name="socast",
@@ -199,11 +195,6 @@ def help_text(command: Callable[..., Any] | None) -> str:
     command : callable
         Its docstring has an `Examples` section in numpydoc's form, whose lines stay as they are; other sections are for
         readers of the code and are left out. An example that is wider than `EXAMPLE_WIDTH` continues on further lines.
-
-    Returns
-    -------
-    str
-        `\b` before a paragraph keeps typer from wrapping it.
 
     Examples
     --------
@@ -239,18 +230,7 @@ def _wrap_example(line: str) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; an error that a person can correct is one line on standard error, with exit code 2.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Words after `socast`; by default those of the process.
-
-    Raises
-    ------
-    SystemExit
-        Always, with the exit code.
-    """
+    """Run the command line; an error that a person can correct is one line on standard error, with exit code 2."""
     atexit.register(gc.freeze)  # the interpreter would search what numba and pandas hold for cycles: a quarter second
     given = list(sys.argv[1:] if arguments is None else arguments)
     chosen = next((word for word in _completed(os.environ) or given if not word.startswith("-")), None)

@@ -372,19 +372,6 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
         State of the lane, changed in place.
     stamp, seq : float
         Stamp [s] and counter of the sample; NaN where unknown.
-    same : bool
-        Whether the content of the sample equals that of the one before it.
-    period : float
-        Nominal period; 0 for a logger without one. [s]
-    drove : float
-        What speed and fixes say of a leap, see `socast.core.cleaning.repetition.drove_on`.
-
-    Returns
-    -------
-    dt : float
-        Time since the sample before it; `UNUSED` for a rejected sample. [s]
-    bits : int
-        Quality bits.
     """
     state.mistimed = 0.0
     if state.samples == 0.0:

@@ -102,16 +102,8 @@ def filter_ride(
 
     Parameters
     ----------
-    ride : RideSteps
-        n rows.
-    noise : (roughness, sd, correlation_time)
-        See `smooth_ride`.
-    unit : (2, 2) float
-        See `UNIT_NOISE`.
     predicted, updated : (n,) or (0,) of `ESTIMATE`
         Filled with the estimate before and after the fix of each row; where empty, only the likelihood is computed.
-    begins : (n,) or (0,) bool
-        Filled with whether a segment begins at each row.
 
     Notes
     -----
@@ -219,26 +211,7 @@ def take_reading(
 ) -> tuple[float, bool]:
     """Update an estimate by a reading of the height, unless they contradict each other.
 
-    Parameters
-    ----------
-    now : ESTIMATE
-        Changed in place.
-    reading, last : float
-        Present reading, and the last one that was used. [m]
-    related : float
-        Correlation of their errors. [1]
-    distance : float
-        Distance between them. [m]
-    variance : float
-        Variance of the error of each. [m^2]
-    gate : float
-        Largest difference from the estimate. [standard deviations]
-
-    Returns
-    -------
-    cost : float
-        Minus twice the logarithm of the likelihood, but for a constant.
-    used : bool
+    Units: variance [m^2], gate [standard deviations].
     """
     value = reading - related * last if related > 0.0 else reading
     variance *= 1.0 - related * related

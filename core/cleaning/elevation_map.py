@@ -82,15 +82,6 @@ class ElevationRaster(NamedTuple):
         A position up to half a step beyond the outermost nodes has the elevation of the edge. A position beside a node
         without elevation has none.
 
-        Parameters
-        ----------
-        latitude, longitude : (n,) float
-            Positions. [rad]
-
-        Returns
-        -------
-        Ground
-
         Examples
         --------
         >>> nodes = np.array([[0, 10, -32768], [20, 30, -32768]])
@@ -164,11 +155,6 @@ class ElevationPlaces:
     def find_ground(self, latitude: Floats, longitude: Floats) -> Ground:
         """Return the ground at n positions.
 
-        Parameters
-        ----------
-        latitude, longitude : (n,) float
-            Positions. [rad]
-
         Returns
         -------
         Ground
@@ -202,11 +188,6 @@ class ElevationPlaces:
 
 def number_nodes(row: Any, column: Any) -> Ints:
     """Return one whole number for each node of a grid, in the order of rows and then of columns.
-
-    Parameters
-    ----------
-    row, column : (n,) int
-        Nodes; columns from -2^30 to 2^30.
 
     Examples
     --------
@@ -244,11 +225,6 @@ class ElevationMap:
     def find_ground(self, latitude: Floats, longitude: Floats) -> Ground:
         """Return the ground at n positions.
 
-        Parameters
-        ----------
-        latitude, longitude : (n,) float
-            Positions. [rad]
-
         Returns
         -------
         Ground
@@ -285,13 +261,7 @@ class MapLookup:
         self._outside: Counter[str] = Counter()
 
     def find_ground(self, batch: Batch) -> Ground | None:
-        """Return the ground under the fixes of a batch, None without a map.
-
-        Parameters
-        ----------
-        batch : Batch
-            n rows.
-        """
+        """Return the ground under the fixes of a batch, None without a map."""
         if self._map is None:
             return None
         valid = (np.abs(batch.latitude) <= pi / 2) & (np.abs(batch.longitude) <= pi)  # False for NaN
@@ -330,10 +300,7 @@ class MapLookup:
 def name_tile(south: int, west: int) -> str:
     """Return the name of the tile of one degree with a south-western corner, as SRTM names its files.
 
-    Parameters
-    ----------
-    south, west : int
-        Latitude and longitude of the corner. [deg]
+    Units: south [deg], west [deg].
 
     Examples
     --------

@@ -74,8 +74,6 @@ def smooth_elevation(clean: Clean, longest: int = LONGEST_PIECE) -> Clean:
 
     Parameters
     ----------
-    clean : Clean
-        n rows, which hold whole rides, or what follows whole pieces of them.
     longest : int
         Number of rows of a piece; a ride with more rows is estimated piece by piece. [rows]
 
@@ -101,10 +99,6 @@ def smooth_elevation(clean: Clean, longest: int = LONGEST_PIECE) -> Clean:
 def number_rows(group: Ints) -> Ints:
     """Return the number of each row among the rows of its group, from 0 on.
 
-    Parameters
-    ----------
-    group : (n,) int
-
     Examples
     --------
     >>> number_rows(np.array([4, 4, 2, 4, 2])).tolist()
@@ -123,14 +117,8 @@ def smooth_ride(steps: RideSteps, noise: tuple[float, float, float]) -> NDArray[
 
     Parameters
     ----------
-    steps : RideSteps
-        n rows.
     noise : (roughness, sd, correlation_time)
         Roughness of the terrain [1/m]; standard deviation [m] and correlation time [s] of the error of a fix.
-
-    Returns
-    -------
-    (n,) of `ESTIMATE`
     """
     predicted, updated = np.zeros((2, len(steps.fix)), ESTIMATE)
     begins = np.zeros(len(steps.fix), np.bool_)
@@ -141,19 +129,7 @@ def smooth_ride(steps: RideSteps, noise: tuple[float, float, float]) -> NDArray[
 
 @njit(cache=True)
 def smooth_rides(steps: Any, edges: Any, unit: Any, heights: Any, climbs: Any) -> None:
-    """Replace heights and climbs of all rides with a fix or a map by their smoothed values.
-
-    Parameters
-    ----------
-    steps : (5, n) float
-        The columns of `RideSteps`.
-    edges : (rides + 1,) int
-        First row of each ride, and the number of rows.
-    unit : (2, 2) float
-        Process noise of a step of 1 m, see `UNIT_NOISE`.
-    heights, climbs : (n,) float
-        Changed in place. [m]
-    """
+    """Replace heights and climbs of all rides with a fix or a map by their smoothed values."""
     for i in range(len(edges) - 1):
         begin, end = edges[i], edges[i + 1]
         fix, ground = steps[2, begin:end], steps[3, begin:end]

@@ -67,14 +67,8 @@ def advance_fleet_clock(clock: Any, time: float, dt: float, longest: float) -> b
 
     Parameters
     ----------
-    clock : FLEET_CLOCK
-        Changed in place.
-    time : float
-        Repaired time of the sample. [s]
     dt : float
         Time since the sample before it of the same car, 0 for the first one. [s]
-    longest : float
-        A longer `dt` does not advance the clock. [s]
     """
     if time > clock.front:
         if dt <= longest:
@@ -90,16 +84,7 @@ def advance_fleet_clock(clock: Any, time: float, dt: float, longest: float) -> b
 
 
 def end_open_rides(states: NDArray[Any], lanes: NDArray[np.int64], place: int) -> NDArray[np.void]:
-    """End the open rides of cars before a row, in place; return the ends, (n,) RIDE_END.
-
-    Parameters
-    ----------
-    states : (lanes,) STATE
-        Changed in place.
-    lanes : (n,) int
-    place : int
-        Place of the ends among the messages of the batch.
-    """
+    """End the open rides of cars before a row, in place; return the ends, (n,) RIDE_END."""
     lanes = lanes[lanes < len(states)]
     lanes = lanes[states["riding"][lanes] == 1.0]
     states["riding"][lanes], states["idle"][lanes], states["code"][lanes] = 0.0, 0.0, NO_RIDE
@@ -113,23 +98,6 @@ def end_silent_rides(clock: Any, states: Any, row: int, place: int, longest: flo
     """End the rides of all cars that have been silent for too long; return the number of ends so far.
 
     It visits every car. Call it only where `advance_fleet_clock` returned true.
-
-    Parameters
-    ----------
-    clock : FLEET_CLOCK
-        Changed in place.
-    states : (lanes,) STATE
-        Changed in place.
-    row : int
-        Number of rows of the batch so far.
-    place : int
-        Place of the newest row among the messages of the batch.
-    longest : float
-        Longest silence within a ride. [s]
-    ends : (n,) RIDE_END
-        Receives the ends from position `n_ends` on.
-    n_ends : int
-        Number of ends so far.
     """
     earliest = clock.progress
     for lane in range(states.shape[0]):

@@ -162,25 +162,10 @@ class Cleaner:
 
         Parameters
         ----------
-        batch : Batch
-            n rows; `ride` and `lane` as the decoder assigned them.
-        lanes : int
-            Number of lanes so far.
-        place : (n,) int
-            Place of each row among the messages of the batch.
-        ride_events : (events,) RIDE_EVENT
-            Beginnings and ends of rides from dispatch, in the order of their arrival.
         capacity : (n,) float or float
             Capacity to which the state of charge refers; where it is unknown (NaN), it is not compared with V·I. [J]
         period : (n,) float or float
             Period that the car has announced, 0 for a logger without one, NaN for that of the settings. [s]
-
-        Returns
-        -------
-        Clean
-            n rows.
-        (ends,) RIDE_END
-            Rides that ended between two rows, in their order.
         """
         if len(self.state) < lanes:
             self.state = grown(self.state, lanes, new_lane_state(1)[0])
@@ -249,30 +234,7 @@ def clean_rows(
     ride_events: Any,
     ends: Any,
 ) -> int:
-    """Clean every row, in order; return the number of rides that ended between two rows.
-
-    Parameters
-    ----------
-    samples : (fields of Batch + 2, n) float64
-        The batch, and the capacities and periods of the cars.
-    ground : (fields of Ground, n) or (0, n) float64
-        The ground under the samples; no rows without a map.
-    states : (lanes,) STATE
-        Changed in place.
-    all_settings : (1,) record
-    rows, cells : (1,) _ROW, and the same memory as floats
-        Buffer of the row in progress.
-    out : (len(Clean._fields), n) float64
-        Filled with the result.
-    fleet_clocks : (1,) FLEET_CLOCK
-        Changed in place.
-    place : (n,) int64
-        Place of each row among the messages of the batch.
-    ride_events : (events,) RIDE_EVENT
-        Messages of dispatch, in the order of their rows.
-    ends : (n,) RIDE_END
-        Receives the rides that ended between two rows.
-    """
+    """Clean every row, in order; return the number of rides that ended between two rows."""
     settings = all_settings[0]
     row = rows[0]
     fleet = fleet_clocks[0]

@@ -181,8 +181,6 @@ def evaluate_fix(state: Any, row: Any, dt: float, settings: Any) -> tuple[float,
 
     Returns
     -------
-    shortfall : float
-        Distance between fixes beyond that of the speed. [m]
     derived : float
         Speed between the fixes, NaN where unknown. [m/s]
     """

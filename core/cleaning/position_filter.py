@@ -274,14 +274,7 @@ def stop_path(state: Any) -> None:
 def stay_path(state: Any, north: float, east: float, dt: float, missed: float) -> int:
     """Take a fix of a car that stands, after the filter has used it; return `STAYS`, `AWAY` or `LEAVES`.
 
-    Parameters
-    ----------
-    north, east : float
-        The fix. [m]
-    dt : float
-        Time since the last one. [s]
-    missed : float
-        Squared difference of the fix and its prediction by the filter. [m^2]
+    Units: missed [m^2].
     """
     off_north, off_east = north - state.path_mean_north, east - state.path_mean_east
     off = off_north * off_north + off_east * off_east
@@ -373,13 +366,7 @@ def follow_fix(state: Any, north: float, east: float, dt: float) -> tuple[float,
 
 @njit(cache=False)
 def follow_fixes(state: Any, row: Any, dt: float, settings: Any) -> tuple[float, int]:
-    """Advance the path by a row; return the distance that its fix adds [m] and what became of the fix.
-
-    Parameters
-    ----------
-    dt : float
-        Time since the row before. [s]
-    """
+    """Advance the path by a row; return the distance that its fix adds [m] and what became of the fix."""
     latitude, longitude = row.raw_latitude, row.raw_longitude
     state.path_age += dt
     state.path_lag += dt
@@ -451,17 +438,7 @@ def take_fix(state: Any, north: float, east: float, way: float, patience: float)
 
 @njit(cache=False)
 def leap(state: Any, latitude: float, longitude: float, step: float, limit: float) -> tuple[float, int]:
-    """Take a fix out of reach; return the distance that it adds [m] and what became of it.
-
-    Parameters
-    ----------
-    latitude, longitude : float
-        The fix. [rad]
-    step : float
-        Least time that its way may have taken. [s]
-    limit : float
-        Speed limit. [m/s]
-    """
+    """Take a fix out of reach; return the distance that it adds [m] and what became of it."""
     if not isnan(state.home_latitude):
         way = compute_chord(state.home_latitude, state.home_longitude, latitude, longitude)
         if way <= limit * max(state.home_age, step) + SLACK:

@@ -74,8 +74,6 @@ def smooth_motion(clean: Clean, longest: int = LONGEST_PIECE) -> Clean:
 
     Parameters
     ----------
-    clean : Clean
-        n rows, which hold whole rides, or what follows whole pieces of them.
     longest : int
         Number of rows of a piece; a ride with more rows is smoothed piece by piece. [rows]
 
@@ -181,24 +179,7 @@ def smooth_path(
     is_new: NDArray[np.bool_],
     still: NDArray[np.bool_],
 ) -> Floats:
-    """Return position and velocity at the rows of a path, smoothed from both sides.
-
-    Parameters
-    ----------
-    dt : (n,) float
-        Time since the row before. [s]
-    north, east : (n,) float
-        Last fix at each row; the first row has a new one. [m]
-    noise : (n,) float
-        Standard deviation of a fix on each axis. [m]
-    is_new, still : (n,) bool
-        Whether the fix is new, and whether the car stands.
-
-    Returns
-    -------
-    (n, 4) float
-        North, its rate, east, its rate. [m], [m/s], [m], [m/s]
-    """
+    """Return position and velocity at the rows of a path, smoothed from both sides."""
     kalman, noise_of_rest = make_filter(north[0], east[0], noise[0]), STILL_SPEED**2 * np.eye(2)
     steps = [describe_motion(step) for step in dt.tolist()]
     means, covariances = np.empty((len(dt), 4)), np.empty((len(dt), 4, 4))
@@ -277,17 +258,7 @@ def _fill_motion(
 
 
 def find_lengths(dt: Floats, way: Floats, before: Floats, after: Floats) -> Floats:
-    """Return the lengths of curves with the velocities `before` and `after` at their ends, by Simpson's rule. [m]
-
-    Parameters
-    ----------
-    dt : (n,) float
-        Duration. [s]
-    way : (n, 2) float
-        Vector from end to end. [m]
-    before, after : (n, 2) float
-        [m/s]
-    """
+    """Return the lengths of curves with the velocities `before` and `after` at their ends, by Simpson's rule. [m]"""
     middle = 1.5 * way / dt[:, None] - 0.25 * (before + after)
     curve = dt / 6.0 * sum(k * np.hypot(v[:, 0], v[:, 1]) for k, v in ((1.0, before), (4.0, middle), (1.0, after)))
     chord = np.hypot(way[:, 0], way[:, 1])

@@ -75,16 +75,6 @@ class FleetSilences:
     def find(self, samples: Floats, lane: Ints, lanes: int, period: Floats) -> NDArray[np.void]:
         """Return the silences that samples show.
 
-        Parameters
-        ----------
-        samples : (len(INPUTS), n) float
-            Columns of a batch.
-        lane : (n,) int
-        lanes : int
-            Number of lanes so far.
-        period : (n,) float
-            Period that the car of each has announced, as for the kernel. [s]
-
         Returns
         -------
         (m,) RIDE_END
@@ -126,25 +116,7 @@ def find_silences(
     clocks: Any,
     silences: Any,
 ) -> int:
-    """Repair the time of every sample and advance the fleet clock by it; return the number of silences.
-
-    Parameters
-    ----------
-    samples : (len(INPUTS), n) float64
-    lane : (n,) int64
-    periods : (n,) float64
-    ranges : (len(INPUTS), 2) float64
-        Valid ranges of the columns.
-    cars : (lanes,) _CAR
-        Changed in place.
-    all_settings : (1,) record
-    rows, cells : (1,) _SAMPLE, and the same memory as floats
-        Buffer of the sample in progress.
-    clocks : (1,) FLEET_CLOCK
-        Changed in place.
-    silences : (n + lanes,) RIDE_END
-        Receives the silences.
-    """
+    """Repair the time of every sample and advance the fleet clock by it; return the number of silences."""
     settings, row, fleet, count = all_settings[0], rows[0], clocks[0], 0
     for i in range(len(lane)):
         for j in range(samples.shape[0]):

@@ -224,28 +224,7 @@ def is_powered(state: Any, row: Any, speed: float, dt: float) -> bool:
 
 @njit(cache=False)
 def hold_leap(state: Any, speed: float, dt: float, limit: float, longest: float) -> tuple[float, float, int]:
-    """Hold a leap of the speed back until the next samples show whether it returns.
-
-    Parameters
-    ----------
-    state : record
-        `state.speed` is the last speed that was used.
-    speed : float
-        The reported speed. [m/s]
-    dt, longest : float
-        Time of the step, and longest step over which the speed is known. [s]
-    limit : float
-        Change of the speed beyond which it is held back. [m/s]
-
-    Returns
-    -------
-    speed : float
-        The speed to use. [m/s]
-    missed : float
-        Distance to add to that of the speed. [m]
-    bits : int
-        Quality bits.
-    """
+    """Hold a leap of the speed back until the next samples show whether it returns."""
     before, leap = state.speed, state.leap
     change = speed - before
     state.leap_after = nan

@@ -140,22 +140,8 @@ def weigh_speed(state: Any, row: Any, speed: float, dt: float, gap: bool, settin
 
     Parameters
     ----------
-    state, row, settings : record
     speed : float
         Reported speed times `speed_scale`, NaN where unknown. [m/s]
-    dt : float
-        Time since the last sample. [s]
-    gap : bool
-        Whether that is longer than the speed is known for.
-
-    Returns
-    -------
-    speed : float
-        [m/s]
-    missed : float
-        Distance to add, because the speed did not show it. [m]
-    disputed : float
-        Distance that was counted, and that the witnesses dispute. [m]
     """
     advance_sections(state, row, speed, dt, gap)
     missed, disputed = close_section(state, row, dt, settings)

@@ -38,18 +38,8 @@ def average_in_bins(place: Ints, bins: int, values: Floats, weight: Floats, day:
 
     Parameters
     ----------
-    place : (n,) int64
-        Bin of each window, from 0.
     bins : int
         Number of bins, each with at least one window of positive weight.
-    values, weight : (n,) float
-        Value of each window, and its weight.
-    day : (n,) int64
-        Code of the vehicle-day of each window.
-
-    Returns
-    -------
-    BinMeans
 
     Notes
     -----
@@ -86,13 +76,6 @@ def split_at_quantiles(values: Floats, most: int) -> tuple[Ints, int]:
     """Return the bin of each value, of about equal numbers of windows, and the number of bins.
 
     A value of zero has a bin of its own where many windows have it, such as hours without rain.
-
-    Parameters
-    ----------
-    values : (n,) float
-        Values, all known.
-    most : int
-        Largest number of bins.
 
     Examples
     --------

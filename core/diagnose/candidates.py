@@ -81,17 +81,7 @@ class Candidates:
 def compute_least_coefficients(columns: Floats, measured: Floats) -> Floats:
     """Return the coefficient with which the absolute energy of each variant has the share `LEAST_SHARE`.
 
-    Parameters
-    ----------
-    columns : (n, k) float
-        Energy of each. [kWh per unit of the coefficient]
-    measured : (n,) float
-        Measured energy of the windows. [kWh]
-
-    Returns
-    -------
-    (k,) float
-        Infinite for a variant without any energy. [unit of the coefficient]
+    Units: measured [kWh].
     """
     size = np.abs(columns).sum(axis=0)
     out = np.full(len(size), np.inf)
@@ -105,12 +95,6 @@ def build_candidates(
 
     Parameters
     ----------
-    windows : Windows
-        The windows to diagnose.
-    model : LinearModel
-        The model to diagnose.
-    without : collection of str
-        Effects that are not tested.
     scopes : bool
         Whether to include effects that the model has everywhere, because they may be larger within a scope.
 

@@ -66,26 +66,7 @@ class Windows:
 
 
 def gather_windows(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel) -> Windows:
-    """Return the windows to diagnose, with the predictions of a model.
-
-    Parameters
-    ----------
-    rides, windows : DataFrame
-        The tables of the same recordings.
-    model : LinearModel
-        The model to diagnose.
-
-    Returns
-    -------
-    Windows
-        Windows with a measured and a predicted energy.
-
-    Raises
-    ------
-    ModelError
-        There are too few rides or vehicle-days, no ride has a measured energy, or the model knows none of the vehicle
-        models.
-    """
+    """Return the windows to diagnose, with the predictions of a model."""
     if not len(rides):
         raise ModelError("there are no rides to diagnose: give tables or recordings that hold some")
     _, left_out = select_trainable(rides, [ENERGY])

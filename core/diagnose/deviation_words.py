@@ -38,11 +38,6 @@ def has_certain_share(one: Mapping[str, Any]) -> bool:
 def has_certain_size(one: Mapping[str, Any]) -> bool:
     """Return whether the size of a deviation is certain: its net energy, or the coefficient of its first cause.
 
-    Parameters
-    ----------
-    one : mapping
-        Entry of `deviations` in a diagnosis.
-
     Notes
     -----
     Causes that move energy without taking any, such as wind, widen the interval of the net energy although the change
@@ -59,13 +54,7 @@ def _excludes_zero(limits: Sequence[float | None] | None) -> bool:
 
 
 def find_leading_deviation(deviations: Sequence[Mapping[str, Any]] | None) -> Mapping[str, Any] | None:
-    """Return the first deviation of certain size, which a diagnosis may put into its headline; None without one.
-
-    Parameters
-    ----------
-    deviations : sequence of mapping, optional
-        Entries of `deviations` in a diagnosis.
-    """
+    """Return the first deviation of certain size, which a diagnosis may put into its headline; None without one."""
     return next((one for one in deviations or () if has_certain_size(one)), None)
 
 
@@ -76,13 +65,6 @@ def name_deviating(one: Mapping[str, Any]) -> str:
 
 def word_deviation(one: Mapping[str, Any], *, sized: bool = True) -> str:
     """Return a deviation as a sentence.
-
-    Parameters
-    ----------
-    one : mapping
-        Entry of `deviations` in a diagnosis.
-    sized : bool
-        Whether the sentence gives the net energy.
 
     Examples
     --------

@@ -140,15 +140,7 @@ class Episode(NamedTuple):
 
 
 def find_episodes(base: BaseProjection, candidates: Candidates) -> tuple[list[Episode], BaseProjection]:
-    """Return the episodes, the clearest first, and the projection with a constant power of each.
-
-    Parameters
-    ----------
-    base : BaseProjection
-        Projection off the terms of the model.
-    candidates : Candidates
-        Effects of the library. What they explain is no episode.
-    """
+    """Return the episodes, the clearest first, and the projection with a constant power of each."""
     found: list[Episode] = []
     while len(found) < MOST_EPISODES:
         known = _fit_library(base, candidates)
@@ -400,17 +392,7 @@ def _match_medians(mean: Floats, noise: Floats, car: Ints, median: float) -> Flo
 
 
 def _find_dates(mean: Floats, variance: Floats, rides: Ints, tests: float) -> tuple[float, int, Ints]:
-    """Return the least log probability over spans and sets of dates, the span, and the places of the dates.
-
-    Parameters
-    ----------
-    mean, variance : (spans, dates) float
-        Mean power of each date and its variance, infinite without driving. [kW, kW^2]
-    rides : (spans, dates) int64
-        Number of rides.
-    tests : float
-        Logarithm of the number of tests beside those of sets of dates. [1]
-    """
+    """Return the least log probability over spans and sets of dates, the span, and the places of the dates."""
     known = np.isfinite(variance)
     count = known.sum(axis=1)
     z = (mean - _find_median(mean, known, count)[:, np.newaxis]) / np.sqrt(np.where(known, variance, 1.0))

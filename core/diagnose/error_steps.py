@@ -15,14 +15,7 @@ def compute_steps(selection: ForwardSelection, missing: Sequence[MissingEffect],
 
     The terms of the model are refitted to all windows of each car, also to those of the held-out days.
 
-    Parameters
-    ----------
-    selection : ForwardSelection
-        The finished selection. It is the same after the call.
-    missing : sequence of MissingEffect
-        Its missing effects, in the order in which they are added.
-    floor : float
-        Error that measurement noise alone causes. [kWh]
+    Units: floor [kWh].
 
     Returns
     -------

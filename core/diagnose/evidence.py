@@ -82,16 +82,6 @@ class Evidence(NamedTuple):
     def allow_for_distortion(self, largest: Floats) -> "Evidence":
         """Return the evidence with standard errors that include distortions of the coefficients by coarse sampling.
 
-        Parameters
-        ----------
-        largest : (k,) float
-            Largest distortion of each coefficient in either direction. [unit of the coefficient]
-
-        Returns
-        -------
-        Evidence
-            The same with larger standard errors.
-
         Notes
         -----
         The largest distortion is taken as `MAX_DISTORTION_SD` standard deviations of the distortion.
@@ -108,13 +98,6 @@ def compute_worst_case_evidence(
     residual: Floats, columns: Floats, sign: Ints, clusters: Sequence[ClusterSums], least: Floats | None = None
 ) -> Evidence:
     """Return for each candidate the evidence by the clustering that gives the least significance.
-
-    Parameters
-    ----------
-    residual, columns, sign, least
-        See `compute_evidence`.
-    clusters : sequence of ClusterSums
-        Clusterings of the windows, such as vehicle-days and dates.
 
     Returns
     -------
@@ -136,22 +119,9 @@ def compute_evidence(
 
     Parameters
     ----------
-    residual : (n,) float
-        Weighted residual of the model. [1]
-    columns : (n, k) float
-        Weighted, projected candidates. [1 per unit of the coefficient]
-    sign : (k,) int
-        Sign of the coefficient that physics demands: 1, -1, or 0 for either.
-    clusters : ClusterSums
-        Clusters within which errors depend on each other.
     least : (k,) float, optional
         Coefficient below which an effect is too small to report; the test is whether the coefficient is larger.
         [unit of the coefficient]
-
-    Returns
-    -------
-    Evidence
-        Coefficients, standard errors and probabilities.
     """
     size = np.maximum((columns**2).sum(axis=0), 1e-300)
     coefficient = columns.T @ residual / size

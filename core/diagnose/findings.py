@@ -53,13 +53,7 @@ class FleetUse(NamedTuple):
 
 
 def measure_fleet_use(rides: pd.DataFrame) -> FleetUse:
-    """Return what a fleet used.
-
-    Parameters
-    ----------
-    rides : DataFrame
-        Ride table with at least one date.
-    """
+    """Return what a fleet used."""
     energy, distance = get_numbers(rides, "energy_kwh"), get_numbers(rides, "distance_km")
     known = np.isfinite(energy) & np.isfinite(distance)
     days = sorted(date.fromisoformat(day) for day in set(get_names(rides, "date")) if day)
@@ -69,11 +63,6 @@ def measure_fleet_use(rides: pd.DataFrame) -> FleetUse:
 
 def compute_sure_evidence(tests: int) -> float:
     """Return the logarithm of the Bayes factor from which a deviation is sure, however often one looks.
-
-    Parameters
-    ----------
-    tests : int
-        Number of Bayes factors that one diagnosis compares.
 
     Notes
     -----
@@ -113,8 +102,6 @@ def list_findings(result: Mapping[str, Any], use: FleetUse) -> list[Finding]:
     ----------
     result : mapping
         Diagnosis as plain values. The entries of `missing` and `deviations` may have a list `commands`.
-    use : FleetUse
-        What the fleet used on the rides that were diagnosed.
     """
     missing = [_make_finding(one, use, _measure_missing(one, use)) for one in result.get("missing") or ()]
     return missing + [_make_finding(one, use, _measure_deviation(one)) for one in result.get("deviations") or ()]
@@ -122,15 +109,6 @@ def list_findings(result: Mapping[str, Any], use: FleetUse) -> list[Finding]:
 
 def merge_findings(earlier: Sequence[Finding], found: Sequence[Finding], use: FleetUse) -> list[Finding]:
     """Return the findings after a diagnosis: those that it made, and those that were sure once and are gone.
-
-    Parameters
-    ----------
-    earlier : sequence of Finding
-        Findings after the diagnosis before.
-    found : sequence of Finding
-        Findings of this diagnosis alone.
-    use : FleetUse
-        What the fleet used on the rides that were diagnosed.
 
     Notes
     -----
@@ -161,26 +139,13 @@ def merge_findings(earlier: Sequence[Finding], found: Sequence[Finding], use: Fl
 
 
 def list_changes(before: Sequence[Finding], after: Sequence[Finding]) -> list[Finding]:
-    """Return the findings that became sure, and those that were sure and are gone.
-
-    Parameters
-    ----------
-    before, after : sequence of Finding
-        Findings after two successive diagnoses.
-    """
+    """Return the findings that became sure, and those that were sure and are gone."""
     status = {identity(one): one.status for one in before}
     return [one for one in after if one.status != "proposed" and status.get(identity(one)) != one.status]
 
 
 def make_finding_message(finding: Finding, prefix: str = "") -> Message:
-    """Return the message of a finding.
-
-    Parameters
-    ----------
-    finding : Finding
-    prefix : str
-        Chunks before `findings` in the key, with a slash at the end.
-    """
+    """Return the message of a finding."""
     return Message(f"{prefix}findings/{identity(finding)}", encode(finding), int(finding.time_s * 1e9))
 
 

@@ -185,13 +185,7 @@ class ForwardSelection:
         return compute_probabilities(compute_cause_evidence(self.base, self.candidates, forms))
 
     def select_all(self) -> Causes:
-        """Select effects until none, or an unknown one, is more probable than any effect, or none is worthwhile.
-
-        Returns
-        -------
-        Causes
-            The probabilities of all causes before any effect is selected.
-        """
+        """Select effects until none, or an unknown one, is more probable than any effect, or none is worthwhile."""
         first = self.infer_causes()
         self.remaining = causes = first
         while True:
@@ -234,15 +228,7 @@ class ForwardSelection:
         return missing
 
     def correlate(self, effect: SelectedEffect, others: Sequence[str]) -> list[tuple[str, float]]:
-        """Return other effects with the correlation of their forms with an effect, off the model, the largest first.
-
-        Parameters
-        ----------
-        effect : SelectedEffect
-            The effect, with the causes from which it was selected.
-        others : sequence of str
-            Names of causes; those that are no effects are left out.
-        """
+        """Return other effects with the correlation of their forms with an effect, off the model, the largest first."""
         if effect.causes is None:
             return []
         forms = effect.causes.forms
@@ -253,17 +239,7 @@ class ForwardSelection:
         return sorted(pairs, key=lambda pair: -abs(pair[1]))
 
     def compute_gain(self, column: Floats, residual: Floats, limits: tuple[float, float]) -> tuple[float, float]:
-        """Return the gain of an effect on held-out vehicle-days and its standard error, as of `MissingEffect`. [1]
-
-        Parameters
-        ----------
-        column : (n,) float
-            The effect off the model and the other effects. [1 per unit of the coefficient]
-        residual : (n,) float
-            Residual without the effect. [1]
-        limits : tuple of (float, float)
-            Smallest and largest plausible coefficient. [unit of the coefficient]
-        """
+        """Return the gain of an effect on held-out vehicle-days and its standard error, as of `MissingEffect`. [1]"""
         windows = self.base.windows
         after = residual - column * self.cross_fit_coefficients(column, residual, limits)
         before, then = (windows.by_ride(self.base.convert_to_energy(values)) for values in (residual, after))

@@ -137,11 +137,6 @@ class MixedModel:
         """Return the model of the highest level alone, after integration over lower effects of known variances.
 
         Its criterion lacks the determinants of the lower levels, which are constant.
-
-        Parameters
-        ----------
-        relative : (levels - 1, s) float
-            Relative variances δ of the lower levels.
         """
         steps = self._sweep(np.vstack([relative, np.zeros(self.size)]))
         lower = zip(steps[:-1], self._levels[:-1], strict=True)
@@ -152,13 +147,7 @@ class MixedModel:
         return condensed
 
     def evaluate(self, relative: Floats) -> Criterion:
-        """Return the restricted likelihood and its gradient.
-
-        Parameters
-        ----------
-        relative : (levels, s) float
-            Relative variances δ, not negative.
-        """
+        """Return the restricted likelihood and its gradient."""
         steps, p = self._sweep(relative), self._p
         total = self._total - sum(
             self._sum_squares(step, level) for step, level in zip(steps, self._levels, strict=True)
@@ -174,13 +163,7 @@ class MixedModel:
         return Criterion(self.freedom * np.log(rss) + logarithm, gradient, rss / self.freedom, coefficients)
 
     def expect_effects(self, relative: Floats) -> list[Floats]:
-        """Return the expected random effects of each unit of each level, (units, s) each.
-
-        Parameters
-        ----------
-        relative : (levels, s) float
-            Relative variances δ.
-        """
+        """Return the expected random effects of each unit of each level, (units, s) each."""
         coefficients = self.evaluate(relative).coefficients
         residual = np.append(-coefficients, 1.0)
         steps = self._sweep(relative)
@@ -200,13 +183,7 @@ class MixedModel:
         return out[::-1]
 
     def find_errors(self, relative: Floats) -> Floats:
-        """Return about the standard errors of the relative variances, each as if it were estimated alone, (levels, s).
-
-        Parameters
-        ----------
-        relative : (levels, s) float
-            Relative variances δ.
-        """
+        """Return about the standard errors of the relative variances, each as if estimated alone, (levels, s)."""
         out, own = [], self._own
         for level, variance in zip(self._levels, relative, strict=True):
             sums = _diagonal(own)

@@ -8,19 +8,7 @@ from socast.core.fit.row_noise import build_variance_parts, estimate_variance
 def estimate_window_variance(windows: Windows, residual: Floats, parts: Floats | None = None) -> Floats:
     """Return the variance of the residual of each window: that of its measurement plus parts that grow with the drive.
 
-    Parameters
-    ----------
-    windows : Windows
-        The windows.
-    residual : (n,) float
-        Residual after refitting. [kWh]
-    parts : (n, 4) float, optional
-        Parts of the variance, as `build_variance_parts` returns them for the windows. [kWh^2]
-
-    Returns
-    -------
-    (n,) float
-        Variance of each residual. [kWh^2]
+    Units: residual [kWh], parts [kWh^2], returns [kWh^2].
 
     Notes
     -----

@@ -46,13 +46,6 @@ WH: Final = 1000.0
 def compute_partial_residual(selection: ForwardSelection, finding: MissingEffect) -> dict[str, Any]:
     """Return the partial residual of a missing effect in bins of its regressor.
 
-    Parameters
-    ----------
-    selection : ForwardSelection
-        The finished selection.
-    finding : MissingEffect
-        One of its missing effects.
-
     Returns
     -------
     dict
@@ -110,22 +103,8 @@ def compute_candidate_residual(
     ----------
     rides, windows : DataFrame
         The tables of the same rides. Those of the final hold-out are not used, as in a diagnosis.
-    model : LinearModel
-        The model.
     effect : str
         Name of an effect. Of its variants, the one that explains most on held-out days is shown.
-
-    Returns
-    -------
-    dict
-        As of `compute_partial_residual`, and the `variant`.
-
-    Raises
-    ------
-    EffectError
-        The effect is unknown.
-    ModelError
-        The effect is no candidate, or the model can reproduce it with its own terms.
     """
     name = effects.get(effect).base
     with threadpool_limits(1):

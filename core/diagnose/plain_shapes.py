@@ -65,14 +65,8 @@ def build_plain_shapes(base: BaseProjection, *, products: bool = False) -> Plain
 
     Parameters
     ----------
-    base : BaseProjection
-        Projection off the terms of the model.
     products : bool
         Whether to include time and distance in two conditions at once, such as rain in the cold.
-
-    Returns
-    -------
-    PlainShapeColumns
     """
     names, columns = _shapes(base.windows)
     if products:
@@ -164,13 +158,7 @@ def _functions(windows: Windows) -> list[tuple[str, Floats]]:
 
 
 def compute_window_sun_sine(windows: Windows) -> Floats:
-    """Return the sine of the solar elevation at each window, 0 at night and where the position is unknown, (n,).
-
-    Parameters
-    ----------
-    windows : Windows
-        The windows.
-    """
+    """Return the sine of the solar elevation at each window, 0 at night and where the position is unknown, (n,)."""
     table = windows.table
     place = get_numbers(table, "latitude_start_deg"), get_numbers(table, "longitude_start_deg")
     return np.nan_to_num(compute_sun_sine(get_numbers(table, "start_s"), *place), nan=0.0)

@@ -200,18 +200,7 @@ class BaseProjection:
         return left
 
     def project_out(self, columns: Floats) -> Floats:
-        """Return the part of energy columns that the model cannot explain, weighted.
-
-        Parameters
-        ----------
-        columns : (n, k) float
-            Energies. [kWh per unit of a coefficient]
-
-        Returns
-        -------
-        (n, k) float
-            Weighted columns off the terms of the model. [1 per unit of a coefficient]
-        """
+        """Return the part of energy columns that the model cannot explain, weighted."""
         left = self._off_cars(self.apply_weights(columns))
         return np.asarray(left - self._common @ (self._common.T @ left))
 

@@ -39,18 +39,7 @@ class ResidualSpace:
     residual: Floats
 
     def project_out(self, columns: Floats) -> Floats:
-        """Return the part of energy columns that neither the model nor the selected effects explain.
-
-        Parameters
-        ----------
-        columns : (n, k) float
-            Energies. [kWh per unit of a coefficient]
-
-        Returns
-        -------
-        (n, k) float
-            Weighted columns off the model and the basis. [1 per unit of a coefficient]
-        """
+        """Return the part of energy columns that neither the model nor the selected effects explain."""
         projected = self.base.project_out(columns)
         projected -= self.basis @ (self.basis.T @ projected)
         return projected
@@ -106,19 +95,8 @@ def rank_candidates(
 
     Parameters
     ----------
-    space : ResidualSpace
-        What the model and the effects selected so far leave.
-    candidates : Candidates
-        Effects to rank.
     clusters : sequence of ClusterSums
         Vehicle-days first, which define the folds; then other clusterings over which errors may depend on each other.
-    seed : int
-        Seed of the folds.
-
-    Returns
-    -------
-    Ranking
-        Evidence, gain and best variant of each effect.
     """
     projected = space.project_out(candidates.columns)
     size = (space.base.apply_weights(candidates.columns) ** 2).sum(axis=0)
@@ -143,21 +121,8 @@ def compute_held_out_gains(residual: Floats, columns: Floats, sign: Ints, cluste
 
     Parameters
     ----------
-    residual : (n,) float
-        Weighted residual. [1]
-    columns : (n, k) float
-        Weighted, projected candidates. [1 per unit of the coefficient]
     sign : (k,) int
         Sign of the coefficient that physics demands. A coefficient of the other sign counts as zero.
-    clusters : ClusterSums
-        Vehicle-days.
-    seed : int
-        Seed of the folds.
-
-    Returns
-    -------
-    (clusters, k) float
-        Fall on each vehicle-day, as a share of the total squared error. [1]
 
     Notes
     -----
@@ -177,16 +142,6 @@ def compute_held_out_gains(residual: Floats, columns: Floats, sign: Ints, cluste
 
 def combine_by_simes(p: Floats) -> float:
     """Return the probability that several tests of one effect give their results by chance.
-
-    Parameters
-    ----------
-    p : (n,) float
-        Probability of each test. [1]
-
-    Returns
-    -------
-    float
-        Combined probability. [1]
 
     References
     ----------

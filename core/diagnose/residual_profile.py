@@ -27,11 +27,6 @@ WH: Final = 1000.0
 def profile_residual(selection: ForwardSelection) -> list[dict[str, Any]]:
     """Return the mean residual power along each feature and by each category, without and with the missing effects.
 
-    Parameters
-    ----------
-    selection : ForwardSelection
-        The finished selection.
-
     Returns
     -------
     list of dict

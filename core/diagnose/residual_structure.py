@@ -127,20 +127,7 @@ class ResidualStructure(NamedTuple):
 
 
 def measure_residual_structure(selection: ForwardSelection, missing: Sequence[MissingEffect]) -> ResidualStructure:
-    """Return the structure that remains after the missing effects.
-
-    Parameters
-    ----------
-    selection : ForwardSelection
-        The finished selection.
-    missing : sequence of MissingEffect
-        Its missing effects.
-
-    Returns
-    -------
-    ResidualStructure
-        The results of all four tests.
-    """
+    """Return the structure that remains after the missing effects."""
     base, clusters = selection.base, selection.clusters
     off = selection.build_basis()
     left = selection.compute_residual(off)

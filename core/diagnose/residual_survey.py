@@ -61,27 +61,7 @@ class ColumnResiduals(NamedTuple):
 def survey_model(
     rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel, kept: set[str] | None = None
 ) -> dict[str, Any]:
-    """Return where a model fails on the windows of rides.
-
-    Parameters
-    ----------
-    rides, windows : DataFrame
-        The tables of the same recordings.
-    model : LinearModel
-        The model.
-    kept : set of str, optional
-        Keys of the rides to look at; all without it.
-
-    Returns
-    -------
-    dict
-        `unit` of the residual, number of `windows`, and the `charts` of `survey_columns`.
-
-    Raises
-    ------
-    ModelError
-        As `socast.core.diagnose.dataset.gather_windows` does.
-    """
+    """Return where a model fails on the windows of rides."""
     seen = read_window_residuals(gather_windows(rides, windows, model), kept)
     return {"unit": seen.unit, "windows": len(seen.value), "charts": survey_columns(seen)}
 
@@ -100,10 +80,6 @@ def read_window_residuals(seen: Windows, kept: set[str] | None = None) -> Column
 
 def survey_columns(seen: ColumnResiduals) -> list[dict[str, Any]]:
     """Return the mean residual along every column.
-
-    Parameters
-    ----------
-    seen : ColumnResiduals
 
     Returns
     -------
@@ -154,16 +130,6 @@ def _adjust_bins(charts: list[dict[str, Any]]) -> None:
 
 def bin_residual(seen: ColumnResiduals, column: ShownColumn, along: Any, rows: Ints) -> dict[str, Any]:
     """Return the mean residual of some rows in bins along a column.
-
-    Parameters
-    ----------
-    seen : ColumnResiduals
-    column : ShownColumn
-        The column.
-    along : (n,) array
-        Its values.
-    rows : (m,) int64
-        Rows to average.
 
     Returns
     -------

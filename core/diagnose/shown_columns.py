@@ -62,11 +62,6 @@ CATEGORIES: Final = (
 def list_columns(table: pd.DataFrame) -> list[tuple[ShownColumn, Any]]:
     """Return the columns that a table has, with their values in the unit that is shown.
 
-    Parameters
-    ----------
-    table : (n, columns) DataFrame
-        Rides, or windows with the columns of their rides.
-
     Returns
     -------
     list of (ShownColumn, (n,) array)

@@ -41,17 +41,8 @@ def sum_ride_products(columns: Floats, weight: Floats, ride: Ints) -> Floats:
 
     Parameters
     ----------
-    columns : (n, q) float
-        Columns Q.
-    weight : (n,) float
-        Weight of each window: the inverse of its variance.
     ride : (n,) int64
         Ride of each window, 0, 1, ... in ascending order.
-
-    Returns
-    -------
-    (rides, q, q) float
-        Q'WQ of each ride.
     """
     weighted = columns * np.sqrt(weight)[:, np.newaxis]
     edges = np.r_[np.flatnonzero(np.r_[True, np.diff(ride) != 0]), len(ride)]
@@ -67,15 +58,8 @@ def sum_units(sums: Floats, parent: Ints) -> Floats:
 
     Parameters
     ----------
-    sums : (units, ...) float
-        Sums of each unit.
     parent : (units,) int64
         Unit of the level above, 0, 1, ... in any order; none is empty.
-
-    Returns
-    -------
-    (parents, ...) float
-        Sums.
     """
     if np.all(parent[1:] >= parent[:-1]):
         return np.asarray(np.add.reduceat(sums, np.flatnonzero(np.r_[True, np.diff(parent) != 0]), axis=0))
@@ -88,10 +72,6 @@ def sweep(sums: Floats, at: Sequence[int] | Ints, variance: Floats) -> Swept:
 
     Parameters
     ----------
-    sums : (units, q, q) float
-        Sums of products M.
-    at : sequence of s int
-        Columns on which the effects act.
     variance : (s,) float
         Variance of each effect over that of a window of weight 1. It may be zero.
 

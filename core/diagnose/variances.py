@@ -59,19 +59,7 @@ class Variances(NamedTuple):
 def estimate_variances(
     model: MixedModel, free: NDArray[np.bool_], start: Floats | None = None, most: Floats | None = None
 ) -> Variances:
-    """Return the most probable variances.
-
-    Parameters
-    ----------
-    model : MixedModel
-        Model.
-    free : (levels, s) bool
-        Which variances to estimate; the others stay as in `start`, or zero.
-    start : (levels, s) float, optional
-        Relative variances from which the search starts.
-    most : (levels, s) float, optional
-        Largest relative variances; by default there is no limit.
-    """
+    """Return the most probable variances."""
     begin = np.zeros(free.shape) if start is None else start.copy()
     if not free.any():
         return Variances(begin, model.evaluate(begin))
@@ -123,23 +111,8 @@ def find_interval(
 
     Parameters
     ----------
-    model : MixedModel
-        Model.
-    best : Variances
-        Most probable variances.
-    free : (levels, s) bool
-        Variances that were estimated.
-    at : (int, int)
-        Level and column of the standard deviation.
-    most : (levels, s) float, optional
-        Largest relative variances of the others.
     rise : float
         Rise of the criterion at the ends of the interval: by default, of 95 %.
-
-    Returns
-    -------
-    low, high : float
-        Ends; the lower one is zero where the data allow it.
     """
     others = free.copy()
     others[at] = False

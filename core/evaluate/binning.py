@@ -42,11 +42,6 @@ class Binning(NamedTuple):
 def bin_rides(rides: pd.DataFrame) -> dict[str, Binning]:
     """Return the bins of every known property of rides.
 
-    Parameters
-    ----------
-    rides : (n, columns) DataFrame
-        A ride table.
-
     Returns
     -------
     dict of str to Binning
@@ -59,17 +54,7 @@ def bin_rides(rides: pd.DataFrame) -> dict[str, Binning]:
 def compute_local_hour(start_s: Floats, longitude_deg: Floats) -> Floats:
     """Return the local hour of each time. [h]
 
-    Parameters
-    ----------
-    start_s : (n,) float
-        Unix time. [s]
-    longitude_deg : (n,) float
-        Longitude. [degree]
-
-    Returns
-    -------
-    (n,) float
-        Hour of the day, from 0 to 24. [h]
+    Units: returns [h].
 
     Notes
     -----
@@ -91,8 +76,6 @@ def bin_values(values: Floats, ends: Sequence[int]) -> Binning:
     ----------
     values : (n,) float
         Values to bin; NaN where unknown.
-    ends : sequence of int
-        Ascending edges, in the unit of the values.
 
     Examples
     --------

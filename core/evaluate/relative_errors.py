@@ -20,10 +20,10 @@ LEAST_ENERGY: Final = 0.1
 def compute_relative_figures(measured: Floats, predicted: Floats, clusters: Codes, floor: float) -> dict[str, Any]:
     """Return the errors of predictions in kWh, as shares of the energy, and over the noise floor.
 
+    Units: measured [kWh], predicted [kWh].
+
     Parameters
     ----------
-    measured, predicted : (n,) float
-        Energy of each ride. [kWh]
     clusters : (n,) int64
         Cluster of each ride, within which errors resemble each other, such as the vehicle-day.
     floor : float

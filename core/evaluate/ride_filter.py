@@ -90,22 +90,7 @@ class EvaluatedRides:
 
 
 def filter_rides(rides: pd.DataFrame) -> EvaluatedRides:
-    """Return the rides of a table that can be evaluated.
-
-    Parameters
-    ----------
-    rides : (n, columns) DataFrame
-        A ride table, as `socast.core.totals.tables.ride_table` makes it.
-
-    Returns
-    -------
-    EvaluatedRides
-
-    Raises
-    ------
-    ModelError
-        Where a column is missing, or no vehicle model has `LEAST_RIDES` rides in any scored cluster.
-    """
+    """Return the rides of a table that can be evaluated."""
     reason = find_exclusion_reasons(rides)
     kept = rides[reason.isna()].sort_values(["vehicle_id", "start_s"], kind="stable", ignore_index=True)
     unfit = {str(why): int(n) for why, n in reason.value_counts().sort_index().items()}
@@ -137,10 +122,6 @@ def name_rides(rides: pd.DataFrame) -> list[str]:
     rides : (n, columns) DataFrame
         Rides. The name is the column `ride_key`; without it the logger's `ride_id`, and without both the index.
 
-    Returns
-    -------
-    list of n str
-
     Examples
     --------
     >>> name_rides(pd.DataFrame({"ride_id": ["morning"], "ride_key": ["taxi-005#1"]}))
@@ -153,11 +134,6 @@ def name_rides(rides: pd.DataFrame) -> list[str]:
 def assign_distance_clusters(distance_km: Floats) -> Codes:
     """Return the distance cluster of each ride, as a position in `CLUSTERS`.
 
-    Parameters
-    ----------
-    distance_km : (n,) float
-        Distance. [km]
-
     Examples
     --------
     >>> [CLUSTERS[i] for i in assign_distance_clusters(np.array([0.4, 4.99, 5.0, 31.0, 400.0]))]
@@ -167,22 +143,7 @@ def assign_distance_clusters(distance_km: Floats) -> Codes:
 
 
 def find_exclusion_reasons(rides: pd.DataFrame) -> "pd.Series[Any]":
-    """Return the reason why each ride is excluded; NaN where it is not.
-
-    Parameters
-    ----------
-    rides : (n, columns) DataFrame
-        A ride table.
-
-    Returns
-    -------
-    (n,) Series of str
-
-    Raises
-    ------
-    ModelError
-        Where a needed column is missing or holds no numbers.
-    """
+    """Return the reason why each ride is excluded; NaN where it is not."""
     if missing := [name for name in NEEDED_COLUMNS if name not in rides]:
         raise ModelError(f"column {missing[0]!r} is missing in the ride table: make it with `socast tables`")
     for name in NUMERIC_COLUMNS:

@@ -64,16 +64,12 @@ class TemperatureBins:
     def add(self, ambient_c: Floats, time: Floats, energy: Floats, columns: Sequence[Floats] = ()) -> None:
         """Add rides, except those with an unknown value.
 
+        Units: energy [kWh], columns [kWh].
+
         Parameters
         ----------
-        ambient_c : (n,) float
-            Outside temperature. [°C]
         time : (n,) float
             Duration times the car's accessory scale, over 3.6e6. Its product with a power in W is an energy in kWh.
-        energy : (n,) float
-            Energy that the curve and the columns have to explain. [kWh]
-        columns : sequence of (n,) float
-            Columns of the road load; their number is `beside`. [kWh]
         """
         table = np.stack([time, time, *columns, energy])
         known = np.isfinite(ambient_c) & np.isfinite(table).all(axis=0)
@@ -86,13 +82,7 @@ class TemperatureBins:
                 self.sums[:, i, j] += np.bincount(place, table[i] * table[j], _BINS)
 
     def merge(self, other: "TemperatureBins") -> None:
-        """Add the rows of other bins.
-
-        Parameters
-        ----------
-        other : TemperatureBins
-            Bins of the same columns.
-        """
+        """Add the rows of other bins."""
         self.rides += other.rides
         self.sums += other.sums
 
@@ -119,20 +109,7 @@ class TemperatureBins:
 
 
 def compute_slopes(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
-    """Return the derivatives of the accessory power by the seven numbers of the curve.
-
-    Parameters
-    ----------
-    curve : AccessoryCurve
-        Curve at which to differentiate.
-    ambient_c : (n,) float
-        Outside temperature. [°C]
-
-    Returns
-    -------
-    (n, 7) float
-        Derivatives by the three levels [1], then by the four choke points [W/K].
-    """
+    """Return the derivatives of the accessory power by the seven numbers of the curve."""
     knots = np.array([curve.heating_full, curve.heating_off, curve.cooling_on, curve.cooling_full]) - ZERO_CELSIUS
     (standby, heat, cool), (_, d_heat, d_cool) = _shape(knots, ambient_c)
     by_heat = (curve.heating - curve.standby) * d_heat

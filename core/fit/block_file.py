@@ -35,18 +35,7 @@ class BlockFile:
         self._sizes: list[tuple[int, int]] = []  # rows, and bytes of the names, of each block
 
     def append(self, block: Mapping[str, NDArray[Any]]) -> None:
-        """Add a block.
-
-        Parameters
-        ----------
-        block : mapping of str to (n,) array
-            Columns as `socast.core.fit.ride_blocks.convert_to_arrays` returns them.
-
-        Raises
-        ------
-        ModelError
-            If there is no temporary folder with enough room.
-        """
+        """Add a block."""
         numbers = np.stack([block[name] for name in self._columns])
         names = msgspec.msgpack.encode({name: _pack(block[name]) for name in NAMES if name in block})
         self._sizes.append((numbers.shape[1], len(names)))

@@ -166,15 +166,7 @@ class PassRunner(Protocol):
 
 
 def sum_blocks(context: FitContext, function: BlockFunction, rides: RideSource) -> TaskSums:
-    """Return the parts of all blocks of rides.
-
-    Parameters
-    ----------
-    context : FitContext
-    function : callable
-        One of the functions of this module that sum a block.
-    rides : RideSource
-    """
+    """Return the parts of all blocks of rides."""
     with limit_to_one_thread():
         parts = [function(context, block) for block in convert_blocks(context, rides)]
     return TaskSums(parts, rides.kept if function is survey_block and isinstance(rides, ThinnedRides) else [])
@@ -222,22 +214,7 @@ def sum_residuals(context: FitContext, block: TrainableRides) -> dict[str, Resid
 
 
 def build_design(terms: tuple[Term, ...], columns: Columns, rows: int) -> Floats:
-    """Return the design matrix: the product of the columns of each term.
-
-    Parameters
-    ----------
-    terms : tuple of Term
-        Terms of the model.
-    columns : Columns
-        Columns of the rides.
-    rows : int
-        Number of rides.
-
-    Returns
-    -------
-    (rows, terms) float
-        1 in the column of a constant.
-    """
+    """Return the design matrix: the product of the columns of each term."""
     out = np.empty((rows, len(terms)))
     for j, term in enumerate(terms):
         out[:, j] = prod(columns[name] for name in term.columns)
@@ -248,11 +225,6 @@ def limit_to_one_thread() -> Any:
     """Return a context that limits the linear algebra of numpy to one thread.
 
     The matrices are small, and the results become equal on any number of cores.
-
-    Returns
-    -------
-    context manager
-        The limit holds within its `with` block.
     """
     return _find_blas().limit(limits=1)
 

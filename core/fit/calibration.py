@@ -84,17 +84,7 @@ class HeldOutErrors(NamedTuple):
 def collect_errors(error: Floats, columns: Columns) -> HeldOutErrors:
     """Return errors together with the columns on which their scale depends.
 
-    Parameters
-    ----------
-    error : (n,) float
-        Measured minus predicted energy. [kWh]
-    columns : Columns
-        Columns of the same rides.
-
-    Returns
-    -------
-    HeldOutErrors
-        Without the rides that have an unknown value.
+    Units: error [kWh].
     """
     terms, distance = compute_scale_terms(columns), columns["distance_km"]
     known = np.isfinite(error) & np.isfinite(terms).all(axis=1) & np.isfinite(distance)
@@ -110,8 +100,6 @@ def calibrate_interval(
     ----------
     seen : mapping of str to HeldOutErrors
         Errors by vehicle model, of fits to other rides that include rides of the same vehicle model.
-    unseen : mapping of str to HeldOutErrors
-        Errors by vehicle model, of fits to other vehicle models only.
 
     Returns
     -------
@@ -198,15 +186,6 @@ def widen_for_unseen_cars(
     ----------
     interval : PredictionInterval, optional
         Interval for known cars; None stays None.
-    held : mapping of str to HeldOutErrors
-        Errors by vehicle model, of fits without any ride of the car.
-    cars : sequence of str
-        Cars that the model was fitted to.
-
-    Returns
-    -------
-    PredictionInterval or None
-        Unchanged where there are fewer than `LEAST_CALIBRATION_RIDES` errors.
 
     Notes
     -----
@@ -241,8 +220,6 @@ def add_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True
     model : LinearModel
         Model whose fits are ordinary least squares on the rides of each vehicle model. The leverage takes the accessory
         curve and the fills as given.
-    rides : DataFrame
-        Rides to which the model was fitted.
     fitted : bool
         Whether the coefficients were fitted; otherwise each is 1 and the residual is already the held-out error.
 
@@ -298,32 +275,12 @@ def _leave_out_group(left: Floats, basis: Floats, out: Ints) -> Floats:
 
 
 def assign_folds(rows: int, folds: int) -> Ints:
-    """Return the fold of each ride, drawn at random and equal at every call.
-
-    Parameters
-    ----------
-    rows : int
-        Number of rides.
-    folds : int
-        Number of folds.
-
-    Returns
-    -------
-    (rows,) int
-        Fold of each ride, from 0 to `folds` - 1.
-    """
+    """Return the fold of each ride, drawn at random and equal at every call."""
     return np.random.default_rng(0).permutation(rows) % folds
 
 
 def assign_car_folds(vehicles: Sequence[str], folds: int) -> Ints:
     """Return the fold of each ride such that all rides of a car share a fold, equal at every call.
-
-    Parameters
-    ----------
-    vehicles : sequence of n str
-        Car of each ride.
-    folds : int
-        Number of folds.
 
     Returns
     -------

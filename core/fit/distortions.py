@@ -33,11 +33,6 @@ times the usual share of braking energy that is lost [1].
 def gather_distortions(table: pd.DataFrame) -> Floats:
     """Return the columns of `DISTORTIONS`, zero where a table does not have them.
 
-    Parameters
-    ----------
-    table : (n, columns) DataFrame
-        Windows or rides.
-
     Returns
     -------
     (n, 2) float

@@ -143,15 +143,7 @@ class MapSummary(NamedTuple):
 
 
 def select_fixes(batch: Batch, clean: Clean) -> ElevationFixes:
-    """Return the fixes of rides in a batch from which a map can be learned.
-
-    Parameters
-    ----------
-    batch : Batch
-        n rows.
-    clean : Clean
-        The same rows, cleaned.
-    """
+    """Return the fixes of rides in a batch from which a map can be learned."""
     usable = ((clean.quality & UNUSABLE) == 0) & (clean.ride >= 0)
     usable &= (clean.dt > 0.0) & (clean.distance >= MOVED)
     usable &= np.isfinite(batch.latitude) & np.isfinite(batch.longitude)
@@ -251,13 +243,7 @@ class _Posterior:
         return out
 
     def find_mean(self, elevation: Floats, start: Floats | None = None) -> Floats:
-        """Return the posterior mean of the coefficients.
-
-        Raises
-        ------
-        RecordingError
-            If `MOST_STEPS` steps do not reach `PRECISION`.
-        """
+        """Return the posterior mean of the coefficients."""
         right = self._system.transposed @ (self._weight * elevation)
         solution, status = cg(self._matrix, right, x0=start, rtol=PRECISION, maxiter=MOST_STEPS, M=self._preconditioner)
         if status != 0:
@@ -286,18 +272,7 @@ class _Fit(NamedTuple):
 
 
 def learn_elevation(fixes: ElevationFixes) -> tuple[ElevationPlaces, MapSummary]:
-    """Return a map of the places near the fixes of a fleet, and how it was learned.
-
-    Parameters
-    ----------
-    fixes : ElevationFixes
-        n fixes, those of each ride in the order of time.
-
-    Raises
-    ------
-    RecordingError
-        If there are fewer than `FEWEST_FIXES`, or if the equations of the map cannot be solved.
-    """
+    """Return a map of the places near the fixes of a fleet, and how it was learned."""
     if len(fixes.elevation) < FEWEST_FIXES:
         raise RecordingError(
             f"{len(fixes.elevation)} usable fixes with an elevation, and a map takes {FEWEST_FIXES}: "

@@ -122,10 +122,6 @@ def fit_terms(
 
     Parameters
     ----------
-    plan : FitPlan
-        Terms to fit.
-    rides : RideSource
-        Ride table to fit them to.
     covariance : bool
         Compute the covariance and the in-sample error in another pass over the rides. A fit without it is faster.
     run : callable, optional
@@ -135,11 +131,6 @@ def fit_terms(
     -------
     LinearModel
         Model with a fit for each vehicle model that has enough rides, and the fit `*` over all rides together.
-
-    Raises
-    ------
-    ModelError
-        If a column is missing, if too few rides can be used for training, or if the rides do not vary.
     """
     fitting = _Fitting(plan, rides, covariance=covariance, run=run)
     with limit_to_one_thread(), closing(fitting.kept):

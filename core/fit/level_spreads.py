@@ -53,15 +53,6 @@ def integrate_car_spread(elimination: Elimination, prior: Gaussian, spreads: Lev
     Few cars tell little of how much cars differ. Their common coefficients are therefore less certain than at the most
     probable spread.
 
-    Parameters
-    ----------
-    elimination : Elimination
-        Sums of cars.
-    prior : Gaussian
-        Prior of the coefficients.
-    spreads : LevelSpreads
-        Standard deviations of the levels, with the most probable one of cars.
-
     Returns
     -------
     Gaussian
@@ -86,24 +77,7 @@ def integrate_car_spread(elimination: Elimination, prior: Gaussian, spreads: Lev
 def differentiate_level_evidence(
     products: RideProducts, prior: Gaussian, spreads: LevelSpreads
 ) -> tuple[float, LevelSpreads]:
-    """Return the logarithm of the evidence, and its derivatives by the logarithms of the standard deviations.
-
-    Parameters
-    ----------
-    products : RideProducts
-        Sums of rides.
-    prior : Gaussian
-        Prior of the coefficients.
-    spreads : LevelSpreads
-        Standard deviations of the levels.
-
-    Returns
-    -------
-    evidence : float
-        Logarithm of the evidence, up to a constant. [1]
-    derivatives : LevelSpreads
-        Derivatives; 0 for a standard deviation of 0. [1]
-    """
+    """Return the logarithm of the evidence, and its derivatives by the logarithms of the standard deviations."""
     p = products.coefficients
     shared = slice(p + 1, p + 1 + SHARED)
     scaled = products.sums / spreads.row**2
@@ -186,21 +160,10 @@ def estimate_spreads(
 
     Parameters
     ----------
-    products : RideProducts
-        Sums of rides.
-    prior : Gaussian
-        Prior of the coefficients.
     cars : bool
         Whether cars have factors; otherwise their standard deviation is 0.
-    start : LevelSpreads
-        Where the search begins.
     exact : bool
         Whether to continue to convergence. An estimate from which another search begins need not.
-
-    Returns
-    -------
-    LevelSpreads
-        Estimated standard deviations.
     """
     some = products.thinned(MOST_RIDES)
     free = len(EXPECTED_LEVELS) if cars else len(EXPECTED_LEVELS) - 1

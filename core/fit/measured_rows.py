@@ -26,23 +26,7 @@ ENERGY_SD: Final = "energy_sd_kwh"
 
 
 def join_tables(rides: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
-    """Return the measured rows of rides fit for training: their windows, or the whole ride where no meter measures.
-
-    Parameters
-    ----------
-    rides, windows : DataFrame
-        The tables of the same recordings, as `socast.core.totals.tables` makes them.
-
-    Returns
-    -------
-    DataFrame
-        Rows ordered by vehicle and time, with `RIDE_COLUMNS`.
-
-    Raises
-    ------
-    ModelError
-        The tables are not of the same rides, or a column is missing.
-    """
+    """Return the measured rows of rides fit for training: their windows, or the whole ride where no meter measures."""
     for table, what in ((rides, "ride"), (windows, "window")):
         if lacking := [name for name in ("ride_key", "vehicle_id", "start_s", ENERGY) if name not in table]:
             raise ModelError(f"the {what} table has no column {lacking[0]!r}: make the tables again, `socast tables`")

@@ -29,11 +29,6 @@ def is_metered(table: pd.DataFrame) -> NDArray[np.bool_]:
 def compute_noise_variance(table: pd.DataFrame) -> Floats:
     """Return the variance of the measured energy of each ride or window, without the gains that a car's drives share.
 
-    Parameters
-    ----------
-    table : (n, columns) DataFrame
-        Rides or windows, with the energies of both instruments and their standard uncertainties.
-
     Returns
     -------
     (n,) float

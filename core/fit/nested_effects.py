@@ -159,24 +159,7 @@ class Integrated(NamedTuple):
 
 
 def sum_products(columns: Floats, weight: Floats, ride: Ints, rides: int) -> Floats:
-    """Return the weighted sums of products of columns over the rows of each ride.
-
-    Parameters
-    ----------
-    columns : (n, k) float
-        Columns.
-    weight : (n,) float
-        Weight of each row.
-    ride : (n,) int64
-        Ride of each row.
-    rides : int
-        Number of rides.
-
-    Returns
-    -------
-    (rides, k, k) float
-        Symmetric sums.
-    """
+    """Return the weighted sums of products of columns over the rows of each ride."""
     k = columns.shape[1]
     sums = np.empty((rides, k, k))
     for i in range(k):
@@ -187,20 +170,7 @@ def sum_products(columns: Floats, weight: Floats, ride: Ints, rides: int) -> Flo
 
 
 def eliminate(products: RideProducts, spreads: LevelSpreads) -> Elimination:
-    """Return sums without the random effects of rides and of vehicle-days, level by level.
-
-    Parameters
-    ----------
-    products : RideProducts
-        Sums of rides.
-    spreads : LevelSpreads
-        Standard deviations of the levels.
-
-    Returns
-    -------
-    Elimination
-        Sums of each level.
-    """
+    """Return sums without the random effects of rides and of vehicle-days, level by level."""
     p = products.coefficients
     shared = slice(p + 1, p + 1 + SHARED)
     scaled = products.sums / spreads.row**2
@@ -225,20 +195,7 @@ def without_car_factor(cars: Floats, spread: float) -> tuple[Floats, float]:
 
 
 def compute_coefficients(prior: Gaussian, sums: Floats) -> Gaussian:
-    """Return the posterior of the coefficients, given sums from which all random effects are eliminated.
-
-    Parameters
-    ----------
-    prior : Gaussian
-        Prior of the p coefficients.
-    sums : (..., q, q) float
-        Sums of products; leading axes give one posterior each.
-
-    Returns
-    -------
-    Gaussian
-        Posterior, with the leading axes of `sums`.
-    """
+    """Return the posterior of the coefficients, given sums from which all random effects are eliminated."""
     p = len(prior.mean)
     precision = np.linalg.inv(prior.covariance)
     scale = np.sqrt(np.diag(prior.covariance))
@@ -249,22 +206,7 @@ def compute_coefficients(prior: Gaussian, sums: Floats) -> Gaussian:
 
 
 def limit(posterior: Gaussian, low: Floats, high: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the most probable coefficients within limits.
-
-    Parameters
-    ----------
-    posterior : Gaussian
-        Posterior without limits.
-    low, high : (p,) float
-        Limits, which may be infinite.
-
-    Returns
-    -------
-    mean : (p,) float
-        Coefficients of the largest posterior density within the limits.
-    at : (p,) bool
-        Which coefficients are at a limit.
-    """
+    """Return the most probable coefficients within limits."""
     if ((posterior.mean >= low) & (posterior.mean <= high)).all():
         return posterior.mean, np.zeros(len(low), np.bool_)
     scale = np.sqrt(np.diag(posterior.covariance))
@@ -275,22 +217,7 @@ def limit(posterior: Gaussian, low: Floats, high: Floats) -> tuple[Floats, NDArr
 
 
 def pin(prior: Gaussian, at: NDArray[np.bool_], mean: Floats) -> Gaussian:
-    """Return a prior that keeps some coefficients at given values, with a spread of next to nothing.
-
-    Parameters
-    ----------
-    prior : Gaussian
-        Prior of the coefficients.
-    at : (p,) bool
-        Which coefficients to keep.
-    mean : (p,) float
-        Values at which to keep them.
-
-    Returns
-    -------
-    Gaussian
-        Prior.
-    """
+    """Return a prior that keeps some coefficients at given values, with a spread of next to nothing."""
     covariance = prior.covariance.copy()
     covariance[at], covariance[:, at] = 0.0, 0.0
     covariance[at, at] = (PINNED * np.sqrt(np.diag(prior.covariance))[at]) ** 2
@@ -298,22 +225,7 @@ def pin(prior: Gaussian, at: NDArray[np.bool_], mean: Floats) -> Gaussian:
 
 
 def integrate_out(sums: Floats, at: slice, spreads: Sequence[float]) -> Integrated:
-    """Return sums without random effects on some of their columns.
-
-    Parameters
-    ----------
-    sums : (m, q, q) float
-        Sums of products.
-    at : slice
-        Columns on which the effects act.
-    spreads : sequence of float
-        Standard deviation of the effect on each of these columns.
-
-    Returns
-    -------
-    Integrated
-        Sums after integration over the effects.
-    """
+    """Return sums without random effects on some of their columns."""
     variance = np.square(np.asarray(spreads, dtype=np.float64))
     inner = np.eye(len(variance)) + variance[:, np.newaxis] * sums[:, at, at]
     beside = np.ascontiguousarray(sums[:, :, at])

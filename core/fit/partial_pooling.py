@@ -86,15 +86,7 @@ class NormalEquations(NamedTuple):
     def left(self, coefficients: Floats) -> float:
         """Return the weighted sum of squared residuals under given coefficients.
 
-        Parameters
-        ----------
-        coefficients : (p,) float
-            Coefficients of the terms.
-
-        Returns
-        -------
-        float
-            At least 0. [kWh]
+        Units: returns [kWh].
         """
         square = self.square - 2.0 * coefficients @ self.cross + coefficients @ self.gram @ coefficients
         return max(float(square), 0.0)
@@ -121,19 +113,7 @@ class Prior(NamedTuple):
 def sum_normal_equations(design: Floats, energy: Floats, size: Floats) -> NormalEquations:
     """Return the weighted normal equations of rides.
 
-    Parameters
-    ----------
-    design : (n, p) float
-        Product of the columns of each term.
-    energy : (n,) float
-        Measured energy. [kWh]
-    size : (n,) float
-        Approximate energy, above 0. The weights are 1 / size. [kWh]
-
-    Returns
-    -------
-    NormalEquations
-        Sums over the rides.
+    Units: energy [kWh], size [kWh].
     """
     weighted = design / size[:, np.newaxis]
     square = float(energy @ (energy / size))
@@ -141,18 +121,7 @@ def sum_normal_equations(design: Floats, energy: Floats, size: Floats) -> Normal
 
 
 def compute_column_scale(groups: Sequence[NormalEquations]) -> Floats:
-    """Return the root mean square of the column of each term.
-
-    Parameters
-    ----------
-    groups : sequence of NormalEquations
-        One per vehicle model.
-
-    Returns
-    -------
-    (p,) float
-        `UNSEEN_COLUMN` where the column is 0 in all rides.
-    """
+    """Return the root mean square of the column of each term."""
     square = np.diag(_averaged(groups)[0])
     return np.where(square > 0.0, np.sqrt(np.maximum(square, 0.0)), UNSEEN_COLUMN)
 
@@ -165,20 +134,7 @@ def _averaged(groups: Sequence[NormalEquations]) -> tuple[Floats, Floats]:
 
 
 def compute_common_mean(groups: Sequence[NormalEquations], physics: Floats) -> Floats:
-    """Return the common mean of the coefficients, held near their physical values.
-
-    Parameters
-    ----------
-    groups : sequence of NormalEquations
-        One per vehicle model.
-    physics : (p,) float
-        Physical values of the coefficients.
-
-    Returns
-    -------
-    (p,) float
-        Mean of the coefficients over the vehicle models.
-    """
+    """Return the common mean of the coefficients, held near their physical values."""
     scale = compute_column_scale(groups)
     gram, cross = _averaged(groups)
     standard = gram / np.outer(scale, scale)
@@ -189,19 +145,7 @@ def compute_common_mean(groups: Sequence[NormalEquations], physics: Floats) -> F
 def estimate_noise(sums: NormalEquations, mean: Floats, scale: Floats) -> float:
     """Return the variance of the errors of rides over their size, under a separate fit held weakly near a mean.
 
-    Parameters
-    ----------
-    sums : NormalEquations
-        Rides of one vehicle model.
-    mean : (p,) float
-        Coefficients near which the fit is held.
-    scale : (p,) float
-        Root mean square of the column of each term.
-
-    Returns
-    -------
-    float
-        Variance over size. [kWh]
+    Units: returns [kWh].
     """
     precision = sums.gram + np.diag(scale**2)
     coefficients = mean + np.linalg.solve(precision, sums.cross - sums.gram @ mean)
@@ -212,17 +156,7 @@ def estimate_noise(sums: NormalEquations, mean: Floats, scale: Floats) -> float:
 def estimate_common_noise(groups: Sequence[NormalEquations], mean: Floats) -> float:
     """Return the noise of an unknown vehicle model: the unweighted mean over the known ones.
 
-    Parameters
-    ----------
-    groups : sequence of NormalEquations
-        One per vehicle model.
-    mean : (p,) float
-        Common mean of the coefficients.
-
-    Returns
-    -------
-    float
-        Variance of the error of a ride over its size. [kWh]
+    Units: returns [kWh].
     """
     scale = compute_column_scale(groups)
     return float(np.mean([estimate_noise(sums, mean, scale) for sums in groups]))
@@ -233,23 +167,7 @@ def build_covariance(
 ) -> Floats:
     """Return the covariance between vehicle models: separate spreads, and a common factor of each block.
 
-    Parameters
-    ----------
-    mean : (p,) float
-        Common mean of the coefficients.
-    scale : (p,) float
-        Root mean square of the column of each term.
-    blocks : sequence of (p,) bool
-        Terms that share a factor.
-    apart : float
-        Separate spread of each coefficient, times its scale. [kWh]
-    factors : sequence of float
-        Spread of the factor of each block. [1]
-
-    Returns
-    -------
-    (p, p) float
-        Covariance of the coefficients.
+    Units: apart [kWh].
     """
     spread = np.diag((apart / scale) ** 2)
     for block, factor in zip(blocks, factors, strict=True):
@@ -259,22 +177,7 @@ def build_covariance(
 
 
 def compute_posterior(prior: Prior, sums: NormalEquations) -> tuple[Floats, Floats]:
-    """Return the posterior of the coefficients of a vehicle model, given its rides.
-
-    Parameters
-    ----------
-    prior : Prior
-        Mean, covariance and noise before the rides.
-    sums : NormalEquations
-        Rides of the vehicle model.
-
-    Returns
-    -------
-    mean : (p,) float
-        Posterior mean of the coefficients.
-    covariance : (p, p) float
-        Posterior covariance of the coefficients.
-    """
+    """Return the posterior of the coefficients of a vehicle model, given its rides."""
     inverse = np.linalg.inv(prior.covariance)
     information = (inverse + inverse.T) / 2.0 + sums.gram / prior.noise
     covariance = np.linalg.inv(information)
@@ -283,40 +186,12 @@ def compute_posterior(prior: Prior, sums: NormalEquations) -> tuple[Floats, Floa
 
 
 def compute_early_posterior(prior: Prior, sums: NormalEquations) -> tuple[Floats, Floats]:
-    """Return the posterior given the first rides of a vehicle model, whose errors are correlated.
-
-    Parameters
-    ----------
-    prior : Prior
-        Mean, covariance and noise before the rides; `EARLY_NOISE_FACTOR` multiplies the noise.
-    sums : NormalEquations
-        First rides of the vehicle model.
-
-    Returns
-    -------
-    mean : (p,) float
-        Posterior mean of the coefficients.
-    covariance : (p, p) float
-        Posterior covariance of the coefficients.
-    """
+    """Return the posterior given the first rides of a vehicle model, whose errors are correlated."""
     return compute_posterior(prior._replace(noise=prior.noise * EARLY_NOISE_FACTOR), sums)
 
 
 def compute_log_evidence(prior: Prior, sums: NormalEquations) -> float:
-    """Return the logarithm of the probability of rides under a prior, up to a constant common to all priors.
-
-    Parameters
-    ----------
-    prior : Prior
-        Prior to compare with others of the same noise.
-    sums : NormalEquations
-        Rides of the vehicle model.
-
-    Returns
-    -------
-    float
-        Logarithm of the evidence, up to the constant. [1]
-    """
+    """Return the logarithm of the probability of rides under a prior, up to a constant common to all priors."""
     residual = sums.cross - sums.gram @ prior.mean
     _, covariance = compute_posterior(prior, sums)
     fit = sums.left(prior.mean) / prior.noise - residual @ covariance @ residual / prior.noise**2
@@ -327,22 +202,7 @@ def compute_log_evidence(prior: Prior, sums: NormalEquations) -> float:
 def estimate_prior(
     groups: Mapping[str, NormalEquations], physics: Floats, blocks: Sequence[NDArray[np.bool_]]
 ) -> Prior:
-    """Return the common mean of vehicle models, and the expected distance of a new vehicle model from it.
-
-    Parameters
-    ----------
-    groups : mapping of str to NormalEquations
-        Rides by vehicle model; at least one.
-    physics : (p,) float
-        Physical values of the coefficients.
-    blocks : sequence of (p,) bool
-        Terms that share a factor: drive, climate.
-
-    Returns
-    -------
-    Prior
-        Prior of the coefficients of a new vehicle model.
-    """
+    """Return the common mean of vehicle models, and the expected distance of a new vehicle model from it."""
     every = list(groups.values())
     mean = compute_common_mean(every, physics)
     noise = estimate_common_noise(every, mean)
@@ -377,14 +237,7 @@ def estimate_car_factors(
 ) -> dict[str, float]:
     """Return the factor of each car on predictions, shrunk towards 1 according to its uncertainty.
 
-    Parameters
-    ----------
-    vehicles : (n,) str
-        Car of each ride; all cars are of one vehicle model.
-    predicted, energy, size : (n,) float
-        Predicted, measured and approximate energy. [kWh]
-    noise : float
-        Variance of the error of a ride over its size. [kWh]
+    Units: predicted [kWh], energy [kWh], size [kWh], noise [kWh].
 
     Returns
     -------

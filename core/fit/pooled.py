@@ -226,8 +226,6 @@ class PooledRecipe:
 
         Parameters
         ----------
-        rides : DataFrame
-            Ride table.
         covariance : bool
             Whether to calibrate an interval; a fit without it is faster. The model has a covariance in any case.
 
@@ -235,11 +233,6 @@ class PooledRecipe:
         -------
         LinearModel
             Model with a fit for each vehicle model, and the fit `*` for unseen ones.
-
-        Raises
-        ------
-        ModelError
-            If a column is missing, or if too few rides can be used for training.
         """
         _check(self.name, rides, _raw(self.terms, TREE_FEATURES))
         with limit_to_one_thread():
@@ -277,20 +270,7 @@ class PooledRecipe:
         )
 
     def adapt(self, model: LinearModel, rides: pd.DataFrame) -> LinearModel:
-        """Return a model adapted to some rides, see the function `adapt`.
-
-        Parameters
-        ----------
-        model : LinearModel
-            Model of a recipe that pools.
-        rides : DataFrame
-            Ride table.
-
-        Returns
-        -------
-        LinearModel
-            Adapted model.
-        """
+        """Return a model adapted to some rides, see the function `adapt`."""
         return adapt(model, rides)
 
     def _prior(self, sums: dict[str, NormalEquations]) -> Prior:
@@ -350,20 +330,8 @@ def adapt(model: LinearModel, rides: pd.DataFrame) -> LinearModel:
 
     Parameters
     ----------
-    model : LinearModel
-        Model of a recipe that pools.
     rides : DataFrame
         Ride table. Only the rides that are fit for training count; without any, the model stays as it is.
-
-    Returns
-    -------
-    LinearModel
-        Adapted model, whose history records the adaptation.
-
-    Raises
-    ------
-    ModelError
-        If the model has no covariance between vehicle models, or if a column is missing.
     """
     general = model.fits.get(ANY)
     if general is None or general.covariance is None or general.noise_kwh is None:

@@ -38,22 +38,7 @@ LEAST_GAP: Final = 1.0
 
 
 def build_prior(terms: Sequence[Term], columns: Columns, rows: int) -> Gaussian:
-    """Return the prior of the coefficients of terms, none of which is the accessories'.
-
-    Parameters
-    ----------
-    terms : sequence of Term
-        Terms.
-    columns : Columns
-        Columns of the rows to fit, for the figures of their cars.
-    rows : int
-        Number of rows.
-
-    Returns
-    -------
-    Gaussian
-        Independent coefficients.
-    """
+    """Return the prior of the coefficients of terms, none of which is the accessories'."""
     known = [_expect(term, columns, rows) for term in terms]
     mean, sd = np.array(known, dtype=np.float64).reshape(-1, 2).T
     return Gaussian(mean, np.diag(sd**2))
@@ -88,20 +73,7 @@ def _average(columns: Columns, name: str) -> float:
 
 
 def find_limits(terms: Sequence[Term], columns: Columns) -> tuple[Floats, Floats]:
-    """Return the ends of the plausible range of each coefficient, infinite where physics sets none.
-
-    Parameters
-    ----------
-    terms : sequence of Term
-        Terms, none of which is the accessories'.
-    columns : Columns
-        Columns of the rows to fit, for the figures of their cars.
-
-    Returns
-    -------
-    low, high : (terms,) float
-        Ends of the ranges.
-    """
+    """Return the ends of the plausible range of each coefficient, infinite where physics sets none."""
     figures = {name: _average(columns, name) for name in CarParameters._fields if name in columns}
     ranges = [compute_plausible_range(term, figures) or (-inf, inf) for term in terms]
     low, high = np.array(ranges, dtype=np.float64).reshape(-1, 2).T
@@ -109,18 +81,7 @@ def find_limits(terms: Sequence[Term], columns: Columns) -> tuple[Floats, Floats
 
 
 def flatten_curve(curve: AccessoryCurve) -> Floats:
-    """Return the seven numbers of a curve.
-
-    Parameters
-    ----------
-    curve : AccessoryCurve
-        Curve.
-
-    Returns
-    -------
-    (7,) float
-        Levels [W] and choke points [K], in the order of `LEVELS` and `CHOKE_POINTS`.
-    """
+    """Return the seven numbers of a curve."""
     return np.array([getattr(curve, name) for name in (*LEVELS, *CHOKE_POINTS)])
 
 
@@ -132,17 +93,7 @@ def build_curve(numbers: Floats) -> AccessoryCurve:
 def compute_curve_columns(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
     """Return the derivatives of the accessory power by the seven numbers of its curve.
 
-    Parameters
-    ----------
-    curve : AccessoryCurve
-        Curve at which to differentiate.
-    ambient_c : (n,) float
-        Outside temperature. [°C]
-
-    Returns
-    -------
-    (n, 7) float
-        Derivatives by the levels [1] and by the choke points [W/K].
+    Units: returns [W/K].
     """
     slopes = compute_slopes(curve, ambient_c)
     slopes[:, 0] -= slopes[:, 1] + slopes[:, 2]  # there, heating and cooling count from standby
@@ -156,13 +107,7 @@ def build_curve_prior() -> Gaussian:
 
 
 def find_curve_limits() -> tuple[Floats, Floats]:
-    """Return the limits of the seven numbers of the accessory curve: declared bounds, apart by `LEAST_GAP`.
-
-    Returns
-    -------
-    low, high : (7,) float
-        Limits of levels [W] and choke points [K].
-    """
+    """Return the limits of the seven numbers of the accessory curve: declared bounds, apart by `LEAST_GAP`."""
     low, high = np.array([accessories.parameters[name].bounds for name in (*LEVELS, *CHOKE_POINTS)]).T
     for i in range(len(LEVELS), len(low) - 1):
         middle = (high[i] + low[i + 1]) / 2.0

@@ -43,20 +43,7 @@ class Recipe(Protocol):
         """Return the title for people, as in the paper."""
 
     def fit(self, rides: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
-        """Return a model fitted to the rides of a table that are fit for training.
-
-        Parameters
-        ----------
-        rides : DataFrame
-            Ride table.
-        covariance : bool
-            Whether to compute the uncertainty too; a fit without it is faster.
-
-        Returns
-        -------
-        LinearModel
-            Fitted model.
-        """
+        """Return a model fitted to the rides of a table that are fit for training."""
 
 
 @dataclass(frozen=True)
@@ -86,15 +73,8 @@ class LinearRecipe:
 
         Parameters
         ----------
-        rides : DataFrame
-            Ride table.
         covariance : bool
             Whether to compute the covariance and calibrate an interval; a fit without them is faster.
-
-        Returns
-        -------
-        LinearModel
-            Fitted model.
         """
         model = fit_terms(self, RideFrame(rides), covariance=covariance)
         return add_interval(model, rides, fitted=self.free) if covariance else model
@@ -104,17 +84,8 @@ class LinearRecipe:
 
         Parameters
         ----------
-        *paths : str or Path
-            Parquet files of rides.
         covariance : bool
             Whether to compute the covariance, and to calibrate an interval on at most `INTERVAL_RIDES` rides.
-        run : callable, optional
-            As of `socast.core.fit.fitting.fit_terms`.
-
-        Returns
-        -------
-        LinearModel
-            Fitted model.
         """
         rides = RideParquet(tuple(Path(path) for path in paths))
         if not covariance:
@@ -127,16 +98,6 @@ class LinearRecipe:
 def make_term(*columns: str) -> Term:
     """Return the term that is a product of columns, with a name made from their names.
 
-    Parameters
-    ----------
-    *columns : str
-        Columns of the product; none for a constant.
-
-    Returns
-    -------
-    Term
-        Term with the unit of its coefficient.
-
     Examples
     --------
     >>> make_term("odometer_km", "effect_climbing")
@@ -147,20 +108,7 @@ def make_term(*columns: str) -> Term:
 
 
 def make_product(one: str, other: Term) -> Term:
-    """Return the interaction of a column with a term.
-
-    Parameters
-    ----------
-    one : str
-        Name of the column.
-    other : Term
-        Term to multiply by the column.
-
-    Returns
-    -------
-    Term
-        Product of both, with the unit of its coefficient.
-    """
+    """Return the interaction of a column with a term."""
     columns = (one, *other.columns)
     return Term(name=f"{one} * {other.name}", columns=columns, unit=derive_coefficient_unit(columns))
 
@@ -338,23 +286,7 @@ BASELINES: Final = ("basic_physical", "basic_rescaled", "basic_rescaled_power", 
 
 
 def get_recipe(name: str) -> Recipe:
-    """Return a recipe by name.
-
-    Parameters
-    ----------
-    name : str
-        Name of the recipe, a key of `RECIPES`.
-
-    Returns
-    -------
-    Recipe
-        Recipe of that name.
-
-    Raises
-    ------
-    ModelError
-        If no recipe has that name.
-    """
+    """Return a recipe by name."""
     found = RECIPES.get(name)
     if found is None:
         raise ModelError(f"recipe {name!r} is unknown: known are {', '.join(RECIPES)}")
@@ -362,27 +294,7 @@ def get_recipe(name: str) -> Recipe:
 
 
 def fit_to_windows(name: str, rides: pd.DataFrame, windows: pd.DataFrame, *, covariance: bool = True) -> LinearModel:
-    """Return a recipe of physical terms fitted to windows.
-
-    Parameters
-    ----------
-    name : str
-        Name of a recipe that is fitted to windows.
-    rides, windows : DataFrame
-        The tables of the same recordings.
-    covariance : bool
-        Whether to calibrate the interval of predictions.
-
-    Returns
-    -------
-    LinearModel
-        Fitted model; its counts and in-sample errors are those of rides.
-
-    Raises
-    ------
-    ModelError
-        If the recipe is fitted to rides, or `socast.core.fit.window_recipe.WindowRecipe.fit` raises.
-    """
+    """Return a recipe of physical terms fitted to windows."""
     recipe = get_recipe(name)
     if not isinstance(recipe, WindowRecipe):
         raise ModelError(f"recipe {name} cannot be fitted to windows: choose road_load or road_load_constant")

@@ -72,23 +72,11 @@ class Moments:
         return moments
 
     def add(self, block: Floats) -> None:
-        """Add rows.
-
-        Parameters
-        ----------
-        block : (n, width) float
-            Rows to add.
-        """
+        """Add rows."""
         self.merge(Moments.of(block))
 
     def merge(self, other: "Moments") -> None:
-        """Add the rows of other moments.
-
-        Parameters
-        ----------
-        other : Moments
-            Moments of the same columns.
-        """
+        """Add the rows of other moments."""
         rows = self.rows + other.rows
         if not rows:
             return
@@ -104,33 +92,11 @@ class Moments:
         self.scatter[:, list(columns)] = 0.0
 
     def sums(self, *, centred: bool) -> Floats:
-        """Return the sums of products.
-
-        Parameters
-        ----------
-        centred : bool
-            Whether the columns are taken about their means.
-
-        Returns
-        -------
-        (width, width) float
-            Sums of products of each two columns.
-        """
+        """Return the sums of products."""
         return self.scatter if centred else self.scatter + self.rows * np.outer(self.mean, self.mean)
 
     def only(self, columns: Sequence[int]) -> "Moments":
-        """Return the moments of some columns.
-
-        Parameters
-        ----------
-        columns : sequence of int
-            Positions of the columns, in the order of the result.
-
-        Returns
-        -------
-        Moments
-            Moments of these columns over the same rows.
-        """
+        """Return the moments of some columns."""
         part = Moments(0)
         part.rows, part.mean = self.rows, self.mean[list(columns)]
         part.scatter = self.scatter[np.ix_(columns, columns)]
@@ -187,21 +153,12 @@ def solve(
 
     Parameters
     ----------
-    moments : Moments
-        Moments of p columns and, last, of the column to explain.
-    constant : bool
-        Whether to fit a constant too.
     weight, toward : (p,) float, optional
         Penalty `weight (coefficient - toward)^2` on the sum of squares; without it, ordinary least squares. An
         observation of the coefficient with variance v has the weight s^2 / v, where s^2 is the residual variance.
     least : (k, p) float, optional
         Sums of coefficients, by row, that must not be negative. Their multipliers solve the dual, non-negative least
         squares.
-
-    Returns
-    -------
-    Solution
-        Coefficients, and the sum of squared residuals.
     """
     p = len(moments.mean) - 1
     weight = np.zeros(p) if weight is None else weight
@@ -225,18 +182,9 @@ def compute_pseudo_inverse(gram: Floats, size: Floats) -> tuple[Floats, int]:
 
     Parameters
     ----------
-    gram : (p, p) float
-        Sums of products of the columns.
     size : (p,) float
         Size of the mean of each column, in the scale of the root of the diagonal of `gram`. A root that is small
         relative to it is rounding.
-
-    Returns
-    -------
-    inverse : (p, p) float
-        Pseudo-inverse of `gram`.
-    rank : int
-        Number of directions that carry information.
     """
     scale = np.sqrt(np.maximum(np.diag(gram), 0.0))
     varies = np.flatnonzero(scale > NO_VARIATION * np.hypot(scale, size))
@@ -289,18 +237,7 @@ class Influence:
         self._half = mix @ _root(inverse)
 
     def leverage(self, centred: Floats) -> Floats:
-        """Return the leverage of each ride: the share of its residual that the fit absorbs.
-
-        Parameters
-        ----------
-        centred : (n, p + q) float
-            Columns of the rides less `mean`, the nuisance columns included.
-
-        Returns
-        -------
-        (n,) float
-            0 to 0.95. [1]
-        """
+        """Return the leverage of each ride: the share of its residual that the fit absorbs."""
         parts = np.array_split(centred, max(1, len(centred) // _CACHED_ROWS))
         taken = np.concatenate([((part @ self._half) ** 2).sum(axis=1) for part in parts])
         if self.solution.constant is not None:
@@ -312,18 +249,7 @@ class Influence:
         return (self._change @ self._meat @ self._change.T + self._pulled) * self.solution.variance
 
     def robust(self, scores: "ClusterScores") -> Floats:
-        """Return the covariance of (coefficients, constant) for errors that are correlated within groups [2]_.
-
-        Parameters
-        ----------
-        scores : ClusterScores
-            Scores of the residuals over one minus leverage [3]_.
-
-        Returns
-        -------
-        (p + constant, p + constant) float
-            Cluster-robust covariance.
-        """
+        """Return the covariance of (coefficients, constant) for errors that are correlated within groups [2]_."""
         half = self._change @ scores.sums.T
         return half @ half.T * (scores.groups / (scores.groups - 1)) + self._pulled * self.solution.variance
 
@@ -352,19 +278,7 @@ class Scores(NamedTuple):
 
 
 def sum_scores(columns: Floats, residual: Floats, group: Ints, *, constant: bool) -> Scores:
-    """Return the sums of each column times the residual over groups of rows.
-
-    Parameters
-    ----------
-    columns : (n, p) float
-        Columns of the rows, about their means.
-    residual : (n,) float
-        Residuals of the rows.
-    group : (n,) int
-        Groups as `assign_groups` returns them.
-    constant : bool
-        Whether to sum the residual itself too.
-    """
+    """Return the sums of each column times the residual over groups of rows."""
     order = np.argsort(group, kind="stable")
     groups, first = np.unique(group[order], return_index=True)
     scores = columns[order]
@@ -400,18 +314,7 @@ class ClusterScores:
 
 
 def assign_groups(vehicles: Iterable[str], dates: Iterable[str]) -> Ints:
-    """Return the group of each ride; rides of one vehicle on one day always share a group.
-
-    Parameters
-    ----------
-    vehicles, dates : iterable of n str
-        Vehicle and date of each ride.
-
-    Returns
-    -------
-    (n,) int64
-        Group, from 0 to `GROUPS` - 1.
-    """
+    """Return the group of each ride; rides of one vehicle on one day always share a group."""
     keys = [f"{vehicle}/{date}" for vehicle, date in zip(vehicles, dates, strict=True)]
     group = {key: crc32(key.encode()) % GROUPS for key in set(keys)}
     return np.array([group[key] for key in keys], dtype=np.int64)

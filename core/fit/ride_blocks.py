@@ -37,31 +37,10 @@ class RideSource(Protocol):
     """Iterate over a ride table, any number of times."""
 
     def blocks(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
-        """Yield the rows in order, one block at a time.
-
-        Parameters
-        ----------
-        columns : sequence of str
-            Columns to read, besides those of `OPTIONAL` that are present.
-
-        Yields
-        ------
-        DataFrame
-            Next rows of the table.
-
-        Raises
-        ------
-        ModelError
-            If one of the columns is absent.
-        """
+        """Yield the rows in order, one block at a time."""
 
     def divide(self, blocks: int) -> Sequence["RideSource"]:
-        """Return parts of the table, in order, each of that many blocks.
-
-        Parameters
-        ----------
-        blocks : int
-        """
+        """Return parts of the table, in order, each of that many blocks."""
 
 
 @dataclass(frozen=True)
@@ -114,18 +93,7 @@ class RideParquet:
         return [ParquetRows(path, 0, _count_rows(path)) for path in self.paths]
 
     def table(self) -> pd.DataFrame:
-        """Return the whole table in memory.
-
-        Returns
-        -------
-        DataFrame
-            All rows and columns.
-
-        Raises
-        ------
-        ModelError
-            If a file cannot be read.
-        """
+        """Return the whole table in memory."""
         return pd.concat([block for path in self.paths for block in _read(path, None)], ignore_index=True)
 
 
@@ -218,13 +186,7 @@ class ThinnedRides:
 
 
 def list_parts(table: Path) -> list[Path]:
-    """Return the Parquet files of a table: the file itself, or those of its folder in the order of their rows.
-
-    Parameters
-    ----------
-    table : Path
-        A file, or a folder that `socast tables --cluster` made.
-    """
+    """Return the Parquet files of a table: the file itself, or those of its folder in the order of their rows."""
     return sorted(table.glob("*.parquet")) if table.is_dir() else [table]
 
 
@@ -313,20 +275,6 @@ def select_trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.Da
 
     A ride is left out if it is unfit for training, if its energy was not measured, or if the parameters of the car, and
     therefore its effects, are unknown. The fit fills other unknown values.
-
-    Parameters
-    ----------
-    block : DataFrame
-        Rides.
-    columns : sequence of str
-        Columns that the fit needs.
-
-    Returns
-    -------
-    trainable : DataFrame
-        Rides to train on.
-    left_out : Counter of str
-        Number of rides left out, by reason.
     """
     left_out: Counter[str] = Counter()
     reason = np.full(len(block), "", dtype=object)
@@ -348,17 +296,6 @@ def select_trainable(block: pd.DataFrame, columns: Sequence[str]) -> tuple[pd.Da
 def word_too_few_rides(name: str, rides: int, least: int, left_out: Mapping[str, int]) -> str:
     """Return that a recipe has too few rides, with the reasons why others are left out, and the remedy.
 
-    Parameters
-    ----------
-    name : str
-        Name of the recipe.
-    rides : int
-        Number of rides to fit to.
-    least : int
-        Number that the recipe needs.
-    left_out : mapping of str to int
-        Number of rides left out, by reason.
-
     Examples
     --------
     >>> word_too_few_rides("road_load", 0, 3, {"too_short": 2})
@@ -374,13 +311,7 @@ def word_too_few_rides(name: str, rides: int, least: int, left_out: Mapping[str,
 
 
 def suggest_rides(left_out: Mapping[str, int]) -> str:
-    """Return what to do where too few rides are left to fit to.
-
-    Parameters
-    ----------
-    left_out : mapping of str to int
-        Number of rides left out, by reason.
-    """
+    """Return what to do where too few rides are left to fit to."""
     if left_out.get(UNKNOWN_VEHICLE):
         return (
             "some are of cars whose vehicle model is unknown; name it as you import (--vehicle-model, and --vehicles "
@@ -397,22 +328,10 @@ def suggest_rides(left_out: Mapping[str, int]) -> str:
 def get_numbers(block: pd.DataFrame, name: str) -> Floats:
     """Return a column as float.
 
-    Parameters
-    ----------
-    block : DataFrame
-        Rides.
-    name : str
-        Name of the column.
-
     Returns
     -------
     (n,) float
         NaN where the value is unknown.
-
-    Raises
-    ------
-    ModelError
-        If the column holds anything but numbers.
     """
     try:
         return block[name].to_numpy(dtype=np.float64, na_value=np.nan)
@@ -421,20 +340,7 @@ def get_numbers(block: pd.DataFrame, name: str) -> Floats:
 
 
 def get_names(block: pd.DataFrame, column: str) -> list[str]:
-    """Return a column of text.
-
-    Parameters
-    ----------
-    block : DataFrame
-        Rides.
-    column : str
-        Name of the column, which may be absent.
-
-    Returns
-    -------
-    list of n str
-        Empty where the value is unknown, or the column absent.
-    """
+    """Return a column of text."""
     return _read_names(block, column).tolist() if column in block else [""] * len(block)
 
 
@@ -445,24 +351,6 @@ def _read_names(block: pd.DataFrame, column: str) -> NDArray[np.object_]:
 
 
 def convert_to_arrays(block: pd.DataFrame, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Return columns of rides as arrays, which take less time to read than those of a table.
-
-    Parameters
-    ----------
-    block : DataFrame
-        n rides.
-    columns : sequence of str
-        Columns of numbers, besides those of `NAMES` that are present.
-
-    Returns
-    -------
-    dict of str to (n,) array
-        Numbers as `get_numbers` returns them, and names as `get_names` returns them.
-
-    Raises
-    ------
-    ModelError
-        If a column of numbers holds anything else.
-    """
+    """Return columns of rides as arrays, which take less time to read than those of a table."""
     numbers = {name: get_numbers(block, name) for name in columns if name not in NAMES}
     return numbers | {name: _read_names(block, name) for name in NAMES if name in block}

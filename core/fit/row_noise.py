@@ -36,11 +36,6 @@ def expect_label_variance(rows: pd.DataFrame) -> Floats:
     variance is the sum of a part per time and a part per kinetic energy gained, fitted to the stated ones, of which the
     largest are clipped. Fits scale it by their residuals.
 
-    Parameters
-    ----------
-    rows : (n, columns) DataFrame
-        Windows or rides.
-
     Returns
     -------
     (n,) float
@@ -61,11 +56,6 @@ def expect_label_variance(rows: pd.DataFrame) -> Floats:
 def build_variance_parts(rows: pd.DataFrame) -> Floats:
     """Return the parts of the variance of rows.
 
-    Parameters
-    ----------
-    rows : (n, columns) DataFrame
-        Windows or rides.
-
     Returns
     -------
     (n, 4) float
@@ -85,17 +75,7 @@ def build_variance_parts(rows: pd.DataFrame) -> Floats:
 def estimate_variance(parts: Floats, residual: Floats) -> Floats:
     """Return the variance of each residual: a sum of parts with fitted factors that are not negative.
 
-    Parameters
-    ----------
-    parts : (n, k) float
-        Parts of the variance. [kWh^2]
-    residual : (n,) float
-        Residuals. [kWh]
-
-    Returns
-    -------
-    (n,) float
-        Variance. [kWh^2]
+    Units: parts [kWh^2], residual [kWh], returns [kWh^2].
     """
     size = np.mean(parts, axis=0)
     parts = parts[:, size > 0.0] / size[size > 0.0]
@@ -110,11 +90,6 @@ def estimate_variance(parts: Floats, residual: Floats) -> Floats:
 
 def compute_robust_weights(standardised: Floats) -> Floats:
     """Return the weight of each standardised residual: 1 up to `ROBUST`, then decreasing.
-
-    Parameters
-    ----------
-    standardised : (n,) float
-        Residuals over their standard deviation. [1]
 
     Returns
     -------

@@ -86,15 +86,12 @@ class Network:
     def energy(self, features: Floats) -> Floats:
         """Return the energy of micro-segments.
 
+        Units: returns [kWh].
+
         Parameters
         ----------
         features : (n, features) float
             Features of the micro-segments; NaN counts as the mean.
-
-        Returns
-        -------
-        (n,) float
-            Energy. [kWh]
         """
         standard = np.nan_to_num((features - self.mean) / self.scale)
         return self.inner.predict(standard) * self.energy_scale + self.energy_mean
@@ -122,20 +119,7 @@ class Segments:
     duration: Floats
 
     def of(self, rides: pd.DataFrame) -> tuple[Ordinals, Ordinals]:
-        """Return the micro-segments of rides.
-
-        Parameters
-        ----------
-        rides : DataFrame
-            Ride table with the column `ride_key`.
-
-        Returns
-        -------
-        segment : (k,) int64
-            Positions of the micro-segments of these rides.
-        ride : (k,) int64
-            Position in `rides` of the ride of each micro-segment.
-        """
+        """Return the micro-segments of rides."""
         at = self.keys.get_indexer(pd.Index(rides["ride_key"]))
         known = np.flatnonzero(at >= 0)
         begin, count = self.first[at[known]], np.diff(self.first)[at[known]]
@@ -147,20 +131,10 @@ class Segments:
 def build_segments(windows: pd.DataFrame) -> Segments:
     """Return the micro-segments of a window table.
 
-    Parameters
-    ----------
-    windows : DataFrame
-        Window table.
-
     Returns
     -------
     Segments
         Micro-segments, sorted by ride and window.
-
-    Raises
-    ------
-    ModelError
-        If a column is missing.
     """
     needed = dict.fromkeys(("ride_key", "window", *(name for product in SEGMENT_FEATURES for name in product)))
     if missing := [name for name in needed if name not in windows]:
@@ -203,11 +177,6 @@ class SegmentModel:
     def predict(self, rides: pd.DataFrame) -> Floats:
         """Return the energy of rides.
 
-        Parameters
-        ----------
-        rides : (n, columns) DataFrame
-            Ride table with `ride_key` and `vehicle_model`.
-
         Returns
         -------
         (n,) float
@@ -245,23 +214,7 @@ class SegmentRecipe:
     title: str = "Segment Model (Neural Network on Micro-Segments)"
 
     def fit(self, rides: pd.DataFrame) -> SegmentModel:
-        """Return a model with a network for each vehicle model that has enough rides, and one for all others.
-
-        Parameters
-        ----------
-        rides : DataFrame
-            Ride table with `ride_key`, `vehicle_model` and `energy_kwh`.
-
-        Returns
-        -------
-        SegmentModel
-            Model with trained networks.
-
-        Raises
-        ------
-        ModelError
-            If all rides together are fewer than `LEAST_NETWORK_RIDES`.
-        """
+        """Return a model with a network for each vehicle model that has enough rides, and one for all others."""
         if (rides_with_windows := self._rides(rides)) < LEAST_NETWORK_RIDES:
             raise ModelError(
                 f"{rides_with_windows:,} rides have windows, and a network needs {LEAST_NETWORK_RIDES}: give more rides"
@@ -310,21 +263,12 @@ class SegmentRecipe:
 def share_out_energy(features: Floats, duration: Floats, ride: Ordinals, energy: Floats) -> Floats:
     """Return the energy of each micro-segment, such that those of a ride add up to the energy of the ride.
 
+    Units: energy [kWh], returns [kWh].
+
     Parameters
     ----------
     features : (n, features) float
         Features of the micro-segments, without NaN.
-    duration : (n,) float
-        Duration of the micro-segments. [s]
-    ride : (n,) int64
-        Position of the ride of each micro-segment.
-    energy : (m,) float
-        Energy of the rides. [kWh]
-
-    Returns
-    -------
-    (n,) float
-        Energy of the micro-segments. [kWh]
     """
     count = np.bincount(ride, minlength=len(energy))
     columns = np.column_stack([features, np.ones(len(ride))])

@@ -48,40 +48,14 @@ class _Share(NamedTuple):
 
 
 def compute_softened_power(curve: AccessoryCurve, ambient_c: Floats) -> Floats:
-    """Return the mean accessory power about temperatures.
-
-    Parameters
-    ----------
-    curve : AccessoryCurve
-        Curve.
-    ambient_c : (n,) float
-        Outside temperature. [°C]
-
-    Returns
-    -------
-    (n,) float
-        Mean power over temperatures within `SOFTENED`. [W]
-    """
+    """Return the mean accessory power about temperatures."""
     heat, cool = _compute_shares(curve, ambient_c)
     heating, cooling = curve.heating - curve.standby, curve.cooling - curve.standby
     return np.asarray(curve.standby + heating * heat.value + cooling * cool.value)
 
 
 def differentiate_softened_power(curve: AccessoryCurve, ambient_c: Floats) -> SoftenedPower:
-    """Return the mean accessory power about temperatures, and its derivatives by the numbers of the curve.
-
-    Parameters
-    ----------
-    curve : AccessoryCurve
-        Curve.
-    ambient_c : (n,) float
-        Outside temperature. [°C]
-
-    Returns
-    -------
-    SoftenedPower
-        Power and derivatives.
-    """
+    """Return the mean accessory power about temperatures, and its derivatives by the numbers of the curve."""
     heat, cool = _compute_shares(curve, ambient_c)
     heating, cooling = curve.heating - curve.standby, curve.cooling - curve.standby
     heat_by = np.column_stack([heat.near, heat.far])

@@ -56,15 +56,6 @@ def fit_trees(table: Floats, names: tuple[str, ...], target: Floats, weight: Flo
         Names of the features. The trees omit features that are unknown in all rides, or equal in all rides.
     target : (n,) float
         Value to predict, relative to the column `per` if that is given.
-    weight : (n,) float
-        Weight of each ride, inversely proportional to the variance of its error.
-    per : str
-        Column that multiplies the answer, see `socast.core.models.trees.Trees`.
-
-    Returns
-    -------
-    Trees
-        Trees as plain arrays.
 
     Notes
     -----
@@ -86,15 +77,6 @@ def boost(bins: NDArray[np.float32], target: Floats, weight: Floats) -> "list[tu
     ----------
     bins : (n, features) float32
         Bin of each feature, NaN where unknown.
-    target : (n,) float
-        Value to predict, of mean 0.
-    weight : (n,) float
-        Weight of each ride, of mean 1.
-
-    Returns
-    -------
-    list of (DecisionTreeRegressor, (nodes,) float)
-        Answers are 0 at nodes that are no leaves.
     """
     from sklearn.tree import DecisionTreeRegressor  # noqa: PLC0415 - takes a second to import; most recipes have no trees
 
@@ -151,26 +133,7 @@ def export_trees(
     baseline: float,
     per: str = "",
 ) -> Trees:
-    """Return boosted trees as plain arrays that compare the features themselves in place of their bins.
-
-    Parameters
-    ----------
-    grown : sequence of (DecisionTreeRegressor, (nodes,) float)
-        Trees of `boost`.
-    edges : sequence of (bins - 1,) float
-        Edges of the bins of each feature.
-    features : tuple of str
-        Names of the features.
-    baseline : float
-        Value to which the leaves are added.
-    per : str
-        Column that multiplies the answer, see `socast.core.models.trees.Trees`.
-
-    Returns
-    -------
-    Trees
-        Trees as plain arrays.
-    """
+    """Return boosted trees as plain arrays that compare the features themselves in place of their bins."""
     nodes = [tree.tree_ for tree, _ in grown]
     count = [each.node_count for each in nodes]
     roots = np.cumsum([0, *count])[: len(count)]

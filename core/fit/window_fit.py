@@ -76,12 +76,6 @@ def fit_rows(
 
     Parameters
     ----------
-    name : str
-        Name of the recipe.
-    terms : tuple of Term
-        Terms of the model.
-    rows : DataFrame
-        Windows or rides, as `socast.core.fit.measured_rows.join_tables` returns them.
     ride_table : DataFrame, optional
         Rides of the same recordings, to say why rides are left out where too few are left.
 
@@ -89,13 +83,6 @@ def fit_rows(
     -------
     model : LinearModel
         Model with a fit for each vehicle model of at least `LEAST_OWN_RIDES` rides, and the fit `*` of all rides.
-    groups : dict of str to GroupFit
-        Fits by vehicle model and `*`, for errors on held-out rides.
-
-    Raises
-    ------
-    ModelError
-        If a column is missing, a term has no meaning for a part of a ride, or there are too few rides.
     """
     _check(name, terms, rows)
     read = _list_columns(terms)
@@ -168,17 +155,8 @@ def gather_rows(terms: Sequence[Term], rows: pd.DataFrame, fills: Mapping[str, f
 
     Parameters
     ----------
-    terms : sequence of Term
-        Terms of the model.
     rows : DataFrame
         Rows sorted by vehicle, date and ride.
-    fills : mapping of str to float
-        Values that replace unknown ones.
-
-    Returns
-    -------
-    GroupRows
-        Columns and codes.
     """
     columns, n = Columns(rows, fills), len(rows)
     curved = any(is_curved(term) for term in terms)

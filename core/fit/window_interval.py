@@ -26,15 +26,6 @@ from socast.core.models.features import Columns
 def add_window_interval(model: LinearModel, groups: dict[str, GroupFit], rides: pd.DataFrame) -> LinearModel:
     """Return a model with an interval and with the in-sample errors of its rides.
 
-    Parameters
-    ----------
-    model : LinearModel
-        Model of `socast.core.fit.window_fit.fit_rows`.
-    groups : dict of str to GroupFit
-        The fits of that function.
-    rides : DataFrame
-        Ride table of the same rides.
-
     Returns
     -------
     LinearModel

@@ -185,20 +185,7 @@ class Problem:
 
 
 def sum_windows(group: GroupRows, weight: Floats) -> WindowSums:
-    """Return the sums of each ride.
-
-    Parameters
-    ----------
-    group : GroupRows
-        Rows.
-    weight : (n,) float
-        Weight of each row.
-
-    Returns
-    -------
-    WindowSums
-        Sums.
-    """
+    """Return the sums of each ride."""
     n = len(group.rides)
     rows = np.bincount(group.ride, minlength=n)
     if not group.curved:

@@ -49,23 +49,11 @@ class WindowRecipe:
 
         Parameters
         ----------
-        rides : DataFrame
-            Ride table.
         windows : DataFrame, optional
             Window table of the same recordings; windows of other rides do not count. Without it, each ride is one
             row, which tells less of each coefficient; the priors are the same.
         covariance : bool
             Whether to calibrate an interval; a fit without it is faster. The model has a covariance in any case.
-
-        Returns
-        -------
-        LinearModel
-            Fitted model. Its history says to which rows it was fitted.
-
-        Raises
-        ------
-        ModelError
-            If a column is missing, the tables are not of the same rides, or there are too few rides.
         """
         rows = _select(rides) if windows is None else join_tables(rides, windows)
         model, groups = fit_rows(self.name, self.terms, rows, rides)

@@ -58,16 +58,7 @@ class CarDays:
         self.of_lane = grown(self.of_lane, lanes, _UNKNOWN)
 
     def add_rows(self, lane: Ints, time: Floats, place: Ints) -> tuple[Ints, Ints]:
-        """Take rows, and return the lanes that collect for another day from one of them on, and that serve another.
-
-        Parameters
-        ----------
-        lane : (n,) int
-        time : (n,) float
-            Repaired time. [s]
-        place : (n,) int
-            Place of each row among the pending messages.
-        """
+        """Take rows, and return the lanes that collect for another day from one of them on, and that serve another."""
         changed = []
         for name, lead in (("collect", self._lead), ("serve", 0.0)):
             now, at, before = f"{name}s", f"{name}s_at", f"{name}ed" if name == "collect" else "served"

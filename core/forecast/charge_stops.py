@@ -31,15 +31,8 @@ def update_charge_stop(state: Any, event: Any, was_charging: float, silent: bool
 
     Parameters
     ----------
-    state : FILTER_STATE
-        Changed in place.
-    event : FILTER_EVENT
     was_charging : float
         1 if the car charged at the event before.
-    silent : bool
-        Whether it was silent since then.
-    passed : float
-        Time since then. [s]
     """
     departed = state.distance - state.unplugged_distance > DEPARTURE_DISTANCE
     before = event.time - passed if silent else event.time

@@ -116,18 +116,7 @@ class ConformalIntervals:
         return sums(shifts=(BASES,), scores=(*shape, len(SCORES)), missed=(*shape, 2))
 
     def add_shift(self, basis: int, ahead_km: Floats, ambient_c: Floats, scores: Floats) -> None:
-        """Count the standardised errors of one shift's forecasts, for the next daily update.
-
-        Parameters
-        ----------
-        basis : int
-        ahead_km : (n,) float
-            Distance that the energy ahead would usually drive. [km]
-        ambient_c : (n,) float
-            Outside temperature. [°C]
-        scores : (n,) float
-            Standardised errors. [1] Each class that the shift touches counts it as one shift.
-        """
+        """Count the standardised errors of one shift's forecasts, for the next daily update."""
         distance, temperature = classify(ahead_km, ambient_c)
         self.today.add("shifts", 1.0, (basis,))
         for place in sorted(set(zip(distance.tolist(), temperature.tolist(), strict=True))):
@@ -158,22 +147,7 @@ class ConformalIntervals:
             self.table[basis], self.bounds[basis] = found
 
     def get_quantiles(self, basis: Ints, ahead_km: Floats, ambient_c: Floats) -> tuple[Floats, ErrorBounds]:
-        """Return the distribution of the standardised error of each forecast.
-
-        Parameters
-        ----------
-        basis : (n,) int
-        ahead_km : (n,) float
-            Distance that the energy ahead would usually drive. [km]
-        ambient_c : (n,) float
-            Outside temperature. [°C]
-
-        Returns
-        -------
-        (n, levels) float
-            Quantiles of `LEVELS`.
-        ErrorBounds
-        """
+        """Return the distribution of the standardised error of each forecast."""
         place = basis, *classify(ahead_km, ambient_c)
         lower, upper = self.bounds["lower"][place], self.bounds["upper"][place]
         return np.asarray(self.table[place]), ErrorBounds(np.clip(0.0, lower, upper), lower, upper)
@@ -194,17 +168,7 @@ class ConformalIntervals:
 
 
 def _borrow_counts(basis: int, counts: Floats) -> Floats:
-    """Return the counts of the classes of a basis with what each borrows from the others and from the prior.
-
-    Parameters
-    ----------
-    basis : int
-    counts : (distances, temperatures, scores) float
-
-    Returns
-    -------
-    (distances, temperatures, scores) float
-    """
+    """Return the counts of the classes of a basis with what each borrows from the others and from the prior."""
     by_distance, by_temperature = (_weigh_neighbours(size) for size in counts.shape[:2])
     around = np.einsum("de,tu,eus->dts", by_distance, by_temperature, counts)
     around += PRIOR_SHIFTS * _make_prior()[basis]
@@ -212,19 +176,7 @@ def _borrow_counts(basis: int, counts: Floats) -> Floats:
 
 
 def _compute_class_quantiles(counts: Floats, widening: Floats) -> tuple[Floats, Any]:
-    """Return the quantiles and the bounds of the classes of a basis.
-
-    Parameters
-    ----------
-    counts : (distances, temperatures, scores) float
-    widening : (distances, temperatures, 2) float
-        What the lower and the upper bound are moved outward. [1]
-
-    Returns
-    -------
-    (distances, temperatures, levels) float
-    (distances, temperatures) BOUND_PAIR
-    """
+    """Return the quantiles and the bounds of the classes of a basis."""
     table, bounds = np.empty((*counts.shape[:2], len(LEVELS))), np.empty(counts.shape[:2], BOUND_PAIR)
     for place in np.ndindex(bounds.shape):
         quantiles = compute_quantiles(counts[place], LEVELS)
@@ -274,18 +226,7 @@ def weigh_day(shifts: int) -> float:
 
 
 def count_scores(scores: Floats) -> Floats:
-    """Return the share of scores at each of `SCORES`; one between two of them counts for both, by its distance.
-
-    Parameters
-    ----------
-    scores : (n,) float
-        At least one. [1]
-
-    Returns
-    -------
-    (scores,) float
-        They add up to 1.
-    """
+    """Return the share of scores at each of `SCORES`; one between two of them counts for both, by its distance."""
     width = SCORES[1] - SCORES[0]
     at = (np.clip(scores, SCORES[0], SCORES[-1]) - SCORES[0]) / width
     low = np.minimum(at.astype(np.int64), len(SCORES) - 2)
@@ -303,13 +244,6 @@ def classify(ahead_km: Floats, ambient_c: Floats) -> tuple[Ints, Ints]:
         Distance that the energy ahead would usually drive, NaN counts as 0. [km]
     ambient_c : (n,) float
         Outside temperature, NaN counts as 15 °C. [°C]
-
-    Returns
-    -------
-    (n,) int
-        Index of the class of distance.
-    (n,) int
-        Index of the class of temperature.
     """
     distance = np.searchsorted(DISTANCE_CLASSES, np.nan_to_num(ahead_km), side="right") - 1
     temperature = np.searchsorted(TEMPERATURE_CLASSES, np.nan_to_num(ambient_c, nan=15.0), side="right") - 1
@@ -321,14 +255,8 @@ def clip_to_bounds(table: Floats, lower: float, upper: float) -> Floats:
 
     Parameters
     ----------
-    table : (levels,) float
-        Quantiles of `LEVELS`.
     lower, upper : float
         Quantiles of `LOWER_LEVEL` and `UPPER_LEVEL`, which replace those of the table. The others are clipped.
-
-    Returns
-    -------
-    (levels,) float
 
     Examples
     --------
@@ -349,17 +277,6 @@ def compute_quantiles(counts: Floats, levels: Sequence[float]) -> Floats:
 
     The outer quantiles are widened for the finite number of shifts, so that the next score lies inside as often as the
     levels say.
-
-    Parameters
-    ----------
-    counts : (scores,) float
-        Number of shifts at each of `SCORES`.
-    levels : sequence of float
-        Probabilities.
-
-    Returns
-    -------
-    (levels,) float
 
     Examples
     --------

@@ -73,13 +73,6 @@ class DayRollover:
     def add_updates(self, batch: Batch, events: list[Event]) -> list[Event]:
         """Return the messages between the rows of a batch, with a daily update where the day changes.
 
-        Parameters
-        ----------
-        batch : Batch
-            n rows.
-        events : list of Event
-            In the order of their rows.
-
         Returns
         -------
         list of Event
@@ -90,17 +83,6 @@ class DayRollover:
 
     def find_rollovers(self, lane: Ints, stamp: Floats) -> list[tuple[int, float]]:
         """Return the rows before which the day changes, and the midnight at which each of the new days ends.
-
-        Parameters
-        ----------
-        lane : (n,) int
-        stamp : (n,) float
-            Stamps of samples, in the order of their arrival. [s]
-
-        Returns
-        -------
-        list of (int, float)
-            Rows and Unix times. [s]
 
         Examples
         --------
@@ -128,14 +110,6 @@ class DayRollover:
 
     def compute_silence(self, lane: int) -> float:
         """Return how long a car has been silent, by the stamps of most active cars; 0 for an active car. [s]
-
-        Parameters
-        ----------
-        lane : int
-
-        Returns
-        -------
-        float
 
         Examples
         --------
@@ -192,8 +166,6 @@ class DayRollover:
 
         Parameters
         ----------
-        kept : (n,) int
-            Lanes that are kept.
         later : (m,) int
             Lanes of cars that the batch brings later, in the order of their appearance; they follow the kept ones.
         """

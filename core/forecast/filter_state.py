@@ -175,17 +175,7 @@ _INITIALLY_NAN: Final = (
 
 
 def create_filter_state(lanes: int) -> NDArray[np.void]:
-    """Return the state of cars that have sent nothing.
-
-    Parameters
-    ----------
-    lanes : int
-        Number of cars.
-
-    Returns
-    -------
-    (lanes,) FILTER_STATE
-    """
+    """Return the state of cars that have sent nothing."""
     state = np.zeros(lanes, FILTER_STATE)
     for name in _INITIALLY_NAN:
         state[name] = nan

@@ -136,22 +136,7 @@ def compute_forecast_rows(
 ) -> ForecastRows:
     """Return the forecasts at rows of running totals.
 
-    Parameters
-    ----------
-    running : Totals
-        Of n rows.
-    predicted : (n,) float
-        Energy predicted of the rides so far. [kWh]
-    estimates : (n,) SOC_ESTIMATE
-    progress : (n,) PLAN_PROGRESS
-    ambient : (n,) float
-        Mean outside temperature over the time ahead. [K]
-    statistics : FleetStatistics
-    cars : Cars
-
-    Returns
-    -------
-    ForecastRows
+    Units: predicted [kWh].
     """
     time, kind = running.at_last("time"), running.at_last("kind").astype(np.int64)
     patterns = statistics.get_patterns(running.lane)

@@ -38,11 +38,6 @@ def is_forecast(message: Message) -> bool:
 def tabulate_forecasts(messages: Iterable[Message]) -> pd.DataFrame:
     """Return the forecasts among messages as a table.
 
-    Parameters
-    ----------
-    messages : iterable of Message
-        Messages of any kind; those that are no forecasts are passed over.
-
     Returns
     -------
     (n, columns) DataFrame

@@ -65,10 +65,6 @@ def make_consistent(charge: Floats, spent: Floats) -> Floats:
     spent : (n,) float
         Energy until each point. It falls where a descent returns more than the leg takes. [kWh]
 
-    Returns
-    -------
-    (n,) or (n, m) float
-
     Examples
     --------
     >>> make_consistent(np.array([50.0, 40.0, 42.0, 41.0]), np.array([1.0, 2.0, 3.0, 2.5])).tolist()

@@ -26,17 +26,6 @@ LARGEST_LOG_CAPACITY: Final = log(2.0)
 def update_state(state: Any, residual: float, cov_s: float, cov_a: float, cov_c: float, variance: float) -> None:
     """Update mean and covariance of the state by a scalar measurement.
 
-    Parameters
-    ----------
-    state : FILTER_STATE
-        Changed in place.
-    residual : float
-        Measured less expected value.
-    cov_s, cov_a, cov_c : float
-        Covariances of the measurement with `s`, `a` and `c`.
-    variance : float
-        Variance of the residual.
-
     Notes
     -----
     With the gain k = cov / variance: x += k residual, P -= k cov^T.
@@ -68,15 +57,7 @@ def clip(value: float, limit: float) -> float:
 
 @njit(cache=False)
 def apply_named_driver(state: Any, wandered: float) -> None:
-    """Take the driver named since the last running totals into account: identified, or replacing another one.
-
-    Parameters
-    ----------
-    state : FILTER_STATE
-        Changed in place.
-    wandered : float
-        Variance of the change of `a` since the shift began.
-    """
+    """Take the driver named since the last running totals into account: identified, or replacing another one."""
     if state.next_driver >= 0.0 and state.next_driver != state.driver:
         if state.driver < 0.0:
             update_with_driver(state, wandered)

@@ -50,23 +50,6 @@ def build_forecasts(
 
     The receipt time is the event time of the sample behind the forecast. Outside of rides there is no energy, and
     unknown values are null.
-
-    Parameters
-    ----------
-    running : Totals
-        Of n rows.
-    rows : ForecastRows
-        Of n rows.
-    ride_names : sequence of n (str or None)
-    context : RunContext
-    prefix : str
-        Chunks before `fleet` in the keys, with a slash at the end.
-    implausible : Counter of str
-        Receives the number of forecasts that are not published, by cause, see `socast.core.forecast.plausibility`.
-
-    Returns
-    -------
-    list of Message
     """
     names = context.vehicle_ids
     riding = running.ride >= 0

@@ -99,14 +99,7 @@ class CarEstimate(NamedTuple):
     def compute_mean_log_factor(self, hours: Floats) -> Floats:
         """Return the mean of `log_factor` over the next hours, while it decays towards the usual.
 
-        Parameters
-        ----------
-        hours : (n,) float
-            [h]
-
-        Returns
-        -------
-        (n,) float
+        Units: hours [h].
         """
         spans = np.maximum(hours, 1e-6) / FACTOR_DECAY_TIME
         return np.asarray(self.usual + (self.log_factor - self.usual) * -np.expm1(-spans) / spans)
@@ -160,12 +153,7 @@ class UsualConsumption(NamedTuple):
     def correct(self, parts: Floats, basis: int | Ints) -> MeanAndSd:
         """Return the energy of driving and waiting as corrected by earlier errors. [kWh]
 
-        Parameters
-        ----------
-        parts : (n, 2) float
-            Energy of driving and of waiting. [kWh]
-        basis : int or (n,) int
-            `BY_PLAN`, `BY_HISTORY` or `TO_CHARGE`.
+        Units: parts [kWh].
         """
         driving, waiting = parts.T
         rows = np.arange(len(self.factor)) if np.ndim(basis) else slice(None)
@@ -218,18 +206,8 @@ def schedule_plan(
 
     Parameters
     ----------
-    progress : (n,) PLAN_PROGRESS
-    time : (n,) float
-        Now. [s]
-    ride_km : (n,) float
-        Distance driven on the ride in progress, 0 between rides. [km]
-    riding : (n,) bool
     charging_since : (n,) float
         When a car that stands at a charger came there, NaN for others. [s]
-
-    Returns
-    -------
-    PlanTimes
     """
     left = np.where(riding, compute_share_left(progress["leg_km"], ride_km - progress["driven_km"]), 1.0)
     driving = left * progress["leg_s"] + progress["later_s"]
@@ -254,21 +232,7 @@ def schedule_plan(
 def compute_planned_energy(
     progress: NDArray[np.void], times: PlanTimes, time: Floats, riding: NDArray[np.bool_], usual: UsualConsumption
 ) -> EnergyAhead:
-    """Return the energy ahead by plan, until the next planned charge, or else the end of the shift.
-
-    Parameters
-    ----------
-    progress : (n,) PLAN_PROGRESS
-    times : PlanTimes
-    time : (n,) float
-        Now. [s]
-    riding : (n,) bool
-    usual : UsualConsumption
-
-    Returns
-    -------
-    EnergyAhead
-    """
+    """Return the energy ahead by plan, until the next planned charge, or else the end of the shift."""
     left, has_charge = times.left, progress["charges"] > 0.0
     whole, begun, later = (
         np.asarray(np.einsum("ij,ij->i", progress[name], usual.weights))
@@ -301,13 +265,6 @@ def is_plan_current(came: Any, end: Any, time: Any) -> Any:
 def find_expected_end(progress: NDArray[np.void], time: Floats, begin: Floats, patterns: NDArray[np.void]) -> Floats:
     """Return when shifts are expected to end, (n,). [s]
 
-    Parameters
-    ----------
-    progress : (n,) PLAN_PROGRESS
-    time, begin : (n,) float
-        Now, and begin of the shift. [s]
-    patterns : (n,) SHIFT_PATTERN
-
     Returns
     -------
     (n,) float
@@ -320,22 +277,7 @@ def find_expected_end(progress: NDArray[np.void], time: Floats, begin: Floats, p
 def fill_from_history(
     ahead: EnergyAhead, usual: UsualConsumption, elapsed: Floats, now: Floats, patterns: NDArray[np.void]
 ) -> EnergyAhead:
-    """Return the energy ahead, completed by the usual pattern of the car's shifts where there is no plan.
-
-    Parameters
-    ----------
-    ahead : EnergyAhead
-        By plan.
-    usual : UsualConsumption
-    elapsed, now : (n,) float
-        Time since the shift began, and the present time. [s]
-    patterns : (n,) SHIFT_PATTERN
-        Usual duration [h] and intensity [1] of the shifts, see `socast.core.forecast.learning.fleet`.
-
-    Returns
-    -------
-    EnergyAhead
-    """
+    """Return the energy ahead, completed by the usual pattern of the car's shifts where there is no plan."""
     left = patterns["hours"] - elapsed / 3600.0
     whole = np.where(left > 0.0, patterns["relative_power"] * usual.mean_power * left, np.nan)
     parts = np.column_stack([whole, np.zeros(len(whole))])
@@ -369,17 +311,6 @@ class DrivingRange(NamedTuple):
 def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumption) -> DrivingRange:
     """Return how far cars can drive down to their reserves if they drive on without a pause.
 
-    Parameters
-    ----------
-    estimate : CarEstimate
-    reserve : (n,) float
-        [1]
-    usual : UsualConsumption
-
-    Returns
-    -------
-    DrivingRange
-
     Notes
     -----
     It is the length of the ride after which `compute_end_soc` expects the reserve, at the usual pace of rides. The
@@ -402,17 +333,7 @@ def compute_range(estimate: CarEstimate, reserve: Floats, usual: UsualConsumptio
 def compute_end_soc(estimate: CarEstimate, energy: MeanAndSd, hours: Floats) -> MeanAndSd:
     """Return the state of charge after an energy, with its standard deviation before the conformal correction. [1]
 
-    Parameters
-    ----------
-    estimate : CarEstimate
-    energy : MeanAndSd
-        Predicted energy, with its standard deviation at the temperature. [kWh]
-    hours : (n,) float
-        Time in which it is spent. [h]
-
-    Returns
-    -------
-    MeanAndSd
+    Units: energy [kWh], hours [h].
 
     Notes
     -----
@@ -440,18 +361,9 @@ def compute_reserve_risk(end: MeanAndSd, reserve: Floats, quantiles: Floats) -> 
 
     Parameters
     ----------
-    end : MeanAndSd
-        Charge at the end. [1]
-    reserve : (n,) float
-        [1]
     quantiles : (n, levels) float
         Quantiles of the standardised error. Beyond the outermost ones the probability falls linearly to 0, or rises to
         1, within half of their distance from the median.
-
-    Returns
-    -------
-    (n,) float
-        [1]
     """
     at = (reserve - end.mean) / end.sd
     middle = quantiles[:, len(LEVELS) // 2]
@@ -467,16 +379,5 @@ def compute_reserve_risk(end: MeanAndSd, reserve: Floats, quantiles: Floats) -> 
 
 
 def compute_temperature_weights(ambient: Floats) -> Floats:
-    """Return the weight of each of `TEMPERATURES` at outside temperatures.
-
-    Parameters
-    ----------
-    ambient : (n,) float
-        NaN counts as 15 °C. [K]
-
-    Returns
-    -------
-    (n, temperatures) float
-        [1]
-    """
+    """Return the weight of each of `TEMPERATURES` at outside temperatures."""
     return compute_knot_weights(np.nan_to_num(ambient - ZERO_CELSIUS, nan=15.0), TEMPERATURES)

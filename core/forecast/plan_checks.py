@@ -82,14 +82,9 @@ def is_outdated(plan: Plan, newest_s: float) -> bool:
 
     Parameters
     ----------
-    plan : Plan
     newest_s : float
         Time of the newest known plan. Where it is later by more than `AHEAD_S`, its clock was wrong, and any plan
         replaces it; otherwise that one mistake would keep out every later plan. [Unix seconds]
-
-    Returns
-    -------
-    bool
 
     Examples
     --------
@@ -108,16 +103,9 @@ def find_refusal(plan: Plan, now_s: float, ahead_s: float = AHEAD_S) -> Refusal 
 
     Parameters
     ----------
-    plan : Plan
     now_s : float
         Time of the vehicle's newest sample; NaN where unknown, and then any end of the shift is accepted.
         [Unix seconds]
-    ahead_s : float
-        Longest time until the end of the shift. [s]
-
-    Returns
-    -------
-    Refusal or None
 
     Examples
     --------
@@ -208,13 +196,7 @@ def _format_hours(hours: float) -> str:
 
 
 def parse_vehicle(text: str) -> str:
-    """Return the vehicle that a query names.
-
-    Raises
-    ------
-    AskError
-        Where the text names none, or several.
-    """
+    """Return the vehicle that a query names."""
     if IDENTITY.fullmatch(text):
         return text
     raise AskError(
@@ -227,11 +209,6 @@ def parse_parameters(text: str) -> dict[str, str]:
     """Split the parameters of a query, which `;` or `&` separates.
 
     Names that begin with an underscore belong to Zenoh, and are left out.
-
-    Raises
-    ------
-    AskError
-        Where a parameter is given twice.
 
     Examples
     --------
@@ -250,20 +227,6 @@ def parse_parameters(text: str) -> dict[str, str]:
 
 def parse_leg(given: Mapping[str, str]) -> Leg | None:
     """Return the ride that a query defines; None for a query about the shift as planned.
-
-    Parameters
-    ----------
-    given : mapping of str to str
-        `distance_km` and `duration_s`; `gained_m` and `lost_m`, which are unknown where left out.
-
-    Returns
-    -------
-    Leg or None
-
-    Raises
-    ------
-    AskError
-        Where a parameter is unknown, missing, no number, or beyond its limit.
 
     Examples
     --------
@@ -293,18 +256,6 @@ def parse_plan(payload: bytes | None, vehicle_id: str) -> Plan | None:
     ----------
     payload : bytes or None
         A `Plan` as JSON. It may leave out `vehicle_id` and `time_s`; the time is then NaN.
-    vehicle_id : str
-        Vehicle of the query.
-
-    Returns
-    -------
-    Plan or None
-
-    Raises
-    ------
-    AskError
-        Where it is no plan, or one of another vehicle, or one that cannot be used whatever the time is. The caller, who
-        knows the time, checks with `find_refusal` whether it is in the past.
     """
     if not payload:
         return None

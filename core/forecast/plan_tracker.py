@@ -144,21 +144,8 @@ class PlanTracker:
 
         Parameters
         ----------
-        running : Totals
-            Of n rows.
-        rides : Totals
-            Rides that ended.
-        arrivals : sequence of PlanArrival
-        estimates : (n,) SOC_ESTIMATE
-            They state when cars departed after charging.
         get_tables : callable
             Returns the tables of the vehicle model that the car of a lane had at a place in the batch.
-        lanes : int
-            Number of lanes so far.
-
-        Returns
-        -------
-        (n,) PLAN_PROGRESS
         """
         self.progress, self._ride_km = grown(self.progress, lanes), grown(self._ride_km, lanes)
         self._riding, self._waiting = grown(self._riding, lanes), grown(self._waiting, lanes)
@@ -197,13 +184,8 @@ class PlanTracker:
 
         Parameters
         ----------
-        lane : int
-        time : float
-            Now. [s]
         given : Plan, optional
             A plan to use instead of the one in force, as if it arrived now.
-        tables : LegEnergyTables, optional
-            Of the lane's vehicle model.
         """
         if given is not None:
             given = msgspec.structs.replace(given, time_s=time)

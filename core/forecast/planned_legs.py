@@ -103,13 +103,7 @@ class PlannedLegs(NamedTuple):
         return PlannedLegs.create(msgspec.structs.replace(self.plan, legs=legs), energy, begun)
 
     def compute_progress(self, driven_km: float) -> NDArray[np.void]:
-        """Return what these legs need, as one PLAN_PROGRESS.
-
-        Parameters
-        ----------
-        driven_km : float
-            Distance that the ride in progress had driven when the plan came. [km]
-        """
+        """Return what these legs need, as one PLAN_PROGRESS."""
         out = np.zeros(1, PLAN_PROGRESS)[0]
         out["planned"], out["end"], out["reserve"] = 1.0, self.plan.shift_end_s, self.plan.reserve_soc_pct / 100.0
         out["came"], out["driven_km"] = self.plan.time_s, driven_km
@@ -136,13 +130,8 @@ def compute_planned_legs(plan: Plan, tables: LegEnergyTables | None) -> PlannedL
 
     Parameters
     ----------
-    plan : Plan
     tables : LegEnergyTables or None
         Of the car's vehicle model; without them the energies are NaN.
-
-    Returns
-    -------
-    PlannedLegs
     """
     unknown = np.full((len(plan.legs), _KNOTS), np.nan)
     legs = PlannedLegs.create(plan, unknown, unknown)
@@ -160,16 +149,6 @@ def compute_planned_legs(plan: Plan, tables: LegEnergyTables | None) -> PlannedL
 
 def compute_share_left(leg_km: Floats, driven_km: Floats) -> Floats:
     """Return the share of legs that is left.
-
-    Parameters
-    ----------
-    leg_km, driven_km : (n,) float
-        Length of each leg, and distance driven of it. [km]
-
-    Returns
-    -------
-    (n,) float
-        [1]
 
     Examples
     --------

@@ -46,13 +46,8 @@ def find_implausible(
 
     Parameters
     ----------
-    running : Totals
-        Of n rows.
-    rows : ForecastRows
-        Of n rows.
     predicted, measured : (n,) float
         Energy of the ride in progress, NaN where unknown. [kWh]
-    cars : Cars
 
     Returns
     -------
@@ -90,12 +85,6 @@ def find_implausible(
 
 def withhold_implausible(outlook: Outlook, implausible: Counter[str]) -> Outlook:
     """Return an answer without its energies and charges ahead where these are not plausible.
-
-    Parameters
-    ----------
-    outlook : Outlook
-    implausible : Counter of str
-        Receives the cause: `leg_energy`, or one of those of forecasts.
 
     Returns
     -------

@@ -190,18 +190,7 @@ class ShardDays:
         return self.cars.add_rows(rows.clean.lane, rows.clean.time, place + offset)
 
     def attach(self, sums: Sums, lanes: int, moved: tuple[Ints, Ints], offset: int) -> Iterator[Sums]:
-        """Yield the parts of sums with the yields of displays, while cars begin days between them.
-
-        Parameters
-        ----------
-        sums : Sums
-        lanes : int
-            Number of lanes so far.
-        moved : tuple of (n,) int
-            Result of `CarDays.add_rows` for the rows of the sums.
-        offset : int
-            Number of pending messages before the batch.
-        """
+        """Yield the parts of sums with the yields of displays, while cars begin days between them."""
         collecting, serving = moved
         serving = (
             serving[self.cars.of_lane["serves"][serving] >= self.tables_of] if self.tables_of >= 0 else serving[:0]

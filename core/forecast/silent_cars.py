@@ -39,12 +39,9 @@ class SilentCars:
 
         Parameters
         ----------
-        midnight : float
-            End of the day. [Unix s]
         since : float
             Lanes of which nothing was heard since then are not kept, unless they are needed or among the newest samples
             of the fleet. [Unix s]
-        needed : (n,) int
         """
         self._day[np.isinf(self._day)] = midnight
         self._now = midnight
@@ -120,19 +117,7 @@ def forget_lanes(
     day_rollover: DayRollover,
     components: Sequence[OfLanes],
 ) -> None:
-    """Forget all lanes but some, and number them anew: the kept ones, then those that the rest of the batch brings.
-
-    Parameters
-    ----------
-    kept : (n,) int
-        Ascending.
-    rest : RestOfBatch
-    lanes : Lanes
-    day_rollover : DayRollover
-        It has seen the rest of the batch already.
-    components : sequence of OfLanes
-        All others, which have not.
-    """
+    """Forget all lanes but some, and number them anew: the kept ones, then those that the rest of the batch brings."""
     later = rest.find_later(kept)
     for component in components:
         component.keep(kept)

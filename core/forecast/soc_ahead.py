@@ -99,12 +99,6 @@ def find_charging_since(estimates: NDArray[np.void], plan_came: Floats) -> Float
     """Return since when cars stand at the charger of the next planned charge, NaN of others, (n,). [s]
 
     A plan that was sent as the charge ended, or later, is about what follows.
-
-    Parameters
-    ----------
-    estimates : (n,) SOC_ESTIMATE
-    plan_came : (n,) float
-        When the plan was sent. [s]
     """
     follows = plan_came > estimates["unplugged"] - PLAN_LAG
     return np.where((estimates["departed"] == 1.0) | follows, np.nan, estimates["arrived"])
@@ -122,25 +116,7 @@ def forecast_soc(
 ) -> SocForecast:
     """Return the charge after an energy.
 
-    Parameters
-    ----------
-    estimate : CarEstimate
-    energy : MeanAndSd
-        Predicted energy. [kWh]
-    hours : (n,) float
-        Time in which it is spent. [h]
-    basis : (n,) int
-        Basis of the forecast, see `socast.core.forecast.conformal`.
-    usual : UsualConsumption
-    errors : LearnedErrors
-    reserve : (n,) float
-        [1]
-    most : (n,) float
-        Largest charge that is possible. [1]
-
-    Returns
-    -------
-    SocForecast
+    Units: energy [kWh], hours [h].
     """
     raw = compute_end_soc(estimate, energy, hours)
     energy_km = energy.mean / usual.energy_per_km
@@ -160,26 +136,7 @@ def forecast_soc_ahead(
     usual: UsualConsumption,
     errors: LearnedErrors,
 ) -> SocAhead:
-    """Return the forecasts for the end of the shift and for the next planned charge.
-
-    Parameters
-    ----------
-    estimate : CarEstimate
-    ahead : EnergyAhead
-        Until the next planned charge, or else the end of the shift.
-    progress : (n,) PLAN_PROGRESS
-    times : PlanTimes
-    time : (n,) float
-        Now. [s]
-    charging_since : (n,) float
-        See `find_charging_since`. [s]
-    usual : UsualConsumption
-    errors : LearnedErrors
-
-    Returns
-    -------
-    SocAhead
-    """
+    """Return the forecasts for the end of the shift and for the next planned charge."""
     energy = MeanAndSd(ahead.energy, ahead.sd)
     first = forecast_soc(estimate, energy, ahead.hours, ahead.basis, usual, errors, ahead.reserve, estimate.soc)
     unknown = np.full(len(time), np.nan)
@@ -221,15 +178,7 @@ def estimate_after_charge(
 ) -> CarEstimate:
     """Return the estimate of cars that have charged as planned.
 
-    Parameters
-    ----------
-    estimate : CarEstimate
-        Now.
-    charge_to : (n,) float
-        Planned charge. [1]
-    hours : (n,) float
-        Time until the planned charge has ended. [h]
-    charged_soc : ChargedSoc
+    Units: hours [h].
 
     Returns
     -------
@@ -248,14 +197,7 @@ def estimate_after_charge(
 
 
 def compute_energy_after_charges(progress: NDArray[np.void], times: PlanTimes, usual: UsualConsumption) -> MeanAndSd:
-    """Return the energy from the last planned charge to the end of the shift. [kWh]
-
-    Parameters
-    ----------
-    progress : (n,) PLAN_PROGRESS
-    times : PlanTimes
-    usual : UsualConsumption
-    """
+    """Return the energy from the last planned charge to the end of the shift. [kWh]"""
     driving = np.asarray(np.einsum("ij,ij->i", progress["after_kwh"], usual.weights))
     waiting = times.waiting_after * usual.standing_power + progress["after_legs"] * usual.approach_energy
     return usual.correct(np.column_stack([driving, waiting]), TO_CHARGE)

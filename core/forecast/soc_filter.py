@@ -80,25 +80,7 @@ LARGEST_VARIANCE: Final = 0.25
 
 @njit(cache=True)
 def filter_events(events: Any, state: Any, prior: Any, estimates: Any, shifts: Any) -> int:
-    """Run the filters over events in their order.
-
-    Parameters
-    ----------
-    events : (n,) FILTER_EVENT
-    state : (lanes,) FILTER_STATE
-        Changed in place.
-    prior : (lanes,) LOG_FACTOR_PRIOR
-        Distribution of `a - c` at the beginning of a shift.
-    estimates : (n,) SOC_ESTIMATE
-        Receives the estimate after each event.
-    shifts : (n,) CLOSED_SHIFT
-        Receives the shifts that ended.
-
-    Returns
-    -------
-    int
-        Number of shifts that ended.
-    """
+    """Run the filters over events in their order."""
     closed = 0
     for i in range(events.shape[0]):
         event = events[i]
@@ -243,16 +225,12 @@ def predict_state(
 ) -> None:
     """Predict the state at the end of a stretch: the charge falls by the measured or by the predicted energy.
 
+    Units: capacity [kWh].
+
     Parameters
     ----------
-    state : FILTER_STATE
-        Changed in place.
     predicted, used : float
         Predicted and measured energy, NaN where unknown. [kWh]
-    duration : float
-        [s]
-    capacity : float
-        Nominal usable capacity. [kWh]
     energy_variance : float
         Variance of the energy of a stretch that takes 1 kWh; it is proportional to the energy. [kWh]
     """

@@ -45,14 +45,7 @@ JUMP_SD: Final = 0.5
 
 @njit(cache=False)
 def update_with_reading(state: Any, event: Any) -> None:
-    """Update the state by the reported state of charge of an event.
-
-    Parameters
-    ----------
-    state : FILTER_STATE
-        Changed in place.
-    event : FILTER_EVENT
-    """
+    """Update the state by the reported state of charge of an event."""
     quantum = state.quantum
     if isnan(event.soc):
         if abs(state.fall) > quantum:  # the reading would have stepped

@@ -66,23 +66,7 @@ def build_statuses(
 ) -> list[VehicleStatus]:
     """Return one status per row of running totals.
 
-    Parameters
-    ----------
-    running : Totals
-        Running totals of n vehicles.
-    ride_names : sequence of n (str or None)
-        Names that the loggers gave to the rides.
-    context : RunContext
-        Context of the run: names of vehicles, and cars.
-    predicted : sequence of (n,) float
-        Energy by each model, the serving model first. [kWh]
-    ends : (n,) END_OF_SHIFT
-        Charge at the end of the shift, see `socast.core.forecast.forecast_rows`. [1]
-
-    Returns
-    -------
-    list of n VehicleStatus
-        Status of each vehicle, in the order of the rows.
+    Units: predicted [kWh].
     """
     names, cars = context.vehicle_ids, context.cars
     riding = running.ride >= 0

@@ -33,11 +33,6 @@ class PublishedForecasts(NamedTuple):
 def tabulate_outlooks(parts: Sequence[PublishedForecasts], context: RunContext) -> pd.DataFrame:
     """Return a table with one row per forecast of the charge at the end of a shift.
 
-    Parameters
-    ----------
-    parts : sequence of PublishedForecasts
-    context : RunContext
-
     Returns
     -------
     DataFrame
@@ -89,11 +84,6 @@ def tabulate_outlooks(parts: Sequence[PublishedForecasts], context: RunContext) 
 
 def tabulate_shifts(shifts: NDArray[np.void], context: RunContext) -> pd.DataFrame:
     """Return a table with one row per shift that has ended.
-
-    Parameters
-    ----------
-    shifts : (n,) CLOSED_SHIFT
-    context : RunContext
 
     Returns
     -------

@@ -55,11 +55,6 @@ class WeatherForecasts:
     def admit(self, forecast: Weather) -> str | None:
         """Keep a place for the station of a forecast, or return why the forecast cannot be used.
 
-        Parameters
-        ----------
-        forecast : Weather
-            With the time at which it was issued.
-
         Returns
         -------
         str or None
@@ -101,23 +96,7 @@ class WeatherForecasts:
         end: Floats,
         cycle: DailyCycle,
     ) -> Floats:
-        """Return the mean outside temperature over the time ahead of rows, while forecasts arrive between them.
-
-        Parameters
-        ----------
-        at : (n,) int
-            Place of each row in the batch.
-        arrivals : sequence of ForecastArrival
-            In the order of their places; they are added.
-        ambient, time, end : (n,) float
-        cycle : DailyCycle
-            The same as for `expect_ambient`.
-
-        Returns
-        -------
-        (n,) float
-            [K]
-        """
+        """Return the mean outside temperature over the time ahead of rows, while forecasts arrive between them."""
         if not arrivals:
             return self.expect_ambient(ambient, time, end, cycle)
         before = np.searchsorted([each.at for each in arrivals], at)
@@ -131,21 +110,7 @@ class WeatherForecasts:
         return mean
 
     def expect_ambient(self, ambient: Floats, time: Floats, end: Floats, cycle: DailyCycle) -> Floats:
-        """Return the mean outside temperature over the time ahead.
-
-        Parameters
-        ----------
-        ambient : (n,) float
-            Present temperature. [K]
-        time, end : (n,) float
-            Present time, and end of the time ahead. [s]
-        cycle : DailyCycle
-
-        Returns
-        -------
-        (n,) float
-            [K] The present temperature where the end is unknown or past.
-        """
+        """Return the mean outside temperature over the time ahead."""
         ahead = np.clip(np.nan_to_num(end - time), 0.0, 3600.0 * HOURS)
         if self._courses is None:
             self._courses = [_order(course) for _, course in sorted(self._temperatures.items())]

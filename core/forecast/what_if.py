@@ -94,22 +94,7 @@ class CarOutlook:
     ) -> SocForecast:
         """Return the charge after energies.
 
-        Parameters
-        ----------
-        begin : CarEstimate
-            Where they begin.
-        energy : MeanAndSd
-            n energies. [kWh]
-        hours : (n,) float
-            Time in which each is spent. [h]
-        basis : int
-            Basis of the forecasts.
-        most, reserve : float
-            Largest charge that is possible, and charge to keep. [1]
-
-        Returns
-        -------
-        SocForecast
+        Units: energy [kWh], hours [h].
         """
         n = len(hours)
         errors = self.errors._replace(ahead_c=np.repeat(self.errors.ahead_c, n))
@@ -119,19 +104,7 @@ class CarOutlook:
     def compute_leg_intervals(self, legs: PlannedLegs, energy: MeanAndSd, basis: int) -> IntervalColumns:
         """Return the energy that each leg takes from the battery.
 
-        Parameters
-        ----------
-        legs : PlannedLegs
-            Of n legs.
-        energy : MeanAndSd
-            Predicted energies. [kWh]
-        basis : int
-            Basis of the forecasts.
-
-        Returns
-        -------
-        IntervalColumns
-            [kWh]
+        Units: energy [kWh], returns [kWh].
         """
         zero = np.zeros(1)
         only_leg = self.estimate._replace(variance=zero, covariance=zero, soc=zero, quantum=zero)
@@ -182,16 +155,7 @@ class RouteAhead(NamedTuple):
         return WayAhead(progress, times, charging_since, energy)
 
     def compute_leg_outlooks(self, now: CarOutlook, way: "WayAhead", soc: SocAhead) -> list[LegOutlook]:
-        """Return the outlook of each leg.
-
-        Parameters
-        ----------
-        now : CarOutlook
-        way : WayAhead
-            Until the end of the shift.
-        soc : SocAhead
-            Forecasts for its end and for the next planned charge.
-        """
+        """Return the outlook of each leg."""
         is_charge = np.isfinite(self.legs.charge_to)
         legs = self._spread_time(now, way)
         only = now.usual.correct(np.column_stack([legs.driving, np.zeros(len(is_charge))]), legs.correct_by)
@@ -294,21 +258,8 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
 
     Parameters
     ----------
-    engine : ForecastEngine
-    lane : int
-    leg : Leg, optional
-        The queried ride.
     plan : Plan, optional
         A plan to use instead of the published one.
-
-    Returns
-    -------
-    Outlook
-
-    Raises
-    ------
-    AskError
-        For a plan that cannot be used, or is for a later shift than the one in progress.
     """
     tracker, time = engine.plans, float(engine.state["time"][lane])
     if plan is not None and (refused := find_refusal(plan, time, LONGEST_SHIFT)) is not None:
@@ -357,16 +308,6 @@ def withhold_charge(outlook: Outlook, silent_s: float) -> Outlook:
     """Return the outlook of a car that has been silent for so long that its shift is over.
 
     The car may have driven on or charged meanwhile, so no charge is published. The energies of rides remain.
-
-    Parameters
-    ----------
-    outlook : Outlook
-    silent_s : float
-        [s]
-
-    Returns
-    -------
-    Outlook
     """
     queried, *legs = (
         each and msgspec.structs.replace(each, soc_pct=None, reserve_risk=UNSET)

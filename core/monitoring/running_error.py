@@ -56,12 +56,12 @@ class RunningErrors:
     def add_ride(self, error: float, measured: float) -> None:
         """Add a ride.
 
+        Units: measured [kWh].
+
         Parameters
         ----------
         error : float
             Predicted less measured energy, NaN without a prediction. [kWh]
-        measured : float
-            [kWh]
         """
         self._published = None
         if not isfinite(error):
@@ -149,17 +149,12 @@ class ModelMonitor:
     ) -> None:
         """Add a ride.
 
+        Units: measured [kWh].
+
         Parameters
         ----------
-        lane : int
-        day : float
-            UTC day of its beginning.
-        group : int, optional
-            Index of its vehicle model.
         error, first_error : float
             Error of this model and of the first model, NaN without a prediction. [kWh]
-        measured : float
-            [kWh]
         """
         for errors in self._list_errors(group):
             errors.add_ride(error, measured)
@@ -196,19 +191,7 @@ class ModelMonitor:
             self._end_day(lane)
 
     def get_errors(self, first: str, time: float) -> ModelErrors:
-        """Return the errors as published.
-
-        Parameters
-        ----------
-        first : str
-            Name and version of the first model.
-        time : float
-            End of the newest ride. [s]
-
-        Returns
-        -------
-        ModelErrors
-        """
+        """Return the errors as published."""
         by_group = [errors.get_errors() for errors in self._by_group]
         return ModelErrors(self.label, first, time, self._all.get_errors(), by_group)
 

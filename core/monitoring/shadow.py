@@ -99,12 +99,6 @@ class ShadowModels:
     def predictions(self, totals: Totals, context: RunContext) -> list[Floats]:
         """Return the energy of rides by each model.
 
-        Parameters
-        ----------
-        totals : Totals
-            Of n rides.
-        context : RunContext
-
         Returns
         -------
         list of (n,) float
@@ -114,32 +108,11 @@ class ShadowModels:
         return self.predict(model_columns(totals, context, tuple(needs)), len(totals.lane))
 
     def predict(self, columns: Mapping[str, Any] | pd.DataFrame, rows: int) -> list[Floats]:
-        """Return the energy by each model from columns of the ride table; NaN where a model fails. [kWh]
-
-        Parameters
-        ----------
-        columns : mapping or DataFrame
-        rows : int
-            Number of rides.
-
-        Returns
-        -------
-        list of (rows,) float
-        """
+        """Return the energy by each model from columns of the ride table; NaN where a model fails. [kWh]"""
         return [self._predict_or_count(monitor, columns, rows) for monitor in self.monitors]
 
     def power(self, effect: Effect, signals: Signals) -> Floats:
-        """Return the power of an effect that only shadows have; NaN, and counted as a fault, where it fails. [W/unit]
-
-        Parameters
-        ----------
-        effect : Effect
-        signals : Signals
-
-        Returns
-        -------
-        (n,) float
-        """
+        """Return the power of an effect that only shadows have; NaN, counted as a fault, where it fails. [W/unit]"""
         try:
             return np.broadcast_to(effect.power(signals), signals.clean.dt.shape)
         except Exception as fault:  # noqa: BLE001 - a fault of a shadow must not stop the first model
@@ -147,16 +120,7 @@ class ShadowModels:
             return np.full(signals.clean.dt.shape, np.nan)
 
     def add(self, rides: Totals, fit: NDArray[np.bool_], context: RunContext) -> None:
-        """Add rides that have ended.
-
-        Parameters
-        ----------
-        rides : Totals
-            Of n rides.
-        fit : (n,) bool
-            Whether each is fit for training; the others are ignored.
-        context : RunContext
-        """
+        """Add rides that have ended."""
         measured = measure_energy(rides, context.cars).energy
         rows = np.flatnonzero(fit & np.isfinite(measured))
         if not len(rows):
@@ -200,17 +164,7 @@ class ShadowModels:
         return [monitor.get_errors(self.monitors[0].label, self._time) for monitor in self.monitors]
 
     def messages(self, *, newest_only: bool = False) -> list[Message]:
-        """Return the messages that have become due since the last call.
-
-        Parameters
-        ----------
-        newest_only : bool
-            Whether to return only the newest message of each model.
-
-        Returns
-        -------
-        list of Message
-        """
+        """Return the messages that have become due since the last call."""
         taken, self._due = self._due, []
         if newest_only:
             taken = taken[-len(self.monitors) :]

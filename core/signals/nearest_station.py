@@ -23,14 +23,6 @@ def find_nearest_stations(
     ----------
     time, latitude, longitude : (n,) float
         Samples; the position may be NaN. [s], [rad], [rad]
-    order : (stations,) int
-        Stations in the order of their latitudes.
-    sorted_latitude : (stations,) float
-        Latitudes in that order. [rad]
-    places : (stations, 3) float
-        Latitude [rad], longitude [rad], and cosine of the latitude [1] of each station.
-    first : (stations,) float
-        Time of the first observation of each station. [s]
     out : (n,) int
         Receives the stations. Of several at the same distance it is the first one; of a sample without a position the
         first one, too. -1 where no station has observed by then.
@@ -101,18 +93,8 @@ def take_observations(time: Any, station: Any, times: Any, counts: Any, values: 
 
     Parameters
     ----------
-    time : (n,) float
-        [s]
-    station : (n,) int
-        Station of each sample, -1 for none.
     times : (stations, kept) float
         Times of the observations of each station, ascending. [s]
-    counts : (stations,) int
-        Number of observations of each station.
-    values : (stations, kept, fields) float
-        Observations.
-    out : (fields, n) float
-        Receives the observations; unchanged where there is no station.
     """
     for i in range(len(time)):
         at = station[i]

@@ -88,20 +88,7 @@ class Signals(Mapping[str, Floats]):
 
 
 def flag_ambient(clean: Clean, sky: Sky) -> Ints:
-    """Return the quality of each row, with the bits for the source of the outside temperature.
-
-    Parameters
-    ----------
-    clean : Clean
-        Cleaned samples, n rows.
-    sky : Sky
-        Weather at the rows.
-
-    Returns
-    -------
-    (n,) int
-        Bits of `Quality`.
-    """
+    """Return the quality of each row, with the bits for the source of the outside temperature."""
     unknown = np.isnan(clean.ambient)
     if not unknown.any():
         return clean.quality

@@ -14,13 +14,6 @@ J2000: Final = 946_728_000.0
 def sine_of_elevation(time: Floats, latitude: Floats, longitude: Floats) -> Floats:
     """Return the sine of the sun's elevation above the horizon, without refraction.
 
-    Parameters
-    ----------
-    time : (n,) float
-        Unix time. [s]
-    latitude, longitude : (n,) float
-        Position. [rad]
-
     Returns
     -------
     (n,) float

@@ -132,11 +132,6 @@ class Stations:
     def admit(self, message: Weather) -> str | None:
         """Keep a place for the station of an observation, or return why the observation cannot be used.
 
-        Parameters
-        ----------
-        message : Weather
-            Observation.
-
         Returns
         -------
         str or None
@@ -155,11 +150,6 @@ class Stations:
 
         An observation replaces an earlier one of the same station and time. The newest message defines the position of
         a station that moves.
-
-        Parameters
-        ----------
-        message : Weather
-            Observation.
         """
         station = self._find_row(message.station_id)
         self._move(station, float(np.radians(message.latitude_deg)), float(np.radians(message.longitude_deg)))
@@ -182,15 +172,8 @@ class Stations:
 
         Parameters
         ----------
-        time : (n,) float
-            Unix time. [s]
         latitude, longitude : (n,) float
             Position. Where it is unknown (NaN), the first station provides the weather. [rad]
-
-        Returns
-        -------
-        Sky of n rows
-            Weather at each row.
         """
         count = len(self._of)
         if not count:
@@ -212,15 +195,8 @@ class Stations:
 
         Parameters
         ----------
-        time, latitude, longitude : (n,) float
-            As for `sky`.
         observations : sequence of (row, Weather)
             Observations in the order of their arrival, each with the row before which it came.
-
-        Returns
-        -------
-        Sky of n rows
-            Weather at each row.
         """
         if not observations:
             return self.sky(time, latitude, longitude)
@@ -286,22 +262,6 @@ class Stations:
 def held(depth: Any, rate: Any, age: Any, memory: Any) -> Any:
     """Return the depth on the road after a time of constant precipitation.
 
-    Parameters
-    ----------
-    depth : (n,) float or float
-        Depth at the start. [m]
-    rate : (n,) float or float
-        Precipitation. [m/s]
-    age : (n,) float or float
-        Time since the start. [s]
-    memory : (n,) float or float
-        Time constant with which the depth decays. [s]
-
-    Returns
-    -------
-    (n,) float or float
-        Depth after that time. [m]
-
     Notes
     -----
     h' = p - h / τ gives h(t) = h(0) exp(-t / τ) + p τ (1 - exp(-t / τ)), with depth h, precipitation p and time
@@ -317,24 +277,7 @@ def held(depth: Any, rate: Any, age: Any, memory: Any) -> Any:
 
 
 def water_left(water: Any, ambient: Any, precipitation: Any, age: Any) -> Any:
-    """Return the depth of rain water on a road after a time of constant weather.
-
-    Parameters
-    ----------
-    water : (n,) float or float
-        Depth at the start. [m]
-    ambient : (n,) float or float
-        Air temperature; below `FREEZING` no rain falls. [K]
-    precipitation : (n,) float or float
-        Precipitation, NaN for none. [m/s]
-    age : (n,) float or float
-        Time since the start. [s]
-
-    Returns
-    -------
-    (n,) float or float
-        Depth after that time. [m]
-    """
+    """Return the depth of rain water on a road after a time of constant weather."""
     return held(water, np.where(ambient < FREEZING, 0.0, np.nan_to_num(precipitation)), age, DRYING)
 
 
@@ -343,19 +286,10 @@ def snow_left(snow: Any, ambient: Any, precipitation: Any, age: Any) -> Any:
 
     Parameters
     ----------
-    snow : (n,) float or float
-        Depth at the start, as melted water. [m]
     ambient : (n,) float or float
         Air temperature; at `FREEZING` and above no snow falls, and snow leaves the road faster. [K]
     precipitation : (n,) float or float
         Precipitation as water, NaN for none. [m/s]
-    age : (n,) float or float
-        Time since the start. [s]
-
-    Returns
-    -------
-    (n,) float or float
-        Depth after that time, as melted water. [m]
     """
     frost = ambient < FREEZING
     return held(snow, np.where(frost, np.nan_to_num(precipitation), 0.0), age, np.where(frost, CLEARING, THAWING))

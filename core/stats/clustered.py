@@ -35,13 +35,6 @@ SPARSE: Final = 16
 def assign_vehicle_days(rides: pd.DataFrame, day: str = "date") -> Codes:
     """Return the cluster of each ride: one code per vehicle and day.
 
-    Parameters
-    ----------
-    rides : DataFrame
-        Table of n rides, with the columns `vehicle_id` and `day`.
-    day : str
-        Name of the column with the day.
-
     Returns
     -------
     (n,) int64
@@ -52,18 +45,6 @@ def assign_vehicle_days(rides: pd.DataFrame, day: str = "date") -> Codes:
 
 def compute_clustered_mean(values: Floats, clusters: Codes) -> Estimate:
     """Return a mean with a standard error that lets rides of a cluster resemble each other.
-
-    Parameters
-    ----------
-    values : (n,) float
-        Value of each ride, all known.
-    clusters : (n,) int64
-        Cluster of each ride.
-
-    Returns
-    -------
-    Estimate
-        Without a standard error where all rides belong to one cluster.
 
     Examples
     --------
@@ -90,13 +71,6 @@ def compute_clustered_mean(values: Floats, clusters: Codes) -> Estimate:
 def compute_clustered_ratio(above: Floats, below: Floats, clusters: Codes) -> Estimate:
     """Return the ratio of two sums, such as energy over distance, with a clustered standard error.
 
-    Parameters
-    ----------
-    above, below : (n,) float
-        Summands of the numerator and of the denominator.
-    clusters : (n,) int64
-        Cluster of each ride.
-
     Returns
     -------
     Estimate
@@ -117,13 +91,6 @@ def compute_clustered_ratio(above: Floats, below: Floats, clusters: Codes) -> Es
 
 def compute_fieller_interval(above: Floats, below: Floats, clusters: Codes) -> tuple[float, float, float]:
     """Return the ratio of two means with Fieller's 95 % interval, which holds for an uncertain denominator too.
-
-    Parameters
-    ----------
-    above, below : (n,) float
-        Summands of the numerator and of the denominator.
-    clusters : (n,) int64
-        Cluster of each case.
 
     Returns
     -------
@@ -175,18 +142,6 @@ def subtract(minuend: Estimate, subtrahend: Estimate) -> Estimate:
 
 def compute_clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[str, float]:
     """Return a share with a 95 % interval that lets cases of a cluster resemble each other.
-
-    Parameters
-    ----------
-    holds : (n,) bool
-        Whether the condition holds in each case.
-    clusters : (n,) int64
-        Cluster of each case.
-
-    Returns
-    -------
-    dict
-        `value`, `low` and `high` [1], and `clusters`, the number of clusters.
 
     Notes
     -----

@@ -41,8 +41,6 @@ def compute_reach(clusters: int, level: float = LEVEL) -> float:
 
     Parameters
     ----------
-    clusters : int
-        Number of clusters seen so far.
     level : float
         Probability that the mean stays within this distance for every number of clusters at once. [1]
 
@@ -116,25 +114,12 @@ class ClusterMoments:
         return total / size if size else float("nan")
 
     def add(self, size: int, total: float) -> None:
-        """Add a completed cluster.
-
-        Parameters
-        ----------
-        size : int
-            Number of its members.
-        total : float
-            Sum over its members.
-        """
+        """Add a completed cluster."""
         for place, value in enumerate((1.0, size, total, size * size, size * total, total * total)):
             self.state[place] += value
 
     def interval(self, level: float = LEVEL) -> MeanInterval:
         """Return the interval that holds the mean at all times at once, with a given probability.
-
-        Parameters
-        ----------
-        level : float
-            Probability. [1]
 
         Notes
         -----

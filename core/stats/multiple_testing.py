@@ -106,12 +106,7 @@ def select_dominating(errors: Mapping[str, float], differences: Mapping[Pair, Es
     A difference that is not significant proves nothing where its interval is wide. A model therefore co-dominates only
     if the interval also excludes that its error is larger by more than `CO_DOMINANCE_MARGIN`.
 
-    Parameters
-    ----------
-    errors : mapping of str to float
-        Mean absolute error of each model. [kWh]
-    differences : mapping of (str, str) to Estimate
-        Error of a less error of b for each pair (a, b). [kWh]
+    Units: errors [kWh], differences [kWh].
 
     Returns
     -------

@@ -84,13 +84,6 @@ def average_over_repeats(values: Floats, overlap: float) -> Estimate:
     ----------
     values : (repeats,) float
         Value of each repeat, NaN where it has none.
-    overlap : float
-        Number of rides tested over number of rides trained on, in each repeat. [1]
-
-    Returns
-    -------
-    Estimate
-        Without a standard error where only one repeat has a value.
 
     Examples
     --------
@@ -108,18 +101,6 @@ def average_over_repeats(values: Floats, overlap: float) -> Estimate:
 def compute_widening(repeats: int, overlap: float) -> float:
     """Return how much wider an interval over repeats is than one over an unlimited number of them.
 
-    Parameters
-    ----------
-    repeats : int
-        Number of repeats, at least 2.
-    overlap : float
-        Number of rides tested over number of rides trained on, in each repeat. [1]
-
-    Returns
-    -------
-    float
-        Ratio of the half widths, with the same variance between repeats. [1]
-
     Examples
     --------
     >>> [round(compute_widening(repeats, 0.25), 1) for repeats in (2, 3, 5, 8, 10)]
@@ -134,8 +115,6 @@ def combine_strata(parts: Sequence[Estimate], weights: Sequence[float] | None = 
 
     Parameters
     ----------
-    parts : sequence of Estimate
-        Estimates of the strata; those without a value are left out.
     weights : sequence of float, optional
         Weights of the strata; equal where not given, as in the starred averages of the paper.
 
@@ -167,12 +146,8 @@ def compute_group_means(values: Floats, groups: Codes, count: int) -> Floats:
 
     Parameters
     ----------
-    values : (n,) float
-        Values to average.
     groups : (n,) int64
         Group of each value, from 0. Negative codes and those from `count` on are left out.
-    count : int
-        Number of groups.
 
     Returns
     -------
@@ -190,12 +165,7 @@ def compute_buffer(measured: Floats, predicted: Floats, share: float) -> float:
 
     Negative where that share of rides uses less than predicted; NaN without rides.
 
-    Parameters
-    ----------
-    measured, predicted : (n,) float
-        Energy of each ride. [kWh]
-    share : float
-        Share of rides for which the reserve suffices. [1]
+    Units: measured [kWh], predicted [kWh].
 
     Examples
     --------
@@ -225,12 +195,7 @@ def compute_mae(measured: Floats, predicted: Floats) -> float:
 def compute_relative_errors(measured: Floats, predicted: Floats, least: float) -> Floats:
     """Return the absolute error of each ride over its measured energy. [1]
 
-    Parameters
-    ----------
-    measured, predicted : (n,) float
-        Energy of each ride. [kWh]
-    least : float
-        Least measured energy at which a relative error has a meaning. [kWh]
+    Units: measured [kWh], predicted [kWh], least [kWh].
 
     Returns
     -------
@@ -252,12 +217,7 @@ def compute_mape(measured: Floats, predicted: Floats, least: float) -> float:
     Rides of almost no energy are left out, because their relative errors have no bound: a ride downhill may even regain
     energy. NaN where no ride is left.
 
-    Parameters
-    ----------
-    measured, predicted : (n,) float
-        Energy of each ride. [kWh]
-    least : float
-        Least measured energy of a counted ride. [kWh]
+    Units: measured [kWh], predicted [kWh], least [kWh].
 
     Examples
     --------
@@ -274,10 +234,7 @@ def compute_wmape(measured: Floats, predicted: Floats) -> float:
 
     It counts every ride, each by its energy. NaN where the energies do not add up to more than zero.
 
-    Parameters
-    ----------
-    measured, predicted : (n,) float
-        Energy of each ride. [kWh]
+    Units: measured [kWh], predicted [kWh].
 
     References
     ----------
@@ -307,14 +264,12 @@ def compute_bin_errors(
 ) -> list[dict[str, float | int | str]]:
     """Return the errors in each bin that has any predictions.
 
+    Units: measured [kWh], predicted [kWh].
+
     Parameters
     ----------
-    measured, predicted : (n,) float
-        Energy of each ride. [kWh]
     groups : (n,) int64
         Bin of each ride, an index into `labels`; outside of it where the ride is in no bin.
-    labels : sequence of str
-        Names of the bins.
 
     Returns
     -------

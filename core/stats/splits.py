@@ -43,21 +43,12 @@ def split_by_ride(
 
     Parameters
     ----------
-    strata : sequence of (str, int)
-        Vehicle model and distance cluster of each ride.
     seed : int
         Seed of the draws. The draws of a stratum depend only on the seed, the repeat and the stratum, so another
         vehicle model in the table changes nothing.
-    repeats : int
-        Number of splits.
     test_share : float
         Share of test rides, rounded to whole rides in each stratum: a stratum of one or two rides is only trained on.
         [1]
-
-    Returns
-    -------
-    list of Split
-        One split per repeat.
 
     Examples
     --------
@@ -84,18 +75,9 @@ def split_by_vehicle(
 
     Parameters
     ----------
-    vehicle_models, vehicles : sequence of n str
-        Vehicle model and car of each ride.
-    seed : int
-        Seed of the draws.
     folds : int
         Number of parts into which the cars of each vehicle model are dealt. A vehicle model with fewer cars is absent
         from some parts. A single car is never held out, as no ride of its vehicle model would remain for training.
-
-    Returns
-    -------
-    list of Split
-        Empty where no vehicle model has two cars.
     """
     cars: dict[str, set[str]] = {}
     for model, vehicle in zip(vehicle_models, vehicles, strict=True):
@@ -114,15 +96,8 @@ def split_by_date(dates: Sequence[str], test_share: float = TEST_SHARE) -> list[
 
     Parameters
     ----------
-    dates : sequence of n str
-        Date of each ride, ISO 8601.
     test_share : float
         Least share of rides to hold out. As few last dates as reach it are held out, and never all dates. [1]
-
-    Returns
-    -------
-    list of Split
-        Empty where there is only one date.
     """
     names, day, rides = np.unique(np.asarray(dates, dtype=str), return_inverse=True, return_counts=True)
     if len(names) < 2:

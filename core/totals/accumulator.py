@@ -229,15 +229,8 @@ class Accumulator:
 
         Parameters
         ----------
-        clean : Clean of n rows
-        kind : (n,) int
-        rates : (len(AMOUNTS) + effects, n) float
-            What each row adds, see `socast.core.totals.clean_rows.compute_amounts`.
-        lanes : int
-            Number of lanes so far.
         place : (n,) int, optional
             Place of each row among the messages of the batch; its number without it.
-        ends : (ends,) RIDE_END
         """
         if len(self._open) < lanes:
             self._open = grown(self._open, lanes, self._empty(1)[0])

@@ -10,20 +10,7 @@ from socast.core.totals.accumulator import AMOUNTS, DURATION, EDGES, OPEN_WINDOW
 
 
 def carry_totals(state: bytes, before: Sequence[str], now: Sequence[str]) -> bytes:
-    """Return open totals of other effects; the energy of an effect that was not summed is unknown until its ride ends.
-
-    Parameters
-    ----------
-    state : bytes
-        Result of `Accumulator.dump`, of the effects `before`.
-    before, now : sequence of str
-        Names of the effects in the order of their columns.
-
-    Returns
-    -------
-    bytes
-        State for `Accumulator.load`, of the effects `now`.
-    """
+    """Return open totals of other effects; what was not summed before is unknown until its ride ends."""
     head, width = OPEN_WINDOW + 1, len(AMOUNTS) + len(before) + SPEED_BINS
     rows = np.frombuffer(state).reshape(-1, head + 2 * width + 3 * len(EDGES) + len(CAUSES))
     place = {name: len(AMOUNTS) + number for number, name in enumerate(before)}

@@ -69,21 +69,8 @@ def sum_rows(
 
     Parameters
     ----------
-    rows : CleanRows
-        n rows.
-    cars : Cars
-        Parameters of the kinds of car.
-    powers : sequence of PowerOfEffect
-        Effects whose energies are summed, in their order.
     accumulator : Accumulator
         Open totals of every lane, changed in place.
-    lanes : int
-        Number of lanes so far.
-
-    Returns
-    -------
-    Sums
-        Totals that the rows closed, and running totals at their due samples.
     """
     signals = Signals(rows.clean, rows.sky, cars.parameters_of(rows.kind))
     with np.errstate(all="ignore"):  # a user's effect may divide by a speed that it then masks
@@ -96,14 +83,8 @@ def compute_amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> F
 
     Parameters
     ----------
-    signals : Signals
-        n rows.
     powers : sequence of (per, (n,) float)
         Power of each effect per unit of its coefficient [W], which acts over distance or over time.
-
-    Returns
-    -------
-    (len(AMOUNTS) + len(powers), n) float
     """
     clean, sky = signals.clean, signals.sky
     dt = clean.dt

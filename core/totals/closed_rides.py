@@ -25,14 +25,7 @@ class ClosedTotals:
         self._windows: list[Totals] = []
 
     def add(self, sums: Sums, ride_names: Sequence[str | None], drivers: Sequence[str | None]) -> None:
-        """Keep what a batch closed.
-
-        Parameters
-        ----------
-        sums : Sums
-        ride_names, drivers : sequence of str or None
-            Name and driver of each of its rides.
-        """
+        """Keep what a batch closed."""
         if len(sums.rides.lane):
             self._rides.append(_copy(sums.rides))
             self._ride_names += ride_names

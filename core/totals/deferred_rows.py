@@ -109,17 +109,7 @@ class DeferredRows:
     def sum_up(
         self, released: Sequence[CleanRows], sum_up: Callable[[CleanRows], Sums], block: int
     ) -> Iterator[tuple[Sums, Ints | None]]:
-        """Sum up released rows, and yield the totals that no kept row precedes, see `DeferredTotals.take`.
-
-        Parameters
-        ----------
-        released : sequence of CleanRows
-            What `add` or `close` returned.
-        sum_up : callable
-            Returns the totals of rows.
-        block : int
-            Number of rows that are summed at a time.
-        """
+        """Sum up released rows, and yield the totals that no kept row precedes, see `DeferredTotals.take`."""
         for rows in released:
             for at in range(0, max(rows.size, 1), block):
                 self.totals.add(sum_up(rows.rows(at, at + block)))

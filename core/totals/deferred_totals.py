@@ -30,29 +30,14 @@ class DeferredTotals:
             self._sums.append(sums)
 
     def add_daily_update(self, place: int, kind_of_lane: Ints) -> None:
-        """Keep a daily update.
-
-        Parameters
-        ----------
-        place : int
-            Place among all messages.
-        kind_of_lane : (lanes,) int
-            Kind of the car of each lane at that time.
-        """
+        """Keep a daily update."""
         self._updates.append((place, kind_of_lane.copy()))
 
     def take(self, before: float) -> Iterator[tuple[Sums, Ints | None]]:
         """Yield the totals that closed before a place, up to each daily update with the kinds of cars at it.
 
-        Parameters
-        ----------
-        before : float
-            Place before which all rows have been summed.
-
         Yields
         ------
-        sums : Sums
-            Totals in the order in which they closed.
         kind_of_lane : (lanes,) int or None
             Kinds of cars for the daily update after them; None for the last totals, which no update follows.
         """

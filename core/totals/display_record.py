@@ -22,11 +22,6 @@ DISPLAY_YIELD: Final = np.dtype(
 def create_unknown_yields(rows: int) -> NDArray[Any]:
     """Return the yields of displays of which nothing is known.
 
-    Parameters
-    ----------
-    rows : int
-        Number of displays.
-
     Returns
     -------
     (rows,) DISPLAY_YIELD

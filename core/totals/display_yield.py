@@ -143,13 +143,6 @@ class DisplayYields:
     def attach(self, sums: Sums, lanes: int) -> Sums:
         """Return totals with the yields that were known when each row closed, and learn from the closed rides.
 
-        Parameters
-        ----------
-        sums : Sums
-            Totals of the rows of a batch.
-        lanes : int
-            Number of lanes so far.
-
         Returns
         -------
         Sums
@@ -180,13 +173,7 @@ class DisplayYields:
         return totals._replace(display=self._find_yields(totals.lane, totals.at_last("kind")))
 
     def apply_daily_update(self, kind_of_lane: Ints | None = None) -> None:
-        """Pool what was learned of the cars of each vehicle model.
-
-        Parameters
-        ----------
-        kind_of_lane : (lanes,) int, optional
-            Kind of the car of each lane; by default that of the present.
-        """
+        """Pool what was learned of the cars of each vehicle model."""
         kind_of_lane = self._cars.of_lane if kind_of_lane is None else kind_of_lane
         lanes = min(len(self._lanes), len(kind_of_lane))
         self._grow(lanes)
@@ -230,15 +217,7 @@ class DisplayYields:
         return out
 
     def begin_day(self, sums: Mapping[str, ExactSums], lanes: Ints) -> None:
-        """Make the sums of a divided fleet the newest ones, which cars use from their own midnight on.
-
-        Parameters
-        ----------
-        sums : mapping of str to ExactSums
-            Those of `contribute`, of all consumers.
-        lanes : (n,) int
-            Cars whose new day has begun already.
-        """
+        """Make the sums of a divided fleet the newest ones, which cars use from their own midnight on."""
         for name in sorted(sums):
             self._codes.setdefault(name, len(self._codes))
         self._pooled = grown(self._pooled, len(self._codes), 0.0)
@@ -397,8 +376,6 @@ def find_contradictions(rides: Totals, learned: Floats) -> NDArray[np.bool_]:
     ----------
     rides : Totals
         Totals of n rides of known energy and charge; elsewhere the result is False.
-    learned : (n,) float
-        Number of rides from which the yield of each car was learned.
     """
     (energy, sd), (by_soc, soc_sd) = measure_by_power(rides), measure_by_soc(rides)
     before = rides.amount("stale_fall") / rides.display["inverse"]

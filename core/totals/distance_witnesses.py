@@ -51,15 +51,6 @@ LEAST_PART: Final = 0.5
 def find_contradicted_distance(totals: Totals) -> NDArray[np.bool_]:
     """Return where odometer or fixes contradict the distance of a ride.
 
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides.
-
-    Returns
-    -------
-    (n,) bool
-
     Notes
     -----
     A witness alone does not count where the other one contradicts it. Distance that was disputed during the

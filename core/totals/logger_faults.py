@@ -39,15 +39,7 @@ _SENTENCES: Final = {
 
 
 def count_faults(rides: Totals, lane_names: list[str]) -> LoggerFaults:
-    """Return the faults that rides show, by car.
-
-    Parameters
-    ----------
-    rides : Totals
-        Totals of n rides.
-    lane_names : list of str
-        Name of the car of each lane.
-    """
+    """Return the faults that rides show, by car."""
     found = {
         CURRENT_INVERTED: _count_bits(rides, CURRENT_INVERTED) > 0,
         CLOCK_ROLLOVER: _count_bits(rides, CLOCK_ROLLOVER) > 0,
@@ -77,11 +69,6 @@ def add_faults(total: LoggerFaults, more: Mapping[str, Mapping[str, int]]) -> No
 def describe_faults(faults: Mapping[str, Mapping[str, int]]) -> list[str]:
     """Return one line for each fault: the cars, their rides, what is wrong and how to mend it.
 
-    Parameters
-    ----------
-    faults : mapping of str to mapping of str to int
-        `logger_faults` of the counters of a run.
-
     Examples
     --------
     >>> describe_faults({"speed_times_1.609": {"taxi-7": 12}})[0][:54]
@@ -91,13 +78,7 @@ def describe_faults(faults: Mapping[str, Mapping[str, int]]) -> list[str]:
 
 
 def list_facts(faults: Mapping[str, Mapping[str, int]]) -> dict[str, list[str]]:
-    """Return what is wrong with the logger of each car, by car.
-
-    Parameters
-    ----------
-    faults : mapping of str to mapping of str to int
-        As of `describe_faults`.
-    """
+    """Return what is wrong with the logger of each car, by car."""
     facts: dict[str, list[str]] = {}
     for name, cars in sorted(faults.items()):
         for car in cars:

@@ -85,11 +85,6 @@ class MeasuredEnergy(NamedTuple):
 def measure_by_power(totals: Totals) -> tuple[Floats, Floats]:
     """Return the energy measured by voltage and current, and its standard uncertainty.
 
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides or windows.
-
     Returns
     -------
     energy, uncertainty : (n,) float
@@ -137,18 +132,7 @@ def _estimate_variance(totals: Totals) -> Floats:
 
 
 def find_lost_time(totals: Totals) -> Floats:
-    """Return the time at the beginning and end of each ride that no sample covers, because it fell into a gap.
-
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides.
-
-    Returns
-    -------
-    (n,) float
-        Lost time. [s]
-    """
+    """Return the time at the beginning and end of each ride that no sample covers, because it fell into a gap."""
     return totals.at_first("lost") + totals.at_last("lost")
 
 
@@ -160,17 +144,7 @@ def _cut(totals: Totals, energy: Floats) -> Floats:
 
 
 def find_inverted(totals: Totals) -> NDArray[np.bool_]:
-    """Return where the current had the wrong sign in at least one sample.
-
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides or windows.
-
-    Returns
-    -------
-    (n,) bool
-    """
+    """Return where the current had the wrong sign in at least one sample."""
     return np.asarray(totals.quality[:, CAUSES.index("current_inverted")] > 0.0)
 
 
@@ -185,11 +159,6 @@ def _is_impossible(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
 
 def measure_by_soc(totals: Totals) -> tuple[Floats, Floats]:
     """Return the energy measured by the fall of the state of charge, and its standard uncertainty.
-
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides or windows, with the yields of the displays.
 
     Returns
     -------
@@ -221,11 +190,6 @@ def _compute_soc_energy(totals: Totals) -> tuple[Floats, Floats]:
 def compute_soc_energy_noise(totals: Totals) -> Floats:
     """Return the part of the uncertainty of the energy by SOC that is independent from ride to ride.
 
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides or windows, with the yields of the displays.
-
     Returns
     -------
     (n,) float
@@ -246,11 +210,6 @@ def find_quantum(totals: Totals) -> Floats:
 def find_usable_capacity(totals: Totals) -> tuple[Floats, Floats]:
     """Return the energy for which 100 % of each car's display stands, and its standard uncertainty.
 
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides or windows, with the yields of the displays.
-
     Returns
     -------
     capacity, uncertainty : (n,) float
@@ -262,13 +221,6 @@ def find_usable_capacity(totals: Totals) -> tuple[Floats, Floats]:
 
 def find_soc_faults(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
     """Return where the state of charge is faulty: it jumped or froze, by V·I or by the distance driven.
-
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides or windows.
-    cars : Cars
-        Source of masses and capacities.
 
     Returns
     -------
@@ -301,13 +253,6 @@ def _unmoved(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
 def measure_energy(totals: Totals, cars: Cars) -> MeasuredEnergy:
     """Return the measured energy, its standard uncertainty and its source.
 
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides or windows, with the yields of the displays.
-    cars : Cars
-        Source of masses and capacities.
-
     Returns
     -------
     MeasuredEnergy
@@ -334,13 +279,6 @@ def _is_finer(totals: Totals, cars: Cars) -> NDArray[np.bool_]:
 def compute_largest_energy(totals: Totals, cars: Cars) -> Floats:
     """Return the energy that rides cannot exceed, taken from the battery or returned to it.
 
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides or windows.
-    cars : Cars
-        Source of capacities; a car without one has that of the largest battery.
-
     Returns
     -------
     (n,) float
@@ -353,20 +291,7 @@ def compute_largest_energy(totals: Totals, cars: Cars) -> Floats:
 
 
 def list_energy_faults(totals: Totals, cars: Cars) -> tuple[tuple[str, NDArray[np.bool_]], ...]:
-    """Return why the measured energy of rides makes them unfit for training; a later reason outranks earlier ones.
-
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides.
-    cars : Cars
-        Source of masses and capacities.
-
-    Returns
-    -------
-    tuple of (str, (n,) bool)
-        Each reason, and where it applies.
-    """
+    """Return why the measured energy of rides makes them unfit for training; a later reason outranks earlier ones."""
     unmeasured = measure_energy(totals, cars).source == NO_SOURCE
     reported = unmeasured & ~np.isnan(totals.at_last("soc"))
     by_power = ~unmeasured & (measure_energy(totals, cars).source == BY_POWER)

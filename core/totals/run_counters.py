@@ -49,11 +49,8 @@ class RunCounters:
 
         Parameters
         ----------
-        rides : Totals
-            Totals of n rides.
         unfit_reasons : (n,) object
             Why each is unfit for training, None where it is fit.
-        context : RunContext
         """
         kinds = rides.at_last("kind").astype(np.int64).tolist()
         self.rides += len(rides.lane)

@@ -58,10 +58,6 @@ def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()
 
     Parameters
     ----------
-    totals : Totals
-        Totals of n rides so far.
-    context : RunContext
-        Context of the run; its effects are those whose energies were summed.
     needs : sequence of str
         Columns of the ride table that the model reads in addition to energies of effects and parameters of cars.
 
@@ -91,13 +87,6 @@ def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()
 
 def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
     """Return why each ride is unfit for training.
-
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n rides.
-    context : RunContext
-        Context of the run; its settings hold the thresholds.
 
     Returns
     -------
@@ -141,11 +130,6 @@ def is_winter(time: Floats) -> NDArray[np.int64]:
     ----------
     time : (n,) float
         Unix time; an unknown time (NaN) gives 0. [s]
-
-    Returns
-    -------
-    (n,) int
-        1 in the season of winter tyres, else 0.
 
     Examples
     --------
@@ -229,20 +213,7 @@ def _physical(totals: Totals, measured: MeasuredEnergy) -> dict[str, Floats]:
 
 
 def tabulate_windows(totals: Totals, context: RunContext) -> pd.DataFrame:
-    """Return the window table, with one row per window.
-
-    Parameters
-    ----------
-    totals : Totals
-        Totals of n windows.
-    context : RunContext
-        Context of the run: names of vehicles, cars and effects.
-
-    Returns
-    -------
-    DataFrame of n rows
-        See `socast.core.columns.WINDOW_COLUMNS`; `ride_key` names the ride of each window.
-    """
+    """Return the window table, with one row per window."""
     kinds = totals.at_last("kind").astype(np.int64)
     measured = measure_energy(totals, context.cars)
     own = {
@@ -266,19 +237,8 @@ def tabulate_rides(
 
     Parameters
     ----------
-    totals : Totals
-        Totals of n rides.
     ride_names : sequence of n (str or None)
         Names that the logger gave. A ride without a name gets the name of its vehicle and its ordinal.
-    drivers : sequence of n (str or None)
-        Drivers of the rides, as dispatch reported them.
-    context : RunContext
-        Context of the run; its settings hold the thresholds of fitness for training.
-
-    Returns
-    -------
-    DataFrame of n rows
-        See `socast.core.columns.RIDE_COLUMNS`.
     """
     measured = measure_energy(totals, context.cars)
     physical = _physical(totals, measured)
@@ -312,11 +272,6 @@ def text(values: Sequence[str | None]) -> pd.Series:
     ----------
     values : sequence of n (str or None)
         Text of each row, `None` where unknown.
-
-    Returns
-    -------
-    Series of n str
-        The column.
     """
     return pd.Series(list(values), dtype="str")
 

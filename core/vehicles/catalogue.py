@@ -121,11 +121,6 @@ class AccessoryCurve(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def power(self, ambient: Floats) -> Floats:
         """Return the accessory power at an outside temperature.
 
-        Parameters
-        ----------
-        ambient : (n,) float
-            Outside temperature. [K]
-
         Returns
         -------
         (n,) float
@@ -162,11 +157,6 @@ _OWN: Final[dict[str, VehicleModel]] = {}
 def load_catalogue() -> Mapping[str, VehicleModel]:
     """Return the vehicle models that the product includes, and those that were added.
 
-    Returns
-    -------
-    mapping of str to VehicleModel
-        Vehicle models by key.
-
     Examples
     --------
     >>> load_catalogue()["nissan-leaf-2013"].nominal_capacity_kwh
@@ -176,13 +166,7 @@ def load_catalogue() -> Mapping[str, VehicleModel]:
 
 
 def add_vehicles(vehicles: Mapping[str, VehicleModel]) -> None:
-    """Add vehicle models of one's own to the catalogue of this process.
-
-    Parameters
-    ----------
-    vehicles : mapping of str to VehicleModel
-        Vehicle models by key, from `socast.core.vehicles.read_data_sheets`.
-    """
+    """Add vehicle models of one's own to the catalogue of this process."""
     _OWN.update(vehicles)
 
 
@@ -199,16 +183,6 @@ def read_catalogue(text: str) -> Mapping[str, VehicleModel]:
     ----------
     text : str
         TOML with one table per vehicle model; the name of the table is the key of the model.
-
-    Returns
-    -------
-    mapping of str to VehicleModel
-        Vehicle models by key.
-
-    Raises
-    ------
-    CatalogueError
-        If the text is not TOML, or a figure is missing, not a number, out of bounds or without a source.
     """
     try:
         tables = tomllib.loads(text)
@@ -219,11 +193,6 @@ def read_catalogue(text: str) -> Mapping[str, VehicleModel]:
 
 def vehicle_model(message: Vehicle) -> VehicleModel | str:
     """Return the vehicle model that a message describes: the catalogue entry with the overrides of the message.
-
-    Parameters
-    ----------
-    message : Vehicle
-        Message as received.
 
     Returns
     -------
@@ -267,20 +236,7 @@ def vehicle_model(message: Vehicle) -> VehicleModel | str:
 
 
 def read_entry(key: str, table: Any) -> VehicleModel:
-    """Check a table of the catalogue, and return it as a vehicle model.
-
-    Parameters
-    ----------
-    key : str
-        Key of the vehicle model.
-    table : object
-        Its table, as TOML gives it.
-
-    Raises
-    ------
-    CatalogueError
-        If a figure is missing, unknown, not a number, out of bounds or without a source.
-    """
+    """Check a table of the catalogue, and return it as a vehicle model."""
     if not isinstance(table, dict):
         raise CatalogueError(f"vehicle catalogue: {key!r} is no table: write [{key}] and its figures below")
     known = {f.name for f in fields(VehicleModel)} - {"key"}

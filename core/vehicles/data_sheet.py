@@ -24,18 +24,6 @@ def read_data_sheets(text: str, origin: str) -> Mapping[str, VehicleModel]:
     text : str
         TOML with one table per vehicle model, as in the catalogue. Only `REQUIRED` must be there. `drag_area_m2` may
         stand in place of `drag_coefficient` and `frontal_area_m2`, and sources are optional.
-    origin : str
-        Name of the file, for error messages.
-
-    Returns
-    -------
-    mapping of str to VehicleModel
-        Vehicle models by key. The source of an assumed figure begins with `estimated`.
-
-    Raises
-    ------
-    CatalogueError
-        If the text is not TOML, a key is in the catalogue, or a figure is missing, unknown or out of bounds.
 
     Examples
     --------

@@ -109,13 +109,7 @@ class Cars:
         return SILENT if kind == UNKNOWN else self._reasons[kind]
 
     def group_unknown(self, vehicle_ids: Sequence[str]) -> dict[str, list[str]]:
-        """Return the cars whose vehicle model is not in the catalogue, by the model that they sent.
-
-        Parameters
-        ----------
-        vehicle_ids : sequence of str
-            Car of each lane.
-        """
+        """Return the cars whose vehicle model is not in the catalogue, by the model that they sent."""
         unknown: dict[str, list[str]] = {}
         for vehicle, kind in zip(vehicle_ids, self.of_lane.tolist(), strict=False):
             if self._reasons[kind] == UNKNOWN_MODEL:
@@ -123,41 +117,13 @@ class Cars:
         return unknown
 
     def parameters_of(self, kinds: Ints) -> CarParameters:
-        """Return the parameters of cars.
-
-        Parameters
-        ----------
-        kinds : (n,) int
-            Kind of each car.
-
-        Returns
-        -------
-        CarParameters of n rows
-            Parameters of each car.
-        """
+        """Return the parameters of cars."""
         return CarParameters(*self.parameters.take(kinds, axis=0).T)
 
     def kinds(
         self, lane: Ints, changes: Sequence[VehicleChange], lanes: int, replaced: list[ReplacedKind] | None = None
     ) -> Ints:
-        """Apply vehicle messages, and return the kind of car of each row.
-
-        Parameters
-        ----------
-        lane : (n,) int
-            Lane of each row.
-        changes : sequence of VehicleChange
-            Vehicle messages in the order of their arrival.
-        lanes : int
-            Number of lanes so far.
-        replaced : list of ReplacedKind, optional
-            Receives the kinds that messages replaced, in their order.
-
-        Returns
-        -------
-        (n,) int
-            Kind of car of each row.
-        """
+        """Apply vehicle messages, and return the kind of car of each row."""
         self.of_lane = grown(self.of_lane, lanes)
         before = self.of_lane.take(lane)
         if not changes:

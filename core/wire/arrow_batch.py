@@ -112,21 +112,7 @@ class BatchReader:
 
 
 def read_rows(payload: bytes, most: float) -> ArrowRows:
-    """Return the samples of a batch.
-
-    Parameters
-    ----------
-    payload : bytes
-        Batch in Arrow's stream format.
-    most : float
-        Largest number of rows.
-
-    Raises
-    ------
-    BatchError
-        `not_arrow`, `compressed`, `too_large`, `too_many_samples`, `empty_list`, or `wrong_type` where a column is
-        missing or has another type than numbers or text.
-    """
+    """Return the samples of a batch."""
     table = _read_table(payload, most)
     names = table.column_names
     if not {"vehicle_id", "time_s"} <= set(names):
@@ -145,20 +131,7 @@ def read_rows(payload: bytes, most: float) -> ArrowRows:
 
 
 def read_times(payload: bytes, most: float) -> Floats:
-    """Return the time of each row of a batch, NaN where unknown, without a look at other columns. [Unix s]
-
-    Parameters
-    ----------
-    payload : bytes
-        Batch in Arrow's stream format.
-    most : float
-        Largest number of rows.
-
-    Raises
-    ------
-    BatchError
-        See `read_rows`.
-    """
+    """Return the time of each row of a batch, NaN where unknown, without a look at other columns. [Unix s]"""
     table = _read_table(payload, most, ("time_s",))
     if table.num_columns != 1:
         raise BatchError("wrong_type")
@@ -169,15 +142,7 @@ def read_times(payload: bytes, most: float) -> Floats:
 
 
 def select_rows(payload: bytes, mask: Sequence[bool]) -> bytes:
-    """Return a batch with some of its rows only, and without columns that are no fields of telemetry.
-
-    Parameters
-    ----------
-    payload : bytes
-        Batch that `read_rows` has read.
-    mask : (n,) bool
-        Rows to keep.
-    """
+    """Return a batch with some of its rows only, and without columns that are no fields of telemetry."""
     return write_rows(_read_table(payload, inf).filter(pa.array(mask)))
 
 

@@ -144,17 +144,8 @@ class Decoder:
 
         Parameters
         ----------
-        messages : sequence of Message
-            Keys with payloads, in the order of their arrival.
         refusals : list of Refused, optional
             It receives what cannot be decoded and what is of too many vehicles, but not what exceeds a rate.
-
-        Returns
-        -------
-        batch : Batch
-            One row per telemetry sample that could be decoded.
-        events : list of Event
-            All other messages, each with the row before which it came.
         """
         tables: list[Floats] = []
         events: list[Event] = []
@@ -198,15 +189,7 @@ class Decoder:
         self._names.forget()
 
     def refuse(self, kind: str, cause: str) -> None:
-        """Count a message as rejected that had been counted as received.
-
-        Parameters
-        ----------
-        kind : str
-            Kind of the message, such as `weather`.
-        cause : str
-            Cause of the rejection.
-        """
+        """Count a message as rejected that had been counted as received."""
         self.received[kind] -= 1
         self.rejected[cause] += 1
 

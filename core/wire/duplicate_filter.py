@@ -121,18 +121,11 @@ class DuplicateFilter:
         Messages are taken up to the one at which the halves may turn over. Call `forget` with those that are refused
         before you give the others.
 
-        Parameters
-        ----------
-        messages : sequence of Message
-            Messages in order of arrival.
-
         Returns
         -------
         MessageBlock
             New messages, with lists and batches reduced to the samples that are new; the given block itself if all are
             new.
-        int
-            Number of given messages that were taken, at least one.
         """
         self._turn_over_if_full()
         self._batches.forget()
@@ -144,10 +137,6 @@ class DuplicateFilter:
         """Return the hashes of the samples of messages, and the samples of each; None if each message is one.
 
         The samples of a batch are the numbers of its rows.
-
-        Parameters
-        ----------
-        messages : sequence of Message
         """
         return self._hash_messages(MessageBlock.of(messages), None)[1:]
 
@@ -155,18 +144,6 @@ class DuplicateFilter:
         """Remember samples by their hashes, and return which of them were not taken in before, as `select_new` does.
 
         They are taken up to the end of the message at which the halves turn over; call it again with the others.
-
-        Parameters
-        ----------
-        hashes : (n,) uint64
-            Result of `hash`, without samples that are refused.
-        message : (n,) int
-            Number of the message of each.
-
-        Returns
-        -------
-        (m,) bool
-            Whether each of the first m samples is new.
         """
         self._turn_over_if_full()
         stop = self._most - self._count
@@ -202,18 +179,7 @@ class DuplicateFilter:
         return hashes
 
     def forget(self, refusals: Sequence[Refused]) -> MessageBlock:
-        """Forget refused messages, and return those that were dropped because they repeated one of them.
-
-        Parameters
-        ----------
-        refusals : sequence of Refused
-            What was refused of the messages that `select_new` returned last.
-
-        Returns
-        -------
-        MessageBlock
-            Repetitions among the messages that were given last. They are not remembered.
-        """
+        """Forget refused messages, and return those that were dropped because they repeated one of them."""
         part = self._part
         if not refusals:
             return part.messages[:0]

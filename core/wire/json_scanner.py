@@ -91,8 +91,6 @@ class JsonScanner:
 
         Parameters
         ----------
-        messages : MessageBlock
-            n messages.
         lanes : (n,) int
             Lanes of the vehicles of their keys; -1 for a message that is not to be scanned.
         """

@@ -86,18 +86,7 @@ class MessageBlock(Sequence[Message]):
 
     @classmethod
     def pack(cls, keys: Sequence[str], key: Sequence[int], payloads: list[bytes], receipt_ns: int) -> "MessageBlock":
-        """Return n messages that were received at once.
-
-        Parameters
-        ----------
-        keys : sequence of str
-            Keys, to which more may be appended later.
-        key : sequence of n int
-            Number of each message's key in `keys`.
-        payloads : list of n bytes
-        receipt_ns : int
-            Unix time of receipt. [ns]
-        """
+        """Return n messages that were received at once."""
         columns = _join_payloads(keys, np.array(key, np.int64), payloads)
         return cls(columns._replace(receipts=np.full(len(payloads), receipt_ns, np.uint64)))
 

@@ -82,17 +82,7 @@ class NameLookup:
         return lanes
 
     def find_rides(self, names: Texts, lanes: Ints, codes: Floats) -> None:
-        """Write the code of each ride: `PENDING` for another one than that of the sample before it of its car.
-
-        Parameters
-        ----------
-        names : Texts
-            Names of n rides.
-        lanes : (n,) int
-            Lanes of their vehicles; -1 for a row without a code.
-        codes : (n,) float
-            Codes to write.
-        """
+        """Write the code of each ride: `PENDING` for another one than that of the sample before it of its car."""
         self.update()
         _find_rides(*names, lanes, self.rides, self.ride_sizes, self.ride_codes, codes)
 

@@ -37,13 +37,7 @@ class RateLimit:
         self._tokens, self._last = np.zeros(0), np.zeros(0)
 
     def select(self, messages: Sequence[Message]) -> MessageBlock:
-        """Return the messages that are within the limit; the given block itself if all are.
-
-        Parameters
-        ----------
-        messages : sequence of Message
-            Messages in the order of their arrival.
-        """
+        """Return the messages that are within the limit; the given block itself if all are."""
         messages = MessageBlock.of(messages)
         if self._rate == 0.0 or not messages:
             return messages

@@ -82,16 +82,7 @@ class RideDrivers:
         self._vehicles = 0
 
     def observe(self, ride: Ride, lane: int, place: int) -> None:
-        """Take the report of a driver.
-
-        Parameters
-        ----------
-        ride : Ride
-        lane : int
-            Lane of its vehicle.
-        place : int
-            Place of the message among all others; later reports have larger ones.
-        """
+        """Take the report of a driver."""
         if ride.driver_id is not None:
             self._vehicles = max(self._vehicles, lane + 1)
             most = DRIVERS_PER_VEHICLE * self._vehicles + DRIVERS

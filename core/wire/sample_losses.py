@@ -49,8 +49,6 @@ class SampleLosses:
 
         Parameters
         ----------
-        batch : Batch
-            n samples in order of arrival.
         is_periodic : (n,) bool
             False for the samples of a logger without a period, of which losses show in the counter only.
         """

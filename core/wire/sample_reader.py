@@ -132,10 +132,7 @@ def read_samples(messages: Iterable[Message], counts: Counter[str]) -> Iterator[
 def is_possible_fix(latitude: Floats, longitude: Floats) -> NDArray[np.bool_]:
     """Return which positions can be those of a car: known, on the map, and not the zero of a logger without a fix.
 
-    Parameters
-    ----------
-    latitude, longitude : (n,) float
-        Positions, NaN where unknown. [deg]
+    Units: latitude [deg], longitude [deg].
 
     Examples
     --------

@@ -12,11 +12,6 @@ _KEPT: Final[tuple[str, ...]] = ("title", "description", "type", "required")
 def make_schema(kind: str) -> dict[str, Any]:
     """Return the JSON schema of a kind of message, with plain types: no references and no `anyOf`.
 
-    Parameters
-    ----------
-    kind : str
-        Key of `socast.core.wire.messages.KINDS`.
-
     Returns
     -------
     dict

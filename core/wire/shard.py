@@ -95,11 +95,6 @@ def _number(name: str, count: int) -> int:
 def parse_shard(text: str, by: By = "name") -> Shard:
     """Return the shard of a text such as `2/4`, or `2-of-4`, which is also the name of a file.
 
-    Raises
-    ------
-    SettingsError
-        If the text has another form, or names no shard.
-
     Examples
     --------
     >>> parse_shard("2/4") == parse_shard("2-of-4") == Shard(2, 4)

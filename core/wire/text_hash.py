@@ -53,15 +53,7 @@ def _mix_end(mixed: Any) -> Any:
 def hash_texts(text: Any, words: Any, starts: Any, sizes: Any, seeds: Any, out: Any) -> None:
     """Write the hash of each text.
 
-    Parameters
-    ----------
-    text : (size,) uint8
-        Buffer of the texts.
-    words : (size - 7,) uint64
-        The eight bytes from each place of the buffer on.
-    starts, sizes : (n,) int
-        Begin and size of each text. [B]
-    seeds, out : (n,) uint64
+    Units: starts [B], sizes [B].
     """
     for i in range(len(starts)):
         at, stop, seed = starts[i], starts[i] + sizes[i], seeds[i]

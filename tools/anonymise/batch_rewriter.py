@@ -49,17 +49,8 @@ def rewrite_batch(payload: bytes, disguise: Disguise, rename: Callable[[str, str
 
     Parameters
     ----------
-    payload : bytes
-        Batch.
-    disguise : Disguise
-        What turns times and positions into others.
     rename : callable
         Function of the kind of a name and a name that returns its pseudonym.
-
-    Raises
-    ------
-    BatchError
-        If the batch cannot be used at all, with the cause of `socast.core.wire.arrow_batch.read_rows`, or `too_large`.
     """
     if len(payload) > LIMITS.payload_bytes:
         raise BatchError("too_large")

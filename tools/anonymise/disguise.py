@@ -61,8 +61,6 @@ class Disguise(NamedTuple):
         ----------
         kind : str
             What has the name, such as `car`. The same name of another kind has another pseudonym.
-        name : str
-            Name.
         """
         digest = hashlib.blake2b(f"{kind}/{name}".encode(), digest_size=HASH_BYTES, key=self.salt)
         return f"{kind}-{digest.hexdigest()}"
@@ -79,13 +77,7 @@ class Disguise(NamedTuple):
         return round(moved * 1e6) / 1e6 if abs(moved) < FINE_S else moved
 
     def shift_all(self, times_s: Floats) -> Floats:
-        """Return times in the anonymised recording, to the bit those of `shift`. [Unix s]
-
-        Parameters
-        ----------
-        times_s : (n,) float
-            Times. [Unix s]
-        """
+        """Return times in the anonymised recording, to the bit those of `shift`. [Unix s]"""
         moved = times_s + self.shift_s
         is_fine = np.abs(moved) < FINE_S
         moved = np.where(is_fine, np.rint(np.where(is_fine, moved, 0.0) * 1e6) / 1e6, moved)
@@ -107,10 +99,6 @@ def make_disguise(
 
     Parameters
     ----------
-    random : Random
-        Source of random numbers; `random.SystemRandom` for recordings that are shared.
-    begin_s, end_s : float
-        First and last time of the recording. [Unix s]
     centre : tuple of (float, float), optional
         Latitude and longitude of the area, None if no position is known. [deg]
     busy : sequence of bool
@@ -129,12 +117,7 @@ def make_disguise(
 def keeps_days(hours: int, busy: Sequence[bool]) -> bool:
     """Return whether samples of the same day, UTC, are of the same day after a shift by hours.
 
-    Parameters
-    ----------
-    hours : int
-        Shift. [h]
-    busy : sequence of bool
-        Whether there are samples in each of the 24 hours of the day.
+    Units: hours [h].
 
     Examples
     --------
@@ -148,11 +131,6 @@ def keeps_days(hours: int, busy: Sequence[bool]) -> bool:
 
 def list_shifts(begin_s: float, end_s: float) -> list[int]:
     """Return the shifts in whole weeks that are about whole years, and that keep a recording within `SPAN_S`.
-
-    Parameters
-    ----------
-    begin_s, end_s : float
-        First and last time of the recording. [Unix s]
 
     Examples
     --------

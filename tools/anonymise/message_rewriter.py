@@ -77,13 +77,7 @@ class MessageRewriter:
         self._pseudonyms: dict[tuple[str, str], str] = {}
 
     def rewrite(self, message: Message) -> Message | None:
-        """Return a message in its disguise; None if it is dropped.
-
-        Parameters
-        ----------
-        message : Message
-            Message of a recording.
-        """
+        """Return a message in its disguise; None if it is dropped."""
         known = address(message.key)
         if known is None:
             self.dropped["unknown key"] += 1

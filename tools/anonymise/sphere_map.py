@@ -31,11 +31,6 @@ class SphereMap(NamedTuple):
 
         A position that is not on Earth stays off it, without what it had of a valid coordinate. The position (0, 0),
         which receivers without a fix report, stays: moved, it would give the map away.
-
-        Parameters
-        ----------
-        latitude_deg, longitude_deg : float
-            Position. [deg]
         """
         valid = abs(latitude_deg) <= 90.0, abs(longitude_deg) <= 180.0
         if not all(valid):
@@ -46,13 +41,7 @@ class SphereMap(NamedTuple):
         return round(latitude * _PER_DEGREE) / _PER_DEGREE, round(longitude * _PER_DEGREE) / _PER_DEGREE
 
     def move_all(self, latitude_deg: Vectors, longitude_deg: Vectors) -> tuple[Vectors, Vectors]:
-        """Return the places to which positions move, to the bit those of `move`.
-
-        Parameters
-        ----------
-        latitude_deg, longitude_deg : (n,) float
-            Positions. [deg]
-        """
+        """Return the places to which positions move, to the bit those of `move`."""
         is_valid = np.abs(latitude_deg) <= 90.0, np.abs(longitude_deg) <= 180.0
         is_on_earth = is_valid[0] & is_valid[1]
         moved = self._rotate(np.where(is_on_earth, latitude_deg, 0.0), np.where(is_on_earth, longitude_deg, 0.0))
@@ -79,12 +68,7 @@ class SphereMap(NamedTuple):
 def make_sphere_map(centre: tuple[float, float], to: tuple[float, float], turn_deg: float) -> SphereMap:
     """Return the rotation that moves a centre to another place, and turns the area around it.
 
-    Parameters
-    ----------
-    centre, to : tuple of (float, float)
-        Latitude and longitude. [deg]
-    turn_deg : float
-        Angle by which headings at the centre turn, clockwise. [deg]
+    Units: centre [deg], to [deg].
 
     Examples
     --------
@@ -103,11 +87,6 @@ def make_sphere_map(centre: tuple[float, float], to: tuple[float, float], turn_d
 
 def find_centre(latitude_deg: Vectors, longitude_deg: Vectors) -> tuple[float, float]:
     """Return the centre of positions, which single wild ones do not move.
-
-    Parameters
-    ----------
-    latitude_deg, longitude_deg : (n,) float
-        Positions, n at least 1. [deg]
 
     Examples
     --------

@@ -49,13 +49,7 @@ def main() -> None:
 
 
 def make_lines(measures: list[Measure]) -> list[str]:
-    """Return the lines for the pages.
-
-    Parameters
-    ----------
-    measures : list of Measure
-        Results of all measures.
-    """
+    """Return the lines for the pages."""
     lines = [
         (
             "Each ratio compares the medians of two things measured in turn in one run. The machine is shared and "

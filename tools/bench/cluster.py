@@ -64,14 +64,7 @@ class Plan(NamedTuple):
 
 
 def run_command(arguments: Sequence[object], watched: Path | None = None) -> tuple[Run, int]:
-    """Run a command, and return what it took, and the process that was killed.
-
-    Parameters
-    ----------
-    arguments : sequence
-    watched : Path, optional
-        Folder of tables; the process of the first task that cleans is killed.
-    """
+    """Run a command, and return what it took, and the process that was killed."""
     words = list(map(str, arguments))
     print(f"$ socast {' '.join(words)}", file=sys.stderr, flush=True)
     before, began, killed, peak = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic(), 0, 0
@@ -169,17 +162,7 @@ def _read_bytes(parts: Sequence[Any], name: str) -> bytes | list[Any]:
 
 
 def compare_both_ways(plan: Plan, arguments: Sequence[object], option: str, suffix: str) -> dict[str, Any]:
-    """Return what a command takes serially and by workers, and whether its files are equal.
-
-    Parameters
-    ----------
-    plan : Plan
-    arguments : sequence
-    option : str
-        Option of the file to write.
-    suffix : str
-        Suffix of its name.
-    """
+    """Return what a command takes serially and by workers, and whether its files are equal."""
     name = str(arguments[0])
     paths = [plan.folder / f"{name}-{how}{suffix}" for how in ("serial", "by-workers")]
     alone, _ = run_command([*arguments, option, paths[0]])

@@ -78,18 +78,7 @@ class Estimate(NamedTuple):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the measurement, print its table and write its JSON file.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Command line, by default that of the process.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Run the measurement, print its table and write its JSON file."""
     parser = argparse.ArgumentParser("coefficients", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", default=SEEDS, help="seeds, such as 3201-3260 or 7,9")
     parser.add_argument("--processes", type=int, default=2, help="number of processes")
@@ -122,18 +111,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def measure_fleet(seed: int) -> list[Estimate]:
-    """Return the coefficients of a simulated fleet with their intervals and true values.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the simulation.
-
-    Returns
-    -------
-    list of Estimate
-        One for each term whose true coefficient the simulator determines.
-    """
+    """Return the coefficients of a simulated fleet with their intervals and true values."""
     model, truth = MODELS[seed % len(MODELS)], Truth()
     simulation = Simulation(
         vehicles=3,
@@ -163,13 +141,6 @@ def measure_fleet(seed: int) -> list[Estimate]:
 def find_truth(truth: Truth, rides: pd.DataFrame) -> dict[str, float]:
     """Return the true coefficients of a fleet: the means over its cars, weighted by their distances.
 
-    Parameters
-    ----------
-    truth : Truth
-        True parameters of the cars.
-    rides : DataFrame
-        Ride table of the fleet.
-
     Returns
     -------
     dict of str to float
@@ -198,13 +169,7 @@ def find_truth(truth: Truth, rides: pd.DataFrame) -> dict[str, float]:
 
 
 def list_rows(estimates: Sequence[Estimate]) -> list[list[str]]:
-    """Return how often the intervals hold the true values, by term and over all, as cells below `HEADS`.
-
-    Parameters
-    ----------
-    estimates : sequence of Estimate
-        Coefficients of all fleets.
-    """
+    """Return how often the intervals hold the true values, by term and over all, as cells below `HEADS`."""
     rows = []
     for term, mine in _group_by_term(estimates):
         truth, value, low, high = np.array([each[2:] for each in mine]).T

@@ -28,15 +28,7 @@ KEEP_S: Final = 30.0
 
 
 def measure_daily_update(cars: int = 10_000, repeats: int = 3) -> Measure:
-    """Measure learning, daily update and snapshots of a fleet on a busy day, against the time that passes for it.
-
-    Parameters
-    ----------
-    cars : int
-        Number of cars.
-    repeats : int
-        Number of snapshots, of which the fastest counts.
-    """
+    """Measure learning, daily update and snapshots of a fleet on a busy day, against the time that passes for it."""
     pipeline = Pipeline(keep_tables=False)
     pipeline.learn_from(make_trained_pipeline())
     pipeline.push([*make_vehicles(cars), *make_plans(cars)])
@@ -72,13 +64,7 @@ def measure_daily_update(cars: int = 10_000, repeats: int = 3) -> Measure:
 
 
 def time_processor(action: Callable[[], object]) -> float:
-    """Return the processor time of an action. [s]
-
-    Parameters
-    ----------
-    action : callable
-        What is timed.
-    """
+    """Return the processor time of an action. [s]"""
     began = time.process_time()
     action()
     return time.process_time() - began

@@ -73,13 +73,7 @@ class HeightTruth(Truth):
         self.heights[name].append((shift.time + STEP * np.arange(1, len(heights) + 1), heights))
 
     def find_climbs(self, table: pd.DataFrame) -> tuple[Floats, Floats]:
-        """Return the true climb, and the true gained height, of each ride or window. [m], [m]
-
-        Parameters
-        ----------
-        table : (n, columns) DataFrame
-            Ride table or window table.
-        """
+        """Return the true climb, and the true gained height, of each ride or window. [m], [m]"""
         climb, gained = np.zeros(len(table)), np.zeros(len(table))
         for name, rows in table.groupby("vehicle_id").indices.items():
             parts = self.heights[str(name)]
@@ -93,32 +87,14 @@ class HeightTruth(Truth):
 
 
 def simulate_days(seed: int, start: datetime, days: int, charging: str = LOW) -> tuple[list[Message], HeightTruth]:
-    """Return the messages of a fleet, and their truth.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the fleet; the same seed gives the same cars.
-    start : datetime
-        First day.
-    days : int
-        Number of days.
-    charging : str
-        When cars charge, see `Simulation`.
-    """
+    """Return the messages of a fleet, and their truth."""
     truth, faults = HeightTruth(), Faults(clock_step=0.0)
     simulation = Simulation(vehicles=CARS, start=start, days=days, seed=seed, faults=faults, charging=charging)
     return list(simulate(simulation, truth)), truth
 
 
 def make_tile(seed: int) -> ElevationMap:
-    """Return a map like SRTM of the simulated city.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of its error.
-    """
+    """Return a map like SRTM of the simulated city."""
     (south, north), (west, east) = to_wgs84(*(np.array([-15_000.0, 15_000.0]),) * 2)
     step = 1.0 / 1200.0
     latitude, longitude = np.arange(south, north, step), np.arange(west, east, step)
@@ -139,8 +115,6 @@ def learn_map(seed: int, keep: Path | None = None) -> ElevationMap:
 
     Parameters
     ----------
-    seed : int
-        Seed of the fleet.
     keep : Path, optional
         Folder in which maps are kept, and from which they are taken the next time.
     """
@@ -159,17 +133,7 @@ def learn_map(seed: int, keep: Path | None = None) -> ElevationMap:
 def tabulate(
     messages: Sequence[Message], elevation_map: ElevationMap | None, *, two_sided: bool
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the ride table and the window table of messages.
-
-    Parameters
-    ----------
-    messages : sequence of Message
-        In the order of their arrival.
-    elevation_map : ElevationMap, optional
-        Map of the ground.
-    two_sided : bool
-        Whether elevation is smoothed from both sides.
-    """
+    """Return the ride table and the window table of messages."""
     also = effects.get_library()
     pipeline = Pipeline(also=list(also), keep_forecasts=False, two_sided=two_sided, elevation_map=elevation_map)
     for at in range(0, len(messages), BLOCK):
@@ -182,13 +146,6 @@ def measure_climb(rides: pd.DataFrame, windows: pd.DataFrame, truth: HeightTruth
     """Return the error of the climb of a window [m], and the gained height over the true one [1].
 
     Both are of the cars that send elevation; `climb_all_m` is the error of all cars.
-
-    Parameters
-    ----------
-    rides, windows : DataFrame
-        Tables of the same messages.
-    truth : HeightTruth
-        Their truth.
     """
     silent = [name for name, car in truth.cars.items() if "elevation_m" in car["logger_lacks"]]
     error = (windows["gained_m"] - windows["lost_m"]).to_numpy() - truth.find_climbs(windows)[0]
@@ -202,28 +159,14 @@ def measure_climb(rides: pd.DataFrame, windows: pd.DataFrame, truth: HeightTruth
 
 
 def measure_model(fitted: pd.DataFrame, tested: pd.DataFrame) -> float:
-    """Return the mean absolute error of a model on rides of other dates. [kWh]
-
-    Parameters
-    ----------
-    fitted, tested : DataFrame
-        Ride tables to which it is fitted, and which it predicts.
-    """
+    """Return the mean absolute error of a model on rides of other dates. [kWh]"""
     model = get_recipe(RECIPE).fit(fitted)
     some = tested[tested["fit_for_training"]]
     return float(np.abs(model.predict(some) - some["energy_kwh"]).mean())
 
 
 def measure_forecasts(messages: Sequence[Message], elevation_map: ElevationMap | None) -> float:
-    """Return the mean absolute error of the forecasts of the charge at the end of shifts. [percentage points]
-
-    Parameters
-    ----------
-    messages : sequence of Message
-        In the order of their arrival.
-    elevation_map : ElevationMap, optional
-        Map of the ground.
-    """
+    """Return the mean absolute error of the forecasts of the charge at the end of shifts. [percentage points]"""
     forecasts = SocForecasts(Pipeline(keep_outlooks=True, elevation_map=elevation_map))
     for part in forecasts.cut([list(messages[at : at + BLOCK]) for at in range(0, len(messages), BLOCK)]):
         forecasts.pipeline.push(part)
@@ -233,17 +176,7 @@ def measure_forecasts(messages: Sequence[Message], elevation_map: ElevationMap |
 
 
 def measure_fleet(seed: int, keep: Path | None = None, say: Callable[[str], None] = print) -> dict[str, Any]:
-    """Return all figures of one fleet: by map and way, and by map for the forecasts.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the fleet.
-    keep : Path, optional
-        Folder of learned maps, see `learn_map`.
-    say : callable
-        Receives one line for each table.
-    """
+    """Return all figures of one fleet: by map and way, and by map for the forecasts."""
     maps = dict(zip(MAPS, (None, make_tile(seed), learn_map(seed, keep)), strict=True))
     days = {name: simulate_days(seed, *when) for name, when in (("fit", FIT_DAYS), ("test", TEST_DAYS))}
     figures: dict[str, Any] = {}
@@ -264,13 +197,7 @@ def measure_fleet(seed: int, keep: Path | None = None, say: Callable[[str], None
 
 
 def make_lines(results: dict[int, dict[str, Any]]) -> list[str]:
-    """Return the tables of all fleets as Markdown.
-
-    Parameters
-    ----------
-    results : dict of int to dict
-        Figures of each seed, see `measure_fleet`.
-    """
+    """Return the tables of all fleets as Markdown."""
     kinds = [f"{name}, {way}" for name in MAPS for way in WAYS]
     lines = [f"| seed | {' | '.join(kinds)} |", "|---" * (len(kinds) + 1) + "|"]
     for seed, figures in results.items():

@@ -48,18 +48,7 @@ Record = dict[str, Any]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the measurement, print its table and, if asked, write it to the page.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Command line, by default that of the process.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Run the measurement, print its table and, if asked, write it to the page."""
     parser = argparse.ArgumentParser("error-location", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", default="7301-7320", help="seeds, such as 7301-7320 or 7,9")
     parser.add_argument("--keep", type=Path, help="folder for the records of each seed; those in it are used again")
@@ -89,15 +78,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def measure_seed(seed: int, keep: Path | None = None) -> list[Record]:
-    """Return the records of all cases of a seed.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the drives and of the sizes.
-    keep : Path, optional
-        Folder for records; existing records are used again.
-    """
+    """Return the records of all cases of a seed."""
     file = None if keep is None else keep / f"{seed}.json"
     if file is not None and file.exists():
         known: list[Record] = json.loads(file.read_text(encoding="utf-8"))
@@ -112,17 +93,7 @@ def measure_seed(seed: int, keep: Path | None = None) -> list[Record]:
 
 
 def measure_case(data: SeedData, name: str, loads: Sequence[RandomLoad]) -> Record:
-    """Return what is located in a data set.
-
-    Parameters
-    ----------
-    data : SeedData
-        Drives of a seed.
-    name : str
-        Name of the case.
-    loads : sequence of RandomLoad
-        Loads to hide.
-    """
+    """Return what is located in a data set."""
     names = [f"{load.level} {load.kind}" for load in loads]
     tables = data.recording("none").tables(measure_with_loads(data.drives, loads, data.seed), "vi", names)
     model = fit_to_windows(RECIPE, tables.rides, tables.windows)
@@ -145,12 +116,7 @@ def measure_case(data: SeedData, name: str, loads: Sequence[RandomLoad]) -> Reco
 def judge(located: ErrorLocation, true: dict[str, float]) -> Record:
     """Return what was claimed, and whether names and sizes are right.
 
-    Parameters
-    ----------
-    located : ErrorLocation
-        Location.
-    true : dict of str to float
-        Mean power of each hidden load, by level and kind. [W]
+    Units: true [W].
     """
     claimed = {f"{load.level} {load.kind}": load for load in located.loads}
     return {
@@ -177,13 +143,7 @@ HEADS: Final = (
 
 
 def summarise(records: Sequence[Record]) -> dict[str, list[str]]:
-    """Return the cells of each case.
-
-    Parameters
-    ----------
-    records : sequence of dict
-        Records.
-    """
+    """Return the cells of each case."""
     rows = {}
     for name in CASES:
         mine = [record for record in records if record["case"] == name]
@@ -203,11 +163,6 @@ def summarise(records: Sequence[Record]) -> dict[str, list[str]]:
 def format_share(count: int, of: int) -> str:
     """Return a share with its 95 % Wilson interval.
 
-    Parameters
-    ----------
-    count, of : int
-        Number of successes and of trials.
-
     Examples
     --------
     >>> format_share(19, 20)
@@ -220,15 +175,7 @@ def format_share(count: int, of: int) -> str:
 
 
 def make_lines(rows: dict[str, list[str]], records: Sequence[Record]) -> list[str]:
-    """Return the lines for the pages.
-
-    Parameters
-    ----------
-    rows : dict of str to list of str
-        Cells of each case.
-    records : sequence of dict
-        Records.
-    """
+    """Return the lines for the pages."""
     seconds = sorted(record["seconds"] for record in records)
     return [
         (

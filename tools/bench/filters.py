@@ -34,13 +34,7 @@ class Stopwatch:
         self.seconds = 0.0
 
     def wrap(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function that is timed when it is called.
-
-        Parameters
-        ----------
-        function : callable
-            The function.
-        """
+        """Return a function that is timed when it is called."""
 
         def timed(*arguments: Any) -> Any:
             began = time.process_time()
@@ -53,15 +47,7 @@ class Stopwatch:
 
 
 def measure_filters(cars: int = 10_000, turns: int = 100) -> Measure:
-    """Measure the filters of a fleet with plans and intervals, against the time that passes for it.
-
-    Parameters
-    ----------
-    cars : int
-        Number of cars.
-    turns : int
-        Samples of each car.
-    """
+    """Measure the filters of a fleet with plans and intervals, against the time that passes for it."""
     pipeline = Pipeline(keep_tables=False)
     pipeline.learn_from(make_trained_pipeline())
     pipeline.push([*make_vehicles(cars), *make_plans(cars)])
@@ -103,30 +89,14 @@ def make_trained_pipeline() -> Pipeline:
 
 
 def make_plans(cars: int) -> list[Message]:
-    """Return a plan for each car: ten rides in five hours.
-
-    Parameters
-    ----------
-    cars : int
-        Number of cars.
-    """
+    """Return a plan for each car: ten rides in five hours."""
     legs = [Leg(6.0, 1000.0)] * 10
     plans = (Plan(name_car(car), START_S, START_S + 5 * 3600.0, 10.0, legs) for car in range(cars))
     return [Message(f"fleet/{plan.vehicle_id}/plan", encode(plan), int(START_S * 1e9)) for plan in plans]
 
 
 def push_rounds(pipeline: Pipeline, cars: int, first: int, count: int) -> int:
-    """Push rounds of samples of a fleet; return how many forecasts give the charge at the end of the shift.
-
-    Parameters
-    ----------
-    pipeline : Pipeline
-        Receives the samples.
-    cars : int
-        Number of cars.
-    first, count : int
-        Number of the first round, and number of rounds.
-    """
+    """Push rounds of samples of a fleet; return how many forecasts give the charge at the end of the shift."""
     forecasts = 0
     for turn in make_rounds(cars, first, count):
         for block in cut_blocks(turn):

@@ -16,13 +16,7 @@ def name_car(car: int) -> str:
 
 
 def make_vehicles(cars: int) -> list[Message]:
-    """Return a vehicle message of each car.
-
-    Parameters
-    ----------
-    cars : int
-        Number of cars.
-    """
+    """Return a vehicle message of each car."""
     return [
         Message(
             f"fleet/{name_car(car)}/vehicle", encode(Vehicle(name_car(car), START_S, "kia-soul-ev-2015")), int(START_S)
@@ -32,22 +26,7 @@ def make_vehicles(cars: int) -> list[Message]:
 
 
 def make_rounds(cars: int, first: int, count: int, seed: int = 0) -> Iterator[list[Message]]:
-    """Yield rounds of telemetry; a round has one sample of every car.
-
-    Parameters
-    ----------
-    cars : int
-        Number of cars.
-    first, count : int
-        Number of the first round, and number of rounds.
-    seed : int
-        Seed of the jitter of the time stamps and of noise.
-
-    Yields
-    ------
-    list of Message
-        The cars drive in circles with stops and uneven time stamps.
-    """
+    """Yield rounds of telemetry; a round has one sample of every car."""
     rng = np.random.default_rng(seed + first)
     phase = np.linspace(0.0, 300.0, cars, endpoint=False)
     for turn in range(first, first + count):

@@ -39,13 +39,7 @@ for path in sys.argv[1:]:
 
 
 def measure_fit(repeats: int = 3) -> Measure:
-    """Measure a fit from a Parquet file of many rides to a model, against scikit-learn's of the same columns in memory.
-
-    Parameters
-    ----------
-    repeats : int
-        Number of repetitions, of which the median counts.
-    """
+    """Measure a fit from a Parquet file of many rides, against scikit-learn's of the same columns in memory."""
     recipe = RECIPES[RECIPE]
     if not isinstance(recipe, LinearRecipe):
         raise TypeError(recipe)
@@ -110,19 +104,7 @@ def _simulated() -> pd.DataFrame:
 
 
 def write_rides(path: Path, base: pd.DataFrame, rides: int, seed: int = 1) -> None:
-    """Write a ride table of any size.
-
-    Parameters
-    ----------
-    path : Path
-        The Parquet file.
-    base : DataFrame
-        Rides that are drawn with replacement; noise is added to each figure.
-    rides : int
-        Number of rides, spread over a year.
-    seed : int
-        Seed of draws and noise.
-    """
+    """Write a ride table of any size."""
     rng = np.random.default_rng(seed)
     fixed = {"winter", "summer", "fit_for_training"}
     noisy = [name for name in base.columns if name not in fixed and pd.api.types.is_float_dtype(base[name])]

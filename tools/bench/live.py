@@ -34,15 +34,7 @@ Consumer: TypeAlias = Callable[[Node, ProcessEvent, ProcessEvent], float]
 
 
 def make_batches(messages: Sequence[Message], size: int = BATCH_ROWS) -> list[Message]:
-    """Return samples in JSON as batches of one gateway in Arrow's stream format.
-
-    Parameters
-    ----------
-    messages : sequence of Message
-        Samples, one a message.
-    size : int
-        Number of samples in a batch.
-    """
+    """Return samples in JSON as batches of one gateway in Arrow's stream format."""
     samples = [msgspec.json.decode(message.payload) for message in messages]
     parts = [samples[at : at + size] for at in range(0, len(samples), size)]
     return [Message("fleet/gateway/batch", write_rows(pa.Table.from_pylist(part)), 0) for part in parts]
@@ -51,19 +43,7 @@ def make_batches(messages: Sequence[Message], size: int = BATCH_ROWS) -> list[Me
 def publish_stream(
     endpoint: str, cars: int, turns: int, ready: ProcessEvent, go: ProcessEvent, *, batched: bool = False
 ) -> None:
-    """Publish a stream as fast as it is accepted, in a separate process.
-
-    Parameters
-    ----------
-    endpoint : str
-        Zenoh endpoint to connect to.
-    cars, turns : int
-        Number of cars, and samples of each.
-    ready, go : Event
-        Set after the warm-up; awaited before the stream.
-    batched : bool
-        Send the stream in batches of a gateway.
-    """
+    """Publish a stream as fast as it is accepted, in a separate process."""
     messages = [message for turn in make_rounds(cars, WARM_UP, turns) for message in turn]
     messages = make_batches(messages) if batched else messages
     with Node(Connection(connect=(endpoint,))) as node:
@@ -79,17 +59,7 @@ def publish_stream(
 
 
 def time_stream(cars: int, turns: int, consume: Consumer, *, batched: bool = False) -> float:
-    """Return the time in which a consumer takes a stream, from its first to its last sample. [s]
-
-    Parameters
-    ----------
-    cars, turns : int
-        Number of cars, and samples of each.
-    consume : callable
-        The consumer, which returns the time.
-    batched : bool
-        Send the stream in batches of a gateway.
-    """
+    """Return the time in which a consumer takes a stream, from its first to its last sample. [s]"""
     context = multiprocessing.get_context("spawn")
     ready, go = context.Event(), context.Event()
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
@@ -105,13 +75,7 @@ def time_stream(cars: int, turns: int, consume: Consumer, *, batched: bool = Fal
 
 
 def make_idle_consumer(cars: int, turns: int) -> Consumer:
-    """Return a consumer that only counts samples.
-
-    Parameters
-    ----------
-    cars, turns : int
-        Number of cars, and samples of each.
-    """
+    """Return a consumer that only counts samples."""
 
     def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> float:
         seen = 0
@@ -132,13 +96,7 @@ def make_idle_consumer(cars: int, turns: int) -> Consumer:
 
 
 def make_full_consumer(cars: int, turns: int) -> Consumer:
-    """Return the consumer as in service: it decodes, cleans, accumulates, predicts and publishes forecasts.
-
-    Parameters
-    ----------
-    cars, turns : int
-        Number of cars, and samples of each.
-    """
+    """Return the consumer as in service: it decodes, cleans, accumulates, predicts and publishes forecasts."""
 
     def consume(node: Node, ready: ProcessEvent, go: ProcessEvent) -> float:
         stop = Event()
@@ -168,18 +126,7 @@ def make_full_consumer(cars: int, turns: int) -> Consumer:
 
 
 def wait_until(until: Callable[[], bool]) -> None:
-    """Wait until a condition is true, checked every 2 ms.
-
-    Parameters
-    ----------
-    until : callable
-        The condition.
-
-    Raises
-    ------
-    TimeoutError
-        If the condition is false after `PATIENCE_S`.
-    """
+    """Wait until a condition is true, checked every 2 ms."""
     patience = time.monotonic() + PATIENCE_S
     while not until():
         if time.monotonic() > patience:
@@ -188,15 +135,7 @@ def wait_until(until: Callable[[], bool]) -> None:
 
 
 def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> Measure:
-    """Measure the live consumer, from decoding to published forecast, against an idle subscriber.
-
-    Parameters
-    ----------
-    repeats : int
-        Number of repetitions, of which the median counts.
-    cars, turns : int
-        Number of cars, and samples of each.
-    """
+    """Measure the live consumer, from decoding to published forecast, against an idle subscriber."""
     total = cars * turns
     idle_s, busy_s = alternate_timings(
         lambda: time_stream(cars, turns, make_idle_consumer(cars, turns)),
@@ -218,15 +157,7 @@ def measure_live(repeats: int = 5, cars: int = 1000, turns: int = 400) -> Measur
 
 
 def measure_batches(repeats: int = 3, cars: int = 1000, turns: int = 400) -> Measure:
-    """Measure the live consumer with batches of a gateway, against the same samples one by one in JSON.
-
-    Parameters
-    ----------
-    repeats : int
-        Number of repetitions, of which the median counts.
-    cars, turns : int
-        Number of cars, and samples of each.
-    """
+    """Measure the live consumer with batches of a gateway, against the same samples one by one in JSON."""
     total = cars * turns
     single_s, batch_s = alternate_timings(
         lambda: time_stream(cars, turns, make_full_consumer(cars, turns)),

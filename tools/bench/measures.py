@@ -52,13 +52,7 @@ class Measure:
 
 
 def time_action(action: Callable[[], object]) -> float:
-    """Return the time of an action without garbage collection. [s]
-
-    Parameters
-    ----------
-    action : callable
-        What is timed.
-    """
+    """Return the time of an action without garbage collection. [s]"""
     gc.collect()
     gc.disable()
     try:
@@ -70,42 +64,18 @@ def time_action(action: Callable[[], object]) -> float:
 
 
 def alternate_timings(first: Callable[[], float], second: Callable[[], float], repeats: int) -> tuple[float, float]:
-    """Return the medians of two timings taken in turn, so that noise of the machine affects both equally.
-
-    Parameters
-    ----------
-    first, second : callable
-        Each returns a time. [s]
-    repeats : int
-        Number of timings of each.
-    """
+    """Return the medians of two timings taken in turn, so that noise of the machine affects both equally."""
     pairs = [(first(), second()) for _ in range(repeats)]
     return median(a for a, _ in pairs), median(b for _, b in pairs)
 
 
 def cut_blocks(messages: Sequence[Message], size: int = BLOCK) -> Iterable[Sequence[Message]]:
-    """Return messages in blocks.
-
-    Parameters
-    ----------
-    messages : sequence of Message
-        The messages.
-    size : int
-        Number of messages in a block.
-    """
+    """Return messages in blocks."""
     return (messages[at : at + size] for at in range(0, len(messages), size))
 
 
 def measure_replay(repeats: int = 3, cars: int = 50, turns: int = 2000) -> Measure:
-    """Measure reading, decoding, cleaning and forecasting a recording, against iterating it with the bare reader.
-
-    Parameters
-    ----------
-    repeats : int
-        Number of repetitions, of which the median counts.
-    cars, turns : int
-        Number of cars, and samples of each.
-    """
+    """Measure reading, decoding, cleaning and forecasting a recording, against iterating it with the bare reader."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bench.mcap"
         with McapSink(path) as sink:
@@ -141,15 +111,7 @@ def measure_replay(repeats: int = 3, cars: int = 50, turns: int = 2000) -> Measu
 
 
 def measure_arrays(repeats: int = 5, cars: int = 1000, turns: int = 200) -> Measure:
-    """Measure cleaning, signals and totals over arrays in memory, in samples per second on one core.
-
-    Parameters
-    ----------
-    repeats : int
-        Number of repetitions, of which the median counts.
-    cars, turns : int
-        Number of cars, and samples of each.
-    """
+    """Measure cleaning, signals and totals over arrays in memory, in samples per second on one core."""
     pipeline, batch = _prepared(cars, turns)
     n = batch.size
 
@@ -199,15 +161,7 @@ def _prepared(cars: int, turns: int) -> tuple[Pipeline, Batch]:
 
 
 def measure_scale(repeats: int = 3, few: int = 1000, many: int = 1_000_000) -> Measure:
-    """Measure the cost of a sample, from payload to forecast, in a fleet of a million cars against a thousand.
-
-    Parameters
-    ----------
-    repeats : int
-        Number of repetitions, of which the median counts.
-    few, many : int
-        Number of cars of both fleets.
-    """
+    """Measure the cost of a sample, from payload to forecast, in a fleet of a million cars against a thousand."""
     fleets = []
     for cars in (few, many):
         pipeline = _prepared_pipeline(cars)

@@ -71,18 +71,7 @@ class Summary(NamedTuple):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the measurement, print its tables and write its JSON file.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Command line, by default that of the process.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Run the measurement, print its tables and write its JSON file."""
     options = make_parser().parse_args(arguments)
     console = Console()
     try:
@@ -128,16 +117,6 @@ def make_parser() -> argparse.ArgumentParser:
 def parse_seeds(text: str) -> list[int]:
     """Return the seeds of a list of numbers and ranges.
 
-    Parameters
-    ----------
-    text : str
-        Such as `1-3,7`.
-
-    Raises
-    ------
-    SettingsError
-        If a part is neither a number nor a range.
-
     Examples
     --------
     >>> parse_seeds("1-3,7")
@@ -153,18 +132,7 @@ def parse_seeds(text: str) -> list[int]:
 
 
 def parse_trees(given: Sequence[str]) -> dict[str, Path]:
-    """Return the source trees by name.
-
-    Parameters
-    ----------
-    given : sequence of str
-        `NAME=FOLDER` each.
-
-    Raises
-    ------
-    SettingsError
-        If a name is missing, or a folder does not hold the product.
-    """
+    """Return the source trees by name."""
     trees = {}
     for text in given:
         name, equals, folder = text.partition("=")
@@ -175,23 +143,7 @@ def parse_trees(given: Sequence[str]) -> dict[str, Path]:
 
 
 def measure_seed(seed: int, trees: Mapping[str, Path], keep: Path, hidden: Sequence[str] = ()) -> dict[str, Fleet]:
-    """Return the diagnosis of one fleet by each source tree.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the simulation.
-    trees : mapping of str to Path
-        Source trees by name.
-    keep : Path
-        Folder for the recording and the diagnoses. Existing files are used again.
-    hidden : sequence of str
-        Effects to hide, `EFFECT:SIZE` each.
-
-    Returns
-    -------
-    dict of str to Fleet
-    """
+    """Return the diagnosis of one fleet by each source tree."""
     stem = "-".join([*(each.replace(":", "_") for each in hidden), str(seed)])
     recording = keep / f"{stem}.mcap"
     if not recording.exists():
@@ -209,17 +161,7 @@ def measure_seed(seed: int, trees: Mapping[str, Path], keep: Path, hidden: Seque
 
 
 def diagnose_recording(tree: Path, recording: Path, file: Path) -> None:
-    """Write the diagnosis of a recording, by the command line of a source tree.
-
-    Parameters
-    ----------
-    tree : Path
-        Source tree.
-    recording : Path
-        Recording to diagnose.
-    file : Path
-        JSON file to write.
-    """
+    """Write the diagnosis of a recording, by the command line of a source tree."""
     with tempfile.TemporaryDirectory() as folder:
         tables, model, result = (str(Path(folder, name)) for name in ("tables", "base.json", "result.json"))
         run_command(tree, ["tables", str(recording), "--out", tables])
@@ -229,20 +171,7 @@ def diagnose_recording(tree: Path, recording: Path, file: Path) -> None:
 
 
 def run_command(tree: Path, words: Sequence[str]) -> None:
-    """Run a command of `socast` from a source tree.
-
-    Parameters
-    ----------
-    tree : Path
-        Source tree.
-    words : sequence of str
-        The command without `socast`.
-
-    Raises
-    ------
-    SocastError
-        If the command fails.
-    """
+    """Run a command of `socast` from a source tree."""
     done = subprocess.run(  # noqa: S603 - the words are ours
         [sys.executable, "-m", "socast.tools.cli", *words],
         cwd=tree,  # `-m` searches the working folder first
@@ -256,15 +185,7 @@ def run_command(tree: Path, words: Sequence[str]) -> None:
 
 
 def read_fleet(seed: int, result: Mapping[str, Any]) -> Fleet:
-    """Return what a diagnosis found in a fleet.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the simulation.
-    result : mapping
-        JSON of `socast diagnose`.
-    """
+    """Return what a diagnosis found in a fleet."""
     named = [
         m["effect"] if m["scope"] == "all" else f"{m['effect']} ({m['scope']})" for m in result.get("missing") or ()
     ]
@@ -273,13 +194,7 @@ def read_fleet(seed: int, result: Mapping[str, Any]) -> Fleet:
 
 
 def summarise_effects(fleets: Sequence[Fleet]) -> list[Summary]:
-    """Return the z of each effect over all fleets, the largest absolute median first.
-
-    Parameters
-    ----------
-    fleets : sequence of Fleet
-        Diagnoses.
-    """
+    """Return the z of each effect over all fleets, the largest absolute median first."""
     out = []
     for effect in dict.fromkeys(name for fleet in fleets for name in fleet.z):
         z = [fleet.z[effect] for fleet in fleets if effect in fleet.z]
@@ -289,17 +204,7 @@ def summarise_effects(fleets: Sequence[Fleet]) -> list[Summary]:
 
 
 def print_summaries(name: str, fleets: Sequence[Fleet], console: Console) -> None:
-    """Print the table of a source tree.
-
-    Parameters
-    ----------
-    name : str
-        Name of the source tree.
-    fleets : sequence of Fleet
-        Its diagnoses.
-    console : Console
-        Where to print.
-    """
+    """Print the table of a source tree."""
     heads = ("fleets", "min z", "median z", "max z", "named in")
     table = make_table([Column("effect"), *(Column(head, number=True) for head in heads)], f"{name}: nothing hidden")
     for row in summarise_effects(fleets):
@@ -311,15 +216,7 @@ def print_summaries(name: str, fleets: Sequence[Fleet], console: Console) -> Non
 
 
 def make_lines(measured: Mapping[str, Sequence[Fleet]], description: str) -> list[str]:
-    """Return the lines for the pages.
-
-    Parameters
-    ----------
-    measured : mapping of str to sequence of Fleet
-        Diagnoses of the same fleets by each source tree.
-    description : str
-        Description of the fleets.
-    """
+    """Return the lines for the pages."""
     names = ", ".join(f"{sum(len(each.named) for each in fleets)} by `{tree}`" for tree, fleets in measured.items())
     count = len(next(iter(measured.values())))
     summaries = {tree: {row.effect: row for row in summarise_effects(fleets)} for tree, fleets in measured.items()}

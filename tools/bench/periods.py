@@ -57,15 +57,6 @@ def simulate_fleet(seed: int, periods: Sequence[float], days: int = DAYS) -> tup
 def measure_tables(rides: pd.DataFrame, truth: pd.DataFrame, first: str) -> dict[str, float]:
     """Return the errors of the distance, of the measured energy and of a fitted model, over the true sums. [1]
 
-    Parameters
-    ----------
-    rides : DataFrame
-        Ride table.
-    truth : DataFrame
-        True distance and energy, see `simulate_fleet`.
-    first : str
-        First date whose rides are predicted; those before it are fitted.
-
     Returns
     -------
     dict of str to float
@@ -96,14 +87,7 @@ def measure_tables(rides: pd.DataFrame, truth: pd.DataFrame, first: str) -> dict
 def measure_periods(seed: int, periods: Sequence[float], days: int = DAYS) -> dict[str, float]:
     """Return all figures of a fleet: those of `measure_tables`, and `soc_mae_pct`.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the fleet.
-    periods : sequence of float
-        Periods of the loggers, assigned to the cars in turn. [s]
-    days : int
-        Number of days.
+    Units: periods [s].
     """
     messages, truth = simulate_fleet(seed, periods, days)
     rides, _ = tabulate(messages, None, two_sided=True)
@@ -112,13 +96,7 @@ def measure_periods(seed: int, periods: Sequence[float], days: int = DAYS) -> di
 
 
 def make_lines(results: dict[str, list[dict[str, Any]]]) -> list[str]:
-    """Return the table of all periods as Markdown.
-
-    Parameters
-    ----------
-    results : dict of str to list of dict
-        Figures of each seed, by period in words.
-    """
+    """Return the table of all periods as Markdown."""
     lines = [
         "| period | distance | energy by V·I | measured energy | error over sd | by SOC | prediction | end of shift |",
         "|---" * 8 + "|",

@@ -26,17 +26,7 @@ FLEET: Final = 1000
 
 
 def publish_streams(connections: Sequence[Connection], turns: int, ready: ProcessEvent, go: ProcessEvent) -> None:
-    """Publish the stream of each car in a session of its own, as fast as it is accepted, in a separate process.
-
-    Parameters
-    ----------
-    connections : sequence of Connection
-        Connection of each car.
-    turns : int
-        Number of samples of each car.
-    ready, go : Event
-        Set after the warm-up; awaited before the stream.
-    """
+    """Publish the stream of each car in a session of its own, as fast as it is accepted, in a separate process."""
     cars = len(connections)
     rounds = list(make_rounds(cars, WARM_UP, turns))
     with ExitStack() as ending:
@@ -82,17 +72,7 @@ class _CpuTimer:
 
 
 def time_way(way: str, folder: SecureFolder, cars: int, turns: int) -> Way:
-    """Return the cost at which the live consumer takes the streams of cars.
-
-    Parameters
-    ----------
-    way : str
-        One of `WAYS`.
-    folder : SecureFolder
-        Certificates and configurations.
-    cars, turns : int
-        Number of cars, and samples of each.
-    """
+    """Return the cost at which the live consumer takes the streams of cars."""
     if way == "plain":
         endpoint = f"tcp/127.0.0.1:{find_free_port()}"
         router = Connection(listen=(endpoint,), mode="router")
@@ -114,15 +94,7 @@ def time_way(way: str, folder: SecureFolder, cars: int, turns: int) -> Way:
 
 
 def make_folder(path: Path, cars: int) -> SecureFolder:
-    """Make a secured fleet, and a configuration of its router with certificates and without rules.
-
-    Parameters
-    ----------
-    path : Path
-        Folder that does not exist.
-    cars : int
-        Number of cars with a certificate. The rules know `FLEET` cars.
-    """
+    """Make a secured fleet, and a configuration of its router with certificates and without rules."""
     names = [name_car(car) for car in range(cars)]
     folder = SecureFolder.create(path, ["127.0.0.1"], names, port=find_free_port(), days=1.0)
     settings = json.loads((path / "router.json5").read_text())
@@ -137,8 +109,6 @@ def measure_security(repeats: int = 7, cars: int = 20, turns: int = 8000) -> Mea
 
     Parameters
     ----------
-    repeats : int
-        Number of repetitions of each way, in turn, of which the median counts.
     cars, turns : int
         Number of cars, each with a session of its own, and samples of each.
     """

@@ -66,13 +66,7 @@ Record = dict[str, Any]
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measure, print the shares, and write them to the page.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Command line, by default that of the process.
-    """
+    """Measure, print the shares, and write them to the page."""
     parser = argparse.ArgumentParser("siblings", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", default="320-335", help="seeds, such as 320-335 or 7,9")
     parser.add_argument("--keep", type=Path, required=True, help="folder for results; those in it are used again")
@@ -95,13 +89,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def list_cases(seed: int) -> Iterator[tuple[str, Case]]:
-    """Yield the data sets of a seed with their parts.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the drives, and of the effects, cars and dates.
-    """
+    """Yield the data sets of a seed with their parts."""
     rng = np.random.default_rng([seed, 20])
     cars = [f"taxi-{number + 1:03d}" for number in range(FLEET.vehicles)]
     end = (FLEET.start + timedelta(days=FLEET.days)).date().isoformat()
@@ -131,13 +119,7 @@ def list_cases(seed: int) -> Iterator[tuple[str, Case]]:
 
 
 def measure_seed(seed: int) -> list[Record]:
-    """Return what diagnosis finds in the data sets of a seed.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the drives.
-    """
+    """Return what diagnosis finds in the data sets of a seed."""
     source, out, model = SeedData(seed), list[Record](), None
     for part, case in list_cases(seed):
         try:
@@ -164,14 +146,7 @@ def measure_seed(seed: int) -> list[Record]:
 def grade(case: Case, found: Sequence[Mapping[str, Any]], starts: Sequence[float]) -> dict[str, bool]:
     """Return which statements about a data set are right.
 
-    Parameters
-    ----------
-    case : Case
-        The data set.
-    found : sequence of mapping
-        Deviations that diagnosis found.
-    starts : sequence of float
-        Unix times of the begins of all vehicle-days. [s]
+    Units: starts [s].
     """
     where = case.where
     of = "car" if where.vehicle else "group" if where.group else "all"
@@ -234,13 +209,7 @@ def _shorten(one: Mapping[str, Any]) -> Record:
 
 
 def tabulate(records: Sequence[Record]) -> list[str]:
-    """Return the lines of a table: the share of each right statement with its 95 % interval, and its goal.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Results of all data sets.
-    """
+    """Return the lines of a table: the share of each right statement with its 95 % interval, and its goal."""
     lines = ["| hidden | statement | data sets | share (95 %) | goal |", "|---|---|---|---|---|"]
     for part, goals in GOALS.items():
         mine = [record for record in records if record["part"] == part]

@@ -59,13 +59,7 @@ BLOCK: Final = 4096
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Judge, and print a line for each goal.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Command line, by default that of the process.
-    """
+    """Judge, and print a line for each goal."""
     parser = argparse.ArgumentParser("soc_forecasts", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--fleet", default="autumn", help=f"parts or fleets, of {', '.join(PARTS)}, all")
     parser.add_argument("--seeds", default="1", help="seeds, such as 1-3 or 7,9")
@@ -103,19 +97,7 @@ def list_fleets(text: str) -> list[str]:
 
 
 def judge_fleet(fleet: str, seed: int, rides: int, keep: Path | None) -> Judged:
-    """Simulate a fleet, or read it where it was kept, and judge its forecasts.
-
-    Parameters
-    ----------
-    fleet : str
-        Name of a fleet, or `preset`.
-    seed : int
-        Seed of the simulation.
-    rides : int
-        Number of rides of the preset.
-    keep : Path or None
-        Folder for recordings and truths.
-    """
+    """Simulate a fleet, or read it where it was kept, and judge its forecasts."""
     simulation = make_simulation(fleet, seed, rides)
     truth, first = Truth(), simulation.start.timestamp()
     if keep is None:
@@ -154,21 +136,7 @@ def read_recording(path: Path) -> Iterator[Sequence[Message]]:
 def judge(
     fleet: str, seed: int, first_day_s: float, source: Iterator[Sequence[Message]], truth: Truth | None
 ) -> Judged:
-    """Pass messages through the loop of live telemetry, and compare its forecasts with outcomes and baselines.
-
-    Parameters
-    ----------
-    fleet : str
-        Name of the fleet.
-    seed : int
-        Seed of the simulation.
-    first_day_s : float
-        Midnight before its first day. [Unix s]
-    source : iterator of list of Message
-        Its messages.
-    truth : Truth or None
-        Truth of the simulation, complete when all messages are taken.
-    """
+    """Pass messages through the loop of live telemetry, and compare its forecasts with outcomes and baselines."""
     begun = time.perf_counter()
     forecasts = SocForecasts(Pipeline(models.load(DEFAULT_MODEL), Settings(), keep_outlooks=True))
     run(forecasts.cut(source), forecasts.pipeline, watch=lambda _: forecasts())

@@ -90,17 +90,7 @@ class Line(NamedTuple):
 
 
 def check_goals(judged: Sequence[Judged]) -> list[Line]:
-    """Return a line for each goal that the judged fleets can measure.
-
-    Parameters
-    ----------
-    judged : sequence of Judged
-        Fleets of one or more seeds; the seeds of a fleet are pooled.
-
-    Returns
-    -------
-    list of Line
-    """
+    """Return a line for each goal that the judged fleets can measure."""
     lines: list[Line] = []
     for fleet in dict.fromkeys(one.fleet for one in judged):
         mine = [one for one in judged if one.fleet == fleet]

@@ -64,12 +64,7 @@ class BoardSource:
 def make_fleet_messages(cars: int, second: float, rng: np.random.Generator) -> list[Message]:
     """Return a sample and a forecast of each of many cars in a city; all values differ from second to second.
 
-    Parameters
-    ----------
-    cars : int
-    second : float
-        Time since the beginning. [s]
-    rng : Generator
+    Units: second [s].
     """
     out = []
     places = rng.normal((45.5, -73.6), 0.05, (cars, 2)).tolist()
@@ -218,13 +213,7 @@ def enter(address: str) -> str:
 
 
 def measure_workbench(cars: int) -> dict[str, float]:
-    """Return all figures.
-
-    Parameters
-    ----------
-    cars : int
-        Number of cars on the board.
-    """
+    """Return all figures."""
     command = [sys.executable, "-m", "socast.tools.bench.workbench", "--serve", "--cars", str(cars)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as server:  # noqa: S603
         assert server.stdout is not None

@@ -43,19 +43,6 @@ def run_bridge(
     """Pass signals on as rows until `stop` is set; then pass on the rows that are open.
 
     A message is acknowledged only after a router has read the row that holds it.
-
-    Parameters
-    ----------
-    source : SignalSource
-        Source of the signals, which feeds the assembler.
-    assembler : RowAssembler
-        Assembler of rows.
-    delivery : ZenohDelivery
-        Publishes the rows.
-    stop : Event
-        Event that ends the loop.
-    report_s : float
-        Time between two lines of counters in the log. [s]
     """
     due = time.monotonic() + report_s
     try:

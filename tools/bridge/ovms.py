@@ -63,13 +63,7 @@ class OvmsReader:
         return [f"{self._prefix}+/+/metric/{name}" for name in (*METRICS, CLOCK, CONNECTED)]
 
     def read(self, message: MqttMessage) -> None:
-        """Read a message.
-
-        Parameters
-        ----------
-        message : MqttMessage
-            Messages come in the order of their receipt. The assembler returns their tickets.
-        """
+        """Read a message."""
         topic, payload, received_s, is_retained, connection, ticket = message
         if connection != self._connection:
             self._connection = connection
@@ -167,11 +161,6 @@ def parse_time(text: str) -> float | None:
 
 def parse_topic_prefix(text: str) -> str:
     """Return a topic prefix with one slash at its end; an empty text for an empty prefix.
-
-    Raises
-    ------
-    SettingsError
-        If it holds wildcards or empty levels.
 
     Examples
     --------

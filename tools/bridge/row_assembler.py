@@ -141,13 +141,7 @@ class RowAssembler:
         return len(self._cars)
 
     def take(self, value: Value) -> None:
-        """Take a value.
-
-        Parameters
-        ----------
-        value : Value
-            Values come in the order of their receipt.
-        """
+        """Take a value."""
         car = self._find(value.vehicle, value.received_s, value.ticket)
         if car is None or not self._accept(car, value):
             return
@@ -171,19 +165,7 @@ class RowAssembler:
             row.tickets.append(value.ticket)
 
     def set_clock(self, vehicle: str, time_s: float, received_s: float, ticket: Any = None) -> None:
-        """Take the time of a car's own clock, which holds for the values around it.
-
-        Parameters
-        ----------
-        vehicle : str
-            Identity of the car.
-        time_s : float
-            Its time. [Unix s]
-        received_s : float
-            Time of receipt. [Unix s]
-        ticket : object
-            What is returned with the row.
-        """
+        """Take the time of a car's own clock, which holds for the values around it."""
         car = self._find(vehicle, received_s, ticket)
         if car is None:
             return
@@ -215,26 +197,12 @@ class RowAssembler:
             car.clock, car.has_fix = None, True
 
     def drop(self, cause: str, ticket: Any = None) -> None:
-        """Count a value that gives no row, and return its ticket with the next rows.
-
-        Parameters
-        ----------
-        cause : str
-            Name of the counter.
-        ticket : object
-            Ticket of the value.
-        """
+        """Count a value that gives no row, and return its ticket with the next rows."""
         self.counts[cause] += 1
         self._free(ticket)
 
     def close_due(self, now_s: float = inf) -> None:
-        """Complete the rows whose period is over on the clock of the receiver.
-
-        Parameters
-        ----------
-        now_s : float
-            Time now, all rows by default. [Unix s]
-        """
+        """Complete the rows whose period is over on the clock of the receiver."""
         for vehicle, car in [*self._open.items()]:
             if car.row is not None and not 0.0 <= now_s - car.row.opened_s < self._period:
                 self._close(vehicle, car)

@@ -38,19 +38,7 @@ class Signal(NamedTuple):
 
 
 def make_signal(field: str, unit: str, *, sign: int = 1, rank: int = 0) -> Signal:
-    """Return a signal whose unit and sign are converted to those of the wire contract.
-
-    Parameters
-    ----------
-    field : str
-        Field of a sample.
-    unit : str
-        Unit of the source.
-    sign : int
-        -1 where the source counts the other way.
-    rank : int
-        Rank among sources of the same field.
-    """
+    """Return a signal whose unit and sign are converted to those of the wire contract."""
     if field in FLAGS:
         return Signal(field, rank=rank)
     conversion = find_conversion(unit, field)
@@ -59,11 +47,6 @@ def make_signal(field: str, unit: str, *, sign: int = 1, rank: int = 0) -> Signa
 
 def read_signals(preset: str) -> dict[str, Signal]:
     """Return the signals of an ecosystem as the preset for its exports describes them, with slashes for dots.
-
-    Parameters
-    ----------
-    preset : str
-        Name of a preset of `socast import`.
 
     Examples
     --------
@@ -79,13 +62,6 @@ def read_signals(preset: str) -> dict[str, Signal]:
 
 def parse_number(signal: Signal, value: object) -> float | None:
     """Return a value in the unit of the wire contract; None if it is not a value of the signal.
-
-    Parameters
-    ----------
-    signal : Signal
-        What the value is.
-    value : object
-        Number, truth value or text.
 
     Examples
     --------

@@ -36,18 +36,7 @@ _TIME_NAMES: Final = "timestamp", "ts", "time"
 
 
 def make_signals(version: int = NEWEST) -> dict[str, Signal]:
-    """Return the signals that are read, by their paths below `Vehicle/`.
-
-    Parameters
-    ----------
-    version : int
-        Major version of VSS.
-
-    Raises
-    ------
-    SettingsError
-        If the version is not known.
-    """
+    """Return the signals that are read, by their paths below `Vehicle/`."""
     if not 3 <= version <= 7:
         raise SettingsError(
             f"--vss-version is {version}, must be from 3 to 7; give the major version that the cars use"
@@ -90,13 +79,7 @@ class VssReader:
         return f"{self._prefix}{'' if self._vehicle else '*/'}Vehicle/**"
 
     def read(self, sample: SignalSample) -> None:
-        """Read a sample.
-
-        Parameters
-        ----------
-        sample : SignalSample
-            `parse_payload` says what its payload may be.
-        """
+        """Read a sample."""
         key, payload, attachment, stamp_s, received_s = sample
         rest = key.removeprefix(self._prefix)
         vehicle, _, path = (self._vehicle, "", rest) if self._vehicle else rest.partition("/")
@@ -157,6 +140,8 @@ class VssSource:
 def parse_payload(payload: bytes) -> tuple[object, float | None]:
     """Return the value and the time of a payload.
 
+    Units: time_s [s].
+
     Parameters
     ----------
     payload : bytes
@@ -167,8 +152,6 @@ def parse_payload(payload: bytes) -> tuple[object, float | None]:
     -------
     value : object
         None for null, and for an object without a value.
-    time_s : float or None
-        Unix time. [s]
 
     Examples
     --------

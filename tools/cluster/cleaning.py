@@ -112,14 +112,7 @@ def count_columns(width: int) -> int:
 
 
 def read_totals(rows: Floats, width: int) -> Totals:
-    """Return totals from the rows of their file.
-
-    Parameters
-    ----------
-    rows : (n, columns) float
-    width : int
-        Number of amounts.
-    """
+    """Return totals from the rows of their file."""
     at, lane, ride, window = rows[:, :4].astype(np.int64).T
     places = np.cumsum([4, width, len(EDGES), len(EDGES)])
     amounts, first, last, quality = map(np.ascontiguousarray, np.split(rows, places, axis=1)[1:])
@@ -185,14 +178,7 @@ class _PartPipeline(Pipeline):
 
 
 def clean_part(job: Job, part: int) -> PartCounts:
-    """Clean the samples of the cars of a part, and write the totals of their rides and windows.
-
-    Parameters
-    ----------
-    job : Job
-    part : int
-        Number of the part.
-    """
+    """Clean the samples of the cars of a part, and write the totals of their rides and windows."""
     shared = msgspec.msgpack.decode(job.of_run("shared").read_bytes(), type=Shared)
     lanes = np.array([lane for lane, name in enumerate(shared.vehicles) if job.find_part(name) == part], np.int64)
     names: list[str | None] = []

@@ -75,17 +75,7 @@ class ClusterPlace:
 def parse_place(text: str, worker_memory: float) -> ClusterPlace:
     """Return where tasks run, from the command line.
 
-    Parameters
-    ----------
-    text : str
-        `local`, `local:N`, or the address of a scheduler.
-    worker_memory : float
-        [GB]
-
-    Raises
-    ------
-    SettingsError
-        If the text is neither, or names a scheduler elsewhere without TLS.
+    Units: worker_memory [GB].
 
     Examples
     --------
@@ -134,15 +124,7 @@ class DaskRunner:
         self.workers = len(client.scheduler_info(n_workers=-1)["workers"])
 
     def run(self, stage: str, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
-        """Yield the result of each task, in their order.
-
-        Raises
-        ------
-        SettingsError
-            If a task ended several workers, or the scheduler was lost.
-        SocastError
-            That of a task.
-        """
+        """Yield the result of each task, in their order."""
         from distributed import CancelledError, KilledWorker, as_completed  # noqa: PLC0415 - an optional package
 
         pending = {
@@ -198,22 +180,7 @@ def _run_on_worker(
 def open_runner(
     place: ClusterPlace, scratch: Path, on_end: Callable[[TaskRecord], None] | None = None
 ) -> Iterator[DaskRunner]:
-    """Start or reach workers, and yield a runner of their tasks.
-
-    Parameters
-    ----------
-    place : ClusterPlace
-    scratch : Path
-        Folder that all workers see.
-    on_end : callable, optional
-        As of `DaskRunner`.
-
-    Raises
-    ------
-    SettingsError
-        If Dask is not installed, the scheduler cannot be reached, has no workers, or its workers have other versions of
-        packages or do not see the folder.
-    """
+    """Start or reach workers, and yield a runner of their tasks."""
     try:
         import distributed  # noqa: PLC0415 - an optional package
     except ImportError as error:
@@ -238,13 +205,6 @@ def check_certificates(files: Mapping[str, str | None], address: str) -> None:
     ----------
     files : mapping of str to str
         Authority (`ca_file`), certificate (`cert`) and private key (`key`) of the client, as files or in PEM.
-    address : str
-        Address of the scheduler.
-
-    Raises
-    ------
-    SettingsError
-        If one of them is missing, or its file does not exist.
     """
     if missing := [variable for part, variable in CERTIFICATES.items() if not files.get(part)]:
         raise SettingsError(

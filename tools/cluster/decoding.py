@@ -92,11 +92,7 @@ def plan_spans(sources: Sequence[McapSource], span_bytes: int = SPAN_BYTES) -> l
     A chunk across the limit of two spans is read for both. A span therefore grows until it holds at least as much as
     the chunks that overlap its end, of recordings that run beside each other.
 
-    Parameters
-    ----------
-    sources : sequence of McapSource
-    span_bytes : int
-        [B]
+    Units: span_bytes [B].
 
     Returns
     -------
@@ -118,16 +114,7 @@ def plan_spans(sources: Sequence[McapSource], span_bytes: int = SPAN_BYTES) -> l
 
 
 def decode_span(job: Job, number: int, start_ns: float, stop_ns: float) -> Span:
-    """Decode the messages of a span of time, and write them to files.
-
-    Parameters
-    ----------
-    job : Job
-    number : int
-        Number of the span.
-    start_ns, stop_ns : float
-        Times of receipt between which it lies. [Unix ns]
-    """
+    """Decode the messages of a span of time, and write them to files."""
     sources = [open_recording(path, path.stat().st_size) for path in job.recordings]
     lists = [source.read_span(start_ns, stop_ns) for source in sources]
     messages = MessageBlock.join(lists).sort()

@@ -84,23 +84,7 @@ class _Sequence:
 
 
 def learn_displays(job: Job, ordering: Ordering, width: int, sizes: Mapping[str, int]) -> list[Slice]:
-    """Write what the displays of all rides and windows stand for, and the names and drivers of the rides.
-
-    Parameters
-    ----------
-    job : Job
-    ordering : Ordering
-        After its end.
-    width : int
-        Number of amounts of totals.
-    sizes : mapping of str to int
-        Number of rows of a file of the `rides` and of the `windows`.
-
-    Returns
-    -------
-    list of Slice
-        Files of the tables, those of the rides first.
-    """
+    """Write what the displays of all rides and windows stand for, and the names and drivers of the rides."""
     rides, windows = (_Sequence.of(job, name) for name in ("rides", "windows"))
     displays = DisplayYields(ordering.cars)
     kind_of_lane = np.full(len(ordering.lanes), UNKNOWN)

@@ -49,13 +49,7 @@ class EvaluationJob:
 
 
 def evaluate_by_workers(job: EvaluationJob, workers: Workers) -> dict[str, Any]:
-    """Return the whole evaluation of recipes; its runs are tasks.
-
-    Parameters
-    ----------
-    job : EvaluationJob
-    workers : Workers
-    """
+    """Return the whole evaluation of recipes; its runs are tasks."""
     plan, job = plan_job(job), replace(job, run=str(workers.scratch))
     tasks = [(job, key) for key in plan.calls]
     return tabulate_runs(plan, dict(zip(plan.calls, workers.run("run", run_call, tasks), strict=True)))

@@ -137,13 +137,7 @@ class Ordering:
         self._items += span.items
 
     def finish(self) -> None:
-        """Write what the parts need.
-
-        Raises
-        ------
-        RecordingError
-            If the recordings exceed a limit, by which a serial run would refuse some of their messages.
-        """
+        """Write what the parts need."""
         stations = max(map(len, self._stations))
         for name, count, most in (
             ("vehicles", len(self.lanes), self._limits.vehicles),

@@ -32,31 +32,7 @@ def tabulate_by_workers(
     elevation_files: Sequence[Path] = (),
     on_end: Callable[[TaskRecord], None] | None = None,
 ) -> ClusterTables:
-    """Write the tables of recordings to a folder, see `socast.tools.cluster.tables`, and the report beside them.
-
-    Parameters
-    ----------
-    sources : sequence of McapSource
-    out : Path
-        Existing folder.
-    place : ClusterPlace
-    model : str
-        Name or file of a model.
-    wanted : sequence of str
-        Effects that the tables contain in addition to those of the model.
-    settings : Settings
-    effect_files, vehicle_files, elevation_files : sequence of Path
-        Files that every worker loads.
-    on_end : callable, optional
-        Function that receives the record of each task.
-
-    Raises
-    ------
-    SettingsError
-        If the workers cannot be reached, or cannot see the files.
-    RecordingError
-        If a recording cannot be read.
-    """
+    """Write the tables of recordings to a folder, see `socast.tools.cluster.tables`, and the report beside them."""
     for source in sources:
         if source.path.suffix and not source.path.is_file():
             raise SettingsError(f"{source.path} is no file; --cluster reads files")

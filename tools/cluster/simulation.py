@@ -29,27 +29,7 @@ TRUTH: Final = ".truth.json"
 
 
 def write_recording(fleet: PreparedFleet, out: Path, workers: Workers) -> Truth:
-    """Write the recording of a fleet, and its truth beside it.
-
-    Parameters
-    ----------
-    fleet : PreparedFleet
-        The fleet, with the factors of its hidden effects.
-    out : Path
-        The recording; the truth goes to the same name with `.truth.json`.
-    workers : Workers
-        Run the tasks; their folder also holds the messages of each car.
-
-    Returns
-    -------
-    Truth
-        The complete truth.
-
-    Raises
-    ------
-    RecordingError
-        If the recording cannot be written.
-    """
+    """Write the recording of a fleet, and its truth beside it."""
     simulation, truth = fleet.simulation, Truth()
     describe_fleet(fleet, truth)
     tasks = [(simulation, fleet.factors, number, workers.scratch) for number in range(len(fleet.members))]
@@ -70,18 +50,7 @@ def write_recording(fleet: PreparedFleet, out: Path, workers: Workers) -> Truth:
 
 
 def write_car(simulation: Simulation, factors: tuple[float, ...], number: int, scratch: Path) -> CarFile:
-    """Drive a car, and write its messages to a file.
-
-    Parameters
-    ----------
-    simulation : Simulation
-    factors : tuple of float
-        Factor of each hidden effect. [1]
-    number : int
-        Index of the car.
-    scratch : Path
-        Folder of the file.
-    """
+    """Drive a car, and write its messages to a file."""
     fleet = _prepare(simulation, factors)
     member, path = fleet.members[number], scratch / f"car-{number:06d}"
     own, shifts = Truth(factors=fleet.name_factors(), faults={fleet.members[number].name: Counter()}), []

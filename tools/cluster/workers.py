@@ -48,17 +48,6 @@ def open_workers(
     ----------
     place : ClusterPlace, optional
         Where the workers are; None for this process.
-    folder : Path
-        Folder for intermediate files.
-    words : str
-        What is made, for the progress bars.
-    on_end : callable, optional
-        Function that receives the record of each task of workers.
-
-    Raises
-    ------
-    SettingsError
-        As of `socast.tools.cluster.dask_runner.open_runner`.
     """
     with ExitStack() as ending:
         scratch = ending.enter_context(make_scratch(folder))

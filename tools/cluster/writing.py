@@ -35,16 +35,8 @@ def make_context(job: Job) -> tuple[RunContext, int]:
 def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], Counter[str], LoggerFaults]:
     """Write a file of a table.
 
-    Parameters
-    ----------
-    job : Job
-    out : Path
-        The file.
-    piece : Slice
-
     Returns
     -------
-    rows : int
     unfit, unpredicted : Counter of str
         Rides by why they are unfit for training, and by why they are not predicted; empty for windows.
     faults : LoggerFaults

@@ -125,22 +125,8 @@ def try_effect(
 
     Parameters
     ----------
-    model : LinearModel
-        Model to which the effect is added.
-    effect : str
-        Name of an effect or of a variant.
-    scopes : sequence of str
-        Where the effect holds, as after `--scope`.
-    rides, windows : DataFrame
-        The tables of the same rides.
-    least : float
-        Least gain of an accepted effect. [1]
     report : callable
         Function that receives the share of the work that is done and the step in words.
-
-    Returns
-    -------
-    AdditionTrial
     """
     columns = build_term_columns(effect, scopes)
     joined = join_tables(rides, windows)

@@ -105,15 +105,6 @@ def anonymise(
 def rewrite_recordings(sources: Sequence[McapSource], out: Path, random: Random) -> dict[str, Any]:
     """Write recordings in a random disguise, and return what was changed and dropped.
 
-    Parameters
-    ----------
-    sources : sequence of McapSource
-        Recordings.
-    out : Path
-        Recording to write.
-    random : Random
-        Source of random numbers.
-
     Returns
     -------
     dict
@@ -142,13 +133,7 @@ def rewrite_recordings(sources: Sequence[McapSource], out: Path, random: Random)
 
 
 def find_extent(sources: Sequence[McapSource]) -> Extent:
-    """Return the times of recordings and the centre of their cars, or of their stations where no car has a position.
-
-    Parameters
-    ----------
-    sources : sequence of McapSource
-        Recordings.
-    """
+    """Return the times of recordings and the centre of their cars, or of their stations where no car has a position."""
     spans = [span for source in sources if (span := source.span_ns)]
     begin, end = (min(span[0] for span in spans), max(span[1] for span in spans)) if spans else (0, 0)
     cars: list[tuple[float, float]] = []
@@ -172,15 +157,7 @@ def find_extent(sources: Sequence[McapSource]) -> Extent:
 
 
 def describe(report: dict[str, Any], out: Path) -> list[str]:
-    """Return the lines of the summary.
-
-    Parameters
-    ----------
-    report : dict
-        Result of `rewrite_recordings`.
-    out : Path
-        Recording that was written.
-    """
+    """Return the lines of the summary."""
     names = ", ".join(format_count(count, kind) for kind, count in report["names"].items() if count)
     dropped = ", ".join(f"{count:,} {cause}" for cause, count in report["dropped"].items())
     return [

@@ -95,10 +95,6 @@ def show(outlook: Outlook, console: Console, zone: tzinfo | None = UTC) -> None:
 
     Parameters
     ----------
-    outlook : Outlook
-        Answer of the consumer.
-    console : rich.console.Console
-        Console to print on.
     zone : tzinfo, optional
         Time zone of the times; None is that of the system.
     """
@@ -111,17 +107,10 @@ def show(outlook: Outlook, console: Console, zone: tzinfo | None = UTC) -> None:
 def verdict(outlook: Outlook) -> tuple[str, str]:
     """Return the answer as one word and as a sentence.
 
-    Parameters
-    ----------
-    outlook : Outlook
-        Answer of the consumer.
-
     Returns
     -------
     word : str
         `YES`, `NO`, `UNCERTAIN` or `NOT KNOWN`. If the rest of the shift is unknown, the word is about the ride only.
-    sentence : str
-        The answer in words.
     """
     ride, risk, ends, rest = outlook.asked, outlook.reserve_risk, "finish", ""
     if risk is None and ride and isinstance(ride.reserve_risk, float):
@@ -142,15 +131,8 @@ def figures(outlook: Outlook, zone: tzinfo | None = UTC) -> Iterator[tuple[str, 
 
     Parameters
     ----------
-    outlook : Outlook
-        Answer of the consumer.
     zone : tzinfo, optional
         Time zone of the times; None is that of the system.
-
-    Yields
-    ------
-    tuple of (str, str)
-        Name and text of each figure.
     """
     reserve = outlook.reserve_soc_pct
     ride, end = outlook.asked, outlook.soc_end_of_shift_pct

@@ -53,13 +53,7 @@ class BridgeOptions:
         self._report_s, self._as_json = report_s, as_json
 
     def run(self, open_source: Callable[[ExitStack], SignalSource]) -> None:
-        """Join the router, open the source, and pass its signals on until SIGINT or SIGTERM.
-
-        Parameters
-        ----------
-        open_source : callable
-            Opens the source, to be closed with the stack.
-        """
+        """Join the router, open the source, and pass its signals on until SIGINT or SIGTERM."""
         log_lines(as_json=self._as_json)
         with stop_on_signals() as stop, ExitStack() as stack:
             node = stack.enter_context(Node(self.connection))
@@ -191,18 +185,7 @@ def bridge_vss(
 
 
 def parse_models(texts: Sequence[str]) -> dict[str, str]:
-    """Return the vehicle model by car, `*` for all others.
-
-    Parameters
-    ----------
-    texts : sequence of str
-        Such as `nissan-leaf-2016` or `taxi-7=nissan-leaf-2016`.
-
-    Raises
-    ------
-    SettingsError
-        If a model is not in the catalogue, or a car has two.
-    """
+    """Return the vehicle model by car, `*` for all others."""
     models: dict[str, str] = {}
     known = load_catalogue()
     for text in texts:
@@ -215,20 +198,7 @@ def parse_models(texts: Sequence[str]) -> dict[str, str]:
 
 
 def read_password(file: Path | None, environment: Mapping[str, str]) -> str | None:
-    """Return the password of a file, else of the environment; None if there is none.
-
-    Parameters
-    ----------
-    file : Path, optional
-        Its first line is the password.
-    environment : mapping of str to str
-        Variables of the environment.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read or is empty.
-    """
+    """Return the password of a file, else of the environment; None if there is none."""
     if file is None:
         return environment.get(PASSWORD)
     try:

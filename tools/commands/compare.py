@@ -115,23 +115,11 @@ def compare_models(
 def named(given: Sequence[str]) -> dict[str, LinearModel]:
     """Load models, and return them by the labels that a reader knows.
 
-    Parameters
-    ----------
-    given : sequence of str
-        Names of built-in models, or paths of model files.
-
     Returns
     -------
     dict
         Models by label. The label is the name of a built-in model or of the file, or the path if two files have the
         same name.
-
-    Raises
-    ------
-    SettingsError
-        If a model is given twice.
-    ModelError
-        If a model cannot be loaded.
     """
     if twice := [name for i, name in enumerate(given) if name in given[:i]]:
         raise SettingsError(f"--model {twice[0]} is given twice; give it once")

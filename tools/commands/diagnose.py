@@ -162,13 +162,7 @@ def list_lacking_effects(files: Sequence[Path], windows: pd.DataFrame) -> list[s
 
 
 def check_tables(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the tables, checked for every column that diagnosis reads.
-
-    Raises
-    ------
-    ModelError
-        A column is missing, or the rides are of other vehicle models than the model.
-    """
+    """Return the tables, checked for every column that diagnosis reads."""
     for table, what, needed in ((rides, "ride", RIDE_COLUMNS), (windows, "window", WINDOW_COLUMNS)):
         if missing := [name for name in needed if name not in table]:
             raise ModelError(
@@ -205,26 +199,7 @@ def read_both_tables(
     report: Callable[[float], None] | None = None,
     settings: Settings | None = None,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the ride and window tables, read from tables or made from recordings with every known effect.
-
-    Parameters
-    ----------
-    given : sequence of Path
-        Recordings, or folders of tables.
-    wanted : sequence of str
-        Further variants of effects that tables of recordings contain.
-    report : callable, optional
-        Function that receives the share of the recordings that was read. [1]
-    settings : Settings, optional
-        Settings of the cleaning of recordings; the default ones by default.
-
-    Raises
-    ------
-    SettingsError
-        There is no window table beside a ride table.
-    ModelError
-        A table cannot be read.
-    """
+    """Return the ride and window tables, read from tables or made from recordings with every known effect."""
     files = inputs(given)
     if files[0].suffix == RECORDING:
         return in_memory(files, [*wanted, *effects.list_tabulated()], report, settings)
@@ -254,13 +229,7 @@ def _complete(
 
 
 def check_vehicles(model: LinearModel, rides: pd.DataFrame) -> None:
-    """Refuse rides if the model was fitted to none of their vehicle models.
-
-    Raises
-    ------
-    ModelError
-        The model and the rides have no vehicle model in common.
-    """
+    """Refuse rides if the model was fitted to none of their vehicle models."""
     known = set(model.training.vehicle_models) if model.training else set()
     present = {name for name in get_names(rides, VEHICLE_MODEL) if name}
     if known and present and not known & present:
@@ -271,13 +240,7 @@ def check_vehicles(model: LinearModel, rides: pd.DataFrame) -> None:
 
 
 def select_since(rides: pd.DataFrame, windows: pd.DataFrame, first: date) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the ride and window tables from a UTC date on.
-
-    Raises
-    ------
-    SettingsError
-        There are no rides from this date on.
-    """
+    """Return the ride and window tables from a UTC date on."""
     dates = get_names(rides, "date")
     kept = rides.loc[[day >= first.isoformat() for day in dates]]
     if kept.empty:

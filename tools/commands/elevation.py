@@ -93,11 +93,6 @@ def _collect(sources: Sequence[McapSource], settings: Settings) -> Iterator[Elev
 def describe(places: ElevationPlaces) -> dict[str, Any]:
     """Return the extent of a learned map and the uncertainty of its places.
 
-    Parameters
-    ----------
-    places : ElevationPlaces
-        The map.
-
     Returns
     -------
     dict

@@ -108,17 +108,7 @@ def evaluate_tables(
 
 
 def window_columns(names: Collection[str] = ()) -> list[str]:
-    """Return the columns of the window table that the evaluation reads.
-
-    Parameters
-    ----------
-    names : collection of str
-        Recipes that are evaluated, besides the segment model.
-
-    Returns
-    -------
-    list of str
-    """
+    """Return the columns of the window table that the evaluation reads."""
     of_segments = (name for product in segment_network.SEGMENT_FEATURES for name in product)
     chosen = (RECIPES[name] for name in names if name in RECIPES)
     of_recipes = (name for recipe in chosen if isinstance(recipe, WindowRecipe) for name in recipe.columns)

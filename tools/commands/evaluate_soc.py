@@ -66,13 +66,7 @@ class SocForecasts:
         self._rides: list[pd.DataFrame] = []
 
     def cut(self, source: Source) -> Iterator[Sequence[Message]]:
-        """Yield the messages of a source in parts that end where a vehicle is due for a query.
-
-        Parameters
-        ----------
-        source : Source
-            Messages in the order of their receipt.
-        """
+        """Yield the messages of a source in parts that end where a vehicle is due for a query."""
         for messages in source:
             for message in messages:
                 self._plans.record(message)
@@ -106,18 +100,7 @@ class SocForecasts:
 
 
 def read_displays(path: Path) -> pd.DataFrame:
-    """Return what healthy displays show, from the truth of a simulation with conditions.
-
-    Parameters
-    ----------
-    path : Path
-        A file that `socast simulate` has written beside a recording.
-
-    Raises
-    ------
-    SettingsError
-        If the file holds no displays.
-    """
+    """Return what healthy displays show, from the truth of a simulation with conditions."""
     try:
         displays = json.loads(path.read_text(encoding="utf-8")).get("displays")
     except (OSError, ValueError, AttributeError) as error:

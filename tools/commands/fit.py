@@ -146,22 +146,7 @@ def _open_rides(
 
 
 def ride_files(tables: Sequence[Path]) -> list[Path]:
-    """Return the files of rides that the command line names.
-
-    Parameters
-    ----------
-    tables : sequence of Path
-        Folders of tables, or Parquet files of rides.
-
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    SettingsError
-        If a file does not exist, is no Parquet file or a window table, or is given twice.
-    """
+    """Return the files of rides that the command line names."""
     files = [path / RIDES if path.is_dir() and not is_table(path) else path for path in tables]
     for given, file in zip(tables, files, strict=True):
         if given.suffix == RECORDING and given.is_file():
@@ -188,16 +173,6 @@ def inputs(given: Sequence[Path]) -> list[Path]:
     ----------
     given : sequence of Path
         Recordings and folders of recordings, or folders of tables and Parquet files of rides.
-
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    SettingsError
-        If recordings are mixed with tables, if a folder holds neither, or if a file of rides does not exist or is given
-        twice.
     """
     if empty := [
         path
@@ -276,13 +251,6 @@ class Coefficient(NamedTuple):
 def intervals(model: LinearModel, key: str) -> Iterator[Coefficient]:
     """Yield each coefficient of a fit with its 95 % interval.
 
-    Parameters
-    ----------
-    model : LinearModel
-        Model.
-    key : str
-        Vehicle model of the fit, or `*`.
-
     Yields
     ------
     Coefficient
@@ -317,11 +285,6 @@ def _celsius(curve: AccessoryCurve) -> dict[str, float]:
 def in_sample(model: LinearModel) -> dict[str, float]:
     """Return the mean absolute error of each fit over the rides that it was fitted to. [kWh]
 
-    Parameters
-    ----------
-    model : LinearModel
-        Fitted model.
-
     Returns
     -------
     dict
@@ -331,19 +294,7 @@ def in_sample(model: LinearModel) -> dict[str, float]:
 
 
 def summary(model: LinearModel, title: str) -> dict[str, Any]:
-    """Return the fitted coefficients with their intervals and errors, for JSON.
-
-    Parameters
-    ----------
-    model : LinearModel
-        Fitted model.
-    title : str
-        Title of its recipe.
-
-    Returns
-    -------
-    dict
-    """
+    """Return the fitted coefficients with their intervals and errors, for JSON."""
     training = msgspec.to_builtins(model.training)
     errors, rows = in_sample(model), (model.history or ({},))[0].get("rows", "rides")
     ranges = {key: get_plausible_ranges(model, key) for key in model.fits}
@@ -381,17 +332,7 @@ def summary(model: LinearModel, title: str) -> dict[str, Any]:
 
 
 def show(model: LinearModel, title: str, console: Console) -> None:
-    """Print the rides used, the errors of each fit, the coefficients and the accessory curves.
-
-    Parameters
-    ----------
-    model : LinearModel
-        Fitted model.
-    title : str
-        Title of its recipe.
-    console : rich.console.Console
-        Console to print on.
-    """
+    """Print the rides used, the errors of each fit, the coefficients and the accessory curves."""
     training = model.training
     if isinstance(RECIPES.get(model.recipe), WindowRecipe) and (model.history or ({},))[0].get("rows") == "rides":
         console.print(f"fitted to whole rides: no {WINDOWS} beside them, so intervals are wider", highlight=False)

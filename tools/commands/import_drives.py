@@ -162,24 +162,8 @@ def collect_drives(
 
     Parameters
     ----------
-    paths : sequence of Path
-        Files and folders.
-    data_set : DataSet
-        The data set that the files belong to.
-    options : ReadOptions, optional
-        What to read; by default `data_set.defaults`.
     skip_bad : bool
         Name and count unreadable files instead of raising an error.
-
-    Returns
-    -------
-    list of Drive
-        Drives in the order of `sort_drives`.
-
-    Raises
-    ------
-    ImportFileError
-        At the first bad file, if no file is readable, or if a ride appears twice.
     """
     console = Console(stderr=True)
     source_of: dict[tuple[str, str], Path] = {}
@@ -213,18 +197,12 @@ def write_recording(
 ) -> None:
     """Write drives as a recording and print a summary of it.
 
+    Units: period [s].
+
     Parameters
     ----------
-    drives : sequence of Drive
-        Drives in the order of `sort_drives`.
-    out : Path
-        The recording.
-    period : float
-        Time between two samples. [s]
     shift_hours : float, optional
         Length of the synthetic shifts into which the rides of each car are concatenated; None keeps the rides. [h]
-    settings : mapping of str to object, optional
-        Settings of the import for the metadata of the recording.
     """
     console = Console()
     for note in (note for drive in drives for note in drive.notes):

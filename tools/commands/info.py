@@ -51,13 +51,6 @@ def info(recordings: Recordings, json_file: JsonFile = None, time_zone: TimeZone
 def describe_recording(source: McapSource, step: Callable[[], None] = lambda: None) -> dict[str, Any]:
     """Read a recording to its end and return what it contains.
 
-    Parameters
-    ----------
-    source : McapSource
-        The recording.
-    step : callable
-        Function that is called after each chunk.
-
     Returns
     -------
     dict

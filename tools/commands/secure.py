@@ -184,19 +184,8 @@ def read_cars(cars: Sequence[str] | None, file: Path | None) -> list[str]:
 
     Parameters
     ----------
-    cars : sequence of str, optional
-        Values of `--car`.
     file : Path, optional
         File with one identifier a line; blank lines and text after `#` do not count.
-
-    Returns
-    -------
-    list of str
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read.
     """
     lines: list[str] = []
     if file is not None:
@@ -209,13 +198,6 @@ def read_cars(cars: Sequence[str] | None, file: Path | None) -> list[str]:
 
 def make_records(certificates: Sequence[Issued], now: datetime) -> list[dict[str, Any]]:
     """Return certificates as records for JSON.
-
-    Parameters
-    ----------
-    certificates : sequence of Issued
-        Certificates; of one name, the newest comes last.
-    now : datetime
-        Time with its time zone.
 
     Returns
     -------

@@ -206,24 +206,8 @@ def write_simulation(simulation: Simulation, out: Path, place: ClusterPlace | No
 
     Parameters
     ----------
-    simulation : Simulation
-        What to simulate.
-    out : Path
-        The recording; the truth goes to the same name with `.truth.json`.
     place : ClusterPlace, optional
         Where the cars are driven; None for this process.
-
-    Returns
-    -------
-    Truth
-        The complete truth.
-
-    Raises
-    ------
-    SettingsError
-        If the simulation is impossible; nothing is written.
-    RecordingError
-        If the recording cannot be written.
     """
     fleet = prepare_fleet(simulation)
     folder = out.resolve().parent

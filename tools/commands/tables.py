@@ -170,20 +170,11 @@ def tabulate(
 
     Parameters
     ----------
-    sources : sequence of McapSource
-        Recordings; the function merges them in time order.
-    pipeline : Pipeline
-        Pipeline that processes the messages.
     take : callable
         Function that receives the ended rides and their windows. It is called for every `ROW_GROUP` rides and at the
         end.
     report : callable, optional
         Function that receives the share of the recordings that was read, in place of the progress bar. [1]
-
-    Raises
-    ------
-    RecordingError
-        If the recordings hold no message of the wire contract.
     """
     taken = 0
     blocks = max(sum(source.blocks for source in sources), 1)
@@ -212,20 +203,8 @@ def in_memory(
 
     Parameters
     ----------
-    recordings : sequence of Path
-        The recordings.
     wanted : sequence of str
         Names of the effects that the tables contain in addition to the default ones.
-    report : callable, optional
-        As of `tabulate`.
-    settings : Settings, optional
-        Settings of cleaning; the default ones by default.
-    elevation : sequence of Path
-        Maps that correct the elevation of fixes.
-
-    Returns
-    -------
-    rides, windows : DataFrame
     """
     pipeline = Pipeline(
         settings=settings or Settings(),
@@ -248,12 +227,8 @@ def make_table_folder(recordings: Sequence[Path], wanted: Sequence[str], setting
 
     Parameters
     ----------
-    recordings : sequence of Path
-        The recordings.
     wanted : sequence of str
         Names of the effects that the tables contain in addition to the default ones.
-    settings : Settings
-        Settings of cleaning.
     """
     pipeline = Pipeline(settings=settings, also=wanted, keep_forecasts=False, two_sided=True)
     sources = open_recordings(recordings)
@@ -272,26 +247,7 @@ def tables_by_workers(
     vehicle_files: Sequence[Path],
     settings: Settings | None = None,
 ) -> Iterator[Sequence[Path]]:
-    """Yield a folder of tables that workers have made of recordings, in place of these; without workers the recordings.
-
-    Parameters
-    ----------
-    given : sequence of Path
-        Recordings and folders of recordings, or none.
-    place : ClusterPlace, optional
-        Where the workers are.
-    wanted : sequence of str
-        As of `in_memory`.
-    effect_files, vehicle_files : sequence of Path
-        Files that the workers load.
-    settings : Settings, optional
-        As of `in_memory`.
-
-    Raises
-    ------
-    SettingsError
-        If tables are given, of which no worker makes tables.
-    """
+    """Yield a folder of tables that workers have made of recordings; without workers yield the recordings."""
     if place is None or not given:
         yield given
         return
@@ -315,19 +271,7 @@ def tables_by_workers(
 
 
 def show(quality: dict[str, Any], rides: int, windows: int, folder: Path, console: Console) -> None:
-    """Print the counts of repaired, rejected and missing data, and of written rows.
-
-    Parameters
-    ----------
-    quality : dict
-        Counters of `Pipeline.quality`.
-    rides, windows : int
-        Numbers of written rows.
-    folder : Path
-        Folder of the tables.
-    console : rich.console.Console
-        Console to print on.
-    """
+    """Print the counts of repaired, rejected and missing data, and of written rows."""
     columns = [Column("cause"), Column("count", number=True), Column("of", number=True)]
     table = make_table(columns, "What was repaired, rejected or missing")
     samples = quality["received"].get("telemetry", 0)

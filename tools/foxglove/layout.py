@@ -33,11 +33,6 @@ def make_layout(cars: Sequence[str]) -> dict[str, Any]:
     ----------
     cars : sequence of str
         Topics of cars without their last chunk, such as `montreal/fleet/taxi-7`. The first `MOST_CARS` have a tab.
-
-    Returns
-    -------
-    dict
-        JSON object: the panels, and how they divide the window.
     """
     panels: dict[str, Any] = {
         "map!fleet": {

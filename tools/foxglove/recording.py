@@ -35,30 +35,14 @@ class FoxgloveRecording(Closeable):
         self._cars: dict[str, None] = {}
 
     def record_source(self, source: Source) -> Iterator[Sequence[Message]]:
-        """Yield the messages of a source, after they are recorded.
-
-        Parameters
-        ----------
-        source : Source
-            Messages that are replayed.
-
-        Yields
-        ------
-        sequence of Message
-        """
+        """Yield the messages of a source, after they are recorded."""
         for messages in source:
             self._sink.put(messages)
             self._sink.put(self._topics.make_messages([each for each in messages if _is_input(each)]), for_viewers=True)
             yield messages
 
     def put(self, messages: Sequence[Message]) -> None:
-        """Record forecasts and errors of models for viewers.
-
-        Parameters
-        ----------
-        messages : sequence of Message
-            Messages that the pipeline makes.
-        """
+        """Record forecasts and errors of models for viewers."""
         self._sink.put([*messages, *self._topics.make_messages(messages)], for_viewers=True)
         for key in {message.key for message in messages}:
             known = address(key)
@@ -70,18 +54,7 @@ class FoxgloveRecording(Closeable):
         self._sink.close()
 
     def write_layout(self, path: Path) -> None:
-        """Write a layout that shows the cars of the recording.
-
-        Parameters
-        ----------
-        path : Path
-            JSON file for Foxglove.
-
-        Raises
-        ------
-        RecordingError
-            If the file cannot be written.
-        """
+        """Write a layout that shows the cars of the recording."""
         text = json.dumps(make_layout(sorted(self._cars)), indent=2) + "\n"
         try:
             write_whole(path, text.encode())

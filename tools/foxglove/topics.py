@@ -46,11 +46,6 @@ class ViewerTopics:
     def make_messages(self, messages: Sequence[Message]) -> list[Message]:
         """Return positions and warnings.
 
-        Parameters
-        ----------
-        messages : sequence of Message
-            Telemetry, batches, forecasts and findings; other messages and undecodable payloads give nothing.
-
         Returns
         -------
         list of Message

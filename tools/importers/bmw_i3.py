@@ -53,20 +53,8 @@ def read_drives(path: Path, options: ReadOptions) -> list[Drive]:
 
     Parameters
     ----------
-    path : Path
-        The file.
     options : ReadOptions
         Time zone of the dates in the overview; the selection of vehicles does not apply.
-
-    Returns
-    -------
-    list of Drive
-        The one drive of the file.
-
-    Raises
-    ------
-    ImportFileError
-        If the file has another format, or the overview lacks its date.
     """
     overview = _read_overview(path.parent / OVERVIEW)
     table = read_table(path, BMW_I3).dropna(subset=["Time [s]"]).sort_values("Time [s]", kind="stable")

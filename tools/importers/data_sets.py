@@ -42,22 +42,7 @@ DATA_SETS: Final = {
 
 
 def get_data_set(name: str) -> DataSet:
-    """Return the data set of a name.
-
-    Parameters
-    ----------
-    name : str
-        A key of `DATA_SETS`.
-
-    Returns
-    -------
-    DataSet
-
-    Raises
-    ------
-    SettingsError
-        If no data set has this name.
-    """
+    """Return the data set of a name."""
     if name not in DATA_SETS:
         raise SettingsError(f"no data set is called {name!r}; choose from csv, parquet, {', '.join(DATA_SETS)}")
     return DATA_SETS[name]

@@ -93,16 +93,6 @@ class Drive(NamedTuple):
 def sort_drives(drives: Iterable[Drive]) -> list[Drive]:
     """Sort drives by time and postpone those that would overlap.
 
-    Parameters
-    ----------
-    drives : iterable of Drive
-        Drives in any order.
-
-    Returns
-    -------
-    list of Drive
-        By start time. A postponed drive has a note that says so.
-
     Notes
     -----
     A car makes one trip at a time. A trip that would begin before the previous one ends begins one second after that
@@ -122,8 +112,6 @@ def make_samples(drive: Drive, period: float) -> list[Telemetry]:
 
     Parameters
     ----------
-    drive : Drive
-        The recorded drive.
     period : float
         Desired time between two samples; the nearest one that divides the drive is used. [s]
 
@@ -165,12 +153,7 @@ def make_samples(drive: Drive, period: float) -> list[Telemetry]:
 def make_messages(drives: Sequence[Drive], period: float) -> list[Message]:
     """Return the messages of drives, sorted by time.
 
-    Parameters
-    ----------
-    drives : sequence of Drive
-        Drives in the order of `sort_drives`.
-    period : float
-        Time between two samples. [s]
+    Units: period [s].
 
     Returns
     -------
@@ -191,29 +174,13 @@ def make_messages(drives: Sequence[Drive], period: float) -> list[Message]:
 
 
 def move_drive(drive: Drive, by: float) -> Drive:
-    """Return a drive and its weather moved in time.
-
-    Parameters
-    ----------
-    drive : Drive
-        The drive.
-    by : float
-        Time by which everything happens later. [s]
-    """
+    """Return a drive and its weather moved in time."""
     weather = tuple(msgspec.structs.replace(seen, time_s=seen.time_s + by) for seen in drive.weather)
     return drive._replace(start=drive.start + by, weather=weather)
 
 
 def make_message(key: str, value: Telemetry | Vehicle | Ride | Plan | Weather) -> Message:
-    """Return a message that is received at its own time stamp.
-
-    Parameters
-    ----------
-    key : str
-        Key expression of the message.
-    value : Telemetry, Vehicle, Ride, Plan or Weather
-        Its content.
-    """
+    """Return a message that is received at its own time stamp."""
     return Message(key, encode(value), round(value.time_s * 1000) * 1_000_000)
 
 

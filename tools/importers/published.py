@@ -108,22 +108,7 @@ FORMATS: Final = (VED, BMW_I3, TWIZY)
 
 
 def list_files(paths: Iterable[Path]) -> list[Path]:
-    """Return the given files, and of each given directory its `.csv` and `.csv.gz` files by name.
-
-    Parameters
-    ----------
-    paths : iterable of Path
-        Files and directories.
-
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    ImportFileError
-        If a path does not exist, or a directory holds no such file.
-    """
+    """Return the given files, and of each given directory its `.csv` and `.csv.gz` files by name."""
     files: list[Path] = []
     for path in paths:
         if path.is_dir():
@@ -152,24 +137,11 @@ def strip_suffixes(path: Path) -> str:
 def read_table(path: Path, form: TableFormat) -> pd.DataFrame:
     """Read the columns that an importer uses from a plain or gzipped file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    form : TableFormat
-        Its format.
-
     Returns
     -------
     DataFrame
         Columns with the names of `form`: numbers as float64, NaN if empty; text as text. A missing optional column is
         all NaN. Empty rows are left out, and the index is the line number in the file.
-
-    Raises
-    ------
-    ImportFileError
-        If the file is not such a table. The message names the file and the column, and the importer that would read
-        the file if there is one.
     """
     content = _content(path)
     first = content.split(b"\n", 1)[0].rstrip(b"\r")

@@ -11,12 +11,7 @@ LONGEST_HOLD = 30.0
 def make_grid(duration: float, period: float) -> Floats:
     """Return evenly spaced sample times from 0 to `duration`, both included.
 
-    Parameters
-    ----------
-    duration : float
-        Duration of the drive. [s]
-    period : float
-        Desired time between two samples. [s]
+    Units: duration [s], period [s].
 
     Returns
     -------
@@ -39,18 +34,7 @@ def make_grid(duration: float, period: float) -> Floats:
 def find_valid_rows(times: Floats, at: Floats, longest_hold: float = LONGEST_HOLD) -> Ints:
     """Return for each moment the index of the row that is valid then, or -1 in a gap.
 
-    Parameters
-    ----------
-    times : (n,) float64
-        Time of each row, ascending. [s]
-    at : (m,) float64
-        Moments. [s]
-    longest_hold : float
-        Longest time for which a row is valid. [s]
-
-    Returns
-    -------
-    (m,) int64
+    Units: times [s], at [s], longest_hold [s].
 
     Examples
     --------
@@ -68,18 +52,12 @@ def compute_window_means(
 ) -> Floats:
     """Return the means of a quantity over windows centred on `at`; each row is valid until the next row.
 
+    Units: times [s], at [s], width [s], longest_hold [s].
+
     Parameters
     ----------
-    times : (n,) float64
-        Time of each row, ascending. [s]
     values : (n,) float64
         Value of each row, NaN if unknown.
-    at : (m,) float64
-        Centres of the windows. [s]
-    width : float
-        Width of a window, cut off at the first and last row. [s]
-    longest_hold : float
-        Longest time for which a row is valid. [s]
 
     Returns
     -------

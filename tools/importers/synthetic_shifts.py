@@ -52,12 +52,7 @@ class SyntheticShift(NamedTuple):
 def concatenate_drives(drives: Iterable[Drive], hours: float) -> list[SyntheticShift]:
     """Concatenate the rides of each car, in their order, into synthetic shifts.
 
-    Parameters
-    ----------
-    drives : iterable of Drive
-        Drives in the order of `sort_drives`.
-    hours : float
-        Length of a shift. [h]
+    Units: hours [h].
 
     Returns
     -------
@@ -81,18 +76,7 @@ def concatenate_drives(drives: Iterable[Drive], hours: float) -> list[SyntheticS
 
 
 def make_plans(shift: SyntheticShift) -> list[Message]:
-    """Return the plans of a shift: one for all rides at its start, and one for the remaining rides as each ride ends.
-
-    Parameters
-    ----------
-    shift : SyntheticShift
-        The shift.
-
-    Returns
-    -------
-    list of Message
-        Plans in order of time.
-    """
+    """Return the plans of a shift: one for all rides at its start, and one for the rest as each ride ends."""
     legs = [plan_leg(drive) for drive in shift.drives]
     times = [shift.drives[0].start, *(drive.end for drive in shift.drives)]
     vehicle = shift.drives[0].vehicle_id
@@ -103,13 +87,7 @@ def make_plans(shift: SyntheticShift) -> list[Message]:
 
 
 def plan_leg(drive: Drive) -> Leg:
-    """Return a ride with the errors of a plan; the same ride always gives the same leg.
-
-    Parameters
-    ----------
-    drive : Drive
-        The ride.
-    """
+    """Return a ride with the errors of a plan; the same ride always gives the same leg."""
     rng = np.random.default_rng(crc32(f"{drive.vehicle_id}/{drive.ride_id}".encode()))
     heights = drive.rows.get("elevation_m")
     gained, lost = (None, None) if heights is None or np.isnan(heights).all() else compute_climb(heights)
@@ -122,13 +100,7 @@ def plan_leg(drive: Drive) -> Leg:
 
 
 def integrate_distance(drive: Drive) -> float:
-    """Return the distance of a drive, integrated over its speed without gaps. [km]
-
-    Parameters
-    ----------
-    drive : Drive
-        The ride.
-    """
+    """Return the distance of a drive, integrated over its speed without gaps. [km]"""
     step = np.diff(drive.elapsed)
     speed = np.nan_to_num(drive.rows["speed_kmh"][:-1])
     return float(speed @ np.where(step <= LONGEST_HOLD, step, 0.0)) / 3600.0
@@ -137,10 +109,7 @@ def integrate_distance(drive: Drive) -> float:
 def compute_climb(heights: Floats) -> tuple[float, float]:
     """Return the elevation gained and lost, without undulations of the sensor. [m]
 
-    Parameters
-    ----------
-    heights : (n,) float64
-        Elevations, NaN if unknown. [m]
+    Units: heights [m].
 
     Returns
     -------

@@ -44,25 +44,7 @@ _EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - local wall time
 
 
 def read_drives(path: Path, options: ReadOptions) -> list[Drive]:
-    """Read the drive of one file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    options : ReadOptions
-        Time zone of `Date` and `Time`; the selection of vehicles does not apply.
-
-    Returns
-    -------
-    list of Drive
-        The one drive of the file.
-
-    Raises
-    ------
-    ImportFileError
-        If the file has another format, or none of its dates or times is readable.
-    """
+    """Read the drive of one file."""
     table = read_table(path, TWIZY)
     wall, notes = _wall_times(path, table)
     known = np.isfinite(wall)

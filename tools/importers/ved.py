@@ -48,8 +48,6 @@ def read_drives(path: Path, options: ReadOptions) -> list[Drive]:
 
     Parameters
     ----------
-    path : Path
-        The file.
     options : ReadOptions
         Time zone of `DayNum`, and the `VehId`s to read. A selected car needs battery data.
 
@@ -57,11 +55,6 @@ def read_drives(path: Path, options: ReadOptions) -> list[Drive]:
     -------
     list of Drive
         Empty if the file holds no such car.
-
-    Raises
-    ------
-    ImportFileError
-        If the file has another format, or a time in it is out of bounds.
     """
     table = read_table(path, VED).dropna(subset=["DayNum", "VehId", "Trip", "Timestamp(ms)"])
     drives = []

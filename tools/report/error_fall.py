@@ -125,8 +125,6 @@ def draw_error_fall(steps: Sequence[ErrorStep], *, standalone: bool = True) -> s
 
     Parameters
     ----------
-    steps : sequence of ErrorStep
-        Steps of a model, the oldest first.
     standalone : bool
         Whether the picture brings its own colours, for light and dark. A page with the classes of `STYLE` does not
         need them.

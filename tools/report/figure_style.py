@@ -115,8 +115,6 @@ def make_figure(traces: list[Any], height: int = 420) -> go.Figure:
 
     Parameters
     ----------
-    traces : list
-        Traces of plotly.
     height : int
         Height of the plot and its axes; the page adds that of the legend. [px]
     """

@@ -62,13 +62,9 @@ def write_trial(trial: Any, surveys: Sequence[Mapping[str, Any]], path: Path) ->
 
     Parameters
     ----------
-    trial : mapping
-        The trial of an `AdditionTrial`.
     surveys : sequence of mapping
         Where the model fails before and after, as `socast.core.diagnose.residual_survey.survey_model` returns it; empty
         where this is unknown.
-    path : Path
-        File to write.
     """
     entry = to_json_values(trial)
     errors, *_ = build_trial_sections(entry)

@@ -26,15 +26,7 @@ FEWEST_KM = 1.0
 
 
 def write(summary: ImportSummary, path: Path) -> None:
-    """Write the page of an import.
-
-    Parameters
-    ----------
-    summary : ImportSummary
-        Summary of the import.
-    path : Path
-        File to write.
-    """
+    """Write the page of an import."""
     section = Section("agreement", "Do the values agree?", "", [_tabulate(summary)])
     figure = draw_agreement(summary.cars)
     shown = [Illustration("agreement-of-cars", "Distance and energy of each car", CAPTION, figure)]
@@ -44,13 +36,7 @@ def write(summary: ImportSummary, path: Path) -> None:
 
 
 def draw_agreement(cars: Sequence[CarSums]) -> go.Figure:
-    """Return the figure of the distances and energies of cars.
-
-    Parameters
-    ----------
-    cars : sequence of CarSums
-        Sums of each car.
-    """
+    """Return the figure of the distances and energies of cars."""
     figure = make_subplots(rows=1, cols=2, subplot_titles=("Distance", "Energy"), horizontal_spacing=0.12)
     longest = 0.0
     for place, name in enumerate(("odometer", "fixes")):

@@ -36,38 +36,12 @@ NO_BREAK: Final = "\u00a0"
 
 
 def write(result: Any, path: Path) -> None:
-    """Write the result of an evaluation as a self-contained page.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of the evaluation; what it lacks is left out.
-    path : Path
-        File to write.
-
-    Raises
-    ------
-    SettingsError
-        Where the file cannot be written.
-    """
+    """Write the result of an evaluation as a self-contained page."""
     save(render_page(result), path)
 
 
 def save(text: str, path: Path) -> None:
-    """Write a page.
-
-    Parameters
-    ----------
-    text : str
-        HTML.
-    path : Path
-        File to write.
-
-    Raises
-    ------
-    SettingsError
-        Where the file cannot be written.
-    """
+    """Write a page."""
     try:
         write_whole(path, text.encode())
     except OSError as error:
@@ -95,21 +69,7 @@ def render_document(
     drawn: Callable[[str], Sequence[Illustration | Drawing]],
     foot: str,
 ) -> str:
-    """Return a page of sections.
-
-    Parameters
-    ----------
-    report : str
-        Name of the report, a key of `socast.tools.terminal.output.REPORT_VERSIONS`.
-    title : str
-        Title of the page.
-    lead, foot : str
-        HTML above and below the sections.
-    shown : sequence of Section
-        Sections, in order.
-    drawn : callable
-        Returns the figures of a section, by its key.
-    """
+    """Return a page of sections."""
     links = "".join(f'<li><a href="#{section.key}">{escape(section.title)}</a></li>' for section in shown)
     body = "".join(_section(section, drawn(section.key)) for section in shown)
     return f"""<!DOCTYPE html>

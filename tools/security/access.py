@@ -72,13 +72,7 @@ Several consumers agree under `socast/**` which one of them publishes.
 
 
 def make_car_access(car: str) -> Access:
-    """Return what a car may say and read: its own telemetry, and what others say of it.
-
-    Parameters
-    ----------
-    car : str
-        Identifier of the car.
-    """
+    """Return what a car may say and read: its own telemetry, and what others say of it."""
     return Access(
         puts=(f"fleet/{car}/telemetry", f"fleet/{car}/vehicle"),
         reads=(f"fleet/{car}/forecast", f"fleet/{car}/plan", f"fleet/{car}/ride"),
@@ -86,13 +80,7 @@ def make_car_access(car: str) -> Access:
 
 
 def make_gateway_access(gateway: str) -> Access:
-    """Return what a gateway may say: batches under its own name, which may hold samples of any cars.
-
-    Parameters
-    ----------
-    gateway : str
-        Identifier of the gateway.
-    """
+    """Return what a gateway may say: batches under its own name, which may hold samples of any cars."""
     return Access(puts=(f"fleet/{gateway}/batch",))
 
 
@@ -106,10 +94,6 @@ def make_access_control(identities: Iterable[tuple[str, Sequence[str]]], prefix:
         gateway, if it begins with `GATEWAY`, or else a car.
     prefix : str
         Key chunks before `fleet`, with a slash at the end; empty without any.
-
-    Returns
-    -------
-    dict
     """
     rules: list[dict[str, Any]] = []
     subjects: list[dict[str, Any]] = []

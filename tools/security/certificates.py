@@ -70,13 +70,7 @@ class Issued(NamedTuple):
         return make_common_name(self.name, self.issue)
 
     def days_left(self, now: datetime) -> float:
-        """Return the time until the certificate expires, negative once it has. [d]
-
-        Parameters
-        ----------
-        now : datetime
-            Time with its time zone.
-        """
+        """Return the time until the certificate expires, negative once it has. [d]"""
         return (self.ends - now) / timedelta(days=1)
 
 
@@ -104,13 +98,7 @@ class Authority:
 
     @classmethod
     def create(cls, now: datetime) -> tuple[Self, Credential]:
-        """Return a new authority, and its certificate and key.
-
-        Parameters
-        ----------
-        now : datetime
-            Time with its time zone.
-        """
+        """Return a new authority, and its certificate and key."""
         key = ec.generate_private_key(ec.SECP256R1())
         name = _make_name(f"socast authority {os.urandom(4).hex()}")
         builder = _begin(name, name, key.public_key(), now, timedelta(days=AUTHORITY_DAYS))
@@ -130,16 +118,8 @@ class Authority:
 
         Parameters
         ----------
-        name : str
-            Name of the identity.
-        issue : int
-            Number of the certificate among those of the identity.
-        now : datetime
-            Time with its time zone.
         days : float
             Time for which the certificate is valid. It never outlives that of the authority. [d]
-        hosts : sequence of str
-            Host names and IP addresses of a server.
         """
         key = ec.generate_private_key(ec.SECP256R1())
         lasts = min(timedelta(days=days), self._certificate.not_valid_after_utc - now)
@@ -158,18 +138,7 @@ class Authority:
 
 
 def read_certificate(file: Path) -> Issued:
-    """Return what a certificate that an `Authority` issued says.
-
-    Parameters
-    ----------
-    file : Path
-        PEM file.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, or holds no such certificate.
-    """
+    """Return what a certificate that an `Authority` issued says."""
     try:
         certificate = x509.load_pem_x509_certificate(file.read_bytes())
         name, _, issue = str(certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value).rpartition("/")
@@ -190,13 +159,6 @@ def read_certificate(file: Path) -> Issued:
 
 def make_common_name(name: str, issue: int) -> str:
     """Return the common name of a certificate.
-
-    Parameters
-    ----------
-    name : str
-        Name of the identity.
-    issue : int
-        Number of the certificate among those of the identity.
 
     Examples
     --------

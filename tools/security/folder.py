@@ -79,33 +79,12 @@ class SecureFolder:
     ) -> "SecureFolder":
         """Make a folder with a new authority, and the certificates and configurations of all identities.
 
+        Units: days [d].
+
         Parameters
         ----------
         path : Path
             Folder that does not exist, or is empty.
-        hosts : sequence of str
-            Names and addresses by which clients reach the router.
-        cars : sequence of str
-            Identifiers of the cars.
-        port : int
-            TCP port of the router.
-        prefix : str
-            Key chunks before `fleet`.
-        days : float
-            Validity of the certificates. [d]
-        gateways : sequence of str
-            Identifiers of the gateways, which send batches.
-        clock : callable
-            Current time with its time zone.
-
-        Returns
-        -------
-        SecureFolder
-
-        Raises
-        ------
-        SettingsError
-            If a value is invalid, or the folder holds anything.
         """
         for host in hosts:
             if not _HOST.fullmatch(host):
@@ -141,28 +120,11 @@ class SecureFolder:
         return sorted(found, key=lambda each: (order.get(each.name, len(order)), each.name, each.issue))
 
     def locate(self, name: str) -> Path:
-        """Return the configuration of an identity.
-
-        Parameters
-        ----------
-        name : str
-            Name of the identity, as in its certificate.
-        """
+        """Return the configuration of an identity."""
         return self.path / f"{_find_stem(name)}.json5"
 
     def add(self, cars: Sequence[str], gateways: Sequence[str] = ()) -> None:
-        """Make certificates and configurations of more cars and gateways, and let the router accept them.
-
-        Parameters
-        ----------
-        cars, gateways : sequence of str
-            Identifiers of the cars, and of the gateways.
-
-        Raises
-        ------
-        SettingsError
-            If a name is invalid or in use, or if the key of the authority is not there.
-        """
+        """Make certificates and configurations of more cars and gateways, and let the router accept them."""
         names = _check_names(cars, gateways)
         known = {each.name for each in self.list_certificates()}
         if taken := [name for name in names if name in known]:
@@ -184,16 +146,6 @@ class SecureFolder:
             Names as on the command line. Without any, those whose newest certificate expires within `RENEW_DAYS`.
         revoke : bool
             Whether the former certificates are no longer in force, because a key was stolen.
-
-        Returns
-        -------
-        list of str
-            Names of the identities.
-
-        Raises
-        ------
-        SettingsError
-            If a name is unknown, or if the key of the authority is not there.
         """
         newest = {each.name: each for each in self.list_certificates()}
         chosen = [self._find_name(name, newest) for name in names] or [
@@ -223,18 +175,7 @@ class SecureFolder:
         return chosen
 
     def revoke(self, names: Sequence[str]) -> None:
-        """Let the router accept nothing more from identities.
-
-        Parameters
-        ----------
-        names : sequence of str
-            Names as on the command line.
-
-        Raises
-        ------
-        SettingsError
-            If a name is unknown, or is that of the router.
-        """
+        """Let the router accept nothing more from identities."""
         known = {each.name: each for each in self.list_certificates()}
         chosen = [self._find_name(name, known) for name in names]
         if ROUTER in chosen:
@@ -336,11 +277,6 @@ class SecureFolder:
 
 def shorten_name(name: str) -> str:
     """Return the name on the command line of an identity.
-
-    Parameters
-    ----------
-    name : str
-        Name of the identity, as in its certificate.
 
     Examples
     --------

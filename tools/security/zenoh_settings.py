@@ -16,23 +16,7 @@ LARGEST_BYTES: Final = 8_000_000
 def make_router_settings(
     credential: Credential, authority: str, port: int, access_control: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return the configuration of the router, for `zenohd` or for `socast live` with its embedded router.
-
-    Parameters
-    ----------
-    credential : Credential
-        Certificate and key of the router.
-    authority : str
-        PEM certificate of the authority.
-    port : int
-        TCP port at which it listens on all interfaces.
-    access_control : dict
-        Rules, see `socast.tools.security.access`.
-
-    Returns
-    -------
-    dict
-    """
+    """Return the configuration of the router, for `zenohd` or for `socast live` with its embedded router."""
     settings = _make_settings("router", make_tls("listen", credential, authority))
     settings["listen"] = {"endpoints": [f"tls/0.0.0.0:{port}"]}
     settings["timestamping"] = {"enabled": False}
@@ -42,44 +26,14 @@ def make_router_settings(
 
 
 def make_client_settings(credential: Credential, authority: str, hosts: Sequence[str], port: int) -> dict[str, Any]:
-    """Return the configuration of a client of the router.
-
-    Parameters
-    ----------
-    credential : Credential
-        Certificate and key of the client.
-    authority : str
-        PEM certificate of the authority.
-    hosts : sequence of str
-        Names and addresses of the router; the client joins the first that answers.
-    port : int
-        TCP port of the router.
-
-    Returns
-    -------
-    dict
-    """
+    """Return the configuration of a client of the router."""
     settings = _make_settings("client", make_tls("connect", credential, authority))
     ends = [f"tls/[{host}]:{port}" if ":" in host else f"tls/{host}:{port}" for host in hosts]
     return settings | {"connect": {"endpoints": ends}}
 
 
 def make_tls(side: str, credential: Credential, authority: str) -> dict[str, Any]:
-    """Return the setting `transport/link/tls`.
-
-    Parameters
-    ----------
-    side : str
-        `listen` or `connect`.
-    credential : Credential
-        Certificate and key of the node.
-    authority : str
-        PEM certificate of the authority.
-
-    Returns
-    -------
-    dict
-    """
+    """Return the setting `transport/link/tls`."""
     return {
         "enable_mtls": True,
         "verify_name_on_connect": True,

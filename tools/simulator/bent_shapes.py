@@ -43,20 +43,7 @@ PACE: Final = 12.0
 
 
 def bend_shape(effect: str, number: int) -> PowerFunction:
-    """Return the power of an effect in a bent shape.
-
-    Parameters
-    ----------
-    effect : str
-        Name of the effect.
-    number : int
-        Number of the bent shape; each has its own exponents.
-
-    Returns
-    -------
-    callable
-        Returns the power at natural size. [W]
-    """
+    """Return the power of an effect in a bent shape."""
     power = EFFECTS[effect]
     rng = np.random.default_rng([number, *effect.encode()])
     exponent = float(np.exp(rng.uniform(-EXPONENT, EXPONENT)))

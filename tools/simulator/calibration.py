@@ -29,21 +29,7 @@ class EffectEnergies(NamedTuple):
 
 
 def sum_energies(view: EffectInputs, ride: Ints, hidden: Iterable[Hidden]) -> EffectEnergies:
-    """Return the energies of the rides of a shift.
-
-    Parameters
-    ----------
-    view : EffectInputs
-        The shift, driven without hidden effects.
-    ride : (n,) int
-        Index of the ride at each step, `NO_RIDE` between rides.
-    hidden : iterable of Hidden
-        The hidden effects.
-
-    Returns
-    -------
-    EffectEnergies
-    """
+    """Return the energies of the rides of a shift."""
     powers = [view.state.parts.sum(axis=1), *(get_power(effect)(view) for effect, _ in hidden)]
     inside = ride != NO_RIDE
     sums: list[Floats] = [np.bincount(ride[inside], power[inside]).astype(float) * STEP for power in powers]
@@ -52,23 +38,6 @@ def sum_energies(view: EffectInputs, ride: Ints, hidden: Iterable[Hidden]) -> Ef
 
 def calibrate_effects(pilot: list[EffectEnergies], hidden: tuple[Hidden, ...]) -> list[float]:
     """Return the factor by which the power of each effect is multiplied.
-
-    Parameters
-    ----------
-    books : list of EffectEnergies
-        Energies of the shifts of the pilot.
-    hidden : tuple of Hidden
-        The hidden effects and their sizes.
-
-    Returns
-    -------
-    list of float
-        One factor for each effect. [1]
-
-    Raises
-    ------
-    SettingsError
-        If an effect has nothing to act on, such as cooling in January.
 
     Notes
     -----
@@ -90,17 +59,6 @@ def calibrate_effects(pilot: list[EffectEnergies], hidden: tuple[Hidden, ...]) -
 
 
 def check_effects(hidden: tuple[Hidden, ...]) -> None:
-    """Raise an error if an effect does not exist.
-
-    Parameters
-    ----------
-    hidden : tuple of Hidden
-        The hidden effects.
-
-    Raises
-    ------
-    SettingsError
-        If no effect has one of the names.
-    """
+    """Raise an error if an effect does not exist."""
     for effect, _ in hidden:
         get_power(effect)

@@ -140,16 +140,7 @@ class _CarReader:
 
 
 def merge_cars(cars: Sequence[CarFile]) -> Iterator[list[Message]]:
-    """Yield the messages of all cars in order of receipt; those of one time in the order of the cars.
-
-    Parameters
-    ----------
-    cars : sequence of CarFile
-
-    Yields
-    ------
-    list of Message
-    """
+    """Yield the messages of all cars in order of receipt; those of one time in the order of the cars."""
     readers = [_CarReader(car) for car in cars]
     for limit in plan_merge(cars):
         parts = [reader.take(limit) for reader in readers]

@@ -88,26 +88,7 @@ SPREAD: Final = {
 
 
 def make_car(model: str, rng: np.random.Generator, traits: Mapping[str, float] | None = None) -> Car:
-    """Draw a car of a model.
-
-    Parameters
-    ----------
-    model : str
-        Key of the vehicle catalogue.
-    rng : Generator
-        Source of the random deviations.
-    traits : mapping of str to float, optional
-        Values that override the catalogue and `cars.toml`, by parameter of `Car`.
-
-    Returns
-    -------
-    Car
-
-    Raises
-    ------
-    SettingsError
-        If the catalogue has no such model.
-    """
+    """Draw a car of a model."""
     known = load_catalogue()
     if model not in known:
         raise SettingsError(f"no car model is called {model!r}; choose from {', '.join(sorted(known))}")
@@ -139,12 +120,7 @@ def make_car(model: str, rng: np.random.Generator, traits: Mapping[str, float] |
 def age_car(car: Car, odometer: float) -> Car:
     """Return a car at another reading of its odometer; the wear of its battery is proportional to the reading.
 
-    Parameters
-    ----------
-    car : Car
-        The car.
-    odometer : float
-        New reading. [m]
+    Units: odometer [m].
     """
     return car._replace(odometer=odometer, wear=min(0.4, car.wear * odometer / car.odometer))
 

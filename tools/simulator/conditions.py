@@ -150,15 +150,7 @@ class Conditions:
                 raise SettingsError(f"period is {period:g} s; give a multiple of 0.5 s up to 60 s, or 0")
 
     def find_display_fault(self, car: int, day: int) -> str | None:
-        """Return the fault of the display of a car on a day, None without one.
-
-        Parameters
-        ----------
-        car : int
-            Index of the car, from 0.
-        day : int
-            Days from the first day of the simulation.
-        """
+        """Return the fault of the display of a car on a day, None without one."""
         for fault in self.display_faults:
             if fault.car == car + 1 and fault.day <= day < fault.day + fault.days:
                 return fault.kind
@@ -200,22 +192,6 @@ CONDITION_NAMES: Final = (
 
 def parse_conditions(text: str, base: Conditions = NO_CONDITIONS) -> Conditions:
     """Return conditions from text, added to others.
-
-    Parameters
-    ----------
-    text : str
-        A list such as `heater_habits,waits=0.2,spell=30:-15:3`.
-    base : Conditions
-        Conditions to which those of the text are added.
-
-    Returns
-    -------
-    Conditions
-
-    Raises
-    ------
-    SettingsError
-        If a condition does not exist, or its value is not understood.
 
     Examples
     --------

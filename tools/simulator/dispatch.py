@@ -25,30 +25,7 @@ def make_dispatch(
     nominal_kwh: float | None = None,
     period_s: float | None = None,
 ) -> list[Message]:
-    """Return the messages besides telemetry: the car, its rides, and its plan, renewed as each ride ends.
-
-    Parameters
-    ----------
-    name, model : str
-        Identifier of the car and key of its model.
-    car : Car
-        The car at its first shift.
-    shift : Shift
-        The shift.
-    conditions : Conditions
-        Of which `replans`, `no_plan` and `planned_charges` apply.
-    rng : Generator
-        Random stream of the plans of the shift.
-    nominal_kwh : float, optional
-        Nominal capacity that the car announces. [kWh]
-    period_s : float, optional
-        Period of the logger that the car announces. [s]
-
-    Returns
-    -------
-    list of Message
-        In order of receipt.
-    """
+    """Return the messages besides telemetry: the car, its rides, and its plan, renewed as each ride ends."""
     serviced = np.datetime64("2018-01-01") - int(car.odometer / 1000 / 110)
     about = Vehicle(
         vehicle_id=name,

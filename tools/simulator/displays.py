@@ -66,23 +66,12 @@ def make_display(rng: np.random.Generator) -> Display:
 def compute_display(state: State, soc: float, car: Car, capacity: float, display: Display | None) -> Floats:
     """Return what a healthy display shows, before it is divided into steps.
 
+    Units: capacity [J], returns [%].
+
     Parameters
     ----------
-    state : State
-        State of the car, n steps.
-    soc : float
-        State of charge at the beginning, from which the count starts. [1]
-    car : Car
-        The car.
-    capacity : float
-        Energy of its full battery. [J]
     display : Display or None
         The display; None shows the true state of charge.
-
-    Returns
-    -------
-    (n,) float
-        [%]
     """
     if display is None:
         return np.clip(100.0 * state.soc, 0.0, 100.0)
@@ -105,19 +94,7 @@ def _count(current: Floats, soc: Floats, begin: float, charge: float) -> Floats:
 def spoil_display(shown: Floats, kind: str, rng: np.random.Generator) -> Floats:
     """Return what a faulty display sends.
 
-    Parameters
-    ----------
-    shown : (n,) float
-        What it would show without the fault. [%]
-    kind : str
-        Kind of the fault, one of `conditions.DISPLAY_FAULTS`.
-    rng : Generator
-        Random stream of the fault.
-
-    Returns
-    -------
-    (n,) float
-        NaN where it sends nothing. [%]
+    Units: shown [%], returns [%].
     """
     n, out = len(shown), shown.copy()
     if kind in (ABSENT, FROZEN):

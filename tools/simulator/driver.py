@@ -65,34 +65,12 @@ def make_style(rng: np.random.Generator) -> DrivingStyle:
 
 
 def compute_congestion(clock: float) -> float:
-    """Return the density of the traffic, from 0 (free) to 1 (rush hour). [1]
-
-    Parameters
-    ----------
-    clock : float
-        Local time of the day. [h]
-    """
+    """Return the density of the traffic, from 0 (free) to 1 (rush hour). [1]"""
     return float(np.exp(-(((clock - 8.2) / 1.3) ** 2)) + np.exp(-(((clock - 17.2) / 1.6) ** 2)))
 
 
 def drive_route(route: Route, style: DrivingStyle, traffic: float, rng: np.random.Generator) -> Motion:
-    """Drive a route.
-
-    Parameters
-    ----------
-    route : Route
-        The route.
-    style : DrivingStyle
-        How the driver drives.
-    traffic : float
-        Density of the traffic as from `compute_congestion`. [1]
-    rng : Generator
-        Source of red lights, waiting times and variations of speed.
-
-    Returns
-    -------
-    Motion
-    """
+    """Drive a route."""
     count = len(route.limit)
     draws, waits = rng.uniform(size=count), rng.uniform(size=count)
     stops = np.where(route.street == RESIDENTIAL, 0.48, np.where(route.street == BOULEVARD, 0.46, 0.0))

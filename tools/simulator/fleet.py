@@ -103,22 +103,6 @@ class DrivenShift(NamedTuple):
 def simulate(simulation: Simulation, truth: Truth | None = None) -> Iterator[Message]:
     """Yield all messages of a fleet and its weather stations in order of receipt.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        What to simulate.
-    truth : Truth, optional
-        Receives the true values; it is complete when the last message is taken.
-
-    Yields
-    ------
-    Message
-
-    Raises
-    ------
-    SettingsError
-        Before the first message, if a model, an effect or a size does not exist.
-
     Notes
     -----
     The messages depend on the settings and the seed alone. Each shift of each car has its own random stream. Memory
@@ -134,50 +118,21 @@ def simulate(simulation: Simulation, truth: Truth | None = None) -> Iterator[Mes
 
 
 def prepare_fleet(simulation: Simulation) -> PreparedFleet:
-    """Draw the cars and the weather, and calibrate the hidden effects.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        What to simulate.
-
-    Raises
-    ------
-    SettingsError
-        If a model, an effect or a size does not exist.
-    """
+    """Draw the cars and the weather, and calibrate the hidden effects."""
     calibration.check_effects(simulation.hidden)
     members, sky = make_members(simulation), make_fleet_sky(simulation)
     return PreparedFleet(simulation, members, sky, tuple(_factors(simulation, members, sky)))
 
 
 def describe_fleet(fleet: PreparedFleet, truth: Truth) -> None:
-    """Record the settings of a simulation and its cars.
-
-    Parameters
-    ----------
-    fleet : PreparedFleet
-        The fleet.
-    truth : Truth
-        Receives them.
-    """
+    """Record the settings of a simulation and its cars."""
     truth.describe(fleet.simulation, fleet.name_factors())
     for member in fleet.members:
         truth.add_car(member.name, member.model, member.car, member.equipment)
 
 
 def make_members(simulation: Simulation) -> list[FleetCar]:
-    """Return the cars of the fleet and their loggers.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        What to simulate.
-
-    Returns
-    -------
-    list of FleetCar
-    """
+    """Return the cars of the fleet and their loggers."""
     if simulation.preset is None:
         health = habits.find_pack_health(simulation.seed, simulation.vehicles, simulation.conditions.aged_packs)
         return [_member(simulation, index, left) for index, left in enumerate(health)]
@@ -212,13 +167,7 @@ def _placed(simulation: Simulation, index: int, place: PlannedCar, fleet: Fleet)
 
 
 def make_fleet_sky(simulation: Simulation) -> Sky:
-    """Return the weather of all days and of the nights after the last one.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        What to simulate.
-    """
+    """Return the weather of all days and of the nights after the last one."""
     first = simulation.start.timestamp()
     if simulation.preset is None:
         days = simulation.days * simulation.day_step
@@ -248,23 +197,7 @@ def _factors(simulation: Simulation, members: list[FleetCar], sky: Sky) -> list[
 
 
 def drive_shift(simulation: Simulation, member: FleetCar, number: int, sky: Sky) -> DrivenShift:
-    """Drive one shift of a car without hidden effects.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        What is simulated.
-    member : FleetCar
-        The car.
-    number : int
-        Index of the shift among the shifts of the car.
-    sky : Sky
-        The weather.
-
-    Returns
-    -------
-    DrivenShift
-    """
+    """Drive one shift of a car without hidden effects."""
     rng = np.random.default_rng([simulation.seed, 4, member.number, number])
     begin, orders, car = _called(simulation, member, number, rng)
     wanted = simulation.conditions
@@ -285,13 +218,7 @@ def drive_shift(simulation: Simulation, member: FleetCar, number: int, sky: Sky)
 
 
 def cut_when_empty(driven: DrivenShift) -> DrivenShift:
-    """Return a shift up to the step at which its battery is empty, where the car stops.
-
-    Parameters
-    ----------
-    driven : DrivenShift
-        The shift.
-    """
+    """Return a shift up to the step at which its battery is empty, where the car stops."""
     shift, view = driven
     empty = np.flatnonzero(view.state.soc <= 0.0)
     if not len(empty):
@@ -336,20 +263,6 @@ def drive_car(fleet: PreparedFleet, member: FleetCar, truth: Truth) -> Iterator[
     """Yield the messages of one car, shift after shift.
 
     The cars of a fleet share the weather and the factors of hidden effects, and nothing else.
-
-    Parameters
-    ----------
-    fleet : PreparedFleet
-        The fleet.
-    member : FleetCar
-        The car.
-    truth : Truth
-        Receives the truth of each shift before its messages are yielded.
-
-    Yields
-    ------
-    list of Message
-        In order of receipt.
     """
     odometer = member.car.odometer
     for number in range(member.first, member.first + member.count_shifts(fleet.simulation)):
@@ -387,29 +300,7 @@ def make_car_messages(
 ) -> tuple[list[Message], float, Counter[str]]:
     """Return the messages of a car on a shift, its odometer after it, and the faults of its logger.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        What is simulated.
-    member : FleetCar
-        The car.
-    number : int
-        Index of the shift among the shifts of the car.
-    driven : DrivenShift
-        The shift.
-    odometer : float
-        Reading before the shift. [m]
-    truth : Truth, optional
-        Receives the healthy display of a simulation with conditions.
-
-    Returns
-    -------
-    messages : list of Message
-        In order of receipt.
-    odometer : float
-        Reading after the shift. [m]
-    faults : Counter of str
-        Number of faults of each kind.
+    Units: odometer [m].
 
     Notes
     -----

@@ -88,24 +88,7 @@ FLEETS: Final[Mapping[str, Simulation]] = MappingProxyType(
 
 
 def get_fleet(name: str, seed: int) -> Simulation:
-    """Return the simulation of a named fleet.
-
-    Parameters
-    ----------
-    name : str
-        One of `FLEETS`.
-    seed : int
-        Seed of all random streams.
-
-    Returns
-    -------
-    Simulation
-
-    Raises
-    ------
-    SettingsError
-        If no fleet has this name.
-    """
+    """Return the simulation of a named fleet."""
     if name not in FLEETS:
         raise SettingsError(f"no fleet is called {name!r}; choose from {', '.join(FLEETS)}")
     return replace(FLEETS[name], seed=seed)

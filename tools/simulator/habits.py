@@ -55,15 +55,7 @@ class Habit(NamedTuple):
 
 
 def draw_habit(seed: int, driver: int) -> Habit:
-    """Draw the habit of a driver.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the simulation.
-    driver : int
-        Index of the driver.
-    """
+    """Draw the habit of a driver."""
     rng = np.random.default_rng([seed, 8, driver])
     style, warmth = make_style(rng), float(rng.normal(0.0, SET_POINT))
     preheats, saves, time = rng.uniform() < PREHEATING, rng.uniform() < SAVING, float(rng.uniform(*PREHEATING_TIME))
@@ -81,14 +73,8 @@ def choose_driver(car: int, vehicles: int, newcomers: Newcomers, rng: np.random.
 
     Parameters
     ----------
-    car : int
-        Index of the car, from 0.
-    vehicles : int
-        Number of cars.
     newcomers : Newcomers
         Cars that join; they have drivers of their own, who come after all others.
-    rng : Generator
-        Random stream of the shift.
     """
     settled = vehicles - newcomers.cars
     pool = max(2, ceil(DRIVERS_PER_CAR * settled))
@@ -99,17 +85,7 @@ def choose_driver(car: int, vehicles: int, newcomers: Newcomers, rng: np.random.
 
 
 def apply_habit(orders: Orders, car: Car, habit: Habit) -> tuple[Orders, Car]:
-    """Return the orders and the car of a shift as a driver with a habit uses them.
-
-    Parameters
-    ----------
-    orders : Orders
-        Orders of dispatch.
-    car : Car
-        The car.
-    habit : Habit
-        The driver.
-    """
+    """Return the orders and the car of a shift as a driver with a habit uses them."""
     orders = orders._replace(driver_id=habit.name, style=habit.style, prepared=habit.preheating)
     return orders, car._replace(warmth=habit.warmth, heater_power=car.heater_power * habit.heater_share)
 
@@ -117,23 +93,12 @@ def apply_habit(orders: Orders, car: Car, habit: Habit) -> tuple[Orders, Car]:
 def resize_pack(car: Car, model: str, index: int, conditions: Conditions) -> tuple[Car, float | None]:
     """Return a car with the battery size that its turn gives, and the nominal capacity that it announces, if any.
 
-    Parameters
-    ----------
-    car : Car
-        The car as in the catalogue.
-    model : str
-        Key of the vehicle catalogue.
-    index : int
-        Index of the car.
-    conditions : Conditions
-        Of which `battery_sizes` applies.
+    Units: nominal_kwh [kWh].
 
     Returns
     -------
     car : Car
         Capacity, heat capacity and heat loss of the pack grow with its size, and its resistance falls.
-    nominal_kwh : float or None
-        [kWh]
     """
     if not conditions.battery_sizes:
         return car, None
@@ -149,17 +114,7 @@ def resize_pack(car: Car, model: str, index: int, conditions: Conditions) -> tup
 
 
 def find_pack_health(seed: int, vehicles: int, share: float) -> list[float]:
-    """Return which share of its usable capacity each pack has left: (vehicles,) 1 except of aged packs. [1]
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the simulation.
-    vehicles : int
-        Number of cars.
-    share : float
-        Share of the cars with an aged pack. [1]
-    """
+    """Return which share of its usable capacity each pack has left: (vehicles,) 1 except of aged packs. [1]"""
     rng = np.random.default_rng([seed, 10])
     order, left = rng.permutation(vehicles), rng.uniform(*AGED, vehicles)
     aged = set(order[: round(share * vehicles)].tolist())

@@ -33,48 +33,25 @@ EFFECTS: Final[dict[str, PowerFunction]] = {}
 
 
 def register_effect(function: PowerFunction) -> PowerFunction:
-    """Register a hidden effect under the name of its function.
-
-    Parameters
-    ----------
-    function : callable
-        Returns the power of the effect at natural size. [W]
-    """
+    """Register a hidden effect under the name of its function."""
     EFFECTS[function.__name__] = function
     return function
 
 
 def compute_rolling_power(view: EffectInputs) -> Floats:
-    """Return the power of plain rolling resistance. [W]
-
-    Parameters
-    ----------
-    view : EffectInputs
-        The shift.
-    """
+    """Return the power of plain rolling resistance. [W]"""
     return view.car.mass * GRAVITY * view.car.rolling_resistance * view.trace.speed
 
 
 def compute_braking_power(view: EffectInputs) -> Floats:
-    """Return the power that decelerates the car, as a positive number. [W]
-
-    Parameters
-    ----------
-    view : EffectInputs
-        The shift.
-    """
+    """Return the power that decelerates the car, as a positive number. [W]"""
     return np.maximum(-view.car.mass * view.trace.acceleration * view.trace.speed, 0.0)
 
 
 def apply_lag(values: Floats, seconds: float) -> Floats:
     """Return values delayed by a first-order lag that keeps their integral.
 
-    Parameters
-    ----------
-    values : (n,) float
-        Values at each step.
-    seconds : float
-        Time constant of the lag. [s]
+    Units: seconds [s].
     """
     keep = np.exp(-STEP / seconds)
     kernel = (1 - keep) * keep ** np.arange(int(6 * seconds / STEP))

@@ -36,13 +36,7 @@ REYNOLDS: Final = 0.1
 
 
 def register_other_shape(function: PowerFunction) -> PowerFunction:
-    """Register the other shape of the hidden effect with the name of the function.
-
-    Parameters
-    ----------
-    function : callable
-        Returns the power of the effect at natural size. [W]
-    """
+    """Register the other shape of the hidden effect with the name of the function."""
     OTHER_SHAPES[function.__name__] = function
     return function
 
@@ -235,11 +229,6 @@ def get_power(effect: str) -> PowerFunction:
     ----------
     effect : str
         Name of the effect: plain, followed by `OTHER`, or followed by `BENT` and a number.
-
-    Raises
-    ------
-    SettingsError
-        If no hidden effect has this name.
     """
     name, bent, number = effect.partition(BENT)
     if bent and name in EFFECTS and number.isdigit():
@@ -255,11 +244,5 @@ def get_power(effect: str) -> PowerFunction:
 
 
 def strip_shape(effect: str) -> str:
-    """Return the name of an effect without its shape.
-
-    Parameters
-    ----------
-    effect : str
-        Name of the effect in any shape.
-    """
+    """Return the name of an effect without its shape."""
     return effect.partition(BENT)[0].removesuffix(OTHER)

@@ -85,15 +85,7 @@ class Equipment(NamedTuple):
 
 
 def make_equipment(faults: Faults, rng: np.random.Generator) -> Equipment:
-    """Draw what the logger of a car lacks.
-
-    Parameters
-    ----------
-    faults : Faults
-        Rates of faults, of which `unequipped` applies.
-    rng : Generator
-        Random stream of the car.
-    """
+    """Draw what the logger of a car lacks."""
     plain, draws = rng.uniform() < faults.unequipped, rng.uniform(size=len(LACK_PROBABILITY))
     lacks = [name for (name, rate), draw in zip(LACK_PROBABILITY.items(), draws, strict=True) if plain and draw < rate]
     if "battery_voltage_v" in lacks:
@@ -116,31 +108,8 @@ def log_shift(
 
     Parameters
     ----------
-    name : str
-        Identifier of the car.
-    shift : Shift
-        The shift.
-    trace : Trace
-        Surroundings of the car.
-    state : State
-        State of the car.
-    car : Car
-        The car; its `odometer` is the reading at the begin of the shift. [m]
-    equipment : Equipment
-        What the logger lacks.
-    faults : Faults
-        Rates of faults.
-    rng : Generator
-        Random stream of the shift.
     shown : (n,) float, optional
         What the display of the state of charge shows, NaN for nothing; None shows the true one. [%]
-
-    Returns
-    -------
-    messages : list of Message
-        In order of receipt.
-    counts : Counter of str
-        Number of faults of each kind.
     """
     counts: Counter[str] = Counter()
     steps = round((equipment.period or TICK) / STEP)

@@ -104,22 +104,7 @@ class State(NamedTuple):
 def integrate_states(trace: Trace, car: Car, soc: float, phenomena: Phenomena, hidden: Floats | None = None) -> State:
     """Return the states of a car over a trace.
 
-    Parameters
-    ----------
-    trace : Trace
-        Surroundings of the car.
-    car : Car
-        True parameters.
-    soc : float
-        State of charge at the beginning. [1]
-    phenomena : Phenomena
-        Refinements of the physics that are switched on.
-    hidden : (n,) float, optional
-        Sum of the powers of hidden effects. [W]
-
-    Returns
-    -------
-    State
+    Units: hidden [W].
     """
     n = len(trace.time)
     extra = np.zeros(n) if hidden is None else hidden

@@ -134,13 +134,6 @@ def refuse_unused_settings(name: str | None, given: Sequence[str]) -> None:
     ----------
     name : str or None
         Name of the preset, if any.
-    given : sequence of str
-        Names of the settings that the user gave.
-
-    Raises
-    ------
-    SettingsError
-        If one of the settings has no effect.
     """
     if name is None and "rides" in given:
         raise SettingsError(f"--rides needs a preset; give one such as --preset {PRESETS[0]}")
@@ -151,22 +144,7 @@ def refuse_unused_settings(name: str | None, given: Sequence[str]) -> None:
 
 @cache
 def load_preset(name: str) -> Preset:
-    """Return a preset that comes with the product.
-
-    Parameters
-    ----------
-    name : str
-        Name of the preset.
-
-    Returns
-    -------
-    Preset
-
-    Raises
-    ------
-    SettingsError
-        If no preset has this name.
-    """
+    """Return a preset that comes with the product."""
     if name not in PRESETS:
         raise SettingsError(f"no preset is called {name!r}; choose from {', '.join(PRESETS)}")
     tables = tomllib.loads((Path(__file__).parent / f"{name}.toml").read_text(encoding="utf-8"))
@@ -174,21 +152,7 @@ def load_preset(name: str) -> Preset:
 
 
 def plan_cars(preset: Preset, rides: int, seed: int) -> list[PlannedCar]:
-    """Return the cars of a fleet and their shifts.
-
-    Parameters
-    ----------
-    preset : Preset
-        The fleet.
-    rides : int
-        Number of rides of all cars.
-    seed : int
-        Seed of the plan.
-
-    Returns
-    -------
-    list of PlannedCar
-    """
+    """Return the cars of a fleet and their shifts."""
     totals = np.array([sum(table["rides"]) for table in preset.models.values()])
     numbers = apportion_total(totals, rides)
     cars = [max(FEWEST_CARS, round(CARS_PER_ROOT_RIDE * number**0.5)) for number in numbers]
@@ -203,15 +167,7 @@ def plan_cars(preset: Preset, rides: int, seed: int) -> list[PlannedCar]:
 
 
 def make_drivers(count: int, seed: int) -> list[Driver]:
-    """Draw the drivers of a fleet.
-
-    Parameters
-    ----------
-    count : int
-        Number of drivers.
-    seed : int
-        Seed of the plan.
-    """
+    """Draw the drivers of a fleet."""
     drivers = []
     for index in range(count):
         rng = np.random.default_rng([seed, 7, index])
@@ -222,19 +178,7 @@ def make_drivers(count: int, seed: int) -> list[Driver]:
 def draw_distances(counts: Ints, number: int, rng: np.random.Generator) -> Floats:
     """Return the distances of rides in random order, in proportion to the counts of clusters.
 
-    Parameters
-    ----------
-    counts : (k,) int
-        Number of rides in each cluster of the described fleet.
-    number : int
-        Number of rides to draw.
-    rng : Generator
-        Random stream.
-
-    Returns
-    -------
-    (number,) float
-        Distances. [m]
+    Units: returns [m].
 
     Notes
     -----
@@ -255,13 +199,6 @@ def draw_distances(counts: Ints, number: int, rng: np.random.Generator) -> Float
 def apportion_total(shares: Ints, total: int) -> list[int]:
     """Return whole numbers in proportion to shares that add up to a total, by the largest-remainder method.
 
-    Parameters
-    ----------
-    shares : (k,) int
-        Shares.
-    total : int
-        Sum of the numbers.
-
     Examples
     --------
     >>> apportion_total(np.array([5, 3, 1]), 10)
@@ -274,15 +211,7 @@ def apportion_total(shares: Ints, total: int) -> list[int]:
 
 
 def make_orders(fleet: Fleet, duty: PlannedShift) -> Orders:
-    """Return the orders of dispatch for a planned shift.
-
-    Parameters
-    ----------
-    fleet : Fleet
-        Settings that all cars share.
-    duty : PlannedShift
-        The shift.
-    """
+    """Return the orders of dispatch for a planned shift."""
     return Orders(
         driver_id=duty.driver.name,
         style=duty.driver.style,
@@ -300,16 +229,7 @@ def make_orders(fleet: Fleet, duty: PlannedShift) -> Orders:
 def adapt_car(fleet: Fleet, car: Car, duty: PlannedShift, begin: float) -> Car:
     """Return a car with its age, its tyres and the temperature that its driver prefers at the begin of a shift.
 
-    Parameters
-    ----------
-    fleet : Fleet
-        Settings that all cars share.
-    car : Car
-        The car at its first shift.
-    duty : PlannedShift
-        The shift.
-    begin : float
-        Unix time at which the shift begins. [s]
+    Units: begin [s].
     """
     car = age_car(car, car.odometer + 1000.0 * fleet.daily_km * duty.day)
     rolling = car.winter_rolling if is_winter_tyre_season(begin) else 0.0
@@ -319,10 +239,7 @@ def adapt_car(fleet: Fleet, car: Car, duty: PlannedShift, begin: float) -> Car:
 def is_winter_tyre_season(time: float) -> bool:
     """Return whether winter tyres are mandatory in Montreal at a time.
 
-    Parameters
-    ----------
-    time : float
-        Unix time. [s]
+    Units: time [s].
 
     Examples
     --------

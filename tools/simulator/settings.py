@@ -285,22 +285,7 @@ def _check_conditions(simulation: Simulation) -> None:
 
 
 def parse_start(text: str) -> datetime:
-    """Return a day or a time from ISO text; text without a zone is in UTC.
-
-    Parameters
-    ----------
-    text : str
-        Such as `2018-01-15` or `2018-01-15T12:00`.
-
-    Returns
-    -------
-    datetime
-
-    Raises
-    ------
-    SettingsError
-        If the text is neither a day nor a time.
-    """
+    """Return a day or a time from ISO text; text without a zone is in UTC."""
     try:
         start = datetime.fromisoformat(text)
     except ValueError:
@@ -309,22 +294,7 @@ def parse_start(text: str) -> datetime:
 
 
 def parse_models(text: str) -> tuple[str, ...]:
-    """Return catalogue keys from a comma-separated list.
-
-    Parameters
-    ----------
-    text : str
-        The list.
-
-    Returns
-    -------
-    tuple of str
-
-    Raises
-    ------
-    SettingsError
-        If the list is empty. The simulation checks whether the models exist.
-    """
+    """Return catalogue keys from a comma-separated list."""
     models = tuple(filter(None, (part.strip() for part in text.split(","))))
     if not models:
         raise SettingsError(f"models {text!r} names none; give catalogue keys such as {DEFAULT_MODELS[0]}")
@@ -333,22 +303,6 @@ def parse_models(text: str) -> tuple[str, ...]:
 
 def parse_faults(text: str, usual: Faults = Faults()) -> Faults:
     """Return rates of faults from text.
-
-    Parameters
-    ----------
-    text : str
-        `default`, `none`, `name=rate,...` that changes the defaults, or `none,name=rate,...`.
-    usual : Faults
-        The defaults.
-
-    Returns
-    -------
-    Faults
-
-    Raises
-    ------
-    SettingsError
-        If a fault does not exist, or a rate is out of bounds.
 
     Examples
     --------
@@ -378,15 +332,6 @@ def parse_phenomena(text: str) -> Phenomena:
     text : str
         `all` (all that are on by default), `plain`, or a list such as `plain,headwind` or `all,-snow`.
 
-    Returns
-    -------
-    Phenomena
-
-    Raises
-    ------
-    SettingsError
-        If a phenomenon does not exist.
-
     Examples
     --------
     >>> parse_phenomena("all,-snow").snow, parse_phenomena("plain,headwind").headwind
@@ -408,20 +353,6 @@ def parse_phenomena(text: str) -> Phenomena:
 
 def parse_hidden(text: str) -> Hidden:
     """Return a hidden effect from `name` or `name:size`.
-
-    Parameters
-    ----------
-    text : str
-        Such as `headwind:0.02`.
-
-    Returns
-    -------
-    Hidden
-
-    Raises
-    ------
-    SettingsError
-        If the size is not a number. The simulation checks whether the effect exists.
 
     Examples
     --------

@@ -270,12 +270,6 @@ def draw_orders(hours: float | None, rng: np.random.Generator) -> Orders:
     ----------
     hours : float or None
         Length of the shift; None draws 7 to 10 h. [h]
-    rng : Generator
-        Random stream of the shift.
-
-    Returns
-    -------
-    Orders
     """
     length = 3600 * (float(rng.uniform(7.0, 10.0)) if hours is None else hours)
     style = make_style(rng)
@@ -287,26 +281,7 @@ def make_shift(
 ) -> Shift:
     """Drive a shift.
 
-    Parameters
-    ----------
-    name : str
-        Prefix of the identifiers of its rides.
-    begin : float
-        Unix time at which it begins. [s]
-    orders : Orders
-        Orders of dispatch.
-    car : Car
-        The car.
-    ambient : float
-        Outside temperature, from which dispatch estimates the consumption. [°C]
-    faults : Faults
-        Rates of faults, of which those of drivers apply: `false_start` and `errand`.
-    rng : Generator
-        Random stream of the shift.
-
-    Returns
-    -------
-    Shift
+    Units: begin [s], ambient [°C].
     """
     style, driver = orders.style, orders.driver_id
     builder = _TimelineBuilder(find_crossing(float(rng.normal(0, 1700)), float(rng.normal(0, 1500))))
@@ -355,15 +330,7 @@ def make_shift(
 
 
 def stop_shift(shift: Shift, steps: int) -> Shift:
-    """Return a shift that ends after a number of steps; the rest of its plan stays planned.
-
-    Parameters
-    ----------
-    shift : Shift
-        The shift.
-    steps : int
-        Number of steps to keep.
-    """
+    """Return a shift that ends after a number of steps; the rest of its plan stays planned."""
     begun = [trip._replace(end=min(trip.end, steps)) for trip in shift.trips if trip.begin < steps]
     unstarted_legs = tuple(trip.planned for trip in shift.trips[len(begun) :] if trip.planned)
     return shift._replace(

@@ -84,21 +84,7 @@ class Trace(NamedTuple):
 
 
 def make_trace(shift: Shift, sky: Sky, *, hills: bool = True) -> Trace:
-    """Return the surroundings of a shift.
-
-    Parameters
-    ----------
-    shift : Shift
-        The shift.
-    sky : Sky
-        The weather.
-    hills : bool
-        Whether streets follow the hills.
-
-    Returns
-    -------
-    Trace
-    """
+    """Return the surroundings of a shift."""
     timeline = shift.timeline
     n = len(timeline.u)
     time: Floats = shift.time + STEP * np.arange(1, n + 1, dtype=float)
@@ -145,20 +131,7 @@ def make_trace(shift: Shift, sky: Sky, *, hills: bool = True) -> Trace:
 def compute_air_density(pressure: Floats, ambient: Floats, humidity: Floats, elevation: Floats) -> Floats:
     """Return the density of moist air. [kg/m^3]
 
-    Parameters
-    ----------
-    pressure : (n,) float
-        Pressure at sea level. [Pa]
-    ambient : (n,) float
-        Temperature. [°C]
-    humidity : (n,) float
-        Relative humidity. [1]
-    elevation : (n,) float
-        Elevation. [m]
-
-    Returns
-    -------
-    (n,) float
+    Units: pressure [Pa], ambient [°C], elevation [m].
 
     References
     ----------

@@ -62,15 +62,7 @@ class Truth:
     displays: list[dict[str, Any]] = field(default_factory=list)
 
     def describe(self, simulation: Simulation, factors: dict[str, float]) -> None:
-        """Record the settings of a simulation.
-
-        Parameters
-        ----------
-        simulation : Simulation
-            What is simulated.
-        factors : dict of str to float
-            Factor of each hidden effect. [1]
-        """
+        """Record the settings of a simulation."""
         unused = ("preset", "rides") if simulation.preset is None else PRESET_SETTINGS
         values = {name: value for name, value in asdict(simulation).items() if name not in unused}
         self.settings = values | {
@@ -83,17 +75,7 @@ class Truth:
         self.factors = factors
 
     def add_car(self, name: str, model: str, car: Car, equipment: Equipment) -> None:
-        """Record a car.
-
-        Parameters
-        ----------
-        name, model : str
-            Identifier of the car and key of its model.
-        car : Car
-            True parameters.
-        equipment : Equipment
-            What the logger lacks.
-        """
+        """Record a car."""
         parameters = {key: float(f"{value:.6g}") for key, value in car._asdict().items()}
         self.cars[name] = {"model": model, "logger_lacks": list(equipment.lacks)} | parameters
         if equipment.period != PERIOD:
@@ -103,21 +85,7 @@ class Truth:
     def add_shift(
         self, name: str, shift: Shift, state: State, hidden: EffectEnergies | None, faults: Counter[str]
     ) -> None:
-        """Record the rides of a shift.
-
-        Parameters
-        ----------
-        name : str
-            Identifier of the car.
-        shift : Shift
-            The shift.
-        state : State
-            State of the car, with hidden effects.
-        hidden : EffectEnergies or None
-            Energies of the hidden effects.
-        faults : Counter of str
-            Number of faults of the logger, by kind.
-        """
+        """Record the rides of a shift."""
         self.faults[name] += faults
         heights = compute_elevation(*to_plane(shift.timeline.u, shift.timeline.v))
         climb = np.diff(heights, prepend=heights[0])
@@ -148,18 +116,7 @@ class Truth:
     def add_display(self, name: str, begin: float, state: State, shown: Floats, fault: str | None) -> None:
         """Record the state of charge of a shift, and what its display would show without a fault.
 
-        Parameters
-        ----------
-        name : str
-            Identifier of the car.
-        begin : float
-            Unix time at which the shift begins. [s]
-        state : State
-            State of the car.
-        shown : (n,) float
-            What a healthy display shows at each step. [%]
-        fault : str or None
-            Fault of the display.
+        Units: begin [s], shown [%].
         """
         at = slice(DISPLAY_STEPS - 1, None, DISPLAY_STEPS)
         self.displays.append(
@@ -174,15 +131,7 @@ class Truth:
         )
 
     def take_shifts(self, shifts: Iterable[ShiftTruth], faults: Mapping[str, Counter[str]]) -> None:
-        """Take what was recorded of shifts elsewhere.
-
-        Parameters
-        ----------
-        shifts : iterable of ShiftTruth
-            In the order in which a simulation of the whole fleet drives them.
-        faults : mapping of str to Counter
-            Number of faults of the logger of each car, by kind.
-        """
+        """Take what was recorded of shifts elsewhere."""
         for shift in shifts:
             self.rides += shift.rides
             self.displays += shift.displays
@@ -219,18 +168,7 @@ class Truth:
         }
 
     def write(self, path: Path) -> None:
-        """Write the truth as JSON that a person can read, with one line for each ride.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-
-        Raises
-        ------
-        SettingsError
-            If the file cannot be written.
-        """
+        """Write the truth as JSON that a person can read, with one line for each ride."""
         faults = {name: dict(counts) for name, counts in self.faults.items()}
         blocks = {"simulation": self.settings, "total": self.summary()}
         lines = [f'"{name}": {json.dumps(block, indent=1)}' for name, block in blocks.items()]

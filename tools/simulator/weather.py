@@ -91,22 +91,12 @@ def make_sky(
 ) -> Sky:
     """Return the weather from a day before `start` until two days after the last of `days`.
 
+    Units: start [s].
+
     Parameters
     ----------
-    start : float
-        Unix time of the first day. [s]
-    days : int
-        Number of days.
-    seed : int
-        Seed of the weather.
     extremes : (float, float), optional
         Coldest and hottest temperature by day; cold snaps and heat waves are scaled to reach them. [°C]
-    spells : tuple of Spell
-        Cold snaps and heat waves beyond what was there before them.
-
-    Returns
-    -------
-    Sky
 
     Notes
     -----
@@ -171,14 +161,7 @@ def _set_spell(time: Floats, temperature: Floats, start: float, spell: Spell) ->
 def compute_sun_height(time: Floats) -> Floats:
     """Return the sine of the elevation of the sun over Montreal, 0 at night, accurate to half a degree. [1]
 
-    Parameters
-    ----------
-    time : (n,) float
-        Unix time. [s]
-
-    Returns
-    -------
-    (n,) float
+    Units: time [s].
 
     References
     ----------
@@ -195,14 +178,7 @@ def compute_sun_height(time: Floats) -> Floats:
 def make_observations(sky: Sky, begin: float, end: float, seed: int) -> list[Message]:
     """Return the observations that the stations publish in a period, in order of receipt.
 
-    Parameters
-    ----------
-    sky : Sky
-        The weather.
-    begin, end : float
-        Begin and end of the period, Unix time. [s]
-    seed : int
-        Seed of errors and delays.
+    Units: begin [s], end [s].
 
     Returns
     -------
@@ -223,14 +199,7 @@ def make_observations(sky: Sky, begin: float, end: float, seed: int) -> list[Mes
 def make_forecasts(sky: Sky, begin: float, end: float, seed: int) -> list[Message]:
     """Return the forecasts of the temperature that the stations publish in a period, in order of receipt.
 
-    Parameters
-    ----------
-    sky : Sky
-        The weather.
-    begin, end : float
-        Begin and end of the period, Unix time. [s]
-    seed : int
-        Seed of the errors.
+    Units: begin [s], end [s].
 
     Returns
     -------
@@ -256,15 +225,6 @@ def make_forecasts(sky: Sky, begin: float, end: float, seed: int) -> list[Messag
 
 def merge_weather(blocks: Iterable[Sequence[Message]], simulation: Simulation, sky: Sky) -> Iterator[Sequence[Message]]:
     """Merge the observations and forecasts of the stations into the messages of a fleet.
-
-    Parameters
-    ----------
-    blocks : iterable of sequence of Message
-        Messages of the cars in order of receipt, some at a time.
-    simulation : Simulation
-        What is simulated.
-    sky : Sky
-        The weather.
 
     Yields
     ------
@@ -316,17 +276,7 @@ def _observation(sky: Sky, i: int, station: tuple[str, float, float], error: Flo
 
 
 def draw_autoregressive(rng: np.random.Generator, n: int, keep: float) -> Floats:
-    """Return a stationary process of variance 1 with correlation `keep` between neighbours. (n,) [1]
-
-    Parameters
-    ----------
-    rng : Generator
-        Random stream.
-    n : int
-        Number of values.
-    keep : float
-        Correlation between neighbours. [1]
-    """
+    """Return a stationary process of variance 1 with correlation `keep` between neighbours. (n,) [1]"""
     values = rng.normal(size=n)
     _carry_on(values, keep, (1 - keep * keep) ** 0.5)
     return values

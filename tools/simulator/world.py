@@ -86,16 +86,7 @@ class Route(NamedTuple):
 def compute_elevation(x: Floats, y: Floats, *, hills: bool = True) -> Floats:
     """Return the elevation of the ground. [m]
 
-    Parameters
-    ----------
-    x, y : (n,) float
-        Position east and north of the centre. [m]
-    hills : bool
-        Whether there are hills; without them the ground is as high everywhere.
-
-    Returns
-    -------
-    (n,) float
+    Units: y [m].
     """
     if not hills:
         return np.full(np.shape(x), LOWLAND)
@@ -107,10 +98,7 @@ def compute_elevation(x: Floats, y: Floats, *, hills: bool = True) -> Floats:
 def to_plane(u: Floats, v: Floats) -> tuple[Floats, Floats]:
     """Return the position east and north of the centre from the axes of the city. [m]
 
-    Parameters
-    ----------
-    u, v : (n,) float
-        Position along the axes of the city. [m]
+    Units: u [m], v [m].
     """
     return u * cos(TURN) - v * sin(TURN), u * sin(TURN) + v * cos(TURN)
 
@@ -118,10 +106,7 @@ def to_plane(u: Floats, v: Floats) -> tuple[Floats, Floats]:
 def to_wgs84(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Return latitude and longitude. [deg]
 
-    Parameters
-    ----------
-    x, y : (n,) float
-        Position east and north of the centre. [m]
+    Units: y [m].
     """
     latitude = ORIGIN[0] + np.degrees(y / EARTH_RADIUS)
     return latitude, ORIGIN[1] + np.degrees(x / (EARTH_RADIUS * np.cos(np.radians(latitude))))
@@ -130,12 +115,7 @@ def to_wgs84(x: Floats, y: Floats) -> tuple[Floats, Floats]:
 def is_in_tunnel(u: Floats, v: Floats, heading: Floats) -> np.ndarray:
     """Return a mask of the positions inside a tunnel, without those that cross above it. (n,) bool
 
-    Parameters
-    ----------
-    u, v : (n,) float
-        Position along the axes of the city. [m]
-    heading : (n,) float
-        Direction of travel from the u axis. [rad]
+    Units: u [m], v [m], heading [rad].
     """
     inside = np.zeros(len(u), bool)
     for line in EXPRESSWAYS:
@@ -148,14 +128,7 @@ def is_in_tunnel(u: Floats, v: Floats, heading: Floats) -> np.ndarray:
 def draw_destination(u: float, v: float, distance: float, rng: np.random.Generator) -> tuple[float, float]:
     """Return a crossing at about the given distance along streets, more likely towards the centre than out of town.
 
-    Parameters
-    ----------
-    u, v : float
-        Start. [m]
-    distance : float
-        Desired distance along streets. [m]
-    rng : Generator
-        Random stream.
+    Units: u [m], v [m], distance [m].
     """
     for _ in range(30):
         share = rng.uniform()
@@ -173,10 +146,7 @@ def draw_destination(u: float, v: float, distance: float, rng: np.random.Generat
 def find_crossing(u: float, v: float) -> tuple[float, float]:
     """Return the crossing nearest to a position at which a car may stop; none lies on an expressway.
 
-    Parameters
-    ----------
-    u, v : float
-        Position. [m]
+    Units: u [m], v [m].
     """
     place = [round(u / BLOCK[0]) * BLOCK[0], round(v / BLOCK[1]) * BLOCK[1]]
     for line in EXPRESSWAYS:
@@ -189,16 +159,7 @@ def find_crossing(u: float, v: float) -> tuple[float, float]:
 def make_route(start: tuple[float, float], goal: tuple[float, float], rng: np.random.Generator) -> Route:
     """Return a route over streets; long routes take an expressway if one is near.
 
-    Parameters
-    ----------
-    start, goal : (float, float)
-        Crossings at the begin and end of the route. [m]
-    rng : Generator
-        Random stream.
-
-    Returns
-    -------
-    Route
+    Units: start [m], goal [m].
     """
     points = [start, *_corners(start, goal, rng), goal]
     nodes, limits, streets, turns = [start], list[float](), list[int](), list[bool]()

@@ -67,20 +67,12 @@ def make_settings(
 ) -> Settings:
     """Return the settings that the options of cleaning define.
 
+    Units: period [s].
+
     Parameters
     ----------
-    speed_limit_kmh : float
-        Speed above which a sample is rejected. [km/h]
-    period : float
-        Nominal time between two samples. [s]
     smoothing : int
         Number of samples in the moving average of a reported speed; 0 for as many as the noise of each car asks. [1]
-    least_distance_km : float
-        Distance below which a ride is unfit for training. [km]
-
-    Returns
-    -------
-    Settings
 
     Examples
     --------
@@ -96,11 +88,6 @@ def make_settings(
 
 def word_settings(settings: Settings) -> list[str]:
     """Return the options of cleaning that differ from their defaults, as words of a command.
-
-    Parameters
-    ----------
-    settings : Settings
-        Settings of cleaning.
 
     Examples
     --------
@@ -118,20 +105,7 @@ def word_settings(settings: Settings) -> list[str]:
 
 
 def refuse_cleaning_of_tables(files: Sequence[Path], settings: Settings) -> None:
-    """Refuse options of cleaning beside tables, which are cleaned already.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        Recordings, or files of rides.
-    settings : Settings
-        Settings of cleaning.
-
-    Raises
-    ------
-    SettingsError
-        An option of cleaning is given, and a file is no recording.
-    """
+    """Refuse options of cleaning beside tables, which are cleaned already."""
     words = word_settings(settings)
     tables = [file for file in files if file.suffix != ".mcap"]
     if words and tables:

@@ -25,15 +25,6 @@ def make_car_records(
 ) -> list[dict[str, Any]]:
     """Return the results of each car.
 
-    Parameters
-    ----------
-    rides : DataFrame
-        Result of `live_table.add_predictions`.
-    shifts : sequence of dict
-        Records of `shift_outcomes.ShiftOutcomes`.
-    models : sequence of str
-        Labels of the model that forecasts and of its shadows.
-
     Returns
     -------
     list of dict
@@ -59,15 +50,7 @@ def make_car_records(
 
 
 def compute_errors_pct(rides: pd.DataFrame, models: Sequence[str]) -> dict[str, float]:
-    """Return the mean absolute error of each model over the measured energy of rides that are fit for training. [%]
-
-    Parameters
-    ----------
-    rides : DataFrame
-        Result of `live_table.add_predictions`.
-    models : sequence of str
-        Labels of the model that forecasts and of its shadows.
-    """
+    """Return the mean absolute error of each model over the measured energy of rides that are fit for training. [%]"""
     fit = _select_fit(rides)
     measured = fit["energy_kwh"].to_numpy(np.float64)
     predicted = {models[0]: fit["predicted_kwh"].to_numpy(np.float64)}
@@ -85,16 +68,7 @@ def _select_fit(rides: pd.DataFrame) -> pd.DataFrame:
 
 
 def show_cars(console: Console, cars: Sequence[dict[str, Any]], models: Sequence[str]) -> None:
-    """Print a row for each car.
-
-    Parameters
-    ----------
-    console : rich.console.Console
-    cars : sequence of dict
-        Result of `make_car_records`.
-    models : sequence of str
-        Labels of the models.
-    """
+    """Print a row for each car."""
     columns = [
         Column("car", fixed=True),
         *(Column(head, number=True, fixed=True) for head in ("rides", "km", "measured\nkWh")),
@@ -135,19 +109,7 @@ def shorten(label: str) -> str:
 def write_verdict(
     cars: Sequence[dict[str, Any]], errors_pct: dict[str, float], model: LinearModel, quality: dict[str, Any]
 ) -> list[str]:
-    """Return the verdict: a line on energy, one on the charge and one on the stream.
-
-    Parameters
-    ----------
-    cars : sequence of dict
-        Result of `make_car_records`.
-    errors_pct : dict of str to float
-        Result of `compute_errors_pct`.
-    model : LinearModel
-        Model that forecasts.
-    quality : dict
-        Counters of the pipeline.
-    """
+    """Return the verdict: a line on energy, one on the charge and one on the stream."""
     first, *others = errors_pct
     fitted = "the fitted " if model.training else ""
     energy = f"Energy: {fitted}{shorten(first)} is off by {errors_pct[first]:.0f} % per ride"
@@ -187,19 +149,7 @@ def _describe_fit(model: LinearModel) -> str:
 def list_next_commands(
     recording: Path, tutorial: Path, history: Path | None = None, *, has_workbench: bool
 ) -> list[tuple[str, str]]:
-    """Return three commands with what each shows.
-
-    Parameters
-    ----------
-    recording : Path
-        Recording of the demonstration.
-    tutorial : Path
-        Recording with a hidden effect.
-    history : Path, optional
-        Recording of the days before.
-    has_workbench : bool
-        Whether the workbench is installed.
-    """
+    """Return three commands with what each shows."""
     own = ("socast live --record kept --state fleet.state", "forecast and record your own cars")
     if has_workbench:
         learned = f" --warm-up {history}" if history else ""

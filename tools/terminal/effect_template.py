@@ -11,18 +11,7 @@ from socast.core.errors import EffectError
 
 
 def blank(name: str = "my_effect") -> str:
-    """Return the text of a file with one example effect that the user edits.
-
-    Parameters
-    ----------
-    name : str
-        Name of the effect.
-
-    Returns
-    -------
-    str
-        Python source that passes `socast effects check` unchanged.
-    """
+    """Return the text of a file with one example effect that the user edits."""
     return render_source(
         name,
         arguments=("stop_rate", "ambient"),
@@ -42,25 +31,7 @@ def blank(name: str = "my_effect") -> str:
 
 
 def from_effect(effect: Effect, name: str) -> str:
-    """Return the text of a file with a copy of an effect under another name.
-
-    Parameters
-    ----------
-    effect : Effect
-        Effect to copy.
-    name : str
-        Name of the copy.
-
-    Returns
-    -------
-    str
-        Python source.
-
-    Raises
-    ------
-    EffectError
-        If the source of the effect is not available, or if the effect is not a plain function.
-    """
+    """Return the text of a file with a copy of an effect under another name."""
     try:
         source = dedent(inspect.getsource(effect.function))
     except OSError as error:

@@ -9,15 +9,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 @contextmanager
 def show_elapsed(words: str, console: Console | None = None) -> Iterator[None]:
-    """Show on standard error what is done and for how long, as long as the context lasts; nothing without a terminal.
-
-    Parameters
-    ----------
-    words : str
-        What is done, such as `fitting`.
-    console : rich.console.Console, optional
-        Console to print on; by default standard error.
-    """
+    """Show on standard error what is done and for how long; nothing without a terminal."""
     console = console or Console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:

@@ -26,11 +26,6 @@ def describe_outside(quality: Mapping[str, Any]) -> str:
     The offset of a car that has been on a map is subtracted from its fixes outside as well, so that they keep the datum
     of the map. A car that has never been on a map is followed by its fixes as reported.
 
-    Parameters
-    ----------
-    quality : mapping
-        Counters of `socast.core.pipeline.Pipeline.quality`.
-
     Examples
     --------
     >>> describe_outside({"elevation_map": {"fixes": 9, "outside": 2, "outside_by_tile": {"N45W074": 2}}})
@@ -48,12 +43,6 @@ def describe_outside(quality: Mapping[str, Any]) -> str:
 
 
 def warn_outside(quality: Mapping[str, Any]) -> None:
-    """Print one line on standard error about the fixes that lie outside the maps, if there are any.
-
-    Parameters
-    ----------
-    quality : mapping
-        Counters of `socast.core.pipeline.Pipeline.quality`.
-    """
+    """Print one line on standard error about the fixes that lie outside the maps, if there are any."""
     if line := describe_outside(quality):
         Console(stderr=True).print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)

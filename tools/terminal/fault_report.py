@@ -95,20 +95,7 @@ def report_cars(
     rides: pd.DataFrame,
     facts: Mapping[str, Sequence[str]] | None = None,
 ) -> list[CarFaults]:
-    """Return what the logger of each car sends wrong, those that lose most first.
-
-    Parameters
-    ----------
-    vehicle_ids : sequence of n str
-    samples : (n,) int
-        Samples of each car.
-    faults : (n, len(CAUSES)) int
-        Samples of each car with each quality bit.
-    rides : DataFrame
-        `RIDE_COLUMNS` of the ride table.
-    facts : mapping of str to sequence of str, optional
-        Sentences about the logger of a car as a whole, by car.
-    """
+    """Return what the logger of each car sends wrong, those that lose most first."""
     of_car = dict(iter(rides.groupby("vehicle_id", sort=False)))
     none = rides.iloc[:0]
     cars = [

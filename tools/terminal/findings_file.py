@@ -20,18 +20,7 @@ class _Content(msgspec.Struct):
 
 
 def read_findings(path: Path) -> list[Finding]:
-    """Return the findings of a file, none if the file does not exist.
-
-    Parameters
-    ----------
-    path : Path
-        File that `write_findings` wrote.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, or holds something else.
-    """
+    """Return the findings of a file, none if the file does not exist."""
     try:
         return msgspec.json.decode(read_input(path), type=_Content).findings
     except FileNotFoundError:
@@ -43,33 +32,12 @@ def read_findings(path: Path) -> list[Finding]:
 
 
 def write_findings(path: Path, findings: Sequence[Finding]) -> None:
-    """Replace the file of findings as a whole.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    findings : sequence of Finding
-        All findings.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be written.
-    """
+    """Replace the file of findings as a whole."""
     write_json(path, "findings", {"findings": msgspec.to_builtins(list(findings))})
 
 
 def show_changes(before: Sequence[Finding], after: Sequence[Finding], console: Console) -> None:
-    """Print the findings that became sure, with the commands that try them, and those that are gone.
-
-    Parameters
-    ----------
-    before, after : sequence of Finding
-        Findings after the diagnosis before and after this one.
-    console : rich.console.Console
-        Console to print on.
-    """
+    """Print the findings that became sure, with the commands that try them, and those that are gone."""
     changes = list_changes(before, after)
     lines = [line for one in changes for line in _describe_change(one)]
     for line in lines or ["No finding became sure, and none is gone."]:
@@ -77,12 +45,7 @@ def show_changes(before: Sequence[Finding], after: Sequence[Finding], console: C
 
 
 def make_finding_fields(finding: Finding) -> dict[str, Any]:
-    """Return a finding as the fields of a line of the log.
-
-    Parameters
-    ----------
-    finding : Finding
-    """
+    """Return a finding as the fields of a line of the log."""
     names = ("who", "effect", "status", "words", "probability", "kwh_per_month", "range_km_per_month")
     known = {name: value for name in names if (value := getattr(finding, name)) is not None}
     return known | dict(zip(("add", "shadow"), finding.commands, strict=False))

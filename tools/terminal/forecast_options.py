@@ -108,31 +108,8 @@ def make_pipeline(
 
     Parameters
     ----------
-    options : ForecastOptions
-        Values of the shared options.
-    models : sequence of LinearModel
-        The loaded models of the options.
-    limits : Limits
-        Limits of what is taken in.
     replayed : sequence of McapSource
         Recordings to be forecast. The warm-up recordings must end before these begin.
-    warm : bool
-        Whether to learn from the recordings of `--warm-up`.
-    keep_outlooks : bool
-        Whether to keep every outlook for `Pipeline.take_outlooks`.
-    shard : Shard, optional
-        Share of the fleet that the pipeline serves.
-
-    Returns
-    -------
-    Pipeline
-
-    Raises
-    ------
-    SettingsError
-        If the prefix is invalid, if a map cannot be read, or if a warm-up recording ends too late.
-    RecordingError
-        If a warm-up recording cannot be read.
     """
     first, *shadows = models
     prefix = parse_prefix(options.prefix)
@@ -157,24 +134,7 @@ def make_pipeline(
 def describe_forecasts(
     command: str, options: ForecastOptions, models: Sequence[LinearModel], also: Mapping[str, Any] | None = None
 ) -> dict[str, str]:
-    """Return the metadata of a recording that a command with the shared options writes.
-
-    Parameters
-    ----------
-    command : str
-        Name of the command.
-    options : ForecastOptions
-        Values of the shared options.
-    models : sequence of LinearModel
-        The loaded models of the options.
-    also : mapping of str to object, optional
-        Other settings that differ from their defaults.
-
-    Returns
-    -------
-    dict of str to str
-        See `socast.stream.recording_metadata.make_metadata`.
-    """
+    """Return the metadata of a recording that a command with the shared options writes."""
     return make_metadata(
         command,
         prefix=options.prefix,

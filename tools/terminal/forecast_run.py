@@ -25,25 +25,10 @@ def run_forecasts(
 
     Parameters
     ----------
-    pipeline : Pipeline
-        Pipeline that makes the forecasts and holds the rides afterwards.
-    sources : sequence of McapSource
-        The recordings.
     source : Source, optional
         Messages of the recordings, for example paced. By default they are merged in time order.
-    rate : float
-        Ratio of recorded time to real time; `inf` is as fast as possible. [1]
-    sinks : sequence of Sink
-        Sinks that receive the forecasts.
-    also : callable
-        Function that is called after each list of messages.
     zone : tzinfo, optional
         Time zone of the times in the table; None is that of the system.
-
-    Returns
-    -------
-    Tally
-        Counts of the messages that went through the loop.
     """
     shown = LiveTable(pipeline, "Replay", silent=rate == inf, zone=zone)
     with show_progress(sources, shown=rate == inf) as step, shown as table:

@@ -51,13 +51,7 @@ _log = logging.getLogger("socast.kernels")
 
 
 def log_progress(compiled: int, total: int) -> None:
-    """Log how many kernels have been compiled.
-
-    Parameters
-    ----------
-    compiled, total : int
-        Number of kernels compiled or begun so far, and number of all kernels.
-    """
+    """Log how many kernels have been compiled."""
     _log.info("compiling kernels, once after installation: %d of %d", compiled, total)
 
 
@@ -66,16 +60,9 @@ def compile_kernels(*models: Model, report: Callable[[int, int], None] = log_pro
 
     Parameters
     ----------
-    *models : Model
-        Models that will run; the built-in `extended_physical` without any.
     report : callable
         Function that receives the number of kernels compiled or begun so far and the number of all kernels, at the
         first one, every `INTERVAL_S` and at the last one; it is not called if all kernels are in the cache.
-
-    Returns
-    -------
-    int
-        Number of kernels that were compiled.
     """
     progress = _Progress(report)
     event.register("numba:compile", progress)  # type: ignore[no-untyped-call]
@@ -126,13 +113,7 @@ def list_kernels() -> set[Dispatcher]:
 
 
 def compile_in_parallel() -> int:
-    """Compile all kernels, those of the cleaning in a process of its own; return the number of the others.
-
-    Raises
-    ------
-    subprocess.CalledProcessError
-        The other process failed.
-    """
+    """Compile all kernels, those of the cleaning in a process of its own; return the number of the others."""
     command = [sys.executable, "-m", __spec__.name if __name__ == "__main__" else __name__, "--cleaning"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as other:  # noqa: S603 - this module itself
         _run_independent_kernels()
@@ -210,13 +191,7 @@ def _record_and_read(messages: Sequence[Message]) -> MessageBlock:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Compile the kernels, and say what was done.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Command line. By default that of the process.
-    """
+    """Compile the kernels, and say what was done."""
     about = "Compile the kernels and keep them in the cache, so that later starts need no compilation."
     parser = argparse.ArgumentParser(prog="python -m socast.tools.terminal.kernels", description=about)
     parser.add_argument("--cleaning", action="store_true", help="compile only the kernel of the cleaning")

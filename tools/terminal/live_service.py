@@ -143,17 +143,7 @@ class ServiceParts:
 
 
 def serve(options: LiveOptions) -> None:
-    """Start the service, run it until a signal stops it, and stop it.
-
-    Parameters
-    ----------
-    options : LiveOptions
-
-    Raises
-    ------
-    SocastError
-        If an option is wrong, a file cannot be used, or no connection can be made.
-    """
+    """Start the service, run it until a signal stops it, and stop it."""
     with ExitStack() as ending:
         parts = start_service(options, ending)
         run_service(parts, options.report_s, options.zone)
@@ -165,7 +155,6 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
 
     Parameters
     ----------
-    options : LiveOptions
     ending : ExitStack
         Closes the parts, the last one first, also if a later step fails.
     """
@@ -211,9 +200,6 @@ def run_service(parts: ServiceParts, report_s: float, zone: tzinfo | None = UTC)
 
     Parameters
     ----------
-    parts : ServiceParts
-    report_s : float
-        Time between two log lines of counters. [s]
     zone : tzinfo, optional
         Time zone of the times on the terminal; None is that of the system.
     """
@@ -231,12 +217,7 @@ def run_service(parts: ServiceParts, report_s: float, zone: tzinfo | None = UTC)
 
 
 def stop_service(parts: ServiceParts) -> None:
-    """Log the last counts, and save the state.
-
-    Parameters
-    ----------
-    parts : ServiceParts
-    """
+    """Log the last counts, and save the state."""
     parts.monitor.announce_stop()
     parts.queries.end()
     parts.rides.end()

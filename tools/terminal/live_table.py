@@ -120,13 +120,7 @@ class LiveTable:
             self(self._last)
 
     def __call__(self, tally: Tally) -> None:
-        """Draw the table or print a line, if it is due.
-
-        Parameters
-        ----------
-        tally : Tally
-            Counts of the loop so far.
-        """
+        """Draw the table or print a line, if it is due."""
         self._last, now = tally, self._clock()
         if self._silent or now < self._due:
             return
@@ -161,22 +155,8 @@ def make_fleet_table(
 
     Parameters
     ----------
-    cars : sequence of VehicleStatus
-        State of all cars.
-    title, caption : str
-        Text above and below the table.
-    rows : int
-        Largest number of cars in the table.
-    shadows : int
-        Number of shadow models whose predictions have a column.
-    wide : bool
-        Whether the table has all columns.
     zone : tzinfo, optional
         Time zone of the times; None is that of the system.
-
-    Returns
-    -------
-    rich.table.Table
     """
     shown = _choose_cars(cars, rows)
     of_zone = name_zone([car.time_s for car in shown if isfinite(car.time_s)], zone)
@@ -254,16 +234,8 @@ def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally, zone: tzinfo 
 
     Parameters
     ----------
-    cars : sequence of VehicleStatus
-        State of all cars.
-    tally : Tally
-        Counts of the loop so far.
     zone : tzinfo, optional
         Time zone of the time; None is that of the system.
-
-    Returns
-    -------
-    str
     """
     counts = f"{tally.seconds:5.1f} s  {tally.received:7,} messages  {len(cars):3} cars"
     if not cars:
@@ -279,13 +251,6 @@ def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally, zone: tzinfo 
 
 def add_predictions(rides: pd.DataFrame, models: ShadowModels) -> pd.DataFrame:
     """Return a ride table with the predictions of models, in order of the rides' starts.
-
-    Parameters
-    ----------
-    rides : DataFrame
-        Ride table.
-    models : ShadowModels
-        The first model and its shadows.
 
     Returns
     -------
@@ -310,11 +275,6 @@ def add_predictions(rides: pd.DataFrame, models: ShadowModels) -> pd.DataFrame:
 def make_ride_records(rides: pd.DataFrame) -> list[dict[str, Any]]:
     """Return the rows of a ride table with predictions, for JSON.
 
-    Parameters
-    ----------
-    rides : DataFrame
-        Result of `add_predictions`.
-
     Returns
     -------
     list of dict
@@ -333,12 +293,6 @@ def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any], z
 
     Parameters
     ----------
-    console : rich.console.Console
-        Console to print on.
-    rides : DataFrame
-        Result of `add_predictions`.
-    quality : dict
-        Counters of `Pipeline.quality`.
     zone : tzinfo, optional
         Time zone of the times; None is that of the system.
     """
@@ -374,19 +328,7 @@ def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any], z
 
 
 def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
-    """Return sentences on the totals of a ride table and on rejected data.
-
-    Parameters
-    ----------
-    rides : DataFrame
-        Result of `add_predictions`.
-    quality : dict
-        Counters of `Pipeline.quality`.
-
-    Returns
-    -------
-    list of str
-    """
+    """Return sentences on the totals of a ride table and on rejected data."""
     fit = rides[rides["fit_for_training"] & rides["predicted_kwh"].notna() & rides["energy_kwh"].notna()]
     cars = format_count(rides["vehicle_id"].nunique(), "car")
     lines = [f"{format_count(len(rides), 'ride')} of {cars}, {rides['distance_km'].sum():.1f} km"]
@@ -411,11 +353,6 @@ def summary(rides: pd.DataFrame, quality: dict[str, Any]) -> list[str]:
 
 def describe_unknown_models(unknown: Mapping[str, Sequence[str]]) -> list[str]:
     """Return a line for each vehicle model that is not in the catalogue, with its cars and the remedy.
-
-    Parameters
-    ----------
-    unknown : mapping of str to sequence of str
-        Cars by model, as `Pipeline.quality` gives them.
 
     Examples
     --------
@@ -448,19 +385,7 @@ def _format_counts(counts: _Reads) -> str:
 
 
 def describe_counts(tally: Tally, quality: dict[str, Any]) -> str:
-    """Return the text below the table of cars.
-
-    Parameters
-    ----------
-    tally : Tally
-        Counts of the loop so far.
-    quality : dict
-        Counters of `socast.core.pipeline.Pipeline.quality`.
-
-    Returns
-    -------
-    str
-    """
+    """Return the text below the table of cars."""
     rejected = sum(quality["undecodable"].values())
     rate = tally.received / tally.seconds if tally.seconds > 0 else 0.0
     return (

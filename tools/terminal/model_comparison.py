@@ -54,40 +54,12 @@ ModelNames = Annotated[
 
 
 def load_models(names: Sequence[str] | None) -> list[LinearModel]:
-    """Load the models of the given names or files, or `DEFAULT_MODEL` without names.
-
-    Parameters
-    ----------
-    names : sequence of str, optional
-        Names of built-in models, or paths of model files.
-
-    Returns
-    -------
-    list of LinearModel
-
-    Raises
-    ------
-    ModelError
-        If a name or file is not a model.
-    """
+    """Load the models of the given names or files, or `DEFAULT_MODEL` without names."""
     return [models.load(name) for name in names or [DEFAULT_MODEL]]
 
 
 def find_models(names: Sequence[str] | None, folder: Path | None) -> list[str]:
-    """Return the names of the models to run: those given, else the fitted one in the folder of the recordings.
-
-    Parameters
-    ----------
-    names : sequence of str, optional
-        As given.
-    folder : Path, optional
-        Folder of the recordings.
-
-    Returns
-    -------
-    list of str
-        Empty where no model is known but the catalogue's, `DEFAULT_MODEL`.
-    """
+    """Return the names of the models to run: those given, else the fitted one in the folder of the recordings."""
     if names or folder is None or not (fitted := folder / FITTED).is_file():
         return list(names or ())
     return [str(fitted)]
@@ -98,10 +70,6 @@ def advise_fit(model: LinearModel, data: str, folder: str = "") -> str | None:
 
     Parameters
     ----------
-    model : LinearModel
-        Model that forecasts.
-    data : str
-        Recordings or tables of rides, for the command.
     folder : str
         Folder in which the command writes the model, with a slash at its end.
     """
@@ -144,18 +112,10 @@ def make_models_table(
 
     Parameters
     ----------
-    errors_of_models : sequence of ModelErrors
-        Errors of each model; the first model makes the forecasts.
-    wide : bool
-        Whether the table has all columns.
     by_vehicle_model : bool
         Whether the row of each model is followed by one row per vehicle model.
     courses : ErrorCourses, optional
         Courses of the errors; with them a wide table has a column of pictures.
-
-    Returns
-    -------
-    rich.table.Table
     """
     columns = [
         Column("model", fixed=True, min_width=None if wide else 18),
@@ -173,17 +133,7 @@ def make_models_table(
 
 
 def describe_gain(gain: Gain) -> str:
-    """Return a sentence on how a shadow model compares with the first model.
-
-    Parameters
-    ----------
-    gain : Gain
-        Difference of the errors, with its interval and verdict.
-
-    Returns
-    -------
-    str
-    """
+    """Return a sentence on how a shadow model compares with the first model."""
     over = f"{format_count(gain.rides, 'ride')} of {format_count(gain.vehicle_days, 'vehicle-day')}"
     if gain.mean_kwh is None or gain.lower_kwh is None or gain.upper_kwh is None or gain.verdict == "undecided":
         return f"undecided: {over}"
@@ -195,19 +145,7 @@ def describe_gain(gain: Gain) -> str:
 def show_models(
     console: Console, errors_of_models: Sequence[ModelErrors], known: Sequence[LinearModel], rides: pd.DataFrame
 ) -> None:
-    """Print the errors of models on rides, and warn of rides that a model may have been fitted to.
-
-    Parameters
-    ----------
-    console : rich.console.Console
-        Console to print on.
-    errors_of_models : sequence of ModelErrors
-        Errors of each model.
-    known : sequence of LinearModel
-        The models, for the dates of their training.
-    rides : DataFrame
-        Ride table, with a column `date`.
-    """
+    """Print the errors of models on rides, and warn of rides that a model may have been fitted to."""
     console.print(make_models_table(errors_of_models, wide=console.width >= WIDE, by_vehicle_model=True))
     verdicts = [
         f"{model.model}: {describe_gain(model.overall.gain)}" for model in errors_of_models if model.overall.gain
@@ -220,17 +158,6 @@ def warn_of_training_days(known: Sequence[LinearModel], rides: pd.DataFrame) -> 
     """Return a warning for each model whose training dates include dates of these rides.
 
     Such a model may have been fitted to these rides.
-
-    Parameters
-    ----------
-    known : sequence of LinearModel
-        Models; those without a record of their training cause no warning.
-    rides : DataFrame
-        Ride table, with a column `date`.
-
-    Returns
-    -------
-    list of str
     """
     lines = []
     for model in known:
@@ -248,32 +175,12 @@ def warn_of_training_days(known: Sequence[LinearModel], rides: pd.DataFrame) -> 
 
 
 def make_records(errors_of_models: Sequence[ModelErrors]) -> list[Any]:
-    """Return the errors of each model in the form of their wire message, for JSON.
-
-    Parameters
-    ----------
-    errors_of_models : sequence of ModelErrors
-        Errors of each model.
-
-    Returns
-    -------
-    list of dict
-    """
+    """Return the errors of each model in the form of their wire message, for JSON."""
     return [msgspec.to_builtins(model) for model in errors_of_models]
 
 
 def make_log_fields(model: ModelErrors) -> dict[str, Any]:
-    """Return the fields of a log line on a model, without unknown values.
-
-    Parameters
-    ----------
-    model : ModelErrors
-        Errors of the model.
-
-    Returns
-    -------
-    dict
-    """
+    """Return the fields of a log line on a model, without unknown values."""
     overall = model.overall
     gain = overall.gain
     fields: dict[str, Any] = {"model": model.model} | msgspec.to_builtins(overall)

@@ -15,21 +15,7 @@ from socast.tools.terminal.output import check_outputs
 
 
 def check_watch(options: ForecastOptions, record: Path | None, watch: Path | None) -> None:
-    """Refuse --watch without recordings, and a file that holds no findings or cannot be written.
-
-    Parameters
-    ----------
-    options : ForecastOptions
-    record : Path, optional
-        Folder of --record.
-    watch : Path, optional
-        File of --watch.
-
-    Raises
-    ------
-    SettingsError
-        If they do not go together, or the file cannot be used.
-    """
+    """Refuse --watch without recordings, and a file that holds no findings or cannot be written."""
     if watch is None:
         return
     if record is None:
@@ -41,20 +27,7 @@ def check_watch(options: ForecastOptions, record: Path | None, watch: Path | Non
 def make_nightly_diagnosis(
     options: ForecastOptions, pipeline: Pipeline, sink: Sink, record: Path, file: Path
 ) -> NightlyDiagnosis:
-    """Return the diagnosis of the first model after every midnight, on the recordings of a folder.
-
-    Parameters
-    ----------
-    options : ForecastOptions
-    pipeline : Pipeline
-        Pipeline that detects the end of a day; it is not changed.
-    sink : Sink
-        Sink of what is published.
-    record : Path
-        Folder of the recordings.
-    file : Path
-        File that keeps the findings.
-    """
+    """Return the diagnosis of the first model after every midnight, on the recordings of a folder."""
     arguments = [str(record), "--model", options.models[0] if options.models else DEFAULT_MODEL]
     arguments += [word for path in options.effect_files for word in ("--effects", str(path))]
     arguments += [word for path in options.vehicle_files for word in ("--vehicles", str(path))]

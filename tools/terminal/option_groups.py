@@ -16,17 +16,10 @@ def insert_options(name: str, build: Function, title: str = "") -> Callable[[Fun
 
     Parameters
     ----------
-    name : str
-        Name of the command's argument.
     build : callable
         Function that takes the options as its parameters and returns the value of the argument.
     title : str
         Title of these options in a long help text, for those that have none of their own.
-
-    Returns
-    -------
-    callable
-        Decorator. The decorated command takes only keyword arguments.
 
     Examples
     --------

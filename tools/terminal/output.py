@@ -128,11 +128,6 @@ def has_lost_reader() -> bool:
 def make_console(json_file: Path | None = None) -> Console:
     """Return the console for tables and text: standard output, or standard error if the JSON report goes to the former.
 
-    Parameters
-    ----------
-    json_file : Path, optional
-        Value of `--json`; `-` leaves standard output to the report.
-
     Returns
     -------
     rich.console.Console
@@ -152,15 +147,8 @@ def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspe
     ----------
     path : Path, optional
         File to write; `-` is standard output, None writes nothing.
-    report : str
-        Name of the report, a key of `REPORT_VERSIONS`.
     value : mapping or msgspec.Struct
         Fields of the report. A list must be the value of a field.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be written.
 
     Examples
     --------
@@ -196,14 +184,6 @@ def show_report(name: str, result: Any, html_file: Path | None, json_file: Path 
     name : str
         Module of `socast.tools.report` that shows the result. It is imported here, because figures take seconds to
         import.
-    result : Any
-        Result in the form that the module's `show` and `write` take.
-    html_file : Path, optional
-        The page to write.
-    json_file : Path, optional
-        Value of `--json`, see `make_console`.
-    options : Any
-        Further arguments of `show` and `write`.
     """
     shown, console = import_module(f"socast.tools.report.{name}"), make_console(json_file)
     if html_file:
@@ -214,17 +194,7 @@ def show_report(name: str, result: Any, html_file: Path | None, json_file: Path 
 
 
 def select_model_files(given: Iterable[str]) -> list[Path]:
-    """Return the model files among the models that the command line names.
-
-    Parameters
-    ----------
-    given : iterable of str
-        Names of built-in models, or paths of model files.
-
-    Returns
-    -------
-    list of Path
-    """
+    """Return the model files among the models that the command line names."""
     from socast.core.models import BUILT_IN_MODELS  # noqa: PLC0415 - imports numba, which `socast effects` does without
 
     return [Path(name) for name in given if name not in BUILT_IN_MODELS]
@@ -235,15 +205,8 @@ def check_outputs(inputs: Iterable[Path], *outputs: Path | None) -> None:
 
     Parameters
     ----------
-    inputs : iterable of Path
-        Files that the command reads.
     outputs : Path or None
         Files that the command will write; None and standard output need no check.
-
-    Raises
-    ------
-    SettingsError
-        If an output is an input, another output or a folder, if its folder does not exist, or if it cannot be written.
     """
     read, written = {path.resolve() for path in inputs}, set[Path]()
     for path in outputs:
@@ -281,21 +244,6 @@ def _try_to_write(path: Path) -> None:
 
 def parse_speed(text: str) -> float:
     """Return the speed of a replay from the command line, relative to real time.
-
-    Parameters
-    ----------
-    text : str
-        A number, with or without `x` after it, or `max`.
-
-    Returns
-    -------
-    float
-        Ratio of recorded time to real time, above 0; infinite for `max`. [1]
-
-    Raises
-    ------
-    SettingsError
-        If the text is neither a number above 0 nor `max`.
 
     Examples
     --------

@@ -42,31 +42,14 @@ class ParquetTable:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Finish the file, or remove it if anything was raised.
-
-        Raises
-        ------
-        SettingsError
-            If the file cannot be written.
-        """
+        """Finish the file, or remove it if anything was raised."""
         try:
             self._opened.__exit__(kind, error, trace)
         except OSError as failure:
             raise self._explain(failure) from failure
 
     def append(self, table: pd.DataFrame) -> None:
-        """Write a row group; text columns stay text even if all their values in a group are unknown.
-
-        Parameters
-        ----------
-        table : DataFrame
-            Rows of the group.
-
-        Raises
-        ------
-        SettingsError
-            If the file cannot be written.
-        """
+        """Write a row group; text columns stay text even if all their values in a group are unknown."""
         try:
             writer = self._writer or self._open(table)
             writer.write_table(pa.Table.from_pandas(table, schema=self._schema, preserve_index=False))

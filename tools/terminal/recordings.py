@@ -21,42 +21,13 @@ Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="MCAP r
 
 
 def open_recordings(recordings: Sequence[Path]) -> list[McapSource]:
-    """Open recordings for reading.
-
-    Parameters
-    ----------
-    recordings : sequence of Path
-        The recordings.
-
-    Returns
-    -------
-    list of McapSource
-        Sources in the order of the arguments.
-
-    Raises
-    ------
-    RecordingError
-        If a recording cannot be read.
-    SettingsError
-        If a recording is given twice.
-    """
+    """Open recordings for reading."""
     refuse_duplicates(recordings)
     return [McapSource(path) for path in recordings]
 
 
 def refuse_duplicates(files: Iterable[Path]) -> None:
-    """Refuse files if one of them is given twice, even under different names.
-
-    Parameters
-    ----------
-    files : iterable of Path
-        Files that the command line names.
-
-    Raises
-    ------
-    SettingsError
-        If a file is given twice, because its rides would count twice. The message names the file.
-    """
+    """Refuse files if one of them is given twice, even under different names."""
     known: set[str] = set()
     for file in files:
         place = realpath(file)  # `Path.resolve` fails on circular links
@@ -66,20 +37,7 @@ def refuse_duplicates(files: Iterable[Path]) -> None:
 
 
 def refuse_unusable(sources: Sequence[McapSource], usable: int) -> None:
-    """Refuse recordings that were read to their end and hold no message of the wire contract.
-
-    Parameters
-    ----------
-    sources : sequence of McapSource
-        The recordings.
-    usable : int
-        Number of messages of the wire contract in all recordings.
-
-    Raises
-    ------
-    RecordingError
-        If the number is 0 and all recordings were read to their end.
-    """
+    """Refuse recordings that were read to their end and hold no message of the wire contract."""
     if not usable and all(source.blocks_read == source.blocks for source in sources):
         names = ", ".join(str(source.path) for source in sources)
         raise RecordingError(
@@ -100,19 +58,8 @@ def show_progress(
 
     Parameters
     ----------
-    sources : sequence of McapSource
-        The recordings.
     shown : bool
         Whether to show the progress. The bar never appears if standard error is not a terminal.
-    words : str
-        Text before the progress.
-    clock : callable
-        Function that returns monotonic time. [s]
-
-    Yields
-    ------
-    callable
-        Function without arguments that updates the progress.
     """
     console = Console(stderr=True)
     if shown and not console.is_terminal:
@@ -142,27 +89,13 @@ def _make_line_progress(
 
 
 def warn_of_loggers(quality: Mapping[str, Any]) -> None:
-    """Print one line on standard error for each fault of loggers: the cars and the remedy.
-
-    Parameters
-    ----------
-    quality : mapping
-        Counters of `socast.core.pipeline.Pipeline.quality`.
-    """
+    """Print one line on standard error for each fault of loggers: the cars and the remedy."""
     for line in describe_faults(quality["logger_faults"]):
         Console(stderr=True).print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
 
 def warn_of_losses(sources: Iterable[McapSource], console: Console | None = None) -> None:
-    """Print which data of recordings were lost or could not be read.
-
-    Parameters
-    ----------
-    sources : iterable of McapSource
-        Recordings after they were read.
-    console : rich.console.Console, optional
-        Console to print on; by default standard error.
-    """
+    """Print which data of recordings were lost or could not be read."""
     console = console or Console(stderr=True)
     for source in sources:
         for line in source.losses.lines():

@@ -128,16 +128,12 @@ def distribute_width(least: Sequence[int], unbroken: Sequence[int], most: Sequen
 
     As many columns as possible take the width at which no word is broken. What remains goes to the narrowest columns.
 
+    Units: room [characters].
+
     Parameters
     ----------
     least, unbroken, most : sequence of int
         Width of each column that it needs at least, without broken words, and without line breaks. [characters]
-    room : int
-        Sum of the widths, not below that of `least`. [characters]
-
-    Returns
-    -------
-    list of int
 
     Examples
     --------
@@ -156,21 +152,7 @@ def distribute_width(least: Sequence[int], unbroken: Sequence[int], most: Sequen
 
 
 def make_table(columns: Sequence[Column], title: str = "", caption: str = "", *, expand: bool = False) -> Table:
-    """Return an empty table in the common style, with horizontal rules only, which leaves more width for numbers.
-
-    Parameters
-    ----------
-    columns : sequence of Column
-        Columns from left to right.
-    title, caption : str
-        Text above and below the table. It is printed unchanged, without markup.
-    expand : bool
-        Whether the table takes the whole width of the console.
-
-    Returns
-    -------
-    rich.table.Table
-    """
+    """Return an empty table in the common style, with horizontal rules only, which leaves more width for numbers."""
     table = _NumberTable(
         title=Text(title, style="bold") if title else None,
         caption=Text(caption) if caption else None,
@@ -194,17 +176,7 @@ def make_table(columns: Sequence[Column], title: str = "", caption: str = "", *,
 
 
 def make_description(entries: Sequence[tuple[str, RenderableType]]) -> Table:
-    """Return a table of names, each with its description on the right.
-
-    Parameters
-    ----------
-    entries : sequence of tuple
-        Pairs of name and description.
-
-    Returns
-    -------
-    rich.table.Table
-    """
+    """Return a table of names, each with its description on the right."""
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_column(no_wrap=True, style="bold")
     table.add_column(ratio=1)

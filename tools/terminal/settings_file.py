@@ -57,20 +57,6 @@ def read_settings(file: Path, command: Any) -> tuple[dict[str, Any], dict[str, s
     ----------
     file : Path
         TOML file: long names of options without dashes before them; a list where an option may be repeated.
-    command : typer.core.TyperCommand
-        Command whose options these are.
-
-    Returns
-    -------
-    dict of str to object
-        Values by the names of parameters.
-    dict of str to str
-        File and line of each.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, is not TOML, names an option that does not exist, or has a value of a wrong type.
     """
     try:
         content = read_input(file)
@@ -105,14 +91,7 @@ def list_settings(command: Any) -> dict[str, Any]:
 
 
 def name_place(context: typer.Context | None, parameter: Any) -> str:
-    """Return the file and the line of the value of a parameter, with a colon; empty where no file sets it.
-
-    Parameters
-    ----------
-    context : typer.Context, optional
-        Call of the command.
-    parameter : typer.core.TyperOption, optional
-    """
+    """Return the file and the line of the value of a parameter, with a colon; empty where no file sets it."""
     if context is None or parameter is None:
         return ""
     source = context.get_parameter_source(parameter.name)

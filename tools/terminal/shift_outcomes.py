@@ -138,10 +138,6 @@ def show_outcomes(console: Console, shifts: list[dict[str, Any]], zone: tzinfo |
 
     Parameters
     ----------
-    console : rich.console.Console
-        Console to print on.
-    shifts : list of dict
-        Records of `ShiftOutcomes.records`.
     zone : tzinfo, optional
         Time zone of the times; None is that of the system.
     """
@@ -168,17 +164,7 @@ def show_outcomes(console: Console, shifts: list[dict[str, Any]], zone: tzinfo |
 
 
 def summary(shifts: list[dict[str, Any]]) -> list[str]:
-    """Return one sentence per lead time on how often the outcome was within the interval.
-
-    Parameters
-    ----------
-    shifts : list of dict
-        Records of `ShiftOutcomes.records`.
-
-    Returns
-    -------
-    list of str
-    """
+    """Return one sentence per lead time on how often the outcome was within the interval."""
     lines = []
     for name, words in zip(MADE_AT, ("at the beginning", "2 h before the end", "1 h before the end"), strict=True):
         held = [

@@ -22,10 +22,6 @@ def draw_charge(now_pct: float, end_pct: tuple[float, float, float] | None, widt
         Present state of charge, NaN where unknown. [%]
     end_pct : tuple of (float, float, float), optional
         Mean, 5th and 95th percentile of the charge at the end of the shift. [%]
-    width : int
-        Number of characters.
-    style : str
-        Style of the interval.
 
     Examples
     --------
@@ -55,8 +51,6 @@ def draw_course(values: Sequence[float], width: int) -> str:
     ----------
     values : sequence of float
         In order of time, not negative.
-    width : int
-        Number of characters; of more values as many means of neighbours are drawn.
 
     Examples
     --------

@@ -20,39 +20,12 @@ WINDOW: Final = "window"
 
 
 def read(files: Sequence[Path], columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Read tables and concatenate them; with several files, the index of the file comes before each ride key.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        Parquet files, or folders of those of a table.
-    columns : sequence of str, optional
-        Columns to read; by default all.
-
-    Returns
-    -------
-    DataFrame
-
-    Raises
-    ------
-    ModelError
-        If a file is not a Parquet file, or if it lacks a column.
-    """
+    """Read tables and concatenate them; with several files, the index of the file comes before each ride key."""
     return join_parts([_read(file, columns) for file in files])
 
 
 def join_parts(parts: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Concatenate tables; with several, the index of the table comes before each ride key.
-
-    Parameters
-    ----------
-    parts : sequence of DataFrame
-        Tables.
-
-    Returns
-    -------
-    DataFrame
-    """
+    """Concatenate tables; with several, the index of the table comes before each ride key."""
     if len(parts) == 1:
         return parts[0]
     if any(KEY not in part for part in parts):
@@ -63,11 +36,6 @@ def join_parts(parts: Sequence[pd.DataFrame]) -> pd.DataFrame:
 
 def is_window_table(file: Path) -> bool:
     """Tell whether a file is a Parquet file of windows.
-
-    Parameters
-    ----------
-    file : Path
-        File.
 
     Returns
     -------

@@ -61,24 +61,7 @@ class TableImport(NamedTuple):
 
 
 def import_tables(kind: str, paths: list[Path], options: TableImport) -> None:
-    """Guess a map of tables, or convert tables with a map, or both.
-
-    Parameters
-    ----------
-    kind : str
-        `csv` or `parquet`.
-    paths : list of Path
-        Files and folders.
-    options : TableImport
-        The options.
-
-    Raises
-    ------
-    SettingsError
-        If the options do not fit each other.
-    ImportFileError
-        If a file or the map cannot be read.
-    """
+    """Guess a map of tables, or convert tables with a map, or both."""
     map_file, out = options.map_file, options.out
     preset = None if options.preset is None else get_preset(options.preset)
     guesses = options.guess or preset is not None
@@ -113,15 +96,8 @@ def place_in_sequence(time: TimeSource, hours: float) -> TimeSource:
 
     Parameters
     ----------
-    time : TimeSource
-        The clock of the map.
     hours : float
         Time from the last row of a file to the number 0 of the next one. [h]
-
-    Raises
-    ------
-    SettingsError
-        If the files tell their dates.
     """
     if time.unit_s is None or time.is_serial or time.origin_form or time.day_from_file_name or len(time.columns) > 1:
         raise SettingsError(
@@ -203,17 +179,6 @@ def _open_all(kind: str, files: list[Path], skipped: SkippedFiles) -> list[Table
 
 
 def check_recording(out: Path) -> None:
-    """Refuse a recording whose name does not end as recordings do.
-
-    Parameters
-    ----------
-    out : Path
-        Value of `--out`.
-
-    Raises
-    ------
-    SettingsError
-        If it ends otherwise.
-    """
+    """Refuse a recording whose name does not end as recordings do."""
     if out.suffix != RECORDING:
         raise SettingsError(f"--out {out}: a recording ends in {RECORDING}; name it {out.with_suffix(RECORDING)}")

@@ -88,17 +88,6 @@ def complete_tables(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return tables with the columns of effects that they lack, from the recordings that they were made of.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the tables.
-    rides, windows : DataFrame
-        The tables.
-    effects : sequence of str
-        Names of the effects.
-    read_again : callable
-        Function that makes tables of recordings.
-
     Returns
     -------
     rides, windows : DataFrame

@@ -23,20 +23,7 @@ TimeZone = Annotated[
 
 
 def find_zone(name: str | None, console: Console) -> tzinfo | None:
-    """Return the time zone of a name; without a name that of the system on a terminal, and UTC elsewhere.
-
-    Parameters
-    ----------
-    name : str, optional
-        Value of `--time-zone`.
-    console : rich.console.Console
-        Where the times are shown.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such zone.
-    """
+    """Return the time zone of a name; without a name that of the system on a terminal, and UTC elsewhere."""
     if name is None:
         return SYSTEM if console.is_terminal else UTC
     return parse_zone(name)

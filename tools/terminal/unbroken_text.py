@@ -32,17 +32,7 @@ _TIE: Final = "\ue000"
 def measure_parts(text: str, tied: re.Pattern[str]) -> int:
     """Return the width of the longest part of a text that stays on one line.
 
-    Parameters
-    ----------
-    text : str
-        Text.
-    tied : re.Pattern
-        Spaces at which no line ends.
-
-    Returns
-    -------
-    int
-        Width. [characters]
+    Units: returns [characters].
 
     Examples
     --------

@@ -12,18 +12,7 @@ LARGEST_FILE: Final = 1 << 20
 
 
 def load_vehicle_file(file: Path) -> Mapping[str, VehicleModel]:
-    """Return the vehicle models of a file of data sheets.
-
-    Parameters
-    ----------
-    file : Path
-        TOML file, see `socast.core.vehicles.read_data_sheets`.
-
-    Raises
-    ------
-    CatalogueError
-        If the file cannot be read or holds a mistake.
-    """
+    """Return the vehicle models of a file of data sheets."""
     try:
         text = read_input(file, LARGEST_FILE).decode("utf-8-sig")
     except OSError as error:
@@ -40,18 +29,7 @@ def make_data_sheet(
 ) -> str:
     """Return a file with the data sheet of one car, and comments on what it may hold.
 
-    Parameters
-    ----------
-    key : str
-        Key of the vehicle model.
-    mass_kg : float
-        Kerb mass. [kg]
-    capacity_kwh : float
-        Rated energy of the new battery. [kWh]
-    drag_area_m2 : float, optional
-        Drag coefficient times frontal area. [m^2]
-    rated_kwh_per_100km : float, optional
-        Official consumption. [kWh/100 km]
+    Units: rated_kwh_per_100km [kWh/100 km].
     """
     drag = f"drag_area_m2 = {drag_area_m2:g}" if drag_area_m2 is not None else "# drag_area_m2 = 0.65"
     rated = f"{rated_kwh_per_100km / 100:g}" if rated_kwh_per_100km is not None else None

@@ -37,35 +37,7 @@ def learn_from_recordings(
     replayed: Sequence[McapSource] = (),
     elevation_map: ElevationMap | None = None,
 ) -> Pipeline | None:
-    """Return a pipeline that has processed recordings, for `Pipeline.learn_from`.
-
-    Parameters
-    ----------
-    model : Model
-        Model that makes the forecasts.
-    shadows : sequence of Model
-        Models that run as its shadows.
-    settings : Settings
-        Settings of cleaning.
-    recordings : sequence of Path, optional
-        Recordings of earlier days, merged in time order.
-    replayed : sequence of McapSource
-        Recordings that will be forecast afterwards.
-    elevation_map : ElevationMap, optional
-        Map that corrects the elevation of fixes.
-
-    Returns
-    -------
-    Pipeline or None
-        None without recordings.
-
-    Raises
-    ------
-    SettingsError
-        If a recording ends after the replayed ones begin, because forecasts would then know their outcomes.
-    RecordingError
-        If a recording cannot be read.
-    """
+    """Return a pipeline that has processed recordings, for `Pipeline.learn_from`."""
     if not recordings:
         return None
     sources = open_recordings(recordings)

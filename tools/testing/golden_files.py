@@ -41,15 +41,7 @@ class Checked(NamedTuple):
 
 
 def compare_recordings(expected: Path, found: Path, tolerances: Tolerances | None = None) -> TableComparison:
-    """Compare the forecasts in two recordings, as `socast replay --out` writes them.
-
-    Raises
-    ------
-    RecordingError
-        A file cannot be read, or the expected one holds no forecasts.
-    SettingsError
-        A tolerance names an unknown field or another unit.
-    """
+    """Compare the forecasts in two recordings, as `socast replay --out` writes them."""
     wanted = _read_forecasts(expected)
     if wanted.empty:
         raise RecordingError(f"{expected}: holds no forecasts to compare with; write it anew with the update option")
@@ -69,23 +61,7 @@ def check_forecasts(expected: Path, found: Path, tolerances: Tolerances | None, 
 def check_table(
     expected: Path, found: pd.DataFrame, *, key: Sequence[str], tolerances: Tolerances | None, update: bool
 ) -> Checked:
-    """Compare a table with that of a golden file, or write the file.
-
-    Parameters
-    ----------
-    expected : Path
-        File that ends with one of `SUFFIXES`.
-    found : DataFrame
-    key : sequence of str
-        Columns that name a row, see `compare_tables`.
-    tolerances : mapping, optional
-    update : bool
-
-    Raises
-    ------
-    SettingsError
-        The file has another suffix, or a key or a tolerance names an unknown column.
-    """
+    """Compare a table with that of a golden file, or write the file."""
     if expected.suffix not in SUFFIXES:
         raise SettingsError(f"{expected}: give a name that ends with {' or '.join(SUFFIXES)}")
     levels = [name for name in found.index.names if name is not None]

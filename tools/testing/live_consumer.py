@@ -101,11 +101,6 @@ class LiveConsumer:
         """Publish recordings, or messages and samples, and wait until the consumer has taken them.
 
         Messages that are no input, such as recorded forecasts, are left out.
-
-        Raises
-        ------
-        SettingsError
-            The consumer has ended, or does not take the messages in time.
         """
         self._refuse_ended()
         for burst in _divide(_read(given)):
@@ -123,13 +118,7 @@ class LiveConsumer:
         return Replayed(tabulate_forecasts(self._received), sort_rides(rides), taken.quality, self._out)
 
     def ask(self, vehicle: str, **ride: float) -> dict[str, Any]:
-        """Ask the consumer for the outlook of a car, perhaps with one more ride, such as `distance_km=18`.
-
-        Raises
-        ------
-        AskError
-            The consumer refuses the question.
-        """
+        """Ask the consumer for the outlook of a car, perhaps with one more ride, such as `distance_km=18`."""
         self._refuse_ended()
         answer = query_outlook(self._client, vehicle, {name: str(value) for name, value in ride.items()})
         return dict(json.loads(answer))

@@ -45,27 +45,14 @@ def make_car(
 
     Parameters
     ----------
-    vehicle : str
-        Name of the car.
     duration_s : float, optional
         Time from the first sample to the last; by default the last time of the profiles, or 600 s. [s]
-    period_s : float
-        Time between two samples. [s]
-    start_s : float
-        Time of the first sample. [Unix s]
-    ride_id : str, optional
-        Name of the ride; without it the logger names no rides.
     vehicle_model : str, optional
         Key of the catalogue, which a `vehicle` message announces; without it the model of the car is unknown.
     faults : mapping of str to tuple, optional
         Fault, one of `WHOLE` or one of `OF_FIELD` with a field, -> its begin and its end after the start. [s]
     **profiles : Profile
         Fields of the telemetry, such as `speed_kmh` or `soc_pct`. By default the car drives at 36 km/h and 80 %.
-
-    Raises
-    ------
-    SettingsError
-        A field or a fault is unknown, or a time is out of range.
     """
     given: dict[str, Profile] = {"speed_kmh": 36.0, "soc_pct": 80.0, **profiles}
     fields = [name for name in Telemetry.__struct_fields__ if name not in ("vehicle_id", "time_s", "ride_id", "seq")]
@@ -91,13 +78,7 @@ def make_car(
 
 
 def make_messages(samples: Iterable[Mapping[str, Any]]) -> list[Message]:
-    """Return samples with the fields of the telemetry as messages.
-
-    Raises
-    ------
-    SettingsError
-        A sample has a field that the wire contract does not have, or a value of another kind.
-    """
+    """Return samples with the fields of the telemetry as messages."""
     messages = []
     for number, sample in enumerate(samples, start=1):
         try:

@@ -41,13 +41,7 @@ class Replayed(NamedTuple):
 
 
 def list_recordings(recordings: Sequence[str | Path]) -> list[Path]:
-    """Return recordings, where a folder stands for those in it.
-
-    Raises
-    ------
-    SettingsError
-        There is no recording.
-    """
+    """Return recordings, where a folder stands for those in it."""
     files: list[Path] = []
     for path in map(Path, recordings):
         inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
@@ -60,25 +54,7 @@ def list_recordings(recordings: Sequence[str | Path]) -> list[Path]:
 
 
 def replay_recordings(recordings: Sequence[str | Path], model: str | Path, out: Path) -> Replayed:
-    """Replay recordings, or folders that hold some, merged in the order of time, through a model.
-
-    Parameters
-    ----------
-    recordings : sequence of str or Path
-    model : str or Path
-        Name or file of a model.
-    out : Path
-        Receives the forecasts.
-
-    Raises
-    ------
-    SettingsError
-        There is no recording.
-    RecordingError
-        A recording cannot be read.
-    ModelError
-        The model is unknown.
-    """
+    """Replay recordings, or folders that hold some, merged in the order of time, through a model."""
     files = list_recordings(recordings)
     pipeline = Pipeline(models.load(str(model)))
     forecasts = []

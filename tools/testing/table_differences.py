@@ -125,22 +125,12 @@ def compare_tables(
 
     Parameters
     ----------
-    expected, found : DataFrame
     key : sequence of str
         Columns that name a row. By default those of `KEYS` that the tables have, else the names of their index, else
         the number of the row.
     tolerances : mapping, optional
         Largest difference of a field: a number in its unit, or a text such as `2 %`. A name such as `range_km` holds
         for all its parts. By default a number may differ by `ROUNDING`, and nothing else.
-    rows : str
-        What a row is called.
-    known : collection of str
-        Fields that a tolerance may name although the tables do not have them.
-
-    Raises
-    ------
-    SettingsError
-        A tolerance names an unknown field or another unit, or a table has no such key.
     """
     names = list(key) or find_key(expected, found)
     one, other = _name_rows(expected, names), _name_rows(found, names)

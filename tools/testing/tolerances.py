@@ -74,13 +74,7 @@ def find_unit(field: str) -> str:
 
 
 def parse_tolerances(words: Sequence[str]) -> dict[str, float | str]:
-    """Return tolerances by field, from words such as `soc_pct=0.1`, `soc=0.1%` or `range_km=2km`.
-
-    Raises
-    ------
-    SettingsError
-        A word has another form, or its number is not 0 or more.
-    """
+    """Return tolerances by field, from words such as `soc_pct=0.1`, `soc=0.1%` or `range_km=2km`."""
     tolerances: dict[str, float | str] = {}
     for word in words:
         name, equals, text = word.partition("=")
@@ -94,21 +88,7 @@ def parse_tolerances(words: Sequence[str]) -> dict[str, float | str]:
 def resolve_tolerances(
     tolerances: Tolerances | None, fields: Collection[str], known: Collection[str] = ()
 ) -> dict[str, Tolerance]:
-    """Return the tolerance of each field that has one; that of the longest name that holds for it.
-
-    Parameters
-    ----------
-    tolerances : mapping, optional
-    fields : collection of str
-        Fields of the tables that are compared.
-    known : collection of str
-        Further fields that a tolerance may name.
-
-    Raises
-    ------
-    SettingsError
-        A tolerance names no field, is no number of 0 or more, or has another unit than the field.
-    """
+    """Return the tolerance of each field that has one; that of the longest name that holds for it."""
     resolved: dict[str, Tolerance] = {}
     everything = dict.fromkeys([*fields, *known])
     for name in sorted(tolerances or {}, key=len):

@@ -35,13 +35,6 @@ class Report:
         ----------
         share : float, optional
             Part of the work that is done, None where unknown. [1]
-        words : str
-            What is being done.
-
-        Raises
-        ------
-        CancelledError
-            If the job was cancelled.
         """
         if self._job.is_cancelled:
             raise CancelledError("cancelled")
@@ -99,25 +92,7 @@ class Jobs:
         self._lock = Lock()
 
     def start(self, name: str, work: Work) -> dict[str, Any]:
-        """Start a job, and return its record.
-
-        Parameters
-        ----------
-        name : str
-            What the job does, for a person.
-        work : callable
-            Function that does the work; it runs in a thread.
-
-        Returns
-        -------
-        dict
-            Record of the job, see `Job.describe`.
-
-        Raises
-        ------
-        SocastError
-            If another job runs.
-        """
+        """Start a job, and return its record."""
         with self._lock:
             if busy := next((job for job in self._jobs.values() if job.status == "running"), None):
                 raise SocastError(f"another job runs: {busy.name}; wait until it ends, or cancel it")

@@ -55,16 +55,7 @@ SHELL_ROUTES: Final = (
 
 
 def make_application(workbench: Workbench) -> Starlette:
-    """Return the web application of a workbench, without the control of access.
-
-    Parameters
-    ----------
-    workbench : Workbench
-
-    Returns
-    -------
-    Starlette
-    """
+    """Return the web application of a workbench, without the control of access."""
     files = {f"/static/{path.name}": path for path in sorted(STATIC.iterdir()) if path.suffix in _TYPES}
     files["/"] = STATIC / "index.html"
     routes: list[BaseRoute] = [Route(path, _make_file_endpoint(file)) for path, file in files.items()]

@@ -137,13 +137,7 @@ class _Server(uvicorn.Server):
 
 
 def make_announcer(*, opens_browser: bool) -> Callable[[str], None]:
-    """Return the function that prints each address, and opens the first one in a browser.
-
-    Parameters
-    ----------
-    opens_browser : bool
-        Whether to open the first address.
-    """
+    """Return the function that prints each address, and opens the first one in a browser."""
     count = 0
 
     def announce(address: str) -> None:

@@ -129,18 +129,7 @@ class Workspace:
         return self._temporary is not None
 
     def open(self, report: Report = lambda *_: None) -> dict[str, Any]:
-        """Read the rides, load or fit the first model, and return what was read.
-
-        Parameters
-        ----------
-        report : callable
-            Function that receives the progress.
-
-        Raises
-        ------
-        SocastError
-            If the rides or a model cannot be read. `problem` keeps the message.
-        """
+        """Read the rides, load or fit the first model, and return what was read."""
         try:
             given = named(self.given.models)
             if self.given.data:
@@ -157,15 +146,7 @@ class Workspace:
         return self.describe()
 
     def make_tables(self, report: Report = lambda *_: None, wanted: Sequence[str] = ()) -> RideTables:
-        """Read the tables, or make them of the recordings with every effect that is known now.
-
-        Parameters
-        ----------
-        report : callable
-            Function that receives the progress.
-        wanted : sequence of str
-            Further variants of effects that models read.
-        """
+        """Read the tables, or make them of the recordings with every effect that is known now."""
         words = "making tables of the recordings" if self.recorded else "reading the tables"
         of_models = [name for node in self.models.list_nodes() for name in node.model.effects]
         rides, windows = read_both_tables(
@@ -178,16 +159,6 @@ class Workspace:
         """Load the files of effects that changed, and make the tables again so that they hold the new effects.
 
         Tables that were given cannot be made again; `describe` then names the effects that they lack.
-
-        Parameters
-        ----------
-        report : callable
-            Function that receives the progress.
-
-        Returns
-        -------
-        dict
-            Names of the `effects` that were loaded, and whether the tables were `made`.
         """
         report(0.0, "checking the files of effects")
         loaded = self.effects.read_again()

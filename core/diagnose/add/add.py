@@ -186,13 +186,6 @@ def add_effect(
 def log_attempt(model: LinearModel, trial: dict[str, Any]) -> LinearModel:
     """Return a model that is unchanged except for a trial in its history.
 
-    Parameters
-    ----------
-    model : LinearModel
-        The model before the trial.
-    trial : dict
-        The trial of an `AdditionTrial`.
-
     Returns
     -------
     LinearModel
@@ -203,18 +196,7 @@ def log_attempt(model: LinearModel, trial: dict[str, Any]) -> LinearModel:
 
 
 def force_addition(added: AdditionTrial) -> AdditionTrial:
-    """Return the trial of an effect that was refused or undecided as one that added the effect by force.
-
-    Parameters
-    ----------
-    added : AdditionTrial
-        A trial that did not add its effect.
-
-    Returns
-    -------
-    AdditionTrial
-        The same model and trial with the action `add` and the mark `forced`.
-    """
+    """Return the trial of an effect that was refused or undecided as one that added the effect by force."""
     last = {**added.model.history[-1], "action": ADDED, "forced": True}
     model = msgspec.structs.replace(added.model, history=(*added.model.history[:-1], last))
     return AdditionTrial(stamp(model), added.trial | {"action": ADDED, "forced": True})

@@ -121,14 +121,12 @@ class ErrorStep(NamedTuple):
 def measure_fall(measured: Floats, before: Floats, after: Floats, noise: Floats, clusters: Codes) -> ErrorFall:
     """Return the errors of two models on the same rides.
 
+    Units: measured [kWh], before [kWh], after [kWh].
+
     Parameters
     ----------
-    measured, before, after : (n,) float
-        Measured and predicted energy of each ride, all known. [kWh]
     noise : (n,) float
         Variance of the measured energy, NaN where it is unknown. Such a ride has the mean noise of the others. [kWh^2]
-    clusters : (n,) int64
-        Vehicle-day of each ride.
 
     Notes
     -----

@@ -83,20 +83,8 @@ def group_rows_by_ride(rows: pd.DataFrame, rides: pd.DataFrame | None = None) ->
 
     Parameters
     ----------
-    rows : (n,) DataFrame
-        Windows, as `socast.core.fit.measured_rows.join_tables` returns them, or a ride table.
     rides : DataFrame, optional
         The ride table, for the measurement noise of whole rides. By default, the variances of the windows are summed.
-
-    Returns
-    -------
-    RideRows
-        The rows with a table of their rides.
-
-    Raises
-    ------
-    ModelError
-        There is no row.
     """
     if not len(rows):
         raise ModelError("no ride with measured energy that is fit for training: give more rides")
@@ -161,17 +149,6 @@ def predict_held_out(
 ) -> tuple[Floats, Floats]:
     """Return predictions of rides by models that are fitted without them: one without and one with an added term.
 
-    Parameters
-    ----------
-    change : TermAddition
-        The terms of the model, and the term to add.
-    rides : RideRows
-        Rows and rides.
-    folds : sequence of (rides,) bool
-        Rides that are held out together.
-    pooled : collection of str
-        Vehicle models that are predicted by the fit to all vehicle models.
-
     Returns
     -------
     before, after : (rides,) float
@@ -190,17 +167,7 @@ def predict_held_out(
 def compare_errors(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, Any]:
     """Return the errors of two models on the same rides, and how far the second one is nearer to the noise.
 
-    Parameters
-    ----------
-    table : (rides,) DataFrame
-        `vehicle_id`, `date`, `measured` [kWh], `noise` (variance of `measured`) [kWh^2].
-    before, after : (rides,) float
-        Predictions; rides that one of the models does not predict are left out. [kWh]
-
-    Returns
-    -------
-    dict
-        The fields of `socast.core.diagnose.add.error_fall.ErrorFall`.
+    Units: table [kWh], before [kWh], after [kWh].
     """
     known = np.isfinite(before) & np.isfinite(after)
     measured, noise = (get_numbers(table, name)[known] for name in ("measured", "noise"))
@@ -250,18 +217,6 @@ def select_final_days(history: Sequence[Mapping[str, Any]], dates: Sequence[str]
     They are those in the history of the model if the rides have any of them, else every fifth date. The last fifth of
     the dates would be of one season, and effects of that season could be neither found nor evaluated.
 
-    Parameters
-    ----------
-    history : sequence of mapping
-        History of the model.
-    dates : sequence of str
-        ISO date of each ride.
-
-    Returns
-    -------
-    tuple of str
-        ISO dates.
-
     Examples
     --------
     >>> select_final_days((), [f"2018-01-{day:02d}" for day in range(1, 21)])
@@ -276,20 +231,7 @@ def select_final_days(history: Sequence[Mapping[str, Any]], dates: Sequence[str]
 
 
 def drop_dates(rides: pd.DataFrame, windows: pd.DataFrame, dates: Collection[str]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the ride table and the window table without the rides of some dates.
-
-    Parameters
-    ----------
-    rides, windows : DataFrame
-        The two tables of the same rides.
-    dates : collection of str
-        ISO dates.
-
-    Returns
-    -------
-    rides, windows : DataFrame
-        The other rides and their windows.
-    """
+    """Return the ride table and the window table without the rides of some dates."""
     if not dates:
         return rides, windows
     kept = rides.loc[~np.isin(np.asarray(get_names(rides, "date"), dtype=str), list(dates))]

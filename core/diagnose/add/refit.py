@@ -121,14 +121,8 @@ def refit_with(
 
     Parameters
     ----------
-    change : TermAddition
-        The terms of the model, and the term to add.
     rows : DataFrame
         Windows or rides that are fit for training, with `ride_key`, `vehicle_id`, `vehicle_model` and `date`.
-    pooled : collection of str
-        Vehicle models that get no fit of their own.
-    covariance : bool
-        Whether to compute the covariance of the coefficients.
 
     Returns
     -------
@@ -258,15 +252,7 @@ def _off(others: Floats, *columns: Floats) -> list[Floats]:
 
 
 def project_plain(change: TermAddition, rows: pd.DataFrame) -> tuple[LinearModel, BaseProjection]:
-    """Return the original terms of a model fitted to rows, and the projection off them.
-
-    Parameters
-    ----------
-    change : TermAddition
-        The terms of the model, and the term to add.
-    rows : DataFrame
-        See `refit_with`.
-    """
+    """Return the original terms of a model fitted to rows, and the projection off them."""
     with limit_to_one_thread():
         plain = refit(change, rows)
         return plain, BaseProjection(convert_to_windows(rows), plain)
@@ -279,12 +265,8 @@ def predict_with_effects_held_out(
 
     Parameters
     ----------
-    change : TermAddition
-        The terms of the model, and the term to add.
     plain, base : LinearModel, BaseProjection
         Fit of the original terms to n windows or rides, and the projection off them, from `project_plain`.
-    folds : sequence of (n,) bool
-        Rows that are held out together.
 
     Returns
     -------
@@ -328,19 +310,8 @@ def assess_addition(change: TermAddition, base: BaseProjection, *, sign: int, se
 
     Parameters
     ----------
-    change : TermAddition
-        The terms of the model, and the term to add.
-    base : BaseProjection
-        Projection of the rows off the original terms, from `project_plain`.
     sign : int
         Sign of the coefficient that physics demands; a coefficient of the other sign has no gain.
-    seed : int
-        Seed of the folds.
-
-    Returns
-    -------
-    AdditionEvidence
-        Probability and gain.
     """
     windows = base.windows
     rows = windows.table

@@ -47,22 +47,8 @@ def build_term_columns(effect: str, scopes: Sequence[str] = ()) -> tuple[str, ..
 
     Parameters
     ----------
-    effect : str
-        Name of an effect or of a variant.
     scopes : sequence of str
         `vehicle=ID` or `since=YYYY-MM-DD`, at most one of each kind; the term holds where all scopes do.
-
-    Returns
-    -------
-    tuple of str
-        The energy column of the effect, followed by the scopes.
-
-    Raises
-    ------
-    EffectError
-        The effect is unknown.
-    ModelError
-        A scope has another form, or two scopes are of the same kind.
 
     Examples
     --------
@@ -83,16 +69,6 @@ def build_term_columns(effect: str, scopes: Sequence[str] = ()) -> tuple[str, ..
 def describe_scope(columns: Sequence[str]) -> str:
     """Return the vehicle and the date from which a term holds, or `all`.
 
-    Parameters
-    ----------
-    columns : sequence of str
-        Columns of a term, scopes among them.
-
-    Returns
-    -------
-    str
-        The scopes in words.
-
     Examples
     --------
     >>> describe_scope(("effect_snow", "vehicle=taxi-003", "since=2018-06-01")), describe_scope(("effect_snow",))
@@ -105,16 +81,6 @@ def is_additive(terms: Sequence[Term]) -> bool:
     """Return whether the contributions of terms to the windows of a ride add up to their contribution to the ride.
 
     A constant is not additive, and neither is the square of a distance.
-
-    Parameters
-    ----------
-    terms : sequence of Term
-        Terms of a model.
-
-    Returns
-    -------
-    bool
-        Whether all terms are additive.
     """
     return all(sum(map(_is_amount, t.columns)) == 1 and all(map(_keeps_additive, t.columns)) for t in terms)
 
@@ -130,27 +96,7 @@ def _keeps_additive(column: str) -> bool:
 
 
 def build_effect_term(model: LinearModel, effect: str, columns: tuple[str, ...]) -> Term:
-    """Return the term of an effect that a model does not have yet.
-
-    Parameters
-    ----------
-    model : LinearModel
-        The model to which the term is to be added.
-    effect : str
-        Name of an effect or of a variant.
-    columns : tuple of str
-        Columns of the term, see `build_term_columns`.
-
-    Returns
-    -------
-    Term
-        The term, with the unit of its coefficient.
-
-    Raises
-    ------
-    ModelError
-        The model has trees or factors of single cars, or it has the effect already within the same scopes.
-    """
+    """Return the term of an effect that a model does not have yet."""
     if model.correction or model.cars:
         part = "boosted trees" if model.correction else "factors of single cars"
         raise ModelError(
@@ -171,13 +117,6 @@ def build_effect_term(model: LinearModel, effect: str, columns: tuple[str, ...])
 def describe_coefficient(declared: Effect, estimate: CoefficientEstimate) -> dict[str, Any]:
     """Return a coefficient as JSON values.
 
-    Parameters
-    ----------
-    declared : Effect
-        The effect of the coefficient.
-    estimate : CoefficientEstimate
-        Its value and standard error. [unit of the coefficient]
-
     Returns
     -------
     dict
@@ -195,20 +134,7 @@ def describe_coefficient(declared: Effect, estimate: CoefficientEstimate) -> dic
 
 
 def warn_if_implausible(declared: Effect, estimate: CoefficientEstimate) -> str:
-    """Return what an implausible coefficient may mean, or an empty text where it is plausible.
-
-    Parameters
-    ----------
-    declared : Effect
-        The effect of the coefficient.
-    estimate : CoefficientEstimate
-        Its value and standard error. [unit of the coefficient]
-
-    Returns
-    -------
-    str
-        The value, its plausible range, and a possible cause.
-    """
+    """Return what an implausible coefficient may mean, or an empty text where it is plausible."""
     value, low, high = estimate.value, declared.low, declared.high
     if low <= value <= high:
         return ""
@@ -228,19 +154,6 @@ def warn_if_implausible(declared: Effect, estimate: CoefficientEstimate) -> str:
 
 
 def explain_coefficient(declared: Effect, coefficient: Mapping[str, Any]) -> str:
-    """Return the physical meaning of a coefficient in words.
-
-    Parameters
-    ----------
-    declared : Effect
-        The effect of the coefficient.
-    coefficient : mapping
-        The coefficient as `describe_coefficient` returns it.
-
-    Returns
-    -------
-    str
-        The meaning, with the value and half the width of its interval.
-    """
+    """Return the physical meaning of a coefficient in words."""
     low, high = coefficient["ci95"]
     return declared.in_words(coefficient["value"], (high - low) / 2.0)

@@ -53,17 +53,6 @@ SIGNALS: Final[Mapping[str, Callable[[pd.DataFrame], NDArray[np.bool_]]]] = {
 
 
 def count_absent_signals(rides: pd.DataFrame) -> dict[str, int]:
-    """Return the signals that are unknown in most rides, each with the number of rides in which it is known.
-
-    Parameters
-    ----------
-    rides : DataFrame
-        Ride table.
-
-    Returns
-    -------
-    dict of str to int
-        Keys are those of `SIGNALS`.
-    """
+    """Return the signals that are unknown in most rides, each with the number of rides in which it is known."""
     known = {name: int(find(rides).sum()) for name, find in SIGNALS.items()}
     return {name: count for name, count in known.items() if count < LEAST_KNOWN * len(rides)}

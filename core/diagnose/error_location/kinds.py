@@ -91,18 +91,7 @@ KINDS: Final = (
 
 
 def gather_kinds(table: pd.DataFrame) -> KindColumns:
-    """Return the kinds of load that the windows of a table have.
-
-    Parameters
-    ----------
-    table : (n, columns) DataFrame
-        Windows.
-
-    Returns
-    -------
-    KindColumns
-        Kinds with a mean power of at least `LEAST_POWER`.
-    """
+    """Return the kinds of load that the windows of a table have."""
     hours = float(_hours(table).sum())
     energies = {kind: kind.energy(table) for kind in KINDS}
     power = {kind: float(energy.sum()) / hours for kind, energy in energies.items()}

@@ -111,20 +111,7 @@ class ErrorLocation:
 
 
 def locate_error(windows: Windows, base: BaseProjection) -> ErrorLocation:
-    """Return where the error of a model lives.
-
-    Parameters
-    ----------
-    windows : Windows
-        Windows.
-    base : BaseProjection
-        Projection of the diagnosed model.
-
-    Returns
-    -------
-    ErrorLocation
-        Without loads where the windows are too few.
-    """
+    """Return where the error of a model lives."""
     counts, rides = count_absent_signals(windows.rides), len(windows.rides)
     absent, partial = tuple(counts), {name: (count, rides) for name, count in counts.items() if count}
     located = build_location_model(windows, base)

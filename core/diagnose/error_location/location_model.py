@@ -97,8 +97,6 @@ def build_location_model(windows: Windows, base: BaseProjection) -> LocationMode
 
     Parameters
     ----------
-    windows : Windows
-        Windows.
     base : BaseProjection
         Projection whose columns are the fixed columns, and whose weights the search begins with.
 
@@ -129,13 +127,6 @@ def build_location_model(windows: Windows, base: BaseProjection) -> LocationMode
 def build_car_model(located: LocationModel, found: Variances) -> LocationModel | None:
     """Return the model in which cars of a vehicle model share their coefficients and differ by chance.
 
-    Parameters
-    ----------
-    located : LocationModel
-        Model of rides and days, whose noise is used.
-    found : Variances
-        Variances of rides and days, which are kept.
-
     Returns
     -------
     LocationModel or None
@@ -160,23 +151,7 @@ def build_car_model(located: LocationModel, found: Variances) -> LocationModel |
 def build_mixed_model(
     windows: Windows, blocks: Blocks, shared: Floats, kinds: KindColumns, noise: WindowNoise, levels: Levels
 ) -> tuple[MixedModel, FixedColumns]:
-    """Return the mixed model of whitened columns, and its fixed columns made orthonormal.
-
-    Parameters
-    ----------
-    windows : Windows
-        Windows.
-    blocks : list of ((m,) int64, (m, k) float)
-        Rows with columns of their own, such as those of each car.
-    shared : (n, j) float
-        Columns that all windows share.
-    kinds : KindColumns
-        Columns of the random effects.
-    noise : WindowNoise
-        Noise of the windows.
-    levels : Levels
-        Levels.
-    """
+    """Return the mixed model of whitened columns, and its fixed columns made orthonormal."""
     n = len(windows.measured)
     widest = max(block.shape[1] for _, block in blocks)
     own = np.zeros((n, widest))

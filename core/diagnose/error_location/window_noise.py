@@ -76,14 +76,7 @@ class WindowNoise(NamedTuple):
 def estimate_window_noise(table: pd.DataFrame, ride: Ints, left: Floats) -> WindowNoise:
     """Return the noise of windows from what is left without the random effects of rides and days.
 
-    Parameters
-    ----------
-    table : (n, columns) DataFrame
-        Windows.
-    ride : (n,) int64
-        Ride of each window.
-    left : (n,) float
-        Error of each window, less the expected random effects. [kWh]
+    Units: left [kWh].
     """
     variance = estimate_variance(build_variance_parts(table), left)
     weight = compute_robust_weights(left / np.sqrt(variance)) ** 2 / variance
@@ -92,13 +85,6 @@ def estimate_window_noise(table: pd.DataFrame, ride: Ints, left: Floats) -> Wind
 
 def estimate_correlation(standardised: Floats, ride: Ints) -> Floats:
     """Return the correlation at each lag, less that of windows of the same ride that are farther apart.
-
-    Parameters
-    ----------
-    standardised : (n,) float
-        Errors over their standard deviation.
-    ride : (n,) int64
-        Ride of each window.
 
     Returns
     -------

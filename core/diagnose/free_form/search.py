@@ -163,18 +163,10 @@ def suggest_term(
 ) -> Suggestion | None:
     """Return the term that explains most of a residual, or None.
 
+    Units: residual [kWh], weight [1/kWh^2], base [kWh per unit].
+
     Parameters
     ----------
-    windows : DataFrame
-        n rows of the window table, see `socast.core.fit.measured_rows.join_tables`.
-    residual : (n,) float
-        Measured less predicted energy. [kWh]
-    weight : (n,) float
-        Weight of the squared residual: the inverse of its variance. [1/kWh^2]
-    cluster : (n,) int
-        Clusters within which residuals depend on each other.
-    base : (n, k) float
-        Columns that the model can refit. A term gets no credit for them. [kWh per unit]
     least_gain : float
         Least share of the weighted squared residual that a suggestion must explain. [1]
 

@@ -44,22 +44,7 @@ def name_term(term: FreeTerm) -> str:
 
 
 def format_source_file(term: FreeTerm, coefficient: float, windows: int) -> str:
-    """Return the source of a Python file with the effect of a term, which passes `socast effects check`.
-
-    Parameters
-    ----------
-    term : FreeTerm
-        The term.
-    coefficient : float
-        Fitted coefficient. [unit of the coefficient]
-    windows : int
-        Number of windows to which it was fitted.
-
-    Returns
-    -------
-    str
-        Python source.
-    """
+    """Return the source of a Python file with the effect of a term, which passes `socast effects check`."""
     written = [_write(each) for each in term.modulators]
     arguments = [*term.carrier.arguments, *(a for each in term.modulators for a in each.variable.arguments)]
     code = [*([term.carrier.code] if term.carrier.code else []), *(each.code for each in written)]

@@ -94,20 +94,7 @@ class FreeTerm(NamedTuple):
 
 
 def list_modulators(variable: Variable, x: Floats) -> Iterator[Modulator]:
-    """Yield the functions of a variable to try, with limits and scales at quantiles of its values.
-
-    Parameters
-    ----------
-    variable : Variable
-        The variable.
-    x : (n,) float
-        Its values. [unit of the variable]
-
-    Yields
-    ------
-    Modulator
-        A function of the variable; none where it is constant.
-    """
+    """Yield the functions of a variable to try, with limits and scales at quantiles of its values."""
     if np.ptp(x) == 0.0:
         return
     grid = choose_limits(x, variable.unit)

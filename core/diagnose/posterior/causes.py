@@ -111,16 +111,8 @@ def compute_cause_evidence(
 
     Parameters
     ----------
-    base : BaseProjection
-        Projection off the terms of the model.
-    candidates : Candidates
-        The candidates.
     selected : sequence of SelectedForm
         Forms that are known to be missing. Their coefficients are refitted, and their bends integrated over.
-
-    Returns
-    -------
-    CauseEvidence
     """
     families = build_families(base, candidates)
     known = _Known.collect(base, families, selected)
@@ -315,18 +307,6 @@ def _weigh_together(own: Floats, match: Floats) -> float:
 
 def make_log_prior(scale: float, plausible: tuple[float, float] | None = None) -> LogDensity:
     """Return the log prior density of the logarithm of a coefficient.
-
-    Parameters
-    ----------
-    scale : float
-        Coefficient with which the effect takes all of the energy. [unit of the coefficient]
-    plausible : tuple of (float, float), optional
-        Range of plausible coefficients. [unit of the coefficient]
-
-    Returns
-    -------
-    callable
-        Takes absolute coefficients, (n,), and returns (n,).
 
     Notes
     -----

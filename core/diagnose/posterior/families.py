@@ -81,20 +81,7 @@ class Families:
 
 
 def build_families(base: BaseProjection, candidates: Candidates) -> Families:
-    """Return the shapes of all candidates, off the terms of a model.
-
-    Parameters
-    ----------
-    base : BaseProjection
-        Projection off the terms of the model.
-    candidates : Candidates
-        The candidates.
-
-    Returns
-    -------
-    Families
-        One family for each variant, in the order of the candidates.
-    """
+    """Return the shapes of all candidates, off the terms of a model."""
     bends = Bends(base)
     blocks = [np.empty((len(base.residual), 0))]
     for at, variant in enumerate(candidates.variants):
@@ -150,20 +137,7 @@ class Bends:
         self._earlier = _list_earlier_windows(base.windows)
 
     def build(self, energy: Floats, lags: bool) -> Floats:
-        """Return the bends of an energy.
-
-        Parameters
-        ----------
-        energy : (n,) float
-            Energy of an effect in each window. [kWh per unit of the coefficient]
-        lags : bool
-            Whether the effect may lag.
-
-        Returns
-        -------
-        (n, bends) float
-            Energies that bend it; none where the effect acts nowhere. [kWh per unit of the coefficient]
-        """
+        """Return the bends of an energy."""
         weight = self._weight * energy**2
         acts = weight > 0.0
         if not acts.any():
@@ -198,17 +172,7 @@ def _list_earlier_windows(windows: Windows) -> list[Ints]:
 
 
 def standardise(values: Floats, weight: Floats) -> Floats:
-    """Return values with mean 0 and standard deviation 1, at most `MOST_SIGMAS` from 0; all 0 where they do not vary.
-
-    Parameters
-    ----------
-    values, weight : (n,) float
-        Values, and their weights in the mean and in the standard deviation.
-
-    Returns
-    -------
-    (n,) float
-    """
+    """Return values with mean 0 and sd 1, at most `MOST_SIGMAS` from 0; all 0 where they do not vary."""
     share = weight / weight.sum()
     values = values - share @ values
     spread = float(np.sqrt(share @ values**2))

@@ -65,25 +65,7 @@ ABSENT: Final = LogEvidence(float("-inf"), 0.0)
 def compute_marginal_likelihood(
     products: Products, scale: float, sign: int, log_density: LogDensity, bend: float
 ) -> LogEvidence:
-    """Return the log evidence of a family of shapes.
-
-    Parameters
-    ----------
-    products : Products
-        Inner products of the family.
-    scale : float
-        Coefficient with which the effect takes all of the energy. [unit of the coefficient]
-    sign : int
-        Sign of the coefficient that physics demands: 1, -1, or 0 for either.
-    log_density : callable
-        Logarithm of the prior density of the logarithm of the absolute coefficient.
-    bend : float
-        Prior standard deviation of each bend, relative to the form. [1]
-
-    Returns
-    -------
-    LogEvidence
-    """
+    """Return the log evidence of a family of shapes."""
     size, match = float(products.own[0, 0]), float(products.residual[0])
     if not size > 0.0:
         return ABSENT

@@ -96,35 +96,13 @@ class Causes:
         return next(iter(self.leading))
 
     def list_credible_set(self, level: float = LEVEL) -> list[str]:
-        """Return the fewest leading causes whose probabilities sum to at least a level, the most probable first.
-
-        Parameters
-        ----------
-        level : float
-            Probability that the set holds the leading cause. [1]
-
-        Returns
-        -------
-        list of str
-            Effects, `NONE` or `UNKNOWN`.
-        """
+        """Return the fewest leading causes whose probabilities sum to at least a level, the most probable first."""
         total = np.cumsum(list(self.leading.values()))
         return list(self.leading)[: int(np.searchsorted(total, min(level, total[-1]) - 1e-12)) + 1]
 
 
 def compute_probabilities(evidence: CauseEvidence, calibration: Calibration = CALIBRATION) -> Causes:
     """Return the probability of each cause.
-
-    Parameters
-    ----------
-    evidence : CauseEvidence
-        Log evidence of each cause.
-    calibration : Calibration
-        Coefficients of the log odds.
-
-    Returns
-    -------
-    Causes
 
     Notes
     -----

@@ -17,13 +17,6 @@ TAIL: Final = (6.5, 7.8)
 def weigh_causes(scan: Scan, sign: Ints) -> Floats:
     """Return the probability of each candidate, given that one of them is the cause, (k,).
 
-    Parameters
-    ----------
-    scan : Scan
-        Tests of one car.
-    sign : (k,) int64
-        Sign that physics demands.
-
     Notes
     -----
     The evidence ℓ of a candidate is averaged over the places of a change. The shapes of the library are not exactly
@@ -38,17 +31,7 @@ def weigh_causes(scan: Scan, sign: Ints) -> Floats:
 
 
 def weigh_dates(scan: Scan, evidence: Floats, causes: Floats) -> Floats:
-    """Return the probability that a change begins at each place, (m,).
-
-    Parameters
-    ----------
-    scan : Scan
-        Tests of one car.
-    evidence : (m, k) float
-        Logarithms of Bayes factors.
-    causes : (k,) float
-        Probability of each candidate.
-    """
+    """Return the probability that a change begins at each place, (m,)."""
     known = np.isfinite(evidence).any(axis=0) & (causes > 0.0)
     of_cause = evidence[:, known] + _get_place_prior(scan)[:, np.newaxis]
     of_cause = of_cause - logsumexp(of_cause, axis=0, keepdims=True)
@@ -64,13 +47,6 @@ def average_places(scan: Scan, evidence: Floats) -> Floats:
 def select_credible_set(probability: Floats, level: float = CREDIBLE) -> Ints:
     """Return the places of the fewest elements that hold a probability, the most probable first.
 
-    Parameters
-    ----------
-    probability : (k,) float
-        Probabilities with a sum of one.
-    level : float
-        Probability to hold.
-
     Examples
     --------
     >>> select_credible_set(np.array([0.2, 0.75, 0.05]))
@@ -83,13 +59,6 @@ def select_credible_set(probability: Floats, level: float = CREDIBLE) -> Ints:
 
 def select_credible_range(probability: Floats, level: float = CREDIBLE) -> tuple[int, int]:
     """Return the first and the last place of the shortest range that holds a probability.
-
-    Parameters
-    ----------
-    probability : (m,) float
-        Probability of each place, in order.
-    level : float
-        Probability to hold.
 
     Examples
     --------

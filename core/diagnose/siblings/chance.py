@@ -31,17 +31,6 @@ SEED: Final = 0
 def estimate_chance(scores: ShiftScores, start: Floats, scans: Sequence[Scan], sign: Ints) -> float:
     """Return the probability that a car without any change shows as much evidence for one.
 
-    Parameters
-    ----------
-    scores : ShiftScores
-        Scores of the shifts of the car.
-    start : (n,) float
-        Unix time of the begin of each shift. [s]
-    scans : sequence of Scan
-        Tests of the forms of a change.
-    sign : (k,) int64
-        Sign that physics demands of each candidate.
-
     Notes
     -----
     An averaged Bayes factor B has the mean one without any change, so that P(log B > x) falls at least like exp(-x).

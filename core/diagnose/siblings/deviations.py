@@ -51,18 +51,7 @@ def diagnose_deviations(
 ) -> dict[str, list[dict[str, Any]]]:
     """Return what distinguishes cars from their siblings, what changed, and all cars in order of their deviation.
 
-    Parameters
-    ----------
-    base : BaseProjection
-        Windows, their weights, and the terms of the model.
-    model : LinearModel
-        The model.
-    known : (n, m) float
-        Effects that all cars have beyond the model. [kWh per unit]
-    without : collection of str
-        Effects of the library that are not tested.
-    of_vehicle : mapping of str to str, optional
-        Group of each vehicle, see `socast.core.diagnose.siblings.groups`.
+    Units: known [kWh per unit].
 
     Returns
     -------
@@ -99,15 +88,7 @@ def keep_declared_values(candidates: Candidates) -> Candidates:
 
 
 def rank_cars(search: Search, sign: Ints) -> list[dict[str, Any]]:
-    """Return each car with its deviations in spreads between cars, the one with most evidence first.
-
-    Parameters
-    ----------
-    search : Search
-        Tests of all cars.
-    sign : (k,) int64
-        Sign that physics demands of each candidate.
-    """
+    """Return each car with its deviations in spreads between cars, the one with most evidence first."""
     rows = []
     for question in [q for q in search.questions if q.family == "always"]:
         g = next(i for i, there in enumerate(question.members) if there.any())
@@ -232,13 +213,6 @@ def compute_mixed_quantiles(
     mean: Floats, error: Floats, weight: Floats, levels: tuple[float, ...] = (0.025, 0.5, 0.975)
 ) -> list[float]:
     """Return quantiles of a mixture of normal distributions.
-
-    Parameters
-    ----------
-    mean, error, weight : (n,) float
-        Mean, standard deviation and weight of each.
-    levels : tuple of float
-        Probabilities of the quantiles.
 
     Examples
     --------

@@ -35,18 +35,7 @@ class Group(NamedTuple):
 
 
 def read_groups(path: Path) -> dict[str, str]:
-    """Return the group of each vehicle of a CSV file with the columns `vehicle_id` and `group`.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    ModelError
-        The file cannot be read, lacks a column, or names a vehicle twice.
-    """
+    """Return the group of each vehicle of a CSV file with the columns `vehicle_id` and `group`."""
     try:
         table = pd.read_csv(path, dtype=str)
     except (OSError, ValueError) as error:
@@ -60,17 +49,7 @@ def read_groups(path: Path) -> dict[str, str]:
 
 
 def list_groups(windows: Windows, groups: Sequence[Siblings], of_vehicle: Mapping[str, str]) -> list[list[Group]]:
-    """Return the groups of each way of grouping: by a file, and by driver; none where there is only one group.
-
-    Parameters
-    ----------
-    windows : Windows
-        The windows, whose ride table may name drivers.
-    groups : sequence of Siblings
-        Cars of each model.
-    of_vehicle : mapping of str to str
-        Group of each vehicle; vehicles without one are in no group.
-    """
+    """Return the groups of each way of grouping: by a file, and by driver; none where there is only one group."""
     by_file = [[of_vehicle.get(siblings.cars[car], "") for car in siblings.car] for siblings in groups]
     ways = [_make_groups("group", by_file)]
     if DRIVER in windows.rides:

@@ -105,8 +105,6 @@ class Scan(NamedTuple):
 
         Parameters
         ----------
-        sign : (k,) int64
-            Sign of the coefficient that physics demands; 0 for either.
         whole : bool
             Whether to use the tests without the removal of what the car has always had, which may be compared with
             those of effects that are always there.
@@ -137,12 +135,6 @@ def scan_always(base: SiblingBase, car: int, alike: SiblingBase, cars: int) -> S
     ----------
     base : SiblingBase
         The cars of one model, with the spread between cars that was estimated without this one.
-    car : int
-        Index of the car.
-    alike : SiblingBase
-        The same cars without any spread between them.
-    cars : int
-        Number of other cars from which the spread was estimated.
 
     Notes
     -----
@@ -170,19 +162,7 @@ def scan_always(base: SiblingBase, car: int, alike: SiblingBase, cars: int) -> S
 
 
 def scan_changes(siblings: Siblings, scores: ShiftScores, car: int, kind: Change) -> Scan:
-    """Return the tests of the candidates within one car from each of its shifts on.
-
-    Parameters
-    ----------
-    siblings : Siblings
-        The cars of one model.
-    scores : ShiftScores
-        Scores of the shifts of the car.
-    car : int
-        Index of the car.
-    kind : {"step", "ramp"}
-        Form of the change.
-    """
+    """Return the tests of the candidates within one car from each of its shifts on."""
     there = np.flatnonzero(siblings.car == car)
     start = siblings.start[there]
     places, weights = build_changes(start, kind)
@@ -205,12 +185,6 @@ def scan_group(
 
     Parameters
     ----------
-    bases : sequence of SiblingBase
-        The cars of each model.
-    members : sequence of (s,) bool
-        Shifts that belong to the group, of each model.
-    dates : (m,) float
-        Unix times of steps; none tests the whole group always. [s]
     own_past : bool
         Whether to remove what the group has always had. Not for all cars, whose past is in the base.
     """

@@ -96,17 +96,7 @@ class Search:
 
 
 def ask(groups: Sequence[Siblings], sign: Ints, ways: Sequence[Sequence[Group]] = ()) -> Search:
-    """Return the tests of all cars and groups.
-
-    Parameters
-    ----------
-    groups : sequence of Siblings
-        Cars of each model.
-    sign : (k,) int64
-        Sign that physics demands of each candidate.
-    ways : sequence of sequence of Group
-        Groups of each way of grouping.
-    """
+    """Return the tests of all cars and groups."""
     spread = estimate_spread(groups)
     questions = [question for g in range(len(groups)) for question in _ask_cars(groups, g, sign)]
     bases = [SiblingBase(siblings, spread) for siblings in groups]
@@ -176,17 +166,7 @@ def _widen(scan: Scan, others: Sequence[Scan]) -> Scan:
 def find_deviations(
     groups: Sequence[Siblings], sign: Ints, ways: Sequence[Sequence[Group]] = ()
 ) -> tuple[list[tuple[Question, Search]], Search]:
-    """Return the significant deviations, each beside those before it, and the last round.
-
-    Parameters
-    ----------
-    groups : sequence of Siblings
-        Cars of each model.
-    sign : (k,) int64
-        Sign that physics demands of each candidate.
-    ways : sequence of sequence of Group
-        Groups of each way of grouping.
-    """
+    """Return the significant deviations, each beside those before it, and the last round."""
     found: list[tuple[Question, Search]] = []
     search = first = ask(groups, sign, ways)
     while len(found) < MOST:

@@ -72,18 +72,7 @@ class ShiftScores(NamedTuple):
         return np.asarray(np.diagonal(self.blocks, axis1=1, axis2=2))
 
     def project(self, weights: Floats) -> Projected:
-        """Return the tests of the candidates with some sizes in each shift.
-
-        Parameters
-        ----------
-        weights : (m, n) float
-            Sizes.
-
-        Returns
-        -------
-        Projected
-            Of shape (m, k).
-        """
+        """Return the tests of the candidates with some sizes in each shift."""
         taken = np.tensordot(weights, self.factor, axes=1)
         whole = self.factor.sum(axis=0)
         square = self.square
@@ -97,15 +86,6 @@ class ShiftScores(NamedTuple):
 
     def test_without_shifts(self, at: int, weight: Floats, *, own_past: bool) -> float:
         """Return the least z of a candidate, in the direction of all shifts, when any one of them is left out.
-
-        Parameters
-        ----------
-        at : int
-            Candidate.
-        weight : (n,) float
-            Size of the candidate in each shift.
-        own_past : bool
-            Whether what the car has always had is removed.
 
         Notes
         -----
@@ -124,13 +104,6 @@ class ShiftScores(NamedTuple):
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Return scores as they would be without any deviation, (count, n, k).
-
-        Parameters
-        ----------
-        count : int
-            Number of draws.
-        rng : Generator
-            Source of random numbers.
 
         Notes
         -----

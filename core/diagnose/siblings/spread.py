@@ -105,13 +105,7 @@ class SiblingBase:
         return out
 
     def score_shifts(self, car: int) -> ShiftScores:
-        """Return the products of the candidates with the residual in each shift of a car.
-
-        Parameters
-        ----------
-        car : int
-            Index of the car.
-        """
+        """Return the products of the candidates with the residual in each shift of a car."""
         residual = self._residual
         residual[self._d] = -(self.gain[car] @ residual)
         rows = self.siblings.sums[self.siblings.car == car][:, self._c, :]
@@ -126,19 +120,7 @@ class SiblingBase:
         )
 
     def project(self, car: int, rows: Floats, square: Floats, at: Ints) -> Projected:
-        """Return the products of columns within one car off the spread between cars and off what they share.
-
-        Parameters
-        ----------
-        car : int
-            Index of the car.
-        rows : (m, q) float
-            Products of m columns with all columns of the car.
-        square : (m,) float
-            Products with themselves.
-        at : (m,) int64
-            Candidate of which each column is a part.
-        """
+        """Return the products of columns within one car off the spread between cars and off what they share."""
         down = self.siblings.places.candidates.start + at
         crossed = rows[:, self._d]
         left = rows - crossed @ self.gain[car]
@@ -156,20 +138,7 @@ class SiblingBase:
         )
 
     def project_all(self, weights: Floats, whole: Floats) -> Projected:
-        """Return products of the candidates in shifts of several cars, times weights, as `project` does.
-
-        Parameters
-        ----------
-        weights : (m, s) float
-            Weight of each shift.
-        whole : (s,) float
-            Weight of each shift in the columns that `Projected.whole` refers to.
-
-        Returns
-        -------
-        Projected
-            With products of shape (m, k), of k candidates.
-        """
+        """Return products of the candidates in shifts of several cars, times weights, as `project` does."""
         left, inside = self._sweep_cars(weights)
         own, own_inside = self._sweep_cars(whole[np.newaxis])
         siblings, at = self.siblings, self.siblings.places.candidates

@@ -118,10 +118,6 @@ def gather_siblings(base: BaseProjection, candidates: Candidates, known: Floats)
 
     Parameters
     ----------
-    base : BaseProjection
-        Windows, their weights, and the terms of the model.
-    candidates : Candidates
-        Effects to test.
     known : (n, m) float
         Effects that all cars have beyond the model, which are not held against one. [kWh per unit]
     """

@@ -91,19 +91,7 @@ class _Sums(NamedTuple):
 def compute_contrast(masks: NDArray[np.bool_], error: Floats, starts: Ints) -> Contrast:
     """Return the mean error of slices relative to the other rides.
 
-    Parameters
-    ----------
-    masks : (k, n) bool
-        Rides of each slice.
-    error : (n,) float
-        Error of each ride; rides of one vehicle-day are adjacent. [kWh]
-    starts : (days,) int64
-        First ride of each vehicle-day.
-
-    Returns
-    -------
-    Contrast
-        Differences, standard errors and degrees of freedom.
+    Units: error [kWh].
 
     Examples
     --------

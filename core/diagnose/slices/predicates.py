@@ -136,8 +136,6 @@ def list_conditions(rides: pd.DataFrame, *, dated: bool = True) -> tuple[list[Ri
     list of c RideCondition
         Conditions on names, then on physical columns, then on times. Of conditions that hold for the same rides, only
         the first is returned.
-    (c, n) bool
-        Rides for which each condition holds.
     """
     conditions: list[RideCondition] = []
     masks: list[NDArray[np.bool_]] = []

@@ -108,14 +108,6 @@ def find_slices(
         n rows of the ride table. A condition does not hold for a ride for which its column is unknown.
     error : (n,) float
         Predicted less measured energy; rides with NaN are left out. [kWh]
-    seed : int
-        Seed of the assignment of vehicle-days to the halves.
-    most : int
-        Maximum number of slices that are returned, and that each half may propose.
-    level : float
-        Accepted mean share of false slices among those returned. [1]
-    dated : bool
-        Whether the dates of the rides are known, see `list_conditions`.
 
     Returns
     -------
@@ -162,22 +154,7 @@ def _half(masks: Masks, error: Floats, day: Ints, kept: NDArray[np.bool_]) -> Ha
 
 
 def search_slices(half: Half, known: Sequence[RideCondition], most: int) -> list[Slice]:
-    """Return the slices of a half to test, the best first, each for the residual of those before it.
-
-    Parameters
-    ----------
-    half : Half
-        Rides of the half.
-    known : sequence of c RideCondition
-        Conditions, in the order of the masks of the half.
-    most : int
-        Maximum number of slices.
-
-    Returns
-    -------
-    list of Slice
-        Slices with a score of at least `LEAST_SCORE`.
-    """
+    """Return the slices of a half to test, the best first, each for the residual of those before it."""
     if min(len(half.error) // 2, len(half.starts)) < LEAST_RIDES:
         return []
     pool = _pool(half, known)

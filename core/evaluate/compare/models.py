@@ -76,24 +76,7 @@ class ComparedRides:
 
 
 def select_rides(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> ComparedRides:
-    """Return the rides that can be compared, with the energies that models predict for them.
-
-    Parameters
-    ----------
-    rides : (n, columns) DataFrame
-        A ride table, as `socast.core.totals.tables.ride_table` makes it.
-    models : mapping of str to LinearModel
-        Models by label.
-
-    Returns
-    -------
-    ComparedRides
-
-    Raises
-    ------
-    ModelError
-        Where a column is missing, a model has no fit for any of the vehicle models, or no ride is left.
-    """
+    """Return the rides that can be compared, with the energies that models predict for them."""
     if rides.empty:
         raise ModelError("there are no rides: give tables or recordings that hold some")
     reason = find_exclusion_reasons(rides)
@@ -189,11 +172,6 @@ def _list_limited(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> lis
 def compare_predictions(compared: ComparedRides) -> dict[str, Any]:
     """Return how predictions compare with measured energies.
 
-    Parameters
-    ----------
-    compared : ComparedRides
-        Rides with measured and predicted energies.
-
     Returns
     -------
     dict
@@ -247,11 +225,7 @@ def describe_rides(compared: ComparedRides) -> dict[str, Any]:
 def compute_errors(compared: ComparedRides, predicted: Floats) -> dict[str, Any]:
     """Return the errors of predictions.
 
-    Parameters
-    ----------
-    compared : ComparedRides
-    predicted : (n,) float
-        Predicted energy. [kWh]
+    Units: predicted [kWh].
 
     Returns
     -------
@@ -278,11 +252,7 @@ def compute_errors(compared: ComparedRides, predicted: Floats) -> dict[str, Any]
 def compute_errors_by_condition(compared: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
     """Return the errors in each bin of each condition.
 
-    Parameters
-    ----------
-    compared : ComparedRides
-    predicted : (n,) float
-        Predicted energy. [kWh]
+    Units: predicted [kWh].
 
     Returns
     -------
@@ -350,16 +320,7 @@ def compare_pairs(compared: ComparedRides) -> list[dict[str, Any]]:
 def find_worst_rides(compared: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
     """Return the rides of largest `absolute` error and of largest `relative` error.
 
-    Parameters
-    ----------
-    compared : ComparedRides
-    predicted : (n,) float
-        Predicted energy. [kWh]
-
-    Returns
-    -------
-    dict of str to list of dict
-        At most `MOST_WORST_RIDES` rides each, largest error first.
+    Units: predicted [kWh].
 
     Notes
     -----

@@ -73,20 +73,7 @@ LAST: Final = frozenset(
 
 
 def find_ride(rides: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Return the ride of a name or an identifier, as a table of one row.
-
-    Parameters
-    ----------
-    rides : (n, columns) DataFrame
-        A ride table.
-    name : str
-        A `ride_key` or a `ride_id`.
-
-    Raises
-    ------
-    ModelError
-        Where no ride has that name; the message lists similar names. Also where several rides share that identifier.
-    """
+    """Return the ride of a name or an identifier, as a table of one row."""
     columns = [column for column in RIDE_NAME_COLUMNS if column in rides]
     if rides.empty or not columns:
         raise ModelError(f"ride {name!r} is not among {len(rides):,} rides: give tables or recordings that hold it")
@@ -249,14 +236,7 @@ def _as_rides(ride: pd.DataFrame, of_ride: pd.DataFrame) -> pd.DataFrame:
 def locate_divergence(error: Floats, made: Mapping[str, Floats], total: float) -> dict[str, Any] | None:
     """Return the span of windows that holds the most of a ride's error beyond its share of the time.
 
-    Parameters
-    ----------
-    error : (n,) float
-        Predicted less measured energy of each window. [kWh]
-    made : mapping of str to (n,) float
-        Columns of the windows, as in the result of `trace_ride`.
-    total : float
-        Error of the whole ride, including the prediction before the first window. [kWh]
+    Units: error [kWh], total [kWh].
 
     Returns
     -------
@@ -308,18 +288,7 @@ def describe_divergence(
 ) -> str:
     """Return a sentence on where prediction and measurement diverge, and whether the error exceeds the uncertainty.
 
-    Parameters
-    ----------
-    place : mapping or None
-        The span of `locate_divergence`.
-    error : (n,) float
-        Predicted less measured energy of each window. [kWh]
-    made : mapping of str to (n,) float
-        Columns of the windows.
-    start : float
-        Prediction before the first window. [kWh]
-    ride : (1, columns) DataFrame
-        The ride.
+    Units: error [kWh], start [kWh].
     """
     total = start + float(error.sum())
     side = "too much" if total > 0.0 else "too little"
@@ -357,13 +326,6 @@ def _describe_conditions(place: Mapping[str, Any]) -> str:
 
 def accumulate_windows(ride: pd.DataFrame, windows: pd.DataFrame) -> pd.DataFrame:
     """Return the columns of a ride at its beginning and after each of its windows, as a forecast in mid-ride has them.
-
-    Parameters
-    ----------
-    ride : (1, columns) DataFrame
-        One row of the ride table.
-    windows : (n, columns) DataFrame
-        Windows of the ride, in order.
 
     Returns
     -------

@@ -18,11 +18,6 @@ COLUMNS: Final = (
 def compute_window_headwind(windows: pd.DataFrame) -> Floats:
     """Return the component of the wind against the course of each window, negative from behind.
 
-    Parameters
-    ----------
-    windows : (n, columns) DataFrame
-        Windows with the columns `COLUMNS`.
-
     Returns
     -------
     (n,) float

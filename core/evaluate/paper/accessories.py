@@ -21,10 +21,6 @@ def compute_figure_1(evaluated: EvaluatedRides) -> dict[str, Any]:
 
     Accessory power is what rides used beyond the basic physical model.
 
-    Parameters
-    ----------
-    evaluated : EvaluatedRides
-
     Returns
     -------
     dict

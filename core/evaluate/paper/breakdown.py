@@ -22,17 +22,7 @@ BUFFER_SHARES: Final = (95, 99)
 
 
 def bin_evaluated_rides(evaluated: EvaluatedRides) -> dict[str, Binning]:
-    """Return the bins by which errors are reported.
-
-    Parameters
-    ----------
-    evaluated : EvaluatedRides
-
-    Returns
-    -------
-    dict of str to Binning
-        `distance`, `temperature`, `season` and `driver`.
-    """
+    """Return the bins by which errors are reported."""
     rides = evaluated.rides
     return {
         "distance": Binning(evaluated.cluster, CLUSTERS),
@@ -60,15 +50,7 @@ def _driver(rides: pd.DataFrame) -> Binning:
 
 
 def _enough(codes: Codes, rows: Codes) -> Codes:
-    """Return the bin of each prediction, -1 where fewer than `LEAST_RIDES` rides of the bin were held out.
-
-    Parameters
-    ----------
-    codes : (rides,) int64
-        Bin of each ride of the table.
-    rows : (n,) int64
-        Rides that were predicted; a ride may occur several times.
-    """
+    """Return the bin of each prediction, -1 where fewer than `LEAST_RIDES` rides of the bin were held out."""
     of_rows = codes[np.unique(rows)]
     rides = np.bincount(of_rows[of_rows >= 0], minlength=int(codes.max(initial=0)) + 1)
     return np.where((codes >= 0) & (rides[np.maximum(codes, 0)] >= LEAST_RIDES), codes, -1)[rows]
@@ -80,11 +62,6 @@ def compute_errors_by_bin(
     """Return the errors of each recipe in each of the bins of `bin_evaluated_rides`.
 
     A ride that was held out in several repeats counts in each of them, so `n` is a number of predictions.
-
-    Parameters
-    ----------
-    held : HeldOutPredictions
-    evaluated : EvaluatedRides
     """
     rows = held.pooled
     energy = evaluated.energy[rows]
@@ -98,18 +75,7 @@ def compute_errors_by_bin(
 
 
 def compute_overall_errors(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Any]:
-    """Return the errors of each recipe over all held-out rides.
-
-    Parameters
-    ----------
-    held : HeldOutPredictions
-    evaluated : EvaluatedRides
-
-    Returns
-    -------
-    dict
-        `bias` and `rmse` by vehicle model, `bands` of relative error, `buffer_kwh`, and `buffer_by_cluster`.
-    """
+    """Return the errors of each recipe over all held-out rides."""
     rows = held.pooled
     energy, model, cluster = evaluated.energy[rows], evaluated.model[rows], _enough(evaluated.cluster, rows)
     errors: dict[str, Any] = {"bias": {}, "rmse": {}, "bands": {}, "buffer_kwh": {}, "buffer_by_cluster": {}}
@@ -135,11 +101,6 @@ def _buffers(measured: Floats, predicted: Floats) -> dict[str, float]:
 
 def compute_interval_coverage(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, dict[str, Any]]:
     """Return the share of rides inside their interval and its mean width, for each recipe with intervals.
-
-    Parameters
-    ----------
-    held : HeldOutPredictions
-    evaluated : EvaluatedRides
 
     Returns
     -------

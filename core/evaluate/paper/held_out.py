@@ -59,15 +59,7 @@ class HeldOutPredictions:
 
 
 def select_comparable(by_recipe: Mapping[str, Sequence[Prediction]], rides: int) -> HeldOutPredictions:
-    """Return the predictions of comparable recipes, for the rides that all of them predict.
-
-    Parameters
-    ----------
-    by_recipe : mapping of str to sequence of Prediction
-        Predictions by recipe, repeats in order.
-    rides : int
-        Number of rides in the table.
-    """
+    """Return the predictions of comparable recipes, for the rides that all of them predict."""
     notes: list[str] = []
     kept: list[str] = []
     for name, predictions in by_recipe.items():
@@ -114,13 +106,6 @@ def word_limited(limited: int, rides: int) -> str:
 
 def compute_cell_means(held: HeldOutPredictions, evaluated: EvaluatedRides, values: Sequence[Floats]) -> Floats:
     """Return means by repeat, vehicle model and cluster.
-
-    Parameters
-    ----------
-    held : HeldOutPredictions
-    evaluated : EvaluatedRides
-    values : sequence of (n,) float
-        For each repeat the values of the held-out rides.
 
     Returns
     -------

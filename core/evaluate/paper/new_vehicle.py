@@ -63,17 +63,6 @@ def select_untrained(keys: Collection[str], evaluated: EvaluatedRides) -> tuple[
     ----------
     keys : collection of str
         Vehicle models of the rides, or of the paper: `nissan-leaf` stands for every LEAF of the catalogue.
-    evaluated : EvaluatedRides
-
-    Returns
-    -------
-    tuple of str
-        Vehicle models of the rides.
-
-    Raises
-    ------
-    SettingsError
-        Where a key names no vehicle model of the rides.
     """
     named = {key: [m for m in evaluated.vehicle_models if key in (m, find_paper_key(m))] for key in keys}
     if unknown := [key for key, kinds in named.items() if not kinds]:
@@ -90,7 +79,6 @@ def split_by_vehicle_model(evaluated: EvaluatedRides, untrained: Collection[str]
 
     Parameters
     ----------
-    evaluated : EvaluatedRides
     untrained : collection of str
         Vehicle models that no split trains on, as the paper leaves out the LEAF; they are tested.
 
@@ -112,12 +100,6 @@ def compute_tables_12_and_13(
     held: Mapping[str, HeldOutPredictions], evaluated: EvaluatedRides
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return the errors on left-out vehicle models.
-
-    Parameters
-    ----------
-    held : mapping of str to HeldOutPredictions
-        Predictions for the rides of each left-out vehicle model.
-    evaluated : EvaluatedRides
 
     Returns
     -------
@@ -194,17 +176,7 @@ def plan_learning_curves(
 def compute_learning_curve(
     learner: Learner, evaluated: EvaluatedRides, split: Split, orders: Sequence[Positions]
 ) -> Floats | str:
-    """Return the errors of a learner, (draws, counts) [kWh], or the reason why there are none.
-
-    Parameters
-    ----------
-    learner : Learner
-    evaluated : EvaluatedRides
-    split : Split
-        Trains on the other vehicle models, tests on the new one.
-    orders : sequence of (n,) int64
-        Orders of `draw_rides`.
-    """
+    """Return the errors of a learner, (draws, counts) [kWh], or the reason why there are none."""
     counts = select_ride_counts(len(split.test))
     test_rides = evaluated.drop_answers()
     try:

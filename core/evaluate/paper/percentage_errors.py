@@ -35,7 +35,6 @@ def compute_percentage_errors(held: Mapping[str, HeldOutPredictions], evaluated:
     ----------
     held : mapping of str to HeldOutPredictions
         Kind of split (`ride`, `vehicle` or `date`) -> predictions. Kinds without predictions are left out.
-    evaluated : EvaluatedRides
 
     Returns
     -------
@@ -99,12 +98,7 @@ def compute_reductions_by_baseline(
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return by which share the error of each recipe is below that of each baseline.
 
-    Parameters
-    ----------
-    means : mapping of str to (vehicle models,) float
-        Errors of each recipe. Baselines that are not among them are left out. [kWh]
-    vehicle_models : sequence of str
-        Vehicle models.
+    Units: means [kWh].
 
     Returns
     -------

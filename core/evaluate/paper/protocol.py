@@ -43,17 +43,8 @@ def select_recipes(names: str | None, windows: pd.DataFrame | None, seed: int = 
 
     Parameters
     ----------
-    names : str, optional
-        Names separated by commas; by default all recipes.
     windows : DataFrame, optional
         The window table, which the segment model needs, and to which the recipes of physical terms are fitted.
-    seed : int
-        Seed of the segment model.
-
-    Raises
-    ------
-    SettingsError
-        Where a name is unknown, or the segment model is named and there are no windows.
     """
     known: dict[str, EvaluatedRecipe] = dict(RECIPES)
     if windows is not None:
@@ -144,30 +135,11 @@ def evaluate(
 
     Parameters
     ----------
-    rides : (n, columns) DataFrame
-        A ride table, as `socast.core.totals.tables.ride_table` makes it.
-    recipes : mapping of str to EvaluatedRecipe
-        Recipes of `select_recipes`.
-    seed : int
-        Seed of splits and draws.
-    repeats : int
-        Number of splits by ride; a single one gives no intervals.
     left_out_of_training : collection of str
         Vehicle models whose rides train no model that predicts a new vehicle model (Tables 12 and 13, and the curves
         over a few rides). The paper leaves out the LEAF: `nissan-leaf`.
     removal_margin : float
         Loss by which removed terms may increase the error of the hybrid model, over this error. [1]
-    jobs : int
-        Number of processes.
-    progress : callable, optional
-        Called with the number of finished runs and the number of all runs.
-
-    Raises
-    ------
-    ModelError
-        Where the table cannot be evaluated, lacks a column that a recipe reads, or no recipe can be fitted to it.
-    SettingsError
-        Where a vehicle model to leave out has no rides.
     """
     plan = plan_evaluation(
         rides,
@@ -181,19 +153,7 @@ def evaluate(
 
 
 def tabulate_runs(plan: EvaluationPlan, done: Mapping[Any, Any]) -> dict[str, Any]:
-    """Return the whole evaluation from the results of its runs.
-
-    Parameters
-    ----------
-    plan : EvaluationPlan
-    done : mapping
-        Result of each run, by its key.
-
-    Raises
-    ------
-    ModelError
-        Where no recipe can be fitted to the rides.
-    """
+    """Return the whole evaluation from the results of its runs."""
     table, recipes, splits = plan.table, plan.recipes, plan.splits
     held = {kind: _select_held_out(done, kind, splits[kind], recipes, table) for kind in ("ride", "vehicle", "date")}
     if not held["ride"].recipes:

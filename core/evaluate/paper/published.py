@@ -156,29 +156,12 @@ def get_consumption(vehicle_model: str, cluster: str) -> PublishedFigure | None:
 
 
 def get_test_consumption(vehicle_model: str, cluster: str) -> PublishedFigure | None:
-    """Return the mean consumption of a ride of the test sets, Table 4. [kWh]
-
-    Parameters
-    ----------
-    vehicle_model : str
-        Key of the catalogue, or `WEIGHTED`.
-    cluster : str
-        A cluster such as `0-5`, or `AVERAGE`.
-    """
+    """Return the mean consumption of a ride of the test sets, Table 4. [kWh]"""
     return _figure("test_consumption", vehicle_model, cluster)
 
 
 def get_mae(recipe: str, vehicle_model: str, cluster: str) -> PublishedFigure | None:
     """Return a mean absolute error, Tables 5 to 11; None where the paper has none. [kWh]
-
-    Parameters
-    ----------
-    recipe : str
-        One of the paper's seven recipes.
-    vehicle_model : str
-        Key of the catalogue, or `WEIGHTED`.
-    cluster : str
-        A cluster such as `0-5`, or `AVERAGE`.
 
     Examples
     --------
@@ -210,8 +193,6 @@ def get_reduction(recipe: str, vehicle_model: str) -> float | None:
 
     Parameters
     ----------
-    recipe : str
-        One of the paper's seven recipes.
     vehicle_model : str
         Key of the catalogue, or `AVERAGE` for the mean over the paper's vehicle models.
 

@@ -111,10 +111,6 @@ def compute_reductions(
     ----------
     means : mapping of str to (vehicle models,) float
         Errors of each recipe. Without the reference the result is empty. [kWh]
-    vehicle_models : sequence of str
-        Vehicle models.
-    reference : str
-        Recipe to which reductions refer.
     """
     if reference not in means:
         return {}
@@ -130,11 +126,6 @@ def compute_reductions(
 
 def compute_difference_scores(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Any]:
     """Return `difference` and `dominates` of each vehicle model and of all together.
-
-    Parameters
-    ----------
-    held : HeldOutPredictions
-    evaluated : EvaluatedRides
 
     Returns
     -------

@@ -103,10 +103,6 @@ def run_in_parallel(
     ----------
     calls : mapping
         Key -> call without arguments. Calls are independent of each other; the longest ones should come first.
-    jobs : int
-        Number of processes; 1 runs in this process.
-    progress : callable, optional
-        Called with the number of finished runs and the number of all runs.
     """
     tell = progress or _ignore_progress
     done: dict[Key, Result] = {}

@@ -126,10 +126,6 @@ def find_removable_terms(
 
     Parameters
     ----------
-    recipe : LinearRecipe
-    evaluated : EvaluatedRides
-    seed : int
-        Seed of the random halves and folds.
     margin : float
         Largest loss of elimination with a margin, over the error of the full model. [1]
 
@@ -216,17 +212,7 @@ def _tabulate_steps(names: NDArray[np.str_], steps: Sequence[Estimate], refused:
 
 
 def compute_losses(design: Design, removed: Sequence[Codes], seed: int) -> tuple[float, list[Estimate]]:
-    """Return the error of the full model, and its increase when terms are removed, over splits of these rides. [kWh]
-
-    Parameters
-    ----------
-    design : Design
-        Rides.
-    removed : sequence of (k,) int64
-        Positions of the removed terms.
-    seed : int
-        Seed of the splits.
-    """
+    """Return the error of the full model, and its increase when terms are removed, over splits of these rides. [kWh]"""
     p = design.table.shape[1] - 1
     kept = [np.arange(p), *(np.setdiff1d(np.arange(p), gone) for gone in removed)]
     splits = split_by_ride(design.strata, seed, REPEATS)

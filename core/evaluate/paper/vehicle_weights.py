@@ -22,13 +22,6 @@ from socast.core.batch import Floats
 def weigh_vehicle_models(rides: Sequence[float], known: Sequence[bool]) -> Floats:
     """Return the weight of each vehicle model in the weighted row of a cluster.
 
-    Parameters
-    ----------
-    rides : sequence of float
-        Number of rides of each vehicle model, over all clusters.
-    known : sequence of bool
-        Whether the vehicle model has a figure in the cluster.
-
     Returns
     -------
     (vehicle models,) float

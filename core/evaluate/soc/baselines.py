@@ -48,15 +48,6 @@ def compute_baselines(
 ) -> pd.DataFrame:
     """Return the state of charge that each baseline expects at the shift's end.
 
-    Parameters
-    ----------
-    cases : (n, columns) DataFrame
-        Forecasts of `socast.core.evaluate.soc.cases.select_cases`.
-    outlooks, shifts : DataFrame
-        All forecasts and all ended shifts of the pipeline.
-    plans : DataFrame, optional
-        Plans, as `socast.core.evaluate.soc.plans.PlanRecorder.table` returns them.
-
     Returns
     -------
     (n, columns) DataFrame
@@ -73,15 +64,6 @@ def compute_leg_baselines(
 ) -> pd.DataFrame:
     """Return the state of charge that each baseline expects at a leg's end; `linear` does not apply to legs.
 
-    Parameters
-    ----------
-    cases : (n, columns) DataFrame
-        Legs of `socast.core.evaluate.soc.legs.match_legs_to_rides`.
-    outlooks, shifts : DataFrame
-        All forecasts and all ended shifts.
-    plans : DataFrame, optional
-        Plans, as `socast.core.evaluate.soc.plans.PlanRecorder.table` returns them.
-
     Returns
     -------
     (n, columns) DataFrame
@@ -96,17 +78,7 @@ def compute_leg_baselines(
 def compute_rate_baselines(cases: pd.DataFrame, shifts: pd.DataFrame) -> dict[str, Floats]:
     """Return the state of charge after the kilometres ahead, by the mean and by the official consumption.
 
-    Parameters
-    ----------
-    cases : (n, columns) DataFrame
-        Forecasts, with `soc_pct` and `ahead_km`.
-    shifts : DataFrame
-        All ended shifts.
-
-    Returns
-    -------
-    dict of str to (n,) float
-        `model_mean` and `rating`. [%]
+    Units: returns [%].
     """
     rating = [
         known.rated_kwh_per_km if (known := load_catalogue().get(key)) else None for key in cases["vehicle_model"]
@@ -121,13 +93,6 @@ def compute_mean_consumption(cases: pd.DataFrame, shifts: pd.DataFrame) -> Float
     """Return the mean consumption of each case's vehicle model, over shifts that ended before the case's shift began.
 
     Shifts with a charge or without any ride are left out.
-
-    Parameters
-    ----------
-    cases : (n, columns) DataFrame
-        Forecasts.
-    shifts : DataFrame
-        All ended shifts.
 
     Returns
     -------
@@ -148,14 +113,12 @@ def compute_mean_consumption(cases: pd.DataFrame, shifts: pd.DataFrame) -> Float
 def compute_empirical_risk(expected: Floats, became: Floats, time: Floats, ended: Floats, levels: Floats) -> Floats:
     """Return the probability of ending below levels, from the earlier errors of the same baseline.
 
+    Units: levels [%].
+
     Parameters
     ----------
     expected, became : (n,) float
         Expected state of charge, NaN where there is none, and its outcome. [%]
-    time, ended : (n,) float
-        When the expectation was made, and when its outcome was known. [s]
-    levels : (n, levels) float
-        Levels. [%]
 
     Returns
     -------

@@ -94,16 +94,8 @@ def select_cases(outlooks: pd.DataFrame, shifts: pd.DataFrame, wanted: pd.DataFr
 
     Parameters
     ----------
-    outlooks : DataFrame
-        Forecasts of a pipeline, with `OUTLOOK_COLUMNS` at least.
-    shifts : DataFrame
-        Ended shifts, with `SHIFT_COLUMNS` and `ambient_c`.
     wanted : DataFrame, optional
         `SHIFT_KEY`, `hours` and `wanted_s` of the forecasts to evaluate; by default all `HOURS_AHEAD` of each end.
-
-    Returns
-    -------
-    ForecastCases
     """
     made = normalise_keys(outlooks)
     ended = normalise_keys(shifts)
@@ -149,13 +141,6 @@ def _reasons(cases: pd.DataFrame, made: pd.DataFrame) -> NDArray[np.str_]:
 
 def compute_novelty(cases: pd.DataFrame, outlooks: pd.DataFrame) -> Floats:
     """Return how far the temperature of each case is outside those that the fleet met before the day of its shift.
-
-    Parameters
-    ----------
-    cases : (n, columns) DataFrame
-        With `begin_s` of the shift and `forecast_ambient_c`.
-    outlooks : DataFrame
-        All forecasts, with `time_s` and `forecast_ambient_c`.
 
     Returns
     -------

@@ -59,13 +59,7 @@ class LegRecorder:
         self._rows: list[tuple[Any, ...]] = []
 
     def query(self, vehicle_id: str) -> None:
-        """Query a vehicle and record the legs of the answer that have a forecast of the charge.
-
-        Parameters
-        ----------
-        vehicle_id : str
-            Vehicle that `socast.core.evaluate.soc.query_times.QueryTimes` has found due.
-        """
+        """Query a vehicle and record the legs of the answer that have a forecast of the charge."""
         try:
             answer = self._ask(vehicle_id)
         except AskError:  # none of its samples could be used so far
@@ -96,15 +90,6 @@ def match_legs_to_rides(legs: pd.DataFrame, rides: pd.DataFrame, shifts: pd.Data
     The first leg becomes the next ride to end after the query, the second leg the ride after that, and so on. False
     starts do not count as rides. A leg belongs to the shift in which it was queried. Rides of another shift, and rides
     after a charge, are left out.
-
-    Parameters
-    ----------
-    legs : (n, columns) DataFrame
-        Legs of `LegRecorder.table`.
-    rides : DataFrame
-        Rides, as `Pipeline.take_rides` returns them.
-    shifts : DataFrame
-        Shifts, as `Pipeline.take_shifts` returns them.
 
     Returns
     -------

@@ -22,8 +22,6 @@ def replace_outcomes(shifts: pd.DataFrame, displays: pd.DataFrame) -> pd.DataFra
 
     Parameters
     ----------
-    shifts : DataFrame
-        Shifts that have ended, as `Pipeline.take_shifts` returns them.
     displays : DataFrame
         One row per simulated shift: `vehicle_id`, `begin_s`, the time `step_s` between values [s], the sequence
         `shown_pct` of what a healthy display shows [%], and its `fault`, None without one.
@@ -53,13 +51,6 @@ def replace_outcomes(shifts: pd.DataFrame, displays: pd.DataFrame) -> pd.DataFra
 
 def count_impossible_bounds(outlooks: pd.DataFrame, plans: pd.DataFrame | None = None) -> dict[str, Any]:
     """Return how many forecasts without a charge ahead have an upper bound above the present charge.
-
-    Parameters
-    ----------
-    outlooks : DataFrame
-        All forecasts.
-    plans : DataFrame, optional
-        Plans, as `socast.core.evaluate.soc.plans.PlanRecorder.table` returns them; they tell of charges ahead.
 
     Returns
     -------

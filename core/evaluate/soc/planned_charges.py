@@ -35,17 +35,10 @@ TO_CHARGE_COLUMNS: Final = {
 def split_at_charges(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the forecasts until the next charge, and the parts of shifts that a charge ended.
 
-    Parameters
-    ----------
-    outlooks, shifts : DataFrame
-        All forecasts and all ended shifts of a pipeline.
-
     Returns
     -------
     DataFrame
         Forecasts, whose columns for the end of the shift are those for the next charge.
-    DataFrame
-        One row per part, like a shift.
     """
     made, ended = normalise_keys(outlooks).sort_values("time_s", kind="stable"), normalise_keys(shifts)
     charges = made.dropna(subset=["arrived_s", "arrival_soc_pct"]).drop_duplicates([*SHIFT_KEY, "arrived_s"])
@@ -72,11 +65,6 @@ def split_at_charges(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> tuple[pd.D
 def find_wanted(outlooks: pd.DataFrame) -> pd.DataFrame:
     """Return the first forecast of each part of a shift that tells the charge to be at most each time ahead.
 
-    Parameters
-    ----------
-    outlooks : DataFrame
-        Forecasts of `split_at_charges`.
-
     Returns
     -------
     DataFrame
@@ -93,13 +81,7 @@ def find_wanted(outlooks: pd.DataFrame) -> pd.DataFrame:
 
 
 def select_over_charge(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the forecasts for the end of the shift over a planned charge, and the shifts, for `select_cases`.
-
-    Parameters
-    ----------
-    outlooks, shifts : DataFrame
-        All forecasts and all ended shifts of a pipeline.
-    """
+    """Return the forecasts for the end of the shift over a planned charge, and the shifts, for `select_cases`."""
     known = outlooks["charge_planned"].to_numpy(bool)
     values = {name: outlooks[name].where(known) for name in ("soc_mean_pct", "soc_p05_pct", "soc_p95_pct")}
     return outlooks.assign(**values, charge_planned=False), shifts.assign(charged_s=np.nan)
@@ -107,13 +89,6 @@ def select_over_charge(outlooks: pd.DataFrame, shifts: pd.DataFrame) -> tuple[pd
 
 def compute_over_charge_baselines(cases: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame) -> pd.DataFrame:
     """Return the state of charge that baselines expect at the end of a shift with a planned charge.
-
-    Parameters
-    ----------
-    cases : (n, columns) DataFrame
-        Forecasts.
-    outlooks, shifts : DataFrame
-        All forecasts and all ended shifts of the pipeline.
 
     Returns
     -------
@@ -139,13 +114,6 @@ def select_charge_cases(
     outlooks: pd.DataFrame, shifts: pd.DataFrame, plans: pd.DataFrame | None = None
 ) -> dict[str, pd.DataFrame]:
     """Return the forecasts around planned charges that are evaluated, with their baselines.
-
-    Parameters
-    ----------
-    outlooks, shifts : DataFrame
-        All forecasts and all ended shifts of a pipeline.
-    plans : DataFrame, optional
-        Plans, as `socast.core.evaluate.soc.plans.PlanRecorder.table` returns them.
 
     Returns
     -------

@@ -47,13 +47,7 @@ class PlanRecorder:
         self._decoder = msgspec.json.Decoder(_Plan)
 
     def record(self, message: Message) -> None:
-        """Record a message if it is a plan that can be read.
-
-        Parameters
-        ----------
-        message : Message
-            Any message.
-        """
+        """Record a message if it is a plan that can be read."""
         if not message.key.endswith("/plan") or (whose := address(message.key)) is None:
             return
         try:

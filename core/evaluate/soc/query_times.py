@@ -43,17 +43,7 @@ class QueryTimes:
         self._decoder = msgspec.json.Decoder(_SampleTime | list[_SampleTime])
 
     def cut(self, messages: Sequence[Message]) -> Iterator[tuple[Sequence[Message], str | None]]:
-        """Yield the messages in parts, each with the vehicle that is due after it; the last part has none.
-
-        Parameters
-        ----------
-        messages : sequence of Message
-            Messages in the order of their arrival.
-
-        Yields
-        ------
-        (sequence of Message, str or None)
-        """
+        """Yield the messages in parts, each with the vehicle that is due after it; the last part has none."""
         start = 0
         for place, message in enumerate(messages):
             for vehicle_id, slot in self._find_slots(message):

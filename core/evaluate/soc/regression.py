@@ -55,10 +55,6 @@ def compute_regression(
     cases : (n, columns) DataFrame
         Forecasts of `socast.core.evaluate.soc.cases.select_cases`; or legs of
         `socast.core.evaluate.soc.legs.match_legs_to_rides`, whose end replaces that of the shift.
-    outlooks, shifts : DataFrame
-        All forecasts and all ended shifts of the pipeline.
-    plans : DataFrame, optional
-        Plans, as `socast.core.evaluate.soc.plans.PlanRecorder.table` returns them; they tell hours of driving.
 
     Returns
     -------
@@ -157,13 +153,7 @@ def _find_habits(points: pd.DataFrame, shifts: pd.DataFrame) -> tuple[Floats, Fl
 
 
 def predict_by_day(points: pd.DataFrame) -> pd.DataFrame:
-    """Return `REGRESSION_COLUMNS` of each point, from shifts that ended before the UTC day of its shift.
-
-    Parameters
-    ----------
-    points : (n, columns) DataFrame
-        Points of `gather_points`.
-    """
+    """Return `REGRESSION_COLUMNS` of each point, from shifts that ended before the UTC day of its shift."""
     terms, used = make_terms(points), points["used_kwh"].to_numpy(np.float64)
     capacity, soc = (points[name].to_numpy(np.float64) for name in ("capacity_kwh", "soc_pct"))
     ended, day = points["end_s"].to_numpy(np.float64), points["day"].to_numpy(np.float64)
@@ -213,19 +203,7 @@ def make_terms(points: pd.DataFrame) -> Floats:
 def fit_ridge(terms: Floats, used: Floats, weight: Floats) -> Floats:
     """Return the coefficients of a ridge regression without intercept.
 
-    Parameters
-    ----------
-    terms : (n, k) float
-        Terms.
-    used : (n,) float
-        Energy. [kWh]
-    weight : (n,) float
-        Weights.
-
-    Returns
-    -------
-    (k,) float
-        0 of a term that never occurred.
+    Units: used [kWh].
     """
     scale = np.sqrt(np.average(terms**2, axis=0, weights=weight))
     scale = np.where(scale > 0.0, scale, 1.0)

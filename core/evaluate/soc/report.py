@@ -89,19 +89,6 @@ def evaluate_soc(
 ) -> dict[str, Any]:
     """Return the errors and the reliability of the forecasts of a pipeline.
 
-    Parameters
-    ----------
-    outlooks : DataFrame
-        All forecasts, as `Pipeline.take_outlooks` returns them.
-    shifts : DataFrame
-        All shifts that have ended, as `Pipeline.take_shifts` returns them.
-    legs : DataFrame, optional
-        Single legs, as `socast.core.evaluate.soc.legs.match_legs_to_rides` returns them.
-    plans : DataFrame, optional
-        Plans, as `socast.core.evaluate.soc.plans.PlanRecorder.table` returns them.
-    displays : DataFrame, optional
-        What healthy displays show, see `socast.core.evaluate.soc.outcomes.replace_outcomes`; it is the outcome then.
-
     Returns
     -------
     dict
@@ -109,11 +96,6 @@ def evaluate_soc(
         figures by condition. `bounds`: upper bounds that are impossible. `reserve`: risk of ending below a reserve.
         `legs`: figures of single legs. `charges`: around planned ones. `forecasts`: columns with one entry per case.
         `examples`: single shifts. `notes`: remarks for the reader.
-
-    Raises
-    ------
-    ModelError
-        No forecast can be evaluated.
     """
     if displays is not None:
         shifts = replace_outcomes(shifts, displays)
@@ -151,12 +133,7 @@ def evaluate_soc(
 def compute_figures_by_time(cases: FigureCases, hours: Ints) -> dict[str, Any]:
     """Return the figures of cases, pooled over times ahead and for each time ahead.
 
-    Parameters
-    ----------
-    cases : FigureCases
-        Forecasts with their outcomes and baselines.
-    hours : (n,) int64
-        Time ahead of each case. [h]
+    Units: hours [h].
 
     Returns
     -------
@@ -175,15 +152,6 @@ def compute_leg_figures(
     legs: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame, plans: pd.DataFrame | None = None
 ) -> dict[str, list[dict[str, Any]]]:
     """Return the figures of single legs by the time until their end.
-
-    Parameters
-    ----------
-    legs : DataFrame
-        Legs, as `socast.core.evaluate.soc.legs.match_legs_to_rides` returns them.
-    outlooks, shifts : DataFrame
-        All forecasts, and all shifts that have ended.
-    plans : DataFrame, optional
-        Plans.
 
     Returns
     -------
@@ -208,13 +176,7 @@ def compute_leg_figures(
 
 
 def compute_charge_figures(cases: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return the figures of forecasts around planned charges by `bin` of the time ahead; the last bin is `all`.
-
-    Parameters
-    ----------
-    cases : DataFrame
-        Cases of `socast.core.evaluate.soc.planned_charges.select_charge_cases`.
-    """
+    """Return the figures of forecasts around planned charges by `bin` of the time ahead; the last bin is `all`."""
     hours, gathered = cases["hours"].to_numpy(), FigureCases.gather(cases)
     bins = [
         {"bin": f"{each} h", **compute_forecast_figures(gathered.only(hours == each))} for each in sorted(set(hours))
@@ -224,13 +186,6 @@ def compute_charge_figures(cases: pd.DataFrame) -> list[dict[str, Any]]:
 
 def compute_figures_by_condition(cases: pd.DataFrame, gathered: FigureCases) -> dict[str, list[dict[str, Any]]]:
     """Return the figures in each band of temperature, for each vehicle model, and with and without a plan.
-
-    Parameters
-    ----------
-    cases : (n, columns) DataFrame
-        Forecasts with the conditions in which they were made.
-    gathered : FigureCases
-        The same forecasts with their outcomes and baselines.
 
     Returns
     -------
@@ -266,11 +221,6 @@ def compute_figures_by_condition(cases: pd.DataFrame, gathered: FigureCases) -> 
 def compute_forecast_figures(cases: FigureCases) -> dict[str, Any]:
     """Return error, coverage and width of forecasts, and the errors of baselines on the same cases.
 
-    Parameters
-    ----------
-    cases : FigureCases
-        Forecasts with their outcomes and baselines.
-
     Returns
     -------
     dict
@@ -305,15 +255,6 @@ def compute_forecast_figures(cases: FigureCases) -> dict[str, Any]:
 
 def compute_interval_score(low: Floats, high: Floats, became: Floats) -> Floats:
     """Return the interval score of 90 % intervals: their width, and 20 times what an outcome misses them by.
-
-    Parameters
-    ----------
-    low, high, became : (n,) float
-        Ends of the intervals, and outcomes.
-
-    Returns
-    -------
-    (n,) float
 
     References
     ----------
@@ -424,13 +365,6 @@ def select_examples(cases: pd.DataFrame, outlooks: pd.DataFrame) -> list[dict[st
 
     They are selected among shifts with a forecast at `EXAMPLE_HOURS_AHEAD`. Where all times ahead are shorter, the
     longest of them is used.
-
-    Parameters
-    ----------
-    cases : (n, columns) DataFrame
-        Forecasts that are evaluated.
-    outlooks : DataFrame
-        All forecasts.
 
     Returns
     -------

@@ -41,11 +41,6 @@ BOUND: Final = float(ndtri(0.95))
 def evaluate_reserve_risk(cases: pd.DataFrame) -> dict[str, Any]:
     """Return the reliability of risks and the performance of alarms.
 
-    Parameters
-    ----------
-    cases : (n, columns) DataFrame
-        Forecasts of `socast.core.evaluate.soc.cases.select_cases`, with the columns of the baselines.
-
     Returns
     -------
     dict
@@ -114,17 +109,7 @@ def _by_hour(cases: pd.DataFrame, baseline: str, levels: Floats) -> Floats:
 def compute_risk_below(cases: pd.DataFrame, level: float) -> Floats:
     """Return the probability of ending below a level, from the interval.
 
-    Parameters
-    ----------
-    cases : (n, columns) DataFrame
-        Forecasts, with `soc_mean_pct`, `soc_p05_pct` and `soc_p95_pct`.
-    level : float
-        Level. [%]
-
-    Returns
-    -------
-    (n,) float
-        0 or 1 where the interval has no width.
+    Units: level [%].
 
     Examples
     --------
@@ -214,15 +199,6 @@ def compute_reliability(
     rows: pd.DataFrame, edges: Sequence[float] = BINS, risk_column: str = "risk"
 ) -> list[dict[str, Any]]:
     """Return, for each class of risk that has cases, how often these fell below the level.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        Cases of `tabulate_levels`.
-    edges : sequence of float
-        Edges of the classes.
-    risk_column : str
-        `risk` of the forecasts, or the name of a baseline.
 
     Returns
     -------

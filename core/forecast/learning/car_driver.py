@@ -109,18 +109,7 @@ class ConsumptionFactors:
     def add_shift(
         self, lane: int, driver: int | None, predicted_kwh: float, used_kwh: float, capacity_kwh: float
     ) -> None:
-        """Update the parts of a car and its driver by a shift.
-
-        Parameters
-        ----------
-        lane : int
-        driver : int, optional
-            Code of the only driver.
-        predicted_kwh, used_kwh : float
-            Predicted energy, and energy by the charge. [kWh]
-        capacity_kwh : float
-            Nominal usable capacity. [kWh]
-        """
+        """Update the parts of a car and its driver by a shift."""
         if not (predicted_kwh > 0.0 and used_kwh > 0.0 and abs(log(used_kwh / predicted_kwh)) < LARGEST_LOG_ERROR):
             return
         expected, car = self.expect(lane, driver), self.get_car(lane)
@@ -139,15 +128,7 @@ class ConsumptionFactors:
         return len(self._cars)
 
     def add_guest_shifts(self, car: LogFactor, shifts: Sequence[GuestShift]) -> None:
-        """Update the parts of drivers by the shifts of a car that another consumer serves.
-
-        Parameters
-        ----------
-        car : LogFactor
-            Part of the car before its shifts.
-        shifts : sequence of GuestShift
-            In their order.
-        """
+        """Update the parts of drivers by the shifts of a car that another consumer serves."""
         self._cars[GUEST] = car
         for shift in shifts:
             self.add_shift(GUEST, *shift)
@@ -194,15 +175,8 @@ def age_variance(variance: float, sd: float, shifts: int) -> float:
 
     Parameters
     ----------
-    variance : float
-        Present variance.
     sd : float
         Standard deviation of the change in `shifts` shifts, and the root of the largest variance.
-    shifts : int
-
-    Returns
-    -------
-    float
     """
     return min(variance + sd**2 / shifts, sd**2)
 

@@ -87,18 +87,6 @@ class ChargedSoc:
     def expect(self, planned: Floats) -> tuple[Floats, Floats]:
         """Return the expected charge after planned charges, and its variance.
 
-        Parameters
-        ----------
-        planned : (n,) float
-            [1]
-
-        Returns
-        -------
-        (n,) float
-            [1]
-        (n,) float
-            [1]
-
         Examples
         --------
         >>> learned = ChargedSoc()

@@ -46,13 +46,7 @@ class DailyCycle:
         return sums(change=(HOURS,), seconds=(HOURS,))
 
     def add_shift(self, time: Floats, celsius: Floats) -> None:
-        """Add the outside temperatures of a shift, for the next daily update.
-
-        Parameters
-        ----------
-        time, celsius : (n,) float
-            In order of time. [s], [°C]
-        """
+        """Add the outside temperatures of a shift, for the next daily update."""
         step, change = np.diff(time), np.diff(celsius)
         usable = (step > 0.0) & (step <= LONGEST_STEP) & (np.abs(change) * 3600.0 <= LARGEST_RATE * step)
         hour = ((time[:-1] + 0.5 * step) % SECONDS_PER_DAY / 3600.0).astype(np.int64)[usable]
@@ -77,17 +71,7 @@ class DailyCycle:
         self._since_midnight = np.append(0.0, np.cumsum(smooth))
 
     def get_level(self, time: Floats) -> Floats:
-        """Return the usual outside temperature at times, but for a constant. [K]
-
-        Parameters
-        ----------
-        time : (n,) float
-            Unix time. [s]
-
-        Returns
-        -------
-        (n,) float
-        """
+        """Return the usual outside temperature at times, but for a constant. [K]"""
         days = np.floor(time / SECONDS_PER_DAY)
         hour = (time - SECONDS_PER_DAY * days) / 3600.0
         within = np.interp(hour, np.arange(HOURS + 1.0), self._since_midnight)

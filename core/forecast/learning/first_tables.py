@@ -38,19 +38,7 @@ RECOVERED_CLIMB: Final = 0.6
 
 
 def make_first_tables(model: VehicleModel, accessory_scale: float) -> LegEnergyTables:
-    """Return the tables of a vehicle model before its first rides.
-
-    Parameters
-    ----------
-    model : VehicleModel
-    accessory_scale : float
-        Accessory power relative to that of the reference curve. [1]
-
-    Returns
-    -------
-    LegEnergyTables
-        Its factor of the predicted energy is 0.
-    """
+    """Return the tables of a vehicle model before its first rides."""
     rated = CONSUMPTION_PER_MASS * model.mass_kg if model.rated_kwh_per_km is None else model.rated_kwh_per_km
     standing = accessory_scale * ACCESSORIES.power(TEMPERATURES + ZERO_CELSIUS) / 1000.0
     hours_per_km = PACES[:, np.newaxis] / 60.0

@@ -297,21 +297,7 @@ class FleetStatistics:
         return self._tables[kind]
 
     def compute_corrections(self, kinds: Ints, riding: NDArray[np.bool_], weights: Floats) -> "EnergyCorrections":
-        """Return the corrections of the predicted energy at each row.
-
-        Parameters
-        ----------
-        kinds : (n,) int
-            Kind of car.
-        riding : (n,) bool
-            Whether it is a ride or an idle period.
-        weights : (n, temperatures) float
-            Weights of the knots of temperature.
-
-        Returns
-        -------
-        EnergyCorrections
-        """
+        """Return the corrections of the predicted energy at each row."""
         self._update_kinds()
         ride = riding[:, np.newaxis]
         factor = np.where(ride, self._rows.ride_factor[kinds], self._rows.idle_factor[kinds])

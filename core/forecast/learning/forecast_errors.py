@@ -119,32 +119,16 @@ class ForecastLog:
 
         Parameters
         ----------
-        lane : int or (n,) int
-        time : float or (n,) float
-            [s]
         mean : float or (n,) float
             Forecast charge, NaN where there is none. [1]
         arrived : float or (n,) float
             When the car came to charge last, NaN for never. [s]
-
-        Returns
-        -------
-        bool or (n,) bool
         """
         ended = (time >= self._ends[lane]) | (arrived >= self._before_charge[lane])
         return ((time >= self._next[lane]) & np.isfinite(mean)) | ended
 
     def record(self, lane: int, forecast: ForecastRecord, to_charge: ForecastRecord | None = None) -> None:
-        """Record a forecast, unless the last record is more recent than `RECORD_PERIOD`.
-
-        Parameters
-        ----------
-        lane : int
-        forecast : ForecastRecord
-            For the end of the shift.
-        to_charge : ForecastRecord, optional
-            For the next planned charge, made at the same time.
-        """
+        """Record a forecast, unless the last record is more recent than `RECORD_PERIOD`."""
         if forecast.time >= self._next[lane] and np.isfinite(forecast.mean):
             records = self._records.setdefault(lane, bytearray())
             records.extend(_PACKED.pack(*forecast))
@@ -160,11 +144,8 @@ class ForecastLog:
 
         Parameters
         ----------
-        lane : int
         arrived : float
             When it came there, NaN for never. [s]
-        soc : float
-            Charge reported then. [1]
         faulty : float
             When its reading was faulty last, NaN for never. [s]
         """
@@ -184,15 +165,8 @@ class ForecastLog:
 
         Parameters
         ----------
-        lane : int
-        time : float
-            [s]
-        soc : float
-            Charge reported then. [1]
         spoilt : float
             When the car charged last, or its reading was faulty last, NaN for never. [s]
-        faulty : float
-            When its reading was faulty last: a planned charge spoils no forecast. [s]
         """
         if not time >= self._ends[lane]:
             return []
@@ -238,17 +212,8 @@ def compute_shift_errors(
 
     Parameters
     ----------
-    records : (n,) FORECAST_RECORDS
-    soc : float
-        Charge at the end. [1]
     spoilt : float
         When the car charged last, or its reading was faulty last, NaN for never. [s]
-    faulty : float
-        When its reading was faulty last, which alone counts with `OVER_CHARGE`. [s]
-
-    Returns
-    -------
-    list of ShiftErrors
     """
     if not np.isfinite(soc):
         return []
@@ -278,16 +243,6 @@ def compute_shift_errors(
 
 def count_outcomes(lower: Floats, upper: Floats, outcome: Floats | float) -> Ints:
     """Return how many intervals have their outcome below, inside and above them; bounds that are NaN do not count.
-
-    Parameters
-    ----------
-    lower, upper : (n,) float
-        Bounds, which belong to the interval.
-    outcome : (n,) float, or float
-
-    Returns
-    -------
-    (3,) int
 
     Examples
     --------

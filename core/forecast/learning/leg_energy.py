@@ -134,8 +134,6 @@ class LegEnergyTables(NamedTuple):
 
         Parameters
         ----------
-        km, seconds : (legs,) float
-            Distance [km] and duration [s].
         gained, lost : (legs,) float
             Climb and descent, NaN for the usual ones. [m]
         begun : bool
@@ -161,14 +159,8 @@ class LegEnergyTables(NamedTuple):
 
         Parameters
         ----------
-        km, seconds : (legs,) float
-            Distance [km] and duration [s].
         gained, lost : (legs,) float
             Climb and descent, NaN for the usual ones. [m]
-
-        Returns
-        -------
-        LegTerms
         """
         minutes = seconds / 60.0
         pace = np.divide(minutes, km, out=np.full(len(km), PACES[-1]), where=km > LEAST_KM)
@@ -181,12 +173,6 @@ class LegEnergyTables(NamedTuple):
 
 def compute_knot_weights(values: Floats, knots: Floats) -> Floats:
     """Return the weights of linear interpolation between knots.
-
-    Parameters
-    ----------
-    values : (n,) float
-    knots : (knots,) float
-        Ascending.
 
     Returns
     -------

@@ -142,15 +142,7 @@ class IdleSums(NamedTuple):
     def compute_power(self, expected: Floats) -> tuple[Floats, Floats]:
         """Return the power of a standing car [kW], and the energy of an idle period beyond that [kWh].
 
-        Parameters
-        ----------
-        expected : (temperatures,) float
-            Power of a standing car by the corrected model. [kW]
-
-        Returns
-        -------
-        (temperatures,) float
-        (temperatures,) float
+        Units: expected [kW].
         """
         stood, hours = self.standing["standing_energy"], self.standing["standing_hours"]
         expected = np.maximum(expected, LEAST_STANDING_POWER)
@@ -198,19 +190,7 @@ def _sum_energy(sums: NDArray[np.void], axis: int) -> NDArray[np.void]:
 def build_leg_energy_tables(
     rides: RideSums, idle: IdleSums, edges: RideEdges, context: RunContext
 ) -> LegEnergyTables | None:
-    """Return the tables of a vehicle model, None where the model cannot predict any of its rides.
-
-    Parameters
-    ----------
-    rides : RideSums
-    idle : IdleSums
-    edges : RideEdges
-    context : RunContext
-
-    Returns
-    -------
-    LegEnergyTables or None
-    """
+    """Return the tables of a vehicle model, None where the model cannot predict any of its rides."""
     grid, amounts = rides.energy.reshape(GRID), rides.amounts
     car = context.cars.parameters_of(np.array([int(edges.last[EDGES.index("kind")])]))
     of_rides = _sum_energy(grid, 0)
@@ -257,15 +237,6 @@ def build_leg_energy_tables(
 
 def fit_leg_energy(tables: LegEnergyTables, equations: LegEquations) -> LegEnergyTables:
     """Return tables whose terms fit the measured rides, with the given tables as prior.
-
-    Parameters
-    ----------
-    tables : LegEnergyTables
-    equations : LegEquations
-
-    Returns
-    -------
-    LegEnergyTables
 
     Notes
     -----

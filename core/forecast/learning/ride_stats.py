@@ -179,14 +179,7 @@ class RideStatistics:
     def add_rides(self, models: Sequence[str], rides: Totals, predicted: Floats, measured: Floats) -> None:
         """Add rides that have ended. Rides that waited more than they drove do not count for any pace.
 
-        Parameters
-        ----------
-        models : sequence of n str
-            Vehicle model of each ride.
-        rides : Totals
-            Of n rides.
-        predicted, measured : (n,) float
-            Energy, NaN where unknown. [kWh]
+        Units: predicted [kWh], measured [kWh].
         """
         minutes, km = rides.amount("duration") / 60.0, rides.amount("distance") / 1000.0
         pace = np.divide(minutes, km, out=np.full(len(km), np.inf), where=km > LEAST_KM)

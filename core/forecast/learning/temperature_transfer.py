@@ -68,21 +68,12 @@ class Corrections(NamedTuple):
     def compute_energy(self, predicted: Floats, hours: Floats) -> Floats:
         """Return the corrected energy at each knot. [kWh]
 
-        Parameters
-        ----------
-        predicted, hours : (temperatures,) float
-            Energy by the model [kWh] and time [h].
+        Units: predicted [h], hours [h].
         """
         return np.asarray(self.factor * predicted + self.power * hours)
 
     def compute_relative_sd(self, predicted: Floats, hours: Floats) -> Floats:
-        """Return the standard deviation of the corrected energy over that energy, at each knot. [1]
-
-        Parameters
-        ----------
-        predicted, hours : (temperatures,) float
-            As above.
-        """
+        """Return the standard deviation of the corrected energy over that energy, at each knot. [1]"""
         terms = np.column_stack([predicted, hours])
         variance = np.einsum("ki,kij,kj->k", terms, self.covariance, terms)
         energy = np.maximum(self.compute_energy(predicted, hours), 1e-9)
@@ -92,18 +83,7 @@ class Corrections(NamedTuple):
 def fit_corrections(sums: NDArray[np.void], model_power: Floats, scale: float) -> Corrections:
     """Return the corrections of a model at each knot of temperature.
 
-    Parameters
-    ----------
-    sums : (temperatures,) ENERGY_SUMS
-        Of the rides and idle periods of a vehicle model.
-    model_power : (temperatures,) float
-        Power that the model predicts of a standing car. [kW]
-    scale : float
-        Climate power of the vehicle model over that of the reference car. [1]
-
-    Returns
-    -------
-    Corrections
+    Units: model_power [kW].
 
     Notes
     -----
@@ -179,21 +159,6 @@ def _find_distance(hours: Floats) -> Floats:
 def shift_amounts(amounts: Floats, celsius: Floats, context: RunContext, car: CarParameters) -> Floats:
     """Return sums over rides as they would be at other outside temperatures.
 
-    Parameters
-    ----------
-    amounts : (n, amounts) float
-        Sums of `AMOUNTS` and of the effects.
-    celsius : (n,) float
-        Outside temperatures. [°C]
-    context : RunContext
-        Names of the effects.
-    car : CarParameters
-        Of one car, (1,) each.
-
-    Returns
-    -------
-    (n, amounts) float
-
     Notes
     -----
     The energy of an effect is multiplied by the ratio of its powers at both temperatures, for a car that drives at the
@@ -221,23 +186,7 @@ def shift_amounts(amounts: Floats, celsius: Floats, context: RunContext, car: Ca
 
 
 def make_standing_amounts(width: int, celsius: Floats, context: RunContext, car: CarParameters) -> Floats:
-    """Return the sums over an hour in which a car stands, at each of some outside temperatures.
-
-    Parameters
-    ----------
-    width : int
-        Number of sums.
-    celsius : (n,) float
-        [°C]
-    context : RunContext
-        Names of the effects.
-    car : CarParameters
-        Of one car, (1,) each.
-
-    Returns
-    -------
-    (n, width) float
-    """
+    """Return the sums over an hour in which a car stands, at each of some outside temperatures."""
     out = np.zeros((len(celsius), width))
     out[:, _DURATION] = 3600.0
     out[:, _AMBIENT] = (celsius + ZERO_CELSIUS) * 3600.0

@@ -8,13 +8,7 @@ from socast.core.errors import SocastError
 
 
 def run_once(result: Path, *words: object) -> None:
-    """Run a command that makes a file or folder, unless that exists.
-
-    Raises
-    ------
-    SocastError
-        If the command fails; the message has its last line.
-    """
+    """Run a command that makes a file or folder, unless that exists."""
     if result.exists():
         return
     command = [sys.executable, "-m", "socast", *map(str, words)]

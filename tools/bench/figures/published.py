@@ -26,19 +26,7 @@ _BLOCK: Final = re.compile(r"<!-- (?P<name>[a-z-]+) begins -->\n(?P<body>.*?)<!-
 
 
 def publish(name: str, command: str, lines: Sequence[str], values: Mapping[str, str] | None = None) -> None:
-    """Keep the figures of a measurement, and write them into the pages that have a block of its name.
-
-    Parameters
-    ----------
-    name : str
-        Name of the measurement and of its block.
-    command : str
-        Command that makes the figures again.
-    lines : sequence of str
-        Lines of Markdown.
-    values : mapping of str to str, optional
-        Single figures for the table of results.
-    """
+    """Keep the figures of a measurement, and write them into the pages that have a block of its name."""
     known = read_published()
     known[name] = Published(
         command,

@@ -36,18 +36,7 @@ QUICK = 60
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the benchmark.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Command line, by default that of the process.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Run the benchmark."""
     options = make_parser().parse_args(arguments)
     console = Console()
     try:
@@ -103,24 +92,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def parse_sizes(text: str, parts: Sequence[str]) -> dict[str, int]:
-    """Return the number of data sets to draw of each part; a part without a number is run completely.
-
-    Parameters
-    ----------
-    text : str
-        A number for all parts, or `part=number,...`.
-    parts : sequence of str
-        Parts of this run.
-
-    Returns
-    -------
-    dict of str to int
-
-    Raises
-    ------
-    SettingsError
-        If the text is neither.
-    """
+    """Return the number of data sets to draw of each part; a part without a number is run completely."""
     pairs = [item.partition("=") for item in filter(None, text.split(","))]
     sizes = {name: size for name, equals, size in pairs if equals}
     sizes |= {part: name for name, equals, _ in pairs if not equals for part in parts}
@@ -130,22 +102,7 @@ def parse_sizes(text: str, parts: Sequence[str]) -> dict[str, int]:
 
 
 def parse_selection(options: argparse.Namespace) -> Selection:
-    """Return the selection of data sets from the command line.
-
-    Parameters
-    ----------
-    options : Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Selection
-
-    Raises
-    ------
-    SettingsError
-        If an option has no valid value.
-    """
+    """Return the selection of data sets from the command line."""
     if options.seeds < 1:
         raise SettingsError(f"--seeds is {options.seeds}; give 1 or more")
     if options.first_seed < 0:
@@ -166,26 +123,7 @@ def parse_selection(options: argparse.Namespace) -> Selection:
 
 
 def parse_list(option: str, text: str, known: tuple[str, ...]) -> tuple[Any, ...]:
-    """Return names from a comma-separated list.
-
-    Parameters
-    ----------
-    option : str
-        Name of the option, for the message of the error.
-    text : str
-        The list.
-    known : tuple of str
-        Valid names.
-
-    Returns
-    -------
-    tuple of str
-
-    Raises
-    ------
-    SettingsError
-        If a name is unknown.
-    """
+    """Return names from a comma-separated list."""
     names = tuple(filter(None, (part.strip() for part in text.split(","))))
     for name in names:
         if name not in known:
@@ -194,19 +132,7 @@ def parse_list(option: str, text: str, known: tuple[str, ...]) -> tuple[Any, ...
 
 
 def collect_records(todo: list[Task], keep: Path | None, processes: int, console: Console) -> list[Record]:
-    """Return the records of all data sets.
-
-    Parameters
-    ----------
-    todo : list of Task
-        Data sets by seed.
-    keep : Path or None
-        Folder for records.
-    processes : int
-        Number of processes.
-    console : Console
-        Shows a progress bar on a terminal.
-    """
+    """Return the records of all data sets."""
     records: list[Record] = []
     with Progress(console=Console(stderr=True), transient=True, disable=not console.is_terminal) as progress:
         bar = progress.add_task("diagnosing data sets", total=sum(len(cases) for _, cases in todo))
@@ -217,15 +143,7 @@ def collect_records(todo: list[Task], keep: Path | None, processes: int, console
 
 
 def print_figures(records: list[Record], console: Console) -> None:
-    """Print the figures.
-
-    Parameters
-    ----------
-    records : list of Record
-        Records of all data sets.
-    console : Console
-        Where to print.
-    """
+    """Print the figures."""
     columns = [Column("figure"), Column("goal"), Column("is", number=True), Column("95 % interval"),
                Column("of", number=True), Column("")]  # fmt: skip
     table = make_table(columns, "Hidden effects")

@@ -40,20 +40,7 @@ SEED: Final = 0
 
 
 def rank_by_baselines(base: BaseProjection, candidates: Candidates) -> dict[str, list[str]]:
-    """Return the effects as each baseline ranks them, the first `LONGEST`.
-
-    Parameters
-    ----------
-    base : BaseProjection
-        Projection onto the terms of the model.
-    candidates : Candidates
-        All effects of the library that the model lacks.
-
-    Returns
-    -------
-    dict of str to list of str
-        Baselines whose packages are installed.
-    """
+    """Return the effects as each baseline ranks them, the first `LONGEST`."""
     return {
         name: rank(base, candidates)[:LONGEST]
         for name, rank in BASELINES.items()
@@ -62,20 +49,7 @@ def rank_by_baselines(base: BaseProjection, candidates: Candidates) -> dict[str,
 
 
 def rank_by_stlsq(base: BaseProjection, candidates: Candidates) -> list[str]:
-    """Return effects by the size of their coefficients in one sparse regression.
-
-    Parameters
-    ----------
-    base : BaseProjection
-        Projection onto the terms of the model.
-    candidates : Candidates
-        All effects of the library that the model lacks.
-
-    Returns
-    -------
-    list of str
-        Only those with a coefficient; the largest first.
-    """
+    """Return effects by the size of their coefficients in one sparse regression."""
     columns = project_candidates(base, candidates)
     size = np.sqrt((columns**2).sum(axis=0))
     found = fit_stlsq(columns, base.residual, compute_threshold(columns)) * size
@@ -84,13 +58,6 @@ def rank_by_stlsq(base: BaseProjection, candidates: Candidates) -> list[str]:
 
 def rank_by_pysindy(base: BaseProjection, candidates: Candidates) -> list[str]:
     """Return effects by how often an ensemble of sparse regressions of PySINDy includes them.
-
-    Parameters
-    ----------
-    base : BaseProjection
-        Projection onto the terms of the model.
-    candidates : Candidates
-        All effects of the library that the model lacks.
 
     Returns
     -------
@@ -119,18 +86,6 @@ def rank_by_pysindy(base: BaseProjection, candidates: Candidates) -> list[str]:
 
 def rank_by_trees(base: BaseProjection, candidates: Candidates) -> list[str]:
     """Return effects by how much boosted trees of the residual power lose where the power of an effect is permuted.
-
-    Parameters
-    ----------
-    base : BaseProjection
-        Projection onto the terms of the model.
-    candidates : Candidates
-        All effects of the library that the model lacks.
-
-    Returns
-    -------
-    list of str
-        Only those whose permutation costs accuracy; the most costly first.
 
     Notes
     -----
@@ -166,40 +121,18 @@ DESCRIPTIONS: Final = MappingProxyType(
 
 
 def project_candidates(base: BaseProjection, candidates: Candidates) -> Floats:
-    """Return the candidates off the terms of the model, zero where too little of one is left, (n, k).
-
-    Parameters
-    ----------
-    base : BaseProjection
-        Projection onto the terms of the model.
-    candidates : Candidates
-        All effects of the library that the model lacks.
-    """
+    """Return the candidates off the terms of the model, zero where too little of one is left, (n, k)."""
     off = base.project_out(candidates.columns)
     left = (off**2).sum(axis=0) > LEAST_LEFT * (base.apply_weights(candidates.columns) ** 2).sum(axis=0)
     return np.asarray(off * left)
 
 
 def compute_threshold(columns: Floats) -> float:
-    """Return the universal threshold √(2 ln k) of k normalised coefficients under noise of variance one.
-
-    Parameters
-    ----------
-    columns : (n, k) float
-        The columns; those of zeros do not count.
-    """
+    """Return the universal threshold √(2 ln k) of k normalised coefficients under noise of variance one."""
     return sqrt(2.0 * log(max(int((columns != 0.0).any(axis=0).sum()), 2)))
 
 
 def rank_by_size(candidates: Candidates, size: Floats) -> list[str]:
-    """Return the effects by the largest value of any of their variants, those of zero left out.
-
-    Parameters
-    ----------
-    candidates : Candidates
-        All effects of the library that the model lacks.
-    size : (k,) float
-        Value of each variant, 0 or larger.
-    """
+    """Return the effects by the largest value of any of their variants, those of zero left out."""
     order = np.argsort(-size, kind="stable")
     return list(dict.fromkeys(candidates.names[candidates.effects[at]] for at in order.tolist() if size[at] > 0.0))

@@ -57,12 +57,6 @@ def fit_calibration(records: Sequence[LabelledEvidence], start: Calibration = CA
     ----------
     records : sequence of LabelledEvidence
         Evidence with the truth; each kind has its share of `WEIGHTS`, however many records it has.
-    start : Calibration
-        Coefficients at which the search starts.
-
-    Returns
-    -------
-    Calibration
     """
     lean = [record._replace(evidence=_keep_best_pair(record.evidence)) for record in records]
 
@@ -85,15 +79,7 @@ def _keep_best_pair(evidence: CauseEvidence) -> CauseEvidence:
 
 
 def get_log_probability(record: LabelledEvidence, causes: Causes) -> float:
-    """Return the logarithm of the probability that the truth was given.
-
-    Parameters
-    ----------
-    record : LabelledEvidence
-        The truth.
-    causes : Causes
-        Probabilities of all causes.
-    """
+    """Return the logarithm of the probability that the truth was given."""
     p = causes.probabilities
     if record.kind == "two":
         given = p.get(SEVERAL, 0.0)
@@ -105,15 +91,7 @@ def get_log_probability(record: LabelledEvidence, causes: Causes) -> float:
 
 
 def compute_loss(logs: Sequence[float], records: Sequence[LabelledEvidence]) -> float:
-    """Return the mean negative logarithm of the probability of the truth, with each kind at its share.
-
-    Parameters
-    ----------
-    logs : sequence of float
-        Logarithm of the probability of the truth of each record.
-    records : sequence of LabelledEvidence
-        The records.
-    """
+    """Return the mean negative logarithm of the probability of the truth, with each kind at its share."""
     counts = Counter(record.kind for record in records)
     whole = sum(WEIGHTS[kind] for kind in counts)
     shares = (WEIGHTS[record.kind] / counts[record.kind] for record in records)
@@ -123,17 +101,7 @@ def compute_loss(logs: Sequence[float], records: Sequence[LabelledEvidence]) -> 
 def predict_left_out(
     records: Sequence[LabelledEvidence], start: Calibration = CALIBRATION, processes: int = 1
 ) -> list[Causes]:
-    """Return the probabilities of each record by a fit to the records of other seeds.
-
-    Parameters
-    ----------
-    records : sequence of LabelledEvidence
-        Evidence of at least two seeds.
-    start : Calibration
-        Coefficients at which each search starts.
-    processes : int
-        Number of processes.
-    """
+    """Return the probabilities of each record by a fit to the records of other seeds."""
     seeds = sorted({record.seed for record in records})
     group_of = {seed: number % FOLDS for number, seed in enumerate(seeds)}
     fits = Parallel(n_jobs=processes)(
@@ -144,15 +112,7 @@ def predict_left_out(
 
 
 def describe_predictions(records: Sequence[LabelledEvidence], causes: Sequence[Causes]) -> list[str]:
-    """Return the loss of each kind, what leads, and how often a stated probability is right.
-
-    Parameters
-    ----------
-    records : sequence of LabelledEvidence
-        Evidence with the truth.
-    causes : sequence of Causes
-        Probabilities of each.
-    """
+    """Return the loss of each kind, what leads, and how often a stated probability is right."""
     logs = [get_log_probability(r, c) for r, c in zip(records, causes, strict=True)]
     lines = [f"log loss {compute_loss(logs, records):.4f}"]
     for kind in WEIGHTS:
@@ -178,18 +138,7 @@ def describe_predictions(records: Sequence[LabelledEvidence], causes: Sequence[C
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Compute the evidence, fit the coefficients and print them.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Command line, by default that of the process.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Compute the evidence, fit the coefficients and print them."""
     parser = argparse.ArgumentParser("calibration", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", default="500-521", help="seeds, such as 420-440 or 7,9")
     parser.add_argument("--keep", type=Path, default=Path("build/calibration"), help="folder for the evidence")

@@ -60,13 +60,7 @@ class LabelledEvidence(NamedTuple):
 
 
 def draw_cases(seed: int) -> list[Case]:
-    """Return the data sets of a seed: one effect, nothing and two effects hidden, with V·I and SOC only.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the drives.
-    """
+    """Return the data sets of a seed: one effect, nothing and two effects hidden, with V·I and SOC only."""
     rng = np.random.default_rng([seed, 77])
     able = [effect for effect in EFFECTS if effect not in ABSORBED]
     cases = []
@@ -92,20 +86,7 @@ def _draw_shape(effect: str, rng: np.random.Generator, number: int) -> str:
 
 
 def compute_evidence(case: Case, data: SeedData) -> CauseEvidence:
-    """Return the evidence of each cause in a data set.
-
-    Parameters
-    ----------
-    case : Case
-        The data set.
-    data : SeedData
-        Drives of its seed.
-
-    Raises
-    ------
-    SocastError
-        The data set cannot be made.
-    """
+    """Return the evidence of each cause in a data set."""
     tables = data.tables(case)
     model = fit_to_windows(case.recipe, tables.rides, tables.windows)
     windows = gather_windows(tables.rides, tables.windows, model)
@@ -114,17 +95,7 @@ def compute_evidence(case: Case, data: SeedData) -> CauseEvidence:
 
 
 def label_evidence(hidden: Iterable[Sequence[Any]], seed: int, evidence: CauseEvidence) -> list[LabelledEvidence]:
-    """Return the evidence of a data set with its truth, and as if the library lacked one of the effects.
-
-    Parameters
-    ----------
-    hidden : iterable of (str, float)
-        Hidden effects and their shares.
-    seed : int
-        Seed of the drives.
-    evidence : CauseEvidence
-        Evidence of each cause, with the whole library.
-    """
+    """Return the evidence of a data set with its truth, and as if the library lacked one of the effects."""
     truths = tuple(get_right_names(str(effect)) for effect, _ in hidden)
     if not truths:
         return [LabelledEvidence("none", seed, ((NONE,),), evidence)]
@@ -151,13 +122,6 @@ def _leads(record: LabelledEvidence) -> bool:
 def drop_effects(evidence: CauseEvidence, names: Iterable[str]) -> CauseEvidence:
     """Return the evidence without some effects.
 
-    Parameters
-    ----------
-    evidence : CauseEvidence
-        Evidence of each cause.
-    names : iterable of str
-        Effects to leave out.
-
     Notes
     -----
     The evidence of unknown shapes stays that with the whole library, in which shapes like those of the removed effects
@@ -175,15 +139,7 @@ def drop_effects(evidence: CauseEvidence, names: Iterable[str]) -> CauseEvidence
 
 
 def make_seed_records(seed: int, keep: Path) -> list[LabelledEvidence]:
-    """Return the records of a seed; the evidence that a folder holds is not computed again.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the drives.
-    keep : Path
-        Folder for the evidence, one file for each seed.
-    """
+    """Return the records of a seed; the evidence that a folder holds is not computed again."""
     path = keep / f"{seed}.json"
     known: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     data = SeedData(seed)
@@ -204,13 +160,7 @@ def make_seed_records(seed: int, keep: Path) -> list[LabelledEvidence]:
 
 
 def encode_evidence(evidence: CauseEvidence) -> dict[str, Any]:
-    """Return evidence as JSON holds it.
-
-    Parameters
-    ----------
-    evidence : CauseEvidence
-        The evidence.
-    """
+    """Return evidence as JSON holds it."""
     return asdict(evidence) | {
         "forms": {name: list(form) for name, form in evidence.forms.items()},
         "pairs": [[*pair, value] for pair, value in evidence.pairs.items()],
@@ -218,13 +168,7 @@ def encode_evidence(evidence: CauseEvidence) -> dict[str, Any]:
 
 
 def decode_evidence(stored: Mapping[str, Any]) -> CauseEvidence:
-    """Return evidence from what `encode_evidence` made.
-
-    Parameters
-    ----------
-    stored : mapping
-        From JSON.
-    """
+    """Return evidence from what `encode_evidence` made."""
     forms = {name: SelectedForm(*form) for name, form in stored["forms"].items()}
     pairs = {(first, second): value for first, second, value in stored["pairs"]}
     return CauseEvidence(**{**stored, "forms": forms, "pairs": pairs})

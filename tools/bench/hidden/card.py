@@ -94,13 +94,7 @@ authors before you pass the data on.
 
 
 def make_card(made: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the card of data sets, in Markdown.
-
-    Parameters
-    ----------
-    made : mapping of str to mapping
-        Truth of each data set by its name.
-    """
+    """Return the card of data sets, in Markdown."""
     parts = Counter(each["part"] for each in made.values())
     library = sorted(effects.get_library().items())
     return CARD.format(

@@ -79,13 +79,7 @@ class Case:
 
 
 def get_right_names(effect: str) -> tuple[str, ...]:
-    """Return the effects of the library that are right names for a hidden effect.
-
-    Parameters
-    ----------
-    effect : str
-        Name of the hidden effect in either shape.
-    """
+    """Return the effects of the library that are right names for a hidden effect."""
     return RIGHT_NAMES.get(strip_shape(effect), (strip_shape(effect),))
 
 
@@ -109,31 +103,14 @@ class SeedData:
         return simulate_drives(replace(FLEET, seed=self.seed), TURNS)
 
     def recording(self, weather: Weather) -> Recording:
-        """Return what a consumer receives with exact or noisy weather.
-
-        Parameters
-        ----------
-        weather : {"none", "noisy"}
-            Error of the weather.
-        """
+        """Return what a consumer receives with exact or noisy weather."""
         if weather not in self._recordings:
             messages = add_weather_noise(self.drives.messages, self.seed) if weather == "noisy" else None
             self._recordings[weather] = record_drives(self.drives, messages)
         return self._recordings[weather]
 
     def tables(self, case: Case) -> Tables:
-        """Return the tables of a data set.
-
-        Parameters
-        ----------
-        case : Case
-            The data set.
-
-        Raises
-        ------
-        SettingsError
-            If an effect has nothing to act on there.
-        """
+        """Return the tables of a data set."""
         key = case.hidden, case.where
         if self._last is None or self._last[0] != key:  # all measurements and weathers share the same readings
             phenomena = NO_CLIMATE if case.bare else BASE

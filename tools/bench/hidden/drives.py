@@ -114,25 +114,13 @@ class Scope:
     group: tuple[str, ...] = ()
 
     def contains(self, leg: RecordedShift) -> bool:
-        """Return whether the effect is hidden in a shift.
-
-        Parameters
-        ----------
-        leg : RecordedShift
-            The shift.
-        """
+        """Return whether the effect is hidden in a shift."""
         after = self.since is None or leg.driven.shift.time >= _get_midnight(self.since)
         name = leg.member.name
         return after and self.vehicle in {None, name} and (not self.group or name in self.group)
 
     def get_size(self, leg: RecordedShift) -> float:
-        """Return the size of the effect in a shift that has it, over its full size. [1]
-
-        Parameters
-        ----------
-        leg : RecordedShift
-            The shift.
-        """
+        """Return the size of the effect in a shift that has it, over its full size. [1]"""
         if self.since is None or self.full is None:
             return 1.0
         begin = _get_midnight(self.since)
@@ -172,13 +160,7 @@ class Drives:
         return list(dict.fromkeys(leg.member.name for leg in self.legs))
 
     def views(self, phenomena: Phenomena) -> list[EffectInputs]:
-        """Return the shifts with the states of the cars under given physics, without hidden effects.
-
-        Parameters
-        ----------
-        phenomena : Phenomena
-            Refinements of the physics.
-        """
+        """Return the shifts with the states of the cars under given physics, without hidden effects."""
         if phenomena not in self._states:
             self._states[phenomena] = [integrate_shift(leg, phenomena) for leg in self.legs]
         states = zip(self.legs, self._states[phenomena], strict=True)
@@ -193,19 +175,6 @@ class Drives:
         ----------
         hidden : sequence of Hidden
             Effects and their shares of the energy of the rides in which they are hidden.
-        where : Scope
-            Cars and dates in which they are hidden.
-        phenomena : Phenomena
-            Refinements of the physics.
-
-        Returns
-        -------
-        Readings
-
-        Raises
-        ------
-        SettingsError
-            If an effect has nothing to act on there.
         """
         hidden = tuple(hidden)
         views = self.views(phenomena)
@@ -239,19 +208,7 @@ class Drives:
 
 
 def simulate_drives(simulation: Simulation, turns: int = 1) -> Drives:
-    """Simulate the drives of a seed and their messages.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        Settings without hidden effects.
-    turns : int
-        Each car drives on one out of this many days.
-
-    Returns
-    -------
-    Drives
-    """
+    """Simulate the drives of a seed and their messages."""
     members, sky = make_members(simulation), make_fleet_sky(simulation)
     legs: list[RecordedShift] = []
     streams: list[list[Message]] = []

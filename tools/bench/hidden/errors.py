@@ -43,22 +43,7 @@ def compute_errors(
 ) -> Errors:
     """Return the errors before and after, with all terms refitted by least squares to windows of other vehicle-days.
 
-    Parameters
-    ----------
-    windows : Windows
-        Windows of the data set.
-    model : LinearModel
-        The diagnosed model.
-    hidden : (n,) float
-        Energy of the hidden effects in each window. [kWh]
-    named : sequence of sequence of str
-        Columns of the term of each named effect.
-    seed : int
-        Seed of the folds.
-
-    Returns
-    -------
-    Errors
+    Units: hidden [kWh].
 
     Notes
     -----
@@ -83,19 +68,7 @@ def compute_errors(
 def predict_held_out(columns: Floats, energy: Floats, fold: Ints) -> Floats:
     """Return the predictions of each fold by least squares over the other folds.
 
-    Parameters
-    ----------
-    columns : (n, k) float
-        Columns of the model.
-    energy : (n,) float
-        Measured energy. [kWh]
-    fold : (n,) int
-        Fold of each window.
-
-    Returns
-    -------
-    (n,) float
-        Predicted energy. [kWh]
+    Units: energy [kWh], returns [kWh].
     """
     out = np.empty(len(energy))
     for part in np.unique(fold):
@@ -107,12 +80,7 @@ def predict_held_out(columns: Floats, energy: Floats, fold: Ints) -> Floats:
 def solve_least_squares(columns: Floats, energy: Floats) -> Floats:
     """Return the coefficients of least squares; for collinear columns those of minimum norm.
 
-    Parameters
-    ----------
-    columns : (n, k) float
-        Columns of the model.
-    energy : (n,) float
-        Measured energy. [kWh]
+    Units: energy [kWh].
     """
     size = np.sqrt((columns**2).sum(axis=0))
     scale = np.where(size > 0.0, size, 1.0)

@@ -24,23 +24,7 @@ Diagnose = Callable[..., dict[str, Any]]
 
 
 def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool = False) -> Record:
-    """Return the record of a data set: what was hidden, what was named, and whether that is right.
-
-    Parameters
-    ----------
-    case : Case
-        The data set.
-    tables : Tables
-        Its tables.
-    diagnose : callable
-        Takes rides, windows and a model, as `socast.core.diagnose.diagnosis.diagnose`.
-    timed : bool
-        Also measure the time of sparse regression over the same windows and candidates.
-
-    Returns
-    -------
-    Record
-    """
+    """Return the record of a data set: what was hidden, what was named, and whether that is right."""
     rides, table, truth = tables
     model = fit_to_windows(case.recipe, rides, table)
     began = time.perf_counter()
@@ -76,26 +60,12 @@ def evaluate_case(case: Case, tables: Tables, diagnose: Diagnose, *, timed: bool
 
 
 def is_for_baselines(case: Case, visibility: Record) -> bool:
-    """Return whether the baselines are judged on a data set: one visible effect of the library is hidden.
-
-    Parameters
-    ----------
-    case : Case
-        The data set.
-    visibility : Record
-        Its visibility, see `measure_visibility`.
-    """
+    """Return whether the baselines are judged on a data set: one visible effect of the library is hidden."""
     return len(case.hidden) == 1 and not case.without and bool(visibility["visible"])
 
 
 def describe_case(case: Case) -> Record:
-    """Return the description of a data set as JSON holds it.
-
-    Parameters
-    ----------
-    case : Case
-        The data set.
-    """
+    """Return the description of a data set as JSON holds it."""
     return {
         "seed": case.seed,
         "hidden": [list(each) for each in case.hidden],
@@ -110,16 +80,7 @@ def describe_case(case: Case) -> Record:
 def compute_true_energy(windows: Windows, truth: pd.DataFrame) -> Floats:
     """Return the energy of each hidden effect in each window. [kWh]
 
-    Parameters
-    ----------
-    windows : Windows
-        Windows of diagnosis; one without a number covers its whole ride.
-    truth : DataFrame
-        `ride_key`, `window`, and the energy of each hidden effect. [kWh]
-
-    Returns
-    -------
-    (n, effects) float
+    Units: truth [kWh].
     """
     of_window = truth.set_index(["ride_key", "window"])
     of_ride = truth.drop(columns="window").groupby("ride_key").sum()
@@ -137,16 +98,7 @@ def compare_intervals(
 ) -> list[Record]:
     """Return the interval of the coefficient of each name, and the coefficient that it should contain.
 
-    Parameters
-    ----------
-    case : Case
-        The data set.
-    missing : sequence of dict
-        Names that diagnosis gives.
-    base : BaseProjection
-        Projection onto the terms of the model.
-    hidden : (n, effects) float
-        Energy of each hidden effect in each window. [kWh]
+    Units: hidden [kWh].
 
     Returns
     -------

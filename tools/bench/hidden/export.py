@@ -41,17 +41,8 @@ def export_tasks(todo: Sequence[Task], folder: Path, processes: int) -> int:
 
     Parameters
     ----------
-    todo : sequence of Task
-        Data sets of one part and one seed each.
     folder : Path
         Folder for the files; it is made if absent.
-    processes : int
-        Number of processes.
-
-    Returns
-    -------
-    int
-        Number of data sets; those that cannot be made are left out.
     """
     for name in ("windows", "truth"):
         (folder / name).mkdir(parents=True, exist_ok=True)
@@ -69,17 +60,7 @@ def export_tasks(todo: Sequence[Task], folder: Path, processes: int) -> int:
 
 
 def export_cases(part: str, cases: Mapping[str, Case], folder: Path) -> dict[str, dict[str, Any]]:
-    """Write the data sets of a seed and return the truth of each by its name.
-
-    Parameters
-    ----------
-    part : str
-        Name of the part.
-    cases : mapping of str to Case
-        Data sets of one seed by their names.
-    folder : Path
-        Folder for the files.
-    """
+    """Write the data sets of a seed and return the truth of each by its name."""
     data = SeedData(next(iter(cases.values())).seed)
     out = {}
     with threadpool_limits(1):
@@ -92,27 +73,11 @@ def export_cases(part: str, cases: Mapping[str, Case], folder: Path) -> dict[str
 def export_case(case: Case, data: SeedData, folder: Path, name: str) -> dict[str, Any]:
     """Write a data set and return its truth.
 
-    Parameters
-    ----------
-    case : Case
-        The data set.
-    data : SeedData
-        Drives of its seed.
-    folder : Path
-        Folder with the folders `windows` and `truth`.
-    name : str
-        Name of the data set.
-
     Returns
     -------
     dict
         Description of the data set; `truths`: right names of each cause; `absorbed`: whether the base explains the
         effect; `visible` and `ratios` as of `measure_visibility`.
-
-    Raises
-    ------
-    SocastError
-        The data set cannot be made.
     """
     tables = data.tables(case)
     model = fit_to_windows(case.recipe, tables.rides, tables.windows)
@@ -141,13 +106,6 @@ def draw_decoy(case: Case, candidates: Candidates) -> tuple[str, ...]:
 
     They are left out of the candidates, as those of the truth are where it is not in the library. So a missing
     candidate says nothing about the truth.
-
-    Parameters
-    ----------
-    case : Case
-        The data set.
-    candidates : Candidates
-        All effects that the model may lack.
     """
     hidden = {strip_shape(effect) for effect, _ in case.hidden}
     able = [effect for effect in EFFECTS if effect not in hidden and effect not in ABSORBED]
@@ -158,15 +116,6 @@ def draw_decoy(case: Case, candidates: Candidates) -> tuple[str, ...]:
 
 def tabulate_windows(windows: Windows, model: LinearModel, candidates: Candidates) -> pd.DataFrame:
     """Return the windows of a data set: conditions, measured energy, terms of the base, and candidates.
-
-    Parameters
-    ----------
-    windows : Windows
-        Windows of the data set.
-    model : LinearModel
-        The model that is diagnosed.
-    candidates : Candidates
-        Effects that it may lack.
 
     Returns
     -------

@@ -57,13 +57,7 @@ class Figure(NamedTuple):
 
 
 def compute_figures(records: Sequence[Record]) -> list[Figure]:
-    """Return the figures that have goals.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records of all data sets.
-    """
+    """Return the figures that have goals."""
     vi, soc = select_counted(records, "vi"), select_counted(records, "soc")
     one, two = [*vi, *soc], select_part(records, "two")
     none, outside = select_part(records, "none"), select_part(records, "outside")
@@ -95,136 +89,61 @@ def compute_figures(records: Sequence[Record]) -> list[Figure]:
 
 
 def select_part(records: Sequence[Record], part: str) -> list[Record]:
-    """Return the records of a part that could be made, without effects that the base absorbs.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records of all data sets.
-    part : str
-        Name of the part.
-    """
+    """Return the records of a part that could be made, without effects that the base absorbs."""
     return [r for r in records if r["part"] == part and "refused" not in r and not is_absorbed(r)]
 
 
 def select_counted(records: Sequence[Record], measurement: str) -> list[Record]:
-    """Return the records of one hidden effect that count towards the goal of a measurement.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records of all data sets.
-    measurement : {"vi", "soc"}
-        The measurement.
-    """
+    """Return the records of one hidden effect that count towards the goal of a measurement."""
     one = select_part(records, "one")
     return [r for r in one if r["measurement"] == measurement and get_share(r) >= LEAST[measurement]]
 
 
 def list_stated(records: Sequence[Record]) -> Stated:
-    """Return the probability of the first name of each data set with at most one effect, and whether it is right.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records of all data sets.
-
-    Returns
-    -------
-    list of (float, bool)
-        Only those in which a name is given.
-    """
+    """Return the probability of the first name of each data set with at most one effect, and whether it is right."""
     single = [r for part in SINGLE for r in select_part(records, part)]
     return [(r["names"][0]["probability"], r["names"][0]["right"]) for r in single if r["names"]]
 
 
 def is_right(record: Record) -> bool:
-    """Return whether the first name is right.
-
-    Parameters
-    ----------
-    record : Record
-        The record.
-    """
+    """Return whether the first name is right."""
     return bool(record["outcome"] == "right")
 
 
 def is_wrong_and_sure(record: Record) -> bool:
-    """Return whether the first name is wrong and has a probability of 90 % or more.
-
-    Parameters
-    ----------
-    record : Record
-        The record.
-    """
+    """Return whether the first name is wrong and has a probability of 90 % or more."""
     return bool(record["outcome"] == "wrong" and record["names"][0]["probability"] >= SURE)
 
 
 def is_absorbed(record: Record) -> bool:
-    """Return whether columns of the base explain the hidden effect.
-
-    Parameters
-    ----------
-    record : Record
-        The record.
-    """
+    """Return whether columns of the base explain the hidden effect."""
     return any(strip_shape(effect) in ABSORBED for effect, _ in record["hidden"])
 
 
 def get_share(record: Record) -> float:
-    """Return the share of the energy of the first hidden effect.
-
-    Parameters
-    ----------
-    record : Record
-        The record.
-    """
+    """Return the share of the energy of the first hidden effect."""
     return float(record["hidden"][0][1])
 
 
 def compute_hit_rate(records: Sequence[Record]) -> float:
-    """Return the share of records whose first name is right, NaN without records.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        The records.
-    """
+    """Return the share of records whose first name is right, NaN without records."""
     return sum(is_right(r) for r in records) / len(records) if records else nan
 
 
 def compute_error_reduction(records: Sequence[Record]) -> float:
-    """Return the reduction of the error divided by that of the model that knows the truth, over all rides together.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        The records.
-    """
+    """Return the reduction of the error divided by that of the model that knows the truth, over all rides together."""
     reduction = sum(r["errors"]["before"] - r["errors"]["after"] for r in records)
     best = sum(r["errors"]["before"] - r["errors"]["truth"] for r in records)
     return reduction / best if best > 0.0 else nan
 
 
 def select_far(records: Sequence[Record]) -> list[Record]:
-    """Return the records in which the model that knows the truth has an error at least `LEAST_WAY` smaller.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        The records.
-    """
+    """Return the records in which the model that knows the truth has an error at least `LEAST_WAY` smaller."""
     return [r for r in records if r["errors"]["before"] - r["errors"]["truth"] > LEAST_WAY * r["errors"]["before"]]
 
 
 def summarise_timing(records: Sequence[Record]) -> tuple[float, float, int]:
-    """Return the median time of diagnosis [s], its ratio to that of sparse regression, and the number of timings.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records of all data sets.
-    """
+    """Return the median time of diagnosis [s], its ratio to that of sparse regression, and the number of timings."""
     timed = [r for r in records if r.get("stlsq_seconds")]
     if not timed:
         return nan, nan, 0
@@ -234,11 +153,6 @@ def summarise_timing(records: Sequence[Record]) -> tuple[float, float, int]:
 
 def format_rate(successes: Sequence[bool]) -> str:
     """Return a share in per cent with its 95 % interval.
-
-    Parameters
-    ----------
-    successes : sequence of bool
-        Whether each trial succeeded.
 
     Examples
     --------

@@ -16,13 +16,6 @@ STEPS: Final = 2
 def grade_names(case: Case, result: Mapping[str, Any]) -> Record:
     """Return whether the names and credible sets of a diagnosis are right.
 
-    Parameters
-    ----------
-    case : Case
-        The data set.
-    result : mapping
-        Result of diagnosis.
-
     Returns
     -------
     Record
@@ -54,13 +47,7 @@ def grade_names(case: Case, result: Mapping[str, Any]) -> Record:
 
 
 def list_truths(case: Case) -> list[tuple[str, ...]]:
-    """Return the right names of each cause: of each hidden effect, of nothing, or of an effect outside the library.
-
-    Parameters
-    ----------
-    case : Case
-        The data set.
-    """
+    """Return the right names of each cause: of each hidden effect, of nothing, or of an effect outside the library."""
     if not case.hidden:
         return [(NONE,)]
     names = [get_right_names(effect) for effect, _ in case.hidden]
@@ -68,13 +55,7 @@ def list_truths(case: Case) -> list[tuple[str, ...]]:
 
 
 def list_credible_sets(result: Mapping[str, Any]) -> list[list[str]]:
-    """Return the credible sets of the first steps of a diagnosis, the one in which it ended included.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of diagnosis.
-    """
+    """Return the credible sets of the first steps of a diagnosis, the one in which it ended included."""
     selected = [name["credible_set"] for name in result["missing"]]
     sets = [result["credible_set"], *selected[1:]]
     if selected:

@@ -51,18 +51,6 @@ def judge(answers: Answers, truths: Mapping[str, Truth]) -> list[Score]:
     ----------
     answers : mapping of str to sequence of str
         Names of causes for each data set, the most probable first. A data set without an answer counts as `NONE`.
-    truths : mapping of str to mapping
-        Truth of each data set, as `truth.json` holds it.
-
-    Returns
-    -------
-    list of Score
-        One for each entry of `GOALS` with data sets.
-
-    Raises
-    ------
-    SettingsError
-        An answer belongs to no data set, or is not a list of names.
 
     Examples
     --------
@@ -85,15 +73,7 @@ def judge(answers: Answers, truths: Mapping[str, Truth]) -> list[Score]:
 
 
 def is_answer_right(ranking: Sequence[str], truth: Truth) -> bool:
-    """Return whether as many first names as there are causes are right.
-
-    Parameters
-    ----------
-    ranking : sequence of str
-        Names of causes, the most probable first; none means `NONE`.
-    truth : mapping
-        Truth of the data set.
-    """
+    """Return whether as many first names as there are causes are right."""
     first = list(ranking[: len(truth["truths"])]) or [NONE]
     if truth["truths"] == [[UNKNOWN]]:
         return first[0] in {NONE, UNKNOWN}
@@ -122,18 +102,7 @@ GOALS: Final[Mapping[str, Callable[[Truth], bool]]] = MappingProxyType(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the scores of a file of answers.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Command line, by default that of the process.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Print the scores of a file of answers."""
     parser = argparse.ArgumentParser("judge", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, help="folder that `socast.tools.bench.hidden --export` made")
     parser.add_argument("answers", type=Path, help="JSON file: a list of names for each data set")

@@ -29,13 +29,7 @@ _VALUES: Final = {
 
 
 def make_lines(records: Sequence[Record]) -> list[str]:
-    """Return the lines for the pages.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records of all data sets.
-    """
+    """Return the lines for the pages."""
     lines = [
         _describe_run(records),
         "",

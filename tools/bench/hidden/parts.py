@@ -90,10 +90,6 @@ def select_shape(effect: str, shape: str, seed: int) -> str:
 
     Parameters
     ----------
-    effect : str
-        Name of the effect.
-    shape : {"first", "other", "bent"}
-        Its shape.
     seed : int
         Number of the bent shape; no other effect bends in the same way at the same number.
 
@@ -106,25 +102,13 @@ def select_shape(effect: str, shape: str, seed: int) -> str:
 
 
 def make_single_effects(choice: Selection) -> Iterator[Case]:
-    """Yield data sets with one effect.
-
-    Parameters
-    ----------
-    choice : Selection
-        The selection.
-    """
+    """Yield data sets with one effect."""
     for (seed, effect), share in product(choice.list_singles(), choice.shares):
         yield from _measured(choice, Case(seed, (Hidden(effect, share),)))
 
 
 def make_pairs(choice: Selection) -> Iterator[Case]:
-    """Yield data sets with two effects that no column of the base absorbs, drawn at random, each in a random shape.
-
-    Parameters
-    ----------
-    choice : Selection
-        The selection.
-    """
+    """Yield data sets with two effects that no column of the base absorbs, drawn at random, each in a random shape."""
     able = [effect for effect in choice.effects if effect not in ABSORBED and effect not in BARE]
     for seed in choice.numbers if len(able) > 1 else ():
         rng = np.random.default_rng([seed, 9])
@@ -135,26 +119,14 @@ def make_pairs(choice: Selection) -> Iterator[Case]:
 
 
 def make_empty(choice: Selection) -> Iterator[Case]:
-    """Yield data sets without hidden effects, on drives that no other part uses.
-
-    Parameters
-    ----------
-    choice : Selection
-        The selection.
-    """
+    """Yield data sets without hidden effects, on drives that no other part uses."""
     first, end = (-(-number * NONE_SEEDS // SEEDS) for number in (choice.first, choice.first + choice.seeds))
     for seed in range(first, end):
         yield from _measured(choice, Case(FRESH + seed))
 
 
 def make_outside_effects(choice: Selection) -> Iterator[Case]:
-    """Yield data sets with an effect that is removed from the library.
-
-    Parameters
-    ----------
-    choice : Selection
-        The selection.
-    """
+    """Yield data sets with an effect that is removed from the library."""
     shares = [share for share in choice.shares if share in OUTSIDE_SHARES] or choice.shares
     for (seed, effect), share in product(choice.list_singles(), shares):
         yield from _measured(choice, Case(seed, (Hidden(effect, share),), without=get_right_names(strip_shape(effect))))
@@ -174,12 +146,8 @@ def draw_sample(cases: Sequence[Case], size: int | None, seed: int = 0) -> list[
 
     Parameters
     ----------
-    cases : sequence of Case
-        Data sets.
     size : int or None
         Number to draw; None returns all.
-    seed : int
-        Seed of the draw.
     """
     if size is None or len(cases) <= size:
         return list(cases)

@@ -63,15 +63,6 @@ KINDS: Final[Mapping[str, Callable[[EffectInputs], Floats]]] = MappingProxyType(
 def measure_with_loads(drives: Drives, loads: Sequence[RandomLoad], seed: int) -> Readings:
     """Return the readings of the cars with random loads.
 
-    Parameters
-    ----------
-    drives : Drives
-        The drives.
-    loads : sequence of RandomLoad
-        Loads.
-    seed : int
-        Seed of their sizes.
-
     Returns
     -------
     Readings

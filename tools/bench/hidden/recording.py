@@ -81,13 +81,6 @@ class Tables(NamedTuple):
 def add_weather_noise(messages: Sequence[Message], seed: int) -> list[Message]:
     """Return messages with an error of 30 % in wind and rain, and of 20 degrees in the wind direction.
 
-    Parameters
-    ----------
-    messages : sequence of Message
-        The messages.
-    seed : int
-        Seed of the errors.
-
     Returns
     -------
     list of Message
@@ -161,16 +154,8 @@ class Recording:
 
         Parameters
         ----------
-        measured : Readings
-            Readings of the cars.
         measurement : {"vi", "soc"}
             Voltage and current besides the state of charge, or the state of charge only.
-        names : sequence of str
-            Names of the hidden effects.
-
-        Returns
-        -------
-        Tables
         """
         hidden = measured.hidden[:, self.car, self.number]
         filled = _filled(self.batch, measured, measurement, self.car, self.number)
@@ -193,13 +178,7 @@ class Recording:
         return self._named(_joined([*rides, closed.rides]), _joined([*windows, closed.windows]), names)
 
     def compute_rates(self, filled: Batch) -> None:
-        """Compute what each row adds to the sums, its time and its elevation.
-
-        Parameters
-        ----------
-        filled : Batch
-            Rows with readings in them.
-        """
+        """Compute what each row adds to the sums, its time and its elevation."""
         nowhere = Sky(*np.full((len(Sky._fields), filled.size), np.nan))
         clean = _cleaned(filled, len(self.lanes), nowhere, self.cars.capacity[self.kind] * JOULES_PER_KWH)
         self.timing = clean.dt
@@ -244,14 +223,8 @@ def record_drives(drives: Drives, messages: Sequence[Message] | None = None) -> 
 
     Parameters
     ----------
-    drives : Drives
-        The drives.
     messages : sequence of Message, optional
         Messages with other weather, in place of those of the drives.
-
-    Returns
-    -------
-    Recording
     """
     lanes = Lanes()
     decoder = Decoder(lanes)

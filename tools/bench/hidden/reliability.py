@@ -46,15 +46,6 @@ class Bin(NamedTuple):
 def bin_probabilities(stated: Stated, weights: Sequence[float] | None = None, bins: int = BINS) -> list[Bin]:
     """Return the bins of equal width that hold names.
 
-    Parameters
-    ----------
-    stated : sequence of (float, bool)
-        Stated probabilities, and whether each name was right.
-    weights : sequence of float, optional
-        Weight of each name; by default all count the same.
-    bins : int
-        Number of bins from 0 to 1.
-
     Examples
     --------
     >>> [(each.low, each.of) for each in bin_probabilities([(0.95, True), (1.0, False), (0.12, False)])]
@@ -78,15 +69,6 @@ def bin_probabilities(stated: Stated, weights: Sequence[float] | None = None, bi
 def compute_calibration_error(stated: Stated, weights: Sequence[float] | None = None, bins: int = BINS) -> float:
     """Return the expected calibration error: the mean distance of a bin from being right as often as stated.
 
-    Parameters
-    ----------
-    stated : sequence of (float, bool)
-        Stated probabilities, and whether each name was right.
-    weights : sequence of float, optional
-        Weight of each name; by default all count the same.
-    bins : int
-        Number of bins of equal width.
-
     Returns
     -------
     float
@@ -106,20 +88,6 @@ def draw_calibration_error(stated: Stated, draws: int = 2000, seed: int = 0) -> 
 
     Few names in a bin differ from their mean probability by chance, so the error of right probabilities is not zero.
 
-    Parameters
-    ----------
-    stated : sequence of (float, bool)
-        Stated probabilities; whether each name was right is not used.
-    draws : int
-        Number of drawn sets of right and wrong names.
-    seed : int
-        Seed of the draws.
-
-    Returns
-    -------
-    tuple of (float, float)
-        NaN without any name. [1]
-
     References
     ----------
     Bröcker and Smith, Weather and Forecasting 22 (2007) 651, DOI 10.1175/WAF993.1, consistency resampling.
@@ -135,15 +103,7 @@ def draw_calibration_error(stated: Stated, draws: int = 2000, seed: int = 0) -> 
 
 
 def tabulate_reliability(stated: Stated, weights: Sequence[float] | None = None) -> list[str]:
-    """Return a table of stated probabilities and of how often they are right.
-
-    Parameters
-    ----------
-    stated : sequence of (float, bool)
-        Stated probabilities, and whether each name was right.
-    weights : sequence of float, optional
-        Weight of each name; by default all count the same.
-    """
+    """Return a table of stated probabilities and of how often they are right."""
     lines = ["| stated probability | mean stated | right | 95 % interval | names |", "|" + "---|" * 5]
     for each in bin_probabilities(stated, weights):
         low, high = each.interval

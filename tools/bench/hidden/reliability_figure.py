@@ -14,13 +14,7 @@ TICKS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 def draw_reliability(stated: Stated) -> str:
-    """Return the figure of stated probabilities and of how often they are right, with 95 % intervals.
-
-    Parameters
-    ----------
-    stated : sequence of (float, bool)
-        Stated probabilities, and whether each name was right.
-    """
+    """Return the figure of stated probabilities and of how often they are right, with 95 % intervals."""
     lines = [
         (
             f"<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 {WIDTH} {HEIGHT}' width='{WIDTH}' height='{HEIGHT}' "

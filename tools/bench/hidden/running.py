@@ -23,15 +23,7 @@ Task = tuple[str, list[Case]]
 
 
 def make_tasks(part: str, cases: Sequence[Case]) -> list[Task]:
-    """Return the data sets of a part by seed.
-
-    Parameters
-    ----------
-    part : str
-        Name of the part.
-    cases : sequence of Case
-        Its data sets.
-    """
+    """Return the data sets of a part by seed."""
     ordered = sorted(cases, key=lambda case: case.seed)
     return [(part, list(same)) for _, same in groupby(ordered, key=lambda case: case.seed)]
 
@@ -39,38 +31,14 @@ def make_tasks(part: str, cases: Sequence[Case]) -> list[Task]:
 def run_tasks(
     todo: Iterable[Task], diagnose: Diagnose, keep: Path | None = None, processes: int = PROCESSES
 ) -> Iterable[list[Record]]:
-    """Yield the records of each task when it is finished.
-
-    Parameters
-    ----------
-    todo : iterable of Task
-        The tasks.
-    diagnose : callable
-        As for `evaluate_case`.
-    keep : Path, optional
-        Folder for records; existing records are not made again.
-    processes : int
-        Number of processes with one thread each.
-    """
+    """Yield the records of each task when it is finished."""
     with parallel_config(backend="loky", inner_max_num_threads=1):
         jobs = (delayed(run_cases)(part, cases, diagnose, keep) for part, cases in todo)
         yield from Parallel(n_jobs=processes, return_as="generator_unordered")(jobs)
 
 
 def run_cases(part: str, cases: Sequence[Case], diagnose: Diagnose, keep: Path | None = None) -> list[Record]:
-    """Return the records of data sets of one seed.
-
-    Parameters
-    ----------
-    part : str
-        Name of the part.
-    cases : sequence of Case
-        Data sets of the seed.
-    diagnose : callable
-        As for `evaluate_case`.
-    keep : Path, optional
-        Folder for records.
-    """
+    """Return the records of data sets of one seed."""
     path = None if keep is None else keep / f"{part}-{cases[0].seed}.json"
     known = _read(path)
     records = []

@@ -28,19 +28,7 @@ ROUNDS: Final = 20
 
 
 def build_columns(windows: Windows, model: LinearModel) -> Floats:
-    """Return the columns of a model and of all candidates of diagnosis. [kWh per unit]
-
-    Parameters
-    ----------
-    windows : Windows
-        Windows of the data set.
-    model : LinearModel
-        The diagnosed model.
-
-    Returns
-    -------
-    (n, k) float
-    """
+    """Return the columns of a model and of all candidates of diagnosis. [kWh per unit]"""
     fit = model.fits[ANY]
     columns = Columns(windows.table, fit.fills, fit.curve)
     base = build_design(model.terms, columns, len(windows.measured))
@@ -50,20 +38,7 @@ def build_columns(windows: Windows, model: LinearModel) -> Floats:
 def fit_stlsq(columns: Floats, energy: Floats, threshold: float = THRESHOLD, alpha: float = ALPHA) -> Floats:
     """Return sparse coefficients.
 
-    Parameters
-    ----------
-    columns : (n, k) float
-        Columns of the candidates.
-    energy : (n,) float
-        Measured energy. [kWh]
-    threshold : float
-        Coefficients of normalised columns below it are set to zero.
-    alpha : float
-        Ridge penalty.
-
-    Returns
-    -------
-    (k,) float
+    Units: energy [kWh].
 
     Examples
     --------

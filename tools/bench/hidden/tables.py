@@ -30,11 +30,6 @@ Lines = list[str]
 def tabulate_by_effect(records: Sequence[Record]) -> Lines:
     """Return a table of the hit rate of each effect by measurement and share, in each shape.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        Records of all data sets.
-
     Returns
     -------
     list of str
@@ -59,25 +54,13 @@ def tabulate_by_effect(records: Sequence[Record]) -> Lines:
 
 
 def get_shape(record: Record) -> str:
-    """Return the shape of the first hidden effect: `first`, `other` or `bent`.
-
-    Parameters
-    ----------
-    record : Record
-        The record.
-    """
+    """Return the shape of the first hidden effect: `first`, `other` or `bent`."""
     effect = record["hidden"][0][0]
     return "other" if effect.endswith(OTHER) else "bent" if BENT in effect else "first"
 
 
 def tabulate_by_share(records: Sequence[Record]) -> Lines:
-    """Return a table of right, wrong and no names by measurement, weather, shape and share, without absorbed effects.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records of all data sets.
-    """
+    """Tabulate right, wrong and no names by measurement, weather, shape and share, without absorbed effects."""
     one = select_part(records, "one")
     lines = _head(
         ["measurement", "weather", "shape", *(f"{100 * s:g} %: right, wrong, none" for s in SHARES), "error reduction"]
@@ -92,13 +75,7 @@ def tabulate_by_share(records: Sequence[Record]) -> Lines:
 
 
 def tabulate_by_part(records: Sequence[Record]) -> Lines:
-    """Return a table of all parts, with the effects that the base absorbs apart.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records of all data sets.
-    """
+    """Return a table of all parts, with the effects that the base absorbs apart."""
     done = [r for r in records if "refused" not in r]
     lines = _head(
         ["part", "measurement", "data sets", "right, wrong, none", "set holds the truth", "names per data set"]
@@ -121,13 +98,7 @@ def tabulate_by_part(records: Sequence[Record]) -> Lines:
 
 
 def tabulate_baselines(records: Sequence[Record]) -> Lines:
-    """Return a table of how often diagnosis and each baseline name the truth first, among visible effects.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records of all data sets.
-    """
+    """Return a table of how often diagnosis and each baseline name the truth first, among visible effects."""
     visible = {m: [r for r in select_counted(records, m) if r["visible"]] for m in LEAST}
     heads = [f"{_SHORT[m]}, {100 * least:g} % or more ({len(visible[m])})" for m, least in LEAST.items()]
     lines = _head(["method", *heads])
@@ -148,15 +119,7 @@ def _leads(record: Record, method: str) -> bool:
 
 
 def tabulate_wrong_names(records: Sequence[Record], most: int = 12) -> Lines:
-    """Return a table of the most frequent wrong names and of the effects that were hidden.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records of all data sets.
-    most : int
-        Largest number of lines.
-    """
+    """Return a table of the most frequent wrong names and of the effects that were hidden."""
     pairs: dict[tuple[str, str], int] = {}
     for r in records:
         if "refused" not in r and r["outcome"] == "wrong" and r["part"] in {"one", "outside", "none"}:

@@ -29,16 +29,7 @@ LARGEST_SHARE: Final = 0.999
 def measure_visibility(case: Case, base: BaseProjection, candidates: Candidates, hidden: Floats) -> dict[str, Any]:
     """Return how much of the hidden energy is visible to diagnosis.
 
-    Parameters
-    ----------
-    case : Case
-        The data set.
-    base : BaseProjection
-        Projection onto the terms of the model.
-    candidates : Candidates
-        All effects of the library that the model lacks.
-    hidden : (n, effects) float
-        Energy of each hidden effect in each window. [kWh]
+    Units: hidden [kWh].
 
     Returns
     -------
@@ -72,16 +63,10 @@ def measure_visibility(case: Case, base: BaseProjection, candidates: Candidates,
 def compare_with_rivals(case: Case, base: BaseProjection, candidates: Candidates, hidden: Floats, number: int) -> float:
     """Return by how much the true energy of a hidden effect is more likely than the best form of any other effect.
 
+    Units: hidden [kWh].
+
     Parameters
     ----------
-    case : Case
-        The data set.
-    base : BaseProjection
-        Projection onto the terms of the model.
-    candidates : Candidates
-        All effects of the library that the model lacks.
-    hidden : (n, effects) float
-        Energy of each hidden effect in each window. [kWh]
     number : int
         Number of the effect. The true energies of the others are known to both sides.
 
@@ -112,17 +97,7 @@ def compare_with_rivals(case: Case, base: BaseProjection, candidates: Candidates
 
 
 def compute_z(orthogonal: Floats, residual: Floats, cluster: Ints) -> float:
-    """Return the coefficient of a column divided by its standard error.
-
-    Parameters
-    ----------
-    orthogonal : (n,) float
-        The column, weighted and projected. [1]
-    residual : (n,) float
-        Weighted residual. [1]
-    cluster : (n,) int
-        Vehicle-day of each window.
-    """
+    """Return the coefficient of a column divided by its standard error."""
     total = float(orthogonal @ orthogonal)
     if total <= 0.0:
         return 0.0
@@ -135,15 +110,7 @@ def compute_z(orthogonal: Floats, residual: Floats, cluster: Ints) -> float:
 
 
 def project_products(base: BaseProjection, columns: list[list[str]]) -> Floats:
-    """Return weighted products of columns, orthogonal to the terms of the model, (n, products).
-
-    Parameters
-    ----------
-    base : BaseProjection
-        Projection onto the terms of the model.
-    columns : list of list of str
-        Names of the columns of each product.
-    """
+    """Return weighted products of columns, orthogonal to the terms of the model, (n, products)."""
     terms = tuple(Term(name=str(i), columns=tuple(each), unit="1") for i, each in enumerate(columns))
     table = base.windows.table
     return base.project_out(np.nan_to_num(build_design(terms, Columns(table), len(table))))

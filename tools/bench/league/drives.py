@@ -190,12 +190,10 @@ def _find_power(rng: np.random.Generator, kind: Kind, speed: Floats, slope: Floa
 def make_track(rng: np.random.Generator, drives: int, start: float, stays: tuple[str, ...] = ()) -> Track:
     """Return a day of some drives from a time on, with the named stays after the first drives.
 
+    Units: start [s].
+
     Parameters
     ----------
-    rng : Generator
-    drives : int
-    start : float
-        Unix time at which the car is switched on. [s]
     stays : tuple of str
         Stays that must happen, as a fault needs them; the others are drawn.
     """

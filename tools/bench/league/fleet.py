@@ -42,10 +42,6 @@ def choose_faults(seed: int, number: int, names: Sequence[str] = ()) -> list[Fau
 
     Parameters
     ----------
-    seed : int
-        Seed of the league.
-    number : int
-        Number of the car.
     names : sequence of str
         Faults to choose from; all of them without any. `none` stands for no fault.
     """
@@ -60,15 +56,7 @@ def choose_faults(seed: int, number: int, names: Sequence[str] = ()) -> list[Fau
 
 
 def make_entry(seed: int, number: int, faults: Sequence[Fault]) -> Entry:
-    """Return a car of the league. It depends on nothing but the arguments.
-
-    Parameters
-    ----------
-    seed, number : int
-        Seed of the league, and number of the car.
-    faults : sequence of Fault
-        Its faults.
-    """
+    """Return a car of the league. It depends on nothing but the arguments."""
     rng = np.random.default_rng([seed, 0, number])
     stays = next((each.stays for each in faults if each.stays), ())
     car = make_car(rng, number, DRIVES, stays)

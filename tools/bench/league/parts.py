@@ -26,8 +26,6 @@ def are_right(log: Log, rides: pd.DataFrame, sampling: Sampling, share: float, s
     ----------
     log : Log
         Samples of the car. The first sample of a ride is that whose stamp is nearest to its beginning.
-    rides : DataFrame
-        Rides of the car, as in the ride table.
     sampling : callable
         Function of rows of the log that returns the errors of distance [m] and energy [J] that no cleaning can avoid.
     share, sds : float

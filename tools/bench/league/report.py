@@ -90,18 +90,7 @@ def compare(verdict: Verdict) -> str:
 
 
 def make_lines(verdicts: Sequence[Verdict], seed: int, replayed: int, pairs: int) -> list[str]:
-    """Return the lines for the page of the documentation.
-
-    Parameters
-    ----------
-    verdicts : sequence of Verdict
-    seed : int
-        Seed of the league.
-    replayed : int
-        Number of drives whose stream was cut at random without any difference.
-    pairs : int
-        Number of pairs that are shown.
-    """
+    """Return the lines for the page of the documentation."""
     total = summarise("all", "", verdicts)
     shares = zip(WORDS, show_shares(total), strict=True)
     head = f"drives | {' | '.join(WORDS)} | reasons |"

@@ -72,13 +72,7 @@ class _Signs(NamedTuple):
 
 
 def check_agreement(cars: list[CarSums]) -> list[Check]:
-    """Return the checks over all cars.
-
-    Parameters
-    ----------
-    cars : list of CarSums
-        Sums of each car.
-    """
+    """Return the checks over all cars."""
     signs = _Signs({car.vehicle: judge_sign(car) for car in cars})
     total = sum_cars(cars)
     # one car with another sign must not change what is said of the others

@@ -93,13 +93,7 @@ class AgreementSums:
         self.span = (np.inf, -np.inf)
 
     def add(self, rows: np.ndarray) -> None:
-        """Add rows.
-
-        Parameters
-        ----------
-        rows : structured array
-            Rows in the order of time, after those of the calls before.
-        """
+        """Add rows."""
         if not len(rows):
             return
         self.span = (min(self.span[0], float(rows["time"][0])), max(self.span[1], float(rows["time"][-1])))
@@ -138,17 +132,7 @@ class AgreementSums:
         return held, known
 
     def list_cars(self, names: list[str], models: Mapping[str, str], model: str | None) -> list[CarSums]:
-        """Return the sums of each car.
-
-        Parameters
-        ----------
-        names : list of str
-            Names of the cars by their places.
-        models : mapping of str to str
-            Model of single cars.
-        model : str, optional
-            Model of all others.
-        """
+        """Return the sums of each car."""
         return [
             CarSums(
                 names[place],

@@ -31,10 +31,6 @@ def to_numbers(cells: pa.Array, decimal: str, *, has_thousands: bool = False) ->
 
     Parameters
     ----------
-    cells : (n,) array
-        Texts or numbers.
-    decimal : str
-        Decimal mark.
     has_thousands : bool
         Whether the other mark divides thousands in this column, also where a number has only one of them.
     """
@@ -62,10 +58,6 @@ def is_grouped(text: str, decimal: str, *, is_sure: bool = True) -> bool:
 
     Parameters
     ----------
-    text : str
-        The cell.
-    decimal : str
-        Decimal mark.
     is_sure : bool
         Whether the mark must be one that cannot be decimal: it divides twice, or a decimal mark follows.
 
@@ -105,13 +97,6 @@ def _join_thousands(texts: pa.Array, decimal: str, *, is_sure: bool) -> pa.Array
 
 def suggest_decimal(text: str, decimal: str) -> str:
     """Return the remedy for a cell that is no number because of its decimal comma, empty for all other cells.
-
-    Parameters
-    ----------
-    text : str
-        The cell.
-    decimal : str
-        Decimal mark with which it was read.
 
     Examples
     --------

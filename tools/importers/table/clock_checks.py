@@ -33,20 +33,7 @@ _SPANS: Final = (
 
 
 def refuse_overlap(reader: RowReader, columns: ColumnMap) -> None:
-    """Refuse files whose clocks all start at one origin, and which cover the same time of one car.
-
-    Parameters
-    ----------
-    reader : RowReader
-        Reader that has read all files.
-    columns : ColumnMap
-        The map.
-
-    Raises
-    ------
-    ImportFileError
-        If they do.
-    """
+    """Refuse files whose clocks all start at one origin, and which cover the same time of one car."""
     overlap = reader.spans.find_overlap()
     if overlap is None or overlap.files < 2 or not columns.time.is_relative:
         return
@@ -100,20 +87,7 @@ def list_checks(
 ) -> list[Check]:
     """Return all checks of an import; where times are covered twice, others that need their order are not judged.
 
-    Parameters
-    ----------
-    tables : sequence of TableFile
-        The files.
-    columns : ColumnMap
-        The map.
-    reader : RowReader
-        Reader that has read them.
-    cars : list of CarSums
-        Sums of each car.
-    span : (float, float)
-        Times of the first and the last row. [Unix s]
-    unit : Check, optional
-        Check of the unit of the clock, which has failed.
+    Units: span [Unix s].
     """
     checks = check_agreement(cars)
     if unit is not None:

@@ -38,10 +38,6 @@ def judge_unit(parts: Sequence[np.ndarray], named: str | None, units: Mapping[st
 
     Parameters
     ----------
-    parts : sequence of structured arrays
-        Rows of each file, their times as the numbers of the file.
-    named : str, optional
-        Unit that the name of the column gives.
     units : mapping of str to str or None
         Unit of each field, None where it is not known and the values are as they stand in the file.
     """
@@ -69,13 +65,7 @@ def judge_unit(parts: Sequence[np.ndarray], named: str | None, units: Mapping[st
 
 
 def find_ratio(parts: Sequence[np.ndarray]) -> tuple[float | None, str]:
-    """Return the distance by odometer or fixes over the integral of speed by the numbers of a clock, and the witness.
-
-    Parameters
-    ----------
-    parts : sequence of structured arrays
-        Rows of each file.
-    """
+    """Return distance by odometer or fixes over the integral of speed by the numbers of a clock, and the witness."""
     for field, measure in (("odometer", _measure_odometer), ("fixes", _measure_fixes)):
         sums = np.zeros(2)
         for rows in parts:

@@ -60,14 +60,6 @@ def judge_clock(
 
     Parameters
     ----------
-    first : GuessedTime
-        The clock.
-    others : sequence of GuessedTime
-        Other clocks of the table.
-    names : sequence of str
-        Columns of the tables.
-    blocks : sequence of (TableFile, Block)
-        First rows of the tables.
     is_fixed : bool
         Whether the clock must be this one, as a preset says.
     """

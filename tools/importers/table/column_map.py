@@ -162,18 +162,7 @@ class ColumnMap(NamedTuple):
 
 
 def read_map(path: Path) -> ColumnMap:
-    """Read the map of a table.
-
-    Parameters
-    ----------
-    path : Path
-        TOML file.
-
-    Raises
-    ------
-    ImportFileError
-        If the file cannot be read, or holds a mistake.
-    """
+    """Read the map of a table."""
     try:
         content = read_input(path, LONGEST_MAP)
     except OSError as error:
@@ -184,20 +173,7 @@ def read_map(path: Path) -> ColumnMap:
 
 
 def parse_map(content: bytes, path: Path) -> ColumnMap:
-    """Return the checked map of a text.
-
-    Parameters
-    ----------
-    content : bytes
-        TOML.
-    path : Path
-        Name of the map, for messages.
-
-    Raises
-    ------
-    ImportFileError
-        If the text holds a mistake.
-    """
+    """Return the checked map of a text."""
     try:
         text = content.decode("utf-8-sig")
         tables = tomllib.loads(text)

@@ -36,19 +36,8 @@ def open_tables(
 
     Parameters
     ----------
-    paths : sequence of Path
-        Files.
-    kind : str
-        `csv` or `parquet`.
-    columns : ColumnMap
-        The map.
     skipped : SkippedFiles, optional
         Receives files that cannot be read; None refuses them.
-
-    Raises
-    ------
-    ImportFileError
-        If no file can be read, a file lacks a required column, or no file has another column of the map.
     """
     tables: list[TableFile] = []
     skipped = skipped or SkippedFiles()
@@ -77,25 +66,8 @@ def convert_tables(
 
     Parameters
     ----------
-    tables : sequence of TableFile
-        Files, from `open_tables`.
-    columns : ColumnMap
-        The map.
-    out : Path
-        The recording.
-    settings : mapping of str to object, optional
-        Settings of the import for the metadata of the recording.
     skipped : SkippedFiles, optional
         Receives files that cannot be read to their end; None refuses them.
-
-    Returns
-    -------
-    ImportSummary
-
-    Raises
-    ------
-    ImportFileError
-        If no row can be read.
     """
     skipped = skipped or SkippedFiles()
     opened = len(tables) + len(skipped.rows)

@@ -98,17 +98,10 @@ def guess_map(
 
     Parameters
     ----------
-    tables : sequence of TableFile
-        Files of one form.
     preset : Preset, optional
         The export that they are; None finds it by the columns.
     skipped : SkippedFiles, optional
         Receives files whose first rows cannot be read; None refuses them.
-
-    Raises
-    ------
-    ImportFileError
-        If the tables are no such export, no column is a time, or none is a field of the wire contract.
     """
     tables = tables[:MOST_FILES]
     names = list(dict.fromkeys(name for table in tables for name in table.names))

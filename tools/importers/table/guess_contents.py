@@ -43,30 +43,12 @@ class BareColumn(NamedTuple):
 
 
 def find_times(names: Sequence[str], blocks: Blocks) -> list[NamedColumn]:
-    """Return the columns that hold nothing but times, in text or as time stamps of Parquet, most of them different.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Columns of the tables.
-    blocks : sequence of (TableFile, Block)
-        First rows of the tables.
-    """
+    """Return the columns that hold nothing but times, in text or as time stamps of Parquet, most of them different."""
     return [NamedColumn(name, TIME, None) for name in names if _holds_times(_take_cells(name, blocks))]
 
 
 def choose_bare(names: Sequence[str], blocks: Blocks, taken: Collection[str]) -> list[BareColumn]:
-    """Return voltage and current called `V` and `I`, and the one temperature called `temp`, if their values fit.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Columns of the tables.
-    blocks : sequence of (TableFile, Block)
-        First rows of the tables.
-    taken : collection of str
-        Fields that have a source.
-    """
+    """Return voltage and current called `V` and `I`, and the one temperature called `temp`, if their values fit."""
     found: dict[str, list[tuple[str, str | None]]] = {}
     for name in names:
         if match := _BARE.match(name):

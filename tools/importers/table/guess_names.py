@@ -131,13 +131,6 @@ class NamedColumn(NamedTuple):
 def guess_name(name: str, unit: str | None = None) -> NamedColumn | None:
     """Return the role of a column by its name; None where the name says nothing.
 
-    Parameters
-    ----------
-    name : str
-        The name.
-    unit : str, optional
-        Unit that the file states elsewhere, for a name without one.
-
     Examples
     --------
     >>> guess_name("Speed [km/h]")

@@ -86,8 +86,6 @@ def guess_rows(rows: np.ndarray, on_change: bool = False) -> GuessedRows | None:
 
     Parameters
     ----------
-    rows : structured array
-        Rows in the order of time, those of one car and time joined.
     on_change : bool
         Whether the sender is known to send on change, where the rows are too few to show it.
     """

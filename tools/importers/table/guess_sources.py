@@ -84,17 +84,7 @@ class Sources(NamedTuple):
 
 
 def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) -> Sources:
-    """Return the columns and signals to read.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Columns of the tables.
-    blocks : sequence of (TableFile, Block)
-        First rows of the tables.
-    preset : Preset, optional
-        The export that the tables are.
-    """
+    """Return the columns and signals to read."""
     by_name = preset is None or preset.rest
     units = {name: unit for table, _ in blocks for name, unit in zip(table.names, table.units, strict=False) if unit}
     named = [found for name in names if (found := guess_name(name, units.get(name))) is not None]

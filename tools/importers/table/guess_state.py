@@ -17,11 +17,6 @@ _DRIVES: Final = re.compile(
 def find_parked(words: Sequence[str]) -> tuple[str, ...]:
     """Return the words of a column for a parked or charging car, none where other words are not known.
 
-    Parameters
-    ----------
-    words : sequence of str
-        All words of the column.
-
     Examples
     --------
     >>> find_parked(["Driving", "Parked", "Charging (AC)"]), find_parked(["Parked", "blue"])

@@ -112,20 +112,7 @@ class GuessedTime(NamedTuple):
 
 
 def list_clocks(candidates: Sequence[NamedColumn], blocks: Blocks) -> list[GuessedTime]:
-    """Return the clocks that can be read, in the order of their columns.
-
-    Parameters
-    ----------
-    candidates : sequence of NamedColumn
-        Columns whose names are times.
-    blocks : sequence of (TableFile, Block)
-        First rows of files.
-
-    Raises
-    ------
-    ImportFileError
-        If no candidate can be read.
-    """
+    """Return the clocks that can be read, in the order of their columns."""
     names = [each.name for each in candidates]
     units = {each.name: each.unit for each in candidates}
     path, example = blocks[0][0].path, ""

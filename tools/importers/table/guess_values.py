@@ -62,12 +62,6 @@ def guess_values(rows: np.ndarray, known: Mapping[str, KnownUnit]) -> dict[str, 
     ----------
     rows : structured array
         Rows in the order of time. A field whose unit is not known is as it stands in the file.
-    known : mapping of str to KnownUnit
-        What is known of each field before its values are seen.
-
-    Returns
-    -------
-    dict of str to GuessedUnit
     """
     rows = rows.copy()
     found: dict[str, GuessedUnit] = {}

@@ -60,13 +60,7 @@ class ImportSummary(NamedTuple):
 
 
 def describe_missing(fields: Collection[str]) -> list[str]:
-    """Return a line for each of speed and energy that no field gives.
-
-    Parameters
-    ----------
-    fields : collection of str
-        Fields of the map.
-    """
+    """Return a line for each of speed and energy that no field gives."""
     lines = []
     if "speed_kmh" not in fields:
         lines.append(

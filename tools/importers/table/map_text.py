@@ -27,8 +27,6 @@ def write_map_text(guessed: GuessedMap, table: TableFile) -> str:
 
     Parameters
     ----------
-    guessed : GuessedMap
-        The map.
     table : TableFile
         First file, whose form is written down where it is not the usual one.
     """

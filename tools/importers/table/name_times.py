@@ -81,18 +81,7 @@ def find_name_day(path: Path) -> date | None:
 
 
 def find_day(path: Path) -> str:
-    """Return the day that the name of a file holds, such as `2024-05-01`.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    ImportFileError
-        If its name holds none.
-    """
+    """Return the day that the name of a file holds, such as `2024-05-01`."""
     found = find_name_day(path)
     if not found:
         raise ImportFileError(
@@ -116,20 +105,6 @@ def find_unknown_directive(form: str) -> str | None:
 def find_origin(path: Path, form: str, zone: tzinfo) -> float:
     """Return the start of a clock that the name of a file holds. [Unix s]
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    form : str
-        Form of the start as of `strptime`, anywhere in the name.
-    zone : tzinfo
-        Time zone of a start without one.
-
-    Raises
-    ------
-    ImportFileError
-        If the name does not have this form.
-
     Examples
     --------
     >>> from zoneinfo import ZoneInfo
@@ -150,11 +125,6 @@ def find_origin(path: Path, form: str, zone: tzinfo) -> float:
 
 def guess_name_form(paths: Sequence[Path]) -> str | None:
     """Return the form of a day and a time of day in the names of all files, None where one of them holds none.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        The files.
 
     Examples
     --------

@@ -24,8 +24,6 @@ def read_offsets(cells: pa.Array, stamps: Stamps) -> Floats:
 
     Parameters
     ----------
-    cells : (n,) array
-        Cells of the column.
     stamps : (n,) datetime64
         Local time of each row, by which the offset of a named time zone follows.
     """

@@ -17,18 +17,7 @@ MOVED: Final = 0.1
 
 
 def fill_parked(blocks: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-    """Yield rows in the order of time, with copies of a row of a car that stands until its next row.
-
-    Parameters
-    ----------
-    blocks : iterable of structured arrays
-        Rows in the order of time.
-
-    Yields
-    ------
-    structured array
-        Rows. Where the division into blocks lies does not change them.
-    """
+    """Yield rows in the order of time, with copies of a row of a car that stands until its next row."""
     held: np.ndarray | None = None
     last: dict[int, np.ndarray] = {}
     for block in blocks:

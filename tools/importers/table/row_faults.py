@@ -99,15 +99,6 @@ class RowFaults:
 def find_width_cause(text: str, names: Sequence[str], separator: str) -> str:
     """Return why a row has another number of cells than the header.
 
-    Parameters
-    ----------
-    text : str
-        The row.
-    names : sequence of str
-        Columns of the header.
-    separator : str
-        Mark between the cells.
-
     Examples
     --------
     >>> find_width_cause("7,12,000.5,80", ["t", "odometer", "soc"], ",") == DIVIDED_THOUSANDS

@@ -60,13 +60,7 @@ class RowMessages:
         self._last: dict[int, float] = {}
 
     def make(self, rows: np.ndarray) -> list[Message]:
-        """Return the messages of rows.
-
-        Parameters
-        ----------
-        rows : structured array
-            Rows in the order of time, after those of the calls before.
-        """
+        """Return the messages of rows."""
         rides, before = self._name_rides(rows), self._find_gaps(rows)
         columns = _make_wire_columns(rows, self.map.vehicle.nominal_voltage)
         stamps = np.round(rows["time"], 3).tolist()
@@ -154,19 +148,7 @@ def has_period(times: Floats) -> bool:
 
 
 def introduce_vehicle(vehicle: str, time_s: float, model: str, period_s: float | None = None) -> Message:
-    """Return the vehicle message of a car, with its figures if they come from a data sheet.
-
-    Parameters
-    ----------
-    vehicle : str
-        Identity of the car.
-    time_s : float
-        Time from which it applies. [Unix s]
-    model : str
-        Key of its vehicle model.
-    period_s : float, optional
-        What the message says of the time between samples. [s]
-    """
+    """Return the vehicle message of a car, with its figures if they come from a data sheet."""
     known = load_catalogue().get(model)
     is_own = known is not None and known.sources.get("origin") == OF_SHEET
     figures = {name: getattr(known, name) for name in OVERRIDES} if is_own else {}
@@ -178,8 +160,6 @@ def join_signals(rows: np.ndarray, is_long: bool = True) -> np.ndarray:
 
     Parameters
     ----------
-    rows : structured array
-        Rows in the order of time and vehicle.
     is_long : bool
         Whether each row holds one signal. Of several values of a field, the largest then remains. Rows of any other
         table are joined only where they hold different fields, as two values of a field are two measurements.

@@ -105,13 +105,7 @@ class RowReader:
                 self.skipped.rows[table.path] = self.rows - before
 
     def explain_causes(self, decimal: str) -> str:
-        """Return why rows cannot be read, and the remedy where the decimal mark is wrong.
-
-        Parameters
-        ----------
-        decimal : str
-            Decimal mark with which the file was read.
-        """
+        """Return why rows cannot be read, and the remedy where the decimal mark is wrong."""
         found = self.faults.explain() or "no rows"
         wrong = next(
             ((text, each) for text in self.examples.values() if (each := suggest_decimal(text, decimal))), None

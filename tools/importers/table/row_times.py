@@ -59,17 +59,7 @@ class TimeReader:
         self._newest, self._zero = -np.inf, source.origin
 
     def read(self, table: TableFile, block: Block, vehicles: Ints) -> RowTimes:
-        """Return the times of the rows of a block.
-
-        Parameters
-        ----------
-        table : TableFile
-            File of the block.
-        block : mapping of str to array
-            Rows in the order of the file, after those of the calls before.
-        vehicles : (n,) int
-            Place of each row's vehicle.
-        """
+        """Return the times of the rows of a block."""
         if self._path != table.path:
             self._path, self._last, self._days = table.path, {}, 0
             self._last_of_file = self._last_offset = np.nan

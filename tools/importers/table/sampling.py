@@ -59,30 +59,14 @@ class Sampling(NamedTuple):
 def find_holds(usual: float = HOLD) -> dict[str, float]:
     """Return the age of each field up to which its value stays known. [s]
 
-    Parameters
-    ----------
-    usual : float
-        Age for fields that change fast. [s]
+    Units: usual [s].
     """
     fast = dict.fromkeys(AVERAGED, usual) | {_VOLTAGE: min(VOLTAGE_HOLDS * usual, LONGEST_HOLD)}
     return fast | dict.fromkeys(SLOW, max(usual, SLOW_HOLD)) | dict.fromkeys(NOT_HELD, 0.0)
 
 
 def sample_rows(blocks: Iterable[np.ndarray], sampling: Sampling) -> Iterator[np.ndarray]:
-    """Yield the samples of rows in the order of time.
-
-    Parameters
-    ----------
-    blocks : iterable of structured arrays
-        Rows in the order of time, those of one car and time joined.
-    sampling : Sampling
-        How rows become samples.
-
-    Yields
-    ------
-    structured array
-        Samples. Where the division into blocks lies does not change them.
-    """
+    """Yield the samples of rows in the order of time."""
     sampler = _Sampler(sampling)
     for rows in blocks:
         if len(samples := sampler.take(rows)):
@@ -275,22 +259,12 @@ def find_latest(
 ) -> Floats:
     """Return the latest value of a quantity at each moment, NaN where it is older than a limit.
 
+    Units: at [s], hold [s].
+
     Parameters
     ----------
     times : (n,) float64
         Times at which the value is known, ascending. [s]
-    values : (n,) float64
-        Known values.
-    at : (m,) float64
-        Moments. [s]
-    hold : float or (n,) float64
-        Largest age, of all values or of each. [s]
-    side : {"left", "right"}
-        Whether a value known at the moment itself counts (`right`).
-
-    Returns
-    -------
-    (m,) float64
     """
     if not len(times):
         return np.full(len(at), np.nan)
@@ -310,24 +284,14 @@ def compute_held_means(
 ) -> Floats:
     """Return the means of a quantity over periods; each value counts until the next one, at most for a time.
 
+    Units: starts [s], ends [s], hold [s].
+
     Parameters
     ----------
     times : (n,) float64
         Times at which the value is known, ascending. [s]
-    values : (n,) float64
-        Known values.
-    starts, ends : (m,) float64
-        Periods. [s]
-    hold : float or (n,) float64
-        Longest time for which a value counts, of all values or of each. [s]
-    otherwise : (m,) float64
-        Returned for periods in which no value counts.
     ramp : float
         Time before the next value within which the quantity changes to it, along a line. [s]
-
-    Returns
-    -------
-    (m,) float64
 
     Examples
     --------

@@ -90,13 +90,7 @@ class StampStatistics:
         self._copies: dict[int, int] = defaultdict(int)
 
     def add(self, rows: np.ndarray) -> None:
-        """Add rows in the order of a file.
-
-        Parameters
-        ----------
-        rows : structured array
-            A block of the file.
-        """
+        """Add rows in the order of a file."""
         for vehicle in np.unique(rows["vehicle"]).tolist():
             of_car = rows[rows["vehicle"] == vehicle]
             starts = np.flatnonzero(np.append(True, np.diff(of_car["time"]) != 0)[: len(of_car)])
@@ -137,15 +131,7 @@ class StampStatistics:
 
 
 def number_in_stamp(rows: np.ndarray, starts: Ints) -> Ints:
-    """Return which row of its stamp each row belongs to; rows with other fields than those before belong together.
-
-    Parameters
-    ----------
-    rows : structured array
-        Rows of which those that share a stamp follow each other.
-    starts : (m,) int
-        First row of each stamp.
-    """
+    """Return which row of its stamp each row belongs to; rows with other fields than those before belong together."""
     places = np.zeros(len(rows), "i8")
     if len(starts) == len(rows):
         return places
@@ -206,15 +192,8 @@ def spread_rows(
     ----------
     blocks : iterable of structured arrays
         Rows in the order of time and vehicle; a block holds all rows of a time.
-    rules : mapping of int to StampRule
-        How cars stamp their rows.
     counts, left_out : dict of int to int
         Receive the number of rows of each car that were placed, and that could not be.
-
-    Yields
-    ------
-    structured array
-        Rows. Where the division into blocks lies does not change them.
     """
     if not rules:
         yield from blocks
@@ -285,19 +264,7 @@ class _Spreader:
 
 
 def place_in_time(rows: np.ndarray, starts: Ints, before: Floats, after: Floats, rule: StampRule) -> Floats:
-    """Return the time of each row of a car, NaN where nothing shows it. [s]
-
-    Parameters
-    ----------
-    rows : structured array
-        Rows in the order of their stamps.
-    starts : (m,) int
-        First row of each stamp.
-    before, after : (m,) float
-        Stamps before and after each stamp, infinite where there is none.
-    rule : StampRule
-        How the car stamps its rows.
-    """
+    """Return the time of each row of a car, NaN where nothing shows it. [s]"""
     lengths = np.diff(np.append(starts, len(rows)))
     places = number_in_stamp(rows, starts)
     sizes = np.maximum.reduceat(places, starts) + 1

@@ -78,13 +78,7 @@ class MassFit(NamedTuple):
 
 
 def fit_mass(pairs: Floats) -> MassFit | None:
-    """Return the mass that accelerations show, with outliers left out; None where there are too few.
-
-    Parameters
-    ----------
-    pairs : (n, 3) float
-        Kinetic power per mass, power and speed.
-    """
+    """Return the mass that accelerations show, with outliers left out; None where there are too few."""
     if len(pairs) < LEAST_PAIRS:
         return None
     kinetic, power, speed = pairs.T
@@ -113,11 +107,6 @@ def fit_mass(pairs: Floats) -> MassFit | None:
 def estimate_capacity(car: CarSums) -> float | None:
     """Return the energy per full fall of the displayed charge. [kWh]
 
-    Parameters
-    ----------
-    car : CarSums
-        Sums of the car.
-
     Returns
     -------
     float or None
@@ -136,13 +125,7 @@ def find_mass(car: CarSums) -> float:
 
 
 def judge_sign(car: CarSums) -> SignEvidence:
-    """Return what the witnesses say of the sign of the power of a car.
-
-    Parameters
-    ----------
-    car : CarSums
-        Sums of the car.
-    """
+    """Return what the witnesses say of the sign of the power of a car."""
     acceleration, is_close = _hear_acceleration(car)
     charge, rest, mean = _hear_charge(car), _hear_rest(car), _hear_mean(car)
     witnesses = {"acceleration": acceleration, "charge": charge, "power at stops": rest, "energy per km": mean}

@@ -29,18 +29,7 @@ class SkippedFiles:
 
     @contextmanager
     def skip(self, path: Path) -> Iterator[None]:
-        """Skip a file with an error, where files are skipped.
-
-        Parameters
-        ----------
-        path : Path
-            The file that is read.
-
-        Raises
-        ------
-        ImportFileError
-            If files are not skipped.
-        """
+        """Skip a file with an error, where files are skipped."""
         try:
             yield
         except ImportFileError as error:
@@ -51,13 +40,7 @@ class SkippedFiles:
             self._causes[cause].append(path)
 
     def list_lines(self, files: int) -> list[str]:
-        """Return a line for each cause, the most frequent first.
-
-        Parameters
-        ----------
-        files : int
-            Files given.
-        """
+        """Return a line for each cause, the most frequent first."""
         lines = []
         for cause, paths in sorted(self._causes.items(), key=lambda item: -len(item[1])):
             others = f" and {len(paths) - 1} more" if len(paths) > 1 else ""

@@ -122,15 +122,7 @@ class TableFile(NamedTuple):
             raise ImportFileError(f"{self.path}: has no column '{name}'; it has {listed}; correct the map")
 
     def iterate_blocks(self, columns: Sequence[str], faults: RowFaults) -> Iterator[Block]:
-        """Yield the rows of the file in blocks of columns; cells of a CSV file are text, null where unknown.
-
-        Parameters
-        ----------
-        columns : sequence of str
-            Columns to read; those that the file lacks are left out.
-        faults : RowFaults
-            Receives the rows that cannot be divided into columns.
-        """
+        """Yield the rows of the file in blocks of columns; cells of a CSV file are text, null where unknown."""
         present = [name for name in columns if name in self.names]
         with _one_line(self.path):
             blocks = self._read_csv(present, faults) if self.kind == "csv" else self._read_parquet(present, faults)
@@ -260,22 +252,7 @@ def describe_header(path: Path, line: int | None, text: str) -> str:
 
 
 def open_table(path: Path, kind: str, form: FileFormat) -> TableFile:
-    """Return the form of a table: as the map gives it, else as the file shows it.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    kind : str
-        `csv` or `parquet`.
-    form : FileFormat
-        What the map says of the form.
-
-    Raises
-    ------
-    ImportFileError
-        If the file cannot be read, is of the other kind or has no header.
-    """
+    """Return the form of a table: as the map gives it, else as the file shows it."""
     with _one_line(path):
         if kind == "parquet":
             with pq.ParquetFile(path) as file:

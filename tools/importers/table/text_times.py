@@ -68,8 +68,6 @@ def parse_times(texts: pa.Array, form: str | None) -> ParsedTimes:
 
     Parameters
     ----------
-    texts : (n,) array of str
-        Texts without blanks at their ends.
     form : str, optional
         Form as of `strptime`; None is ISO 8601.
     """

@@ -64,15 +64,7 @@ class TimeSpans:
         self._steps_back: dict[tuple[int, str], int] = defaultdict(int)
 
     def add(self, file: str, rows: np.ndarray) -> None:
-        """Add rows of a file, in the order of the file.
-
-        Parameters
-        ----------
-        file : str
-            The file.
-        rows : structured array
-            Rows after those of the calls before.
-        """
+        """Add rows of a file, in the order of the file."""
         names = rows.dtype.names or ()
         key = next((name for name in KEY_FIELDS if name in names), None)
         known = rows if key is None else rows[np.isfinite(rows[key])]
@@ -154,10 +146,6 @@ def leave_out_covered_twice(
     ----------
     blocks : iterable of structured arrays
         Rows in the order of time and vehicle; the first block comes when all files are read.
-    spans : TimeSpans
-        Spans of all files.
-    causes : Counter of str
-        Receives the number of rows under `COVERED_TWICE`.
     """
     twice: dict[int, list[tuple[float, float]]] | None = None
     for rows in blocks:

@@ -21,15 +21,6 @@ def sort_rows(
 ) -> Iterator[np.ndarray]:
     """Yield rows in the order of time and vehicle; rows of equal time and vehicle keep their order.
 
-    Parameters
-    ----------
-    blocks : iterable of structured arrays
-        Rows with the columns `time` and `vehicle`.
-    folder : Path
-        Folder for temporary files, as large as all rows together.
-    run_rows, window_rows : int
-        Numbers of rows in memory.
-
     Yields
     ------
     structured array

@@ -98,18 +98,6 @@ class Conversion(NamedTuple):
 def find_conversion(unit: str, field: str) -> Conversion:
     """Return the conversion from a unit to that of a field of the wire contract.
 
-    Parameters
-    ----------
-    unit : str
-        Unit as a person writes it.
-    field : str
-        Key of `FIELD_UNITS`.
-
-    Raises
-    ------
-    SettingsError
-        If pint does not know the unit, or it measures something else.
-
     Examples
     --------
     >>> import numpy as np

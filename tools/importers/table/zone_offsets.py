@@ -47,8 +47,6 @@ def find_offset(text: str, *, is_offset: bool = False) -> float | None:
 
     Parameters
     ----------
-    text : str
-        Such as `+02:00`, `GMT+2` or `CEST`.
     is_offset : bool
         Whether the text is known to be an offset, so that a number is one: of hours, minutes, or seconds.
 

@@ -89,15 +89,7 @@ def _name_ranges(bins: Mapping[str, Any]) -> list[str]:
 
 
 def draw_chart(chart: Mapping[str, Any], columns: int) -> list[Text]:
-    """Return the mean residual in the bins along a column, with its interval, as lines of text.
-
-    Parameters
-    ----------
-    chart : mapping
-        A chart of `socast.core.diagnose.residual_survey.survey_columns`.
-    columns : int
-        Number of characters of a line.
-    """
+    """Return the mean residual in the bins along a column, with its interval, as lines of text."""
     bins, column = chart["bins"], chart["column"]
     known = _list_known(bins)
     names = _name_ranges(bins) if column["number"] else [_shorten(str(name)) for name in bins["x"]]
@@ -161,13 +153,7 @@ def illustrate_failures(result: Result) -> list[Illustration]:
 
 
 def illustrate_change(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Illustration]:
-    """Return where a model fails before and after a step, along the columns along which it fails most before or after.
-
-    Parameters
-    ----------
-    before, after : mapping
-        As `socast.core.diagnose.residual_survey.survey_model` returns them, of the same rides.
-    """
+    """Return where a model fails before and after a step, along the columns along which it fails most."""
     caption = (
         "Mean of predicted less measured power of all windows in bins along the column, with 95 % intervals clustered "
         "by vehicle-day. Squares: before. Circles: after. Filled: off zero. The model after was fitted to these rides."

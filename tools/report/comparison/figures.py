@@ -162,14 +162,7 @@ def _find_scale(result: Result, conditions: Sequence[str], key: str, width: str)
 def draw_errors_by_condition(result: Result, name: str, most_bias: float, most_error: float) -> go.Figure:
     """Return a figure of the bias above and the mean absolute error below, a row for each bin.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of the comparison.
-    name : str
-        The condition.
-    most_bias, most_error : float
-        Ends of the scales. [kWh]
+    Units: most_bias [kWh], most_error [kWh].
     """
     by_model = _index_known_bins(result, name)
     shown = select_most_significant(

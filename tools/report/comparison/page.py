@@ -30,15 +30,7 @@ MOST_COMMANDS: Final = 3
 
 
 def show(result: Any, console: Console) -> None:
-    """Print a comparison, first where the first model fails and last the errors of the models; or the trace of a ride.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of the comparison, or of a trace.
-    console : Console
-        Console of at least 120 columns.
-    """
+    """Print a comparison, from where the first model fails to the errors of all models; or the trace of a ride."""
     values = to_json_values(result)
     if "trace" in values:
         for section in reversed(build_trace_sections(values["trace"])):
@@ -90,8 +82,6 @@ def build_sections(result: Result, *, commands: bool) -> list[Section]:
 
     Parameters
     ----------
-    result : mapping
-        Result of the comparison.
     commands : bool
         Whether to show the commands that trace rides, the worst rides of every model, and conditions without a
         significant bias; a page has room for them.

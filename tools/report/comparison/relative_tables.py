@@ -7,18 +7,7 @@ from socast.tools.report.evaluation.result import Result, get_mapping, get_numbe
 
 
 def tabulate_relative_errors(result: Result) -> ReportTable:
-    """Return the errors of each model in percent of the energy, and over the noise floor.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of the comparison.
-
-    Returns
-    -------
-    ReportTable
-        One row per model.
-    """
+    """Return the errors of each model in percent of the energy, and over the noise floor."""
     models, about = get_mapping(result, "models"), get_mapping(result, "about")
     errors = [get_number(get_part(errors, "wmape")) for errors in models.values()]
     first = mark_least([Cell(format_share(get_part(errors, "wmape"))) for errors in models.values()], errors)

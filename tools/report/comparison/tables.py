@@ -219,13 +219,7 @@ def format_bin(condition: str, name: str) -> str:
 
 
 def select_most_significant(by_model: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the bins that are shown, in order.
-
-    Parameters
-    ----------
-    by_model : sequence of mapping
-        For each model, bin to bias with its interval.
-    """
+    """Return the bins that are shown, in order."""
     labels = list(dict.fromkeys(label for bins in by_model for label in bins))
 
     def sure(label: str) -> float:

@@ -188,13 +188,7 @@ def build_illustrations(trace: Result) -> list[Illustration]:
 
 
 def build_ride_illustrations(traces: Mapping[str, Mapping[str, Any]]) -> list[Illustration]:
-    """Return a figure and the maps of each of several rides.
-
-    Parameters
-    ----------
-    traces : mapping of str to mapping
-        Traces of rides by their keys, in order.
-    """
+    """Return a figure and the maps of each of several rides."""
     shown = []
     for i, (key, trace) in enumerate(traces.items()):
         words = " ".join(f"{name} {of_model['words']}." for name, of_model in get_mapping(trace, "models").items())

@@ -20,20 +20,7 @@ APART: Final = ("several", "not in the library", "none")
 def draw_causes(
     causes: Sequence[Mapping[str, Any]], *, key: str = "causes", title: str = "Probable causes"
 ) -> list[Illustration]:
-    """Draw the probability of each cause as a bar: effects first, then `several`, `not in the library` and `none`.
-
-    Parameters
-    ----------
-    causes : sequence of mapping
-        `effect` and its `probability`. [1]
-    key, title : str
-        Key and title of the figure.
-
-    Returns
-    -------
-    list of Illustration
-        One figure; none without a known probability.
-    """
+    """Draw the probability of each cause as a bar: effects first, then `several`, `not in the library` and `none`."""
     known = [(str(one.get("effect")), get_number(one.get("probability"))) for one in causes]
     rows = sorted(((name, p) for name, p in known if p is not None), key=lambda row: -row[1])
     named = [row for row in rows if row[0] not in APART]

@@ -162,8 +162,6 @@ def describe_load(load: Mapping[str, Any], absent: Mapping[str, str] = NONE_ABSE
 
     Parameters
     ----------
-    load : mapping
-        Entry of `loads` of the location of an error.
     absent : mapping of str to str
         Signals that most rides lack, each with the rides that have it in words, such as `15 of 31 rides`.
     """

@@ -46,17 +46,7 @@ DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProx
 
 
 def show(result: Any, console: Console, *, suggested: str | None = None) -> None:
-    """Print a diagnosis: the data, the error, where the model fails, the missing effects and the next step.
-
-    Parameters
-    ----------
-    result : mapping
-        The result of `socast.core.diagnose.diagnosis.diagnose`. Parts that it lacks are not printed.
-    console : Console
-        A console of at least 120 columns.
-    suggested : str, optional
-        The file that the suggested effect was written to.
-    """
+    """Print a diagnosis: the data, the error, where the model fails, the missing effects and the next step."""
     values = to_json_values(result)
     model = get_mapping(values, "model")
     print_heading(f"Diagnosis of {model.get('name')}, version {model.get('version')}", console)
@@ -110,17 +100,7 @@ def print_step(result: Any, step: int, console: Console) -> None:
 
 
 def print_links(result: Any, path: Path, console: Console) -> None:
-    """Print a link to the picture of each missing effect in the page of a diagnosis.
-
-    Parameters
-    ----------
-    result : mapping
-        The result of `socast.core.diagnose.diagnosis.diagnose`.
-    path : Path
-        The page.
-    console : Console
-        Where to print; a terminal that knows links opens them.
-    """
+    """Print a link to the picture of each missing effect in the page of a diagnosis."""
     for place, one in enumerate(to_json_values(result).get("missing") or ()):
         if is_drawn(get_mapping(one, "partial_residual")):
             anchor = f"#figure-{name_figure(place)}"

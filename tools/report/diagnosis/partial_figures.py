@@ -280,19 +280,7 @@ def _draw_slopes(
 def draw_coefficient_rows(
     rows: Sequence[tuple[str, Any, Any]], coefficient: Mapping[str, Any], quantity: str, axis: str
 ) -> go.Figure:
-    """Draw values of a coefficient with their intervals in its own unit, over its plausible range.
-
-    Parameters
-    ----------
-    rows : sequence of (str, float, [float, float])
-        Name, value and interval of each row, from the top. [unit of the coefficient]
-    coefficient : mapping
-        `low` and `high`, the plausible range, and `unit`.
-    quantity : str
-        What the coefficient is.
-    axis : str
-        Title of the vertical axis.
-    """
+    """Draw values of a coefficient with their intervals in its own unit, over its plausible range."""
     values = [float(value) for _, value, _ in rows]
     ends = [
         sentences.read_interval(interval) or (value, value)

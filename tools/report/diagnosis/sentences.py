@@ -208,15 +208,7 @@ def describe_rivals(one: Mapping[str, Any]) -> list[str]:
 
 
 def describe_causes(causes: Any, most: int = MOST_CAUSES) -> str:
-    """Return the most probable causes with their probabilities, such as `headwind 94 %, crosswind_yaw 5 %`.
-
-    Parameters
-    ----------
-    causes : sequence of mapping
-        `effect` and `probability` of each cause, the most probable first.
-    most : int
-        Number of causes that are written out; causes below `LEAST_PROBABILITY` are left out.
-    """
+    """Return the most probable causes with their probabilities, such as `headwind 94 %, crosswind_yaw 5 %`."""
     known = [(str(one.get("effect")), get_number(one.get("probability")) or 0.0) for one in causes or ()]
     shown = [(name, value) for name, value in known if value >= LEAST_PROBABILITY][:most]
     return ", ".join(f"{CAUSE_NAMES.get(name, name)} {format_percent(value, 0)}" for name, value in shown)

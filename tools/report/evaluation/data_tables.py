@@ -38,11 +38,6 @@ AVERAGE_NOTE: Final = "* Unweighted mean over the clusters that have a figure."
 def tabulate_data(result: Result) -> list[ReportTable]:
     """Return the tables of the data that have a row.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
     Returns
     -------
     list of ReportTable
@@ -59,11 +54,6 @@ def tabulate_data(result: Result) -> list[ReportTable]:
 
 def tabulate_ride_filter(result: Result) -> ReportTable:
     """Return the number of rides, and how many the filter left out for which reason.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
 
     Returns
     -------
@@ -95,18 +85,7 @@ def tabulate_ride_filter(result: Result) -> ReportTable:
 
 
 def tabulate_rides(result: Result) -> ReportTable:
-    """Return the number of rides by vehicle model and cluster of distance, as Table 2 of the paper.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        One row per vehicle model, one column per cluster, and a total.
-    """
+    """Return the number of rides by vehicle model and cluster of distance, as Table 2 of the paper."""
     rides = get_mapping(result, "rides")
     columns = [*list_clusters(result, rides.values()), "total"]
     rows = tuple(
@@ -127,15 +106,7 @@ def tabulate_rides(result: Result) -> ReportTable:
 def tabulate_consumption(result: Result) -> ReportTable:
     """Return the mean consumption by vehicle model and cluster of distance, as Table 3 of the paper.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        Mean consumption of a ride. [kWh]
+    Units: returns [kWh].
     """
     return tabulate_by_cluster(
         result,
@@ -148,15 +119,7 @@ def tabulate_consumption(result: Result) -> ReportTable:
 def tabulate_test_consumption(result: Result) -> ReportTable:
     """Return the mean consumption in the test sets by vehicle model and cluster, as Table 4 of the paper.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        Mean consumption of a test ride, with its confidence interval. [kWh]
+    Units: returns [kWh].
     """
     table = tabulate_by_cluster(
         result,
@@ -174,21 +137,12 @@ def tabulate_by_cluster(
 
     The table has an average column and a weighted row where the evaluation has figures for them.
 
+    Units: energies [kWh], returns [kWh].
+
     Parameters
     ----------
-    result : mapping
-        Result of an evaluation.
-    energies : mapping
-        Vehicle model, or `WEIGHTED` -> cluster -> figure. [kWh]
-    title : str
-        Title of the table.
     paper : callable
         Returns the paper's figure of a vehicle model and a cluster, None where the paper has none.
-
-    Returns
-    -------
-    ReportTable
-        Energies, with the paper's figures in parentheses. [kWh]
     """
     columns = list_clusters(result, energies.values())
     if any(AVERAGE in get_mapping(row) for row in energies.values()):
@@ -207,18 +161,7 @@ def tabulate_by_cluster(
 
 
 def format_heads(columns: list[str]) -> tuple[str, ...]:
-    """Return the headings of columns that are clusters, an average or a total.
-
-    Parameters
-    ----------
-    columns : list of str
-        Clusters such as `0-5`, or `AVERAGE`, or `total`.
-
-    Returns
-    -------
-    tuple of str
-        Headings, clusters in km.
-    """
+    """Return the headings of columns that are clusters, an average or a total."""
     special = {AVERAGE: "average *", "total": "total"}
     return tuple(special.get(column) or format_cluster(column) for column in columns)
 

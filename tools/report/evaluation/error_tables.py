@@ -56,35 +56,14 @@ DOMINATES_NOTE: Final = (
 
 
 def tabulate_all_errors(result: Result) -> list[ReportTable]:
-    """Return a table of errors for each model, in the layout of the paper.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    list of ReportTable
-        One table per model that has errors.
-    """
+    """Return a table of errors for each model, in the layout of the paper."""
     return [table for recipe in get_recipes(result) if (table := tabulate_errors(result, recipe)).rows]
 
 
 def tabulate_errors(result: Result, recipe: str) -> ReportTable:
     """Return the mean absolute errors of a model by vehicle model and cluster, as Tables 5 to 11 of the paper.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    recipe : str
-        Recipe of the model.
-
-    Returns
-    -------
-    ReportTable
-        Mean absolute errors, with the paper's in parentheses. [kWh]
+    Units: returns [kWh].
     """
     number_there = published.get_table_number(recipe)
     where = f" (Table {number_there})" if number_there else " (not in the paper)"
@@ -98,18 +77,7 @@ def tabulate_errors(result: Result, recipe: str) -> ReportTable:
 
 
 def tabulate_summaries(result: Result) -> list[ReportTable]:
-    """Return the tables that compare all models: average and relative errors, bias, root mean square and bands.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    list of ReportTable
-        Tables that have a row.
-    """
+    """Return the tables that compare all models: average and relative errors, bias, root mean square and bands."""
     tables = (
         tabulate_average_errors(result),
         tabulate_reductions(result),
@@ -123,15 +91,7 @@ def tabulate_summaries(result: Result) -> list[ReportTable]:
 def tabulate_average_errors(result: Result) -> ReportTable:
     """Return the average error of each model on each vehicle model, as Figure 3 of the paper.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        Average errors over clusters, with marks of the models that dominate. [kWh]
+    Units: returns [kWh].
     """
     keys, recipes = list_vehicle_models(result), [r for r in get_recipes(result) if get_mapping(result, "mae", r)]
     columns = [
@@ -155,15 +115,7 @@ def tabulate_average_errors(result: Result) -> ReportTable:
 def tabulate_reductions(result: Result) -> ReportTable:
     """Return by how much the average error of each model is below that of the basic physical model.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        Reductions by vehicle model and their average. [%]
+    Units: returns [%].
     """
     reductions = get_mapping(result, "reduction")
     keys = list_vehicle_models(result)
@@ -181,15 +133,7 @@ def tabulate_reductions(result: Result) -> ReportTable:
 def tabulate_relative_errors(result: Result) -> ReportTable:
     """Return error over consumption by cluster of distance, as Figure 2 of the paper.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        Errors over consumption of all vehicle models together. [%]
+    Units: returns [%].
     """
     errors = get_mapping(result, "relative")
     columns = list_clusters(result, errors.values())
@@ -205,11 +149,6 @@ def tabulate_relative_errors(result: Result) -> ReportTable:
 
 def tabulate_bias_and_rmse(result: Result) -> ReportTable:
     """Return bias and root mean square error of each model on each vehicle model.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
 
     Returns
     -------
@@ -239,15 +178,7 @@ def tabulate_bias_and_rmse(result: Result) -> ReportTable:
 def tabulate_bands(result: Result) -> ReportTable:
     """Return the share of rides that each model predicts within bands of relative error.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        Shares of rides, one column per band. [%]
+    Units: returns [%].
     """
     shares = get_mapping(result, "bands")
     limits = list(dict.fromkeys(limit for row in shares.values() for limit in get_mapping(row)))
@@ -260,17 +191,7 @@ def tabulate_bands(result: Result) -> ReportTable:
 def tabulate_differences(result: Result, vehicle_model: str) -> ReportTable:
     """Return the difference scores of all pairs of models on a vehicle model.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    vehicle_model : str
-        Key of the vehicle model, or `ALL`.
-
-    Returns
-    -------
-    ReportTable
-        Error of the row's model less that of the column's model. [kWh]
+    Units: returns [kWh].
     """
     scores = get_mapping(result, "difference", vehicle_model)
     names = [a for a in get_recipes(result) if any(get_difference(scores, a, b) for b in get_recipes(result))]
@@ -286,13 +207,6 @@ def tabulate_differences(result: Result, vehicle_model: str) -> ReportTable:
 
 def get_difference(scores: Any, a: str, b: str) -> tuple[float, float | None] | None:
     """Return the difference score of two models, in whichever order the result stores the pair.
-
-    Parameters
-    ----------
-    scores : mapping
-        Pairs `a|b` of recipes -> difference score.
-    a, b : str
-        Recipes of the models.
 
     Returns
     -------

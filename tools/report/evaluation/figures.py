@@ -62,18 +62,6 @@ def draw_accessory_curve(result: Result, vehicle_model: str) -> go.Figure:
     """Return a figure of accessory power against outside temperature, as Figure 1 of the paper.
 
     The figure shows the means of temperature bins, the fitted curve, and its choke points.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    vehicle_model : str
-        Key of the vehicle model.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
     """
     look = get_vehicle_style(result, vehicle_model)
     traces: list[Any] = []
@@ -143,16 +131,6 @@ def draw_relative_errors(result: Result) -> go.Figure:
     """Return a figure of error over consumption against distance, as Figure 2 of the paper.
 
     The upper panel shows this evaluation, the lower panel the paper.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
     """
     errors = get_mapping(result, "relative")
     columns = list_clusters(result, errors.values())
@@ -174,16 +152,6 @@ def draw_average_errors(result: Result) -> go.Figure:
     """Return a figure of the average error of each model on each vehicle model, as Figure 3 of the paper.
 
     Outlines show the paper's figures.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
     """
     names = [recipe for recipe in get_recipes(result) if get_mapping(result, "mae", recipe)]
     keys = list_vehicle_models(result)
@@ -210,18 +178,7 @@ def draw_average_errors(result: Result) -> go.Figure:
 
 
 def draw_splits(result: Result) -> go.Figure:
-    """Return a figure of the average error of each model by what was held out.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
-    """
+    """Return a figure of the average error of each model by what was held out."""
     present = [split for split in SPLITS if get_mapping(result, "splits", split)]
     means = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
     names = [recipe for recipe, values in means.items() if values and values[0] is not None]
@@ -230,18 +187,7 @@ def draw_splits(result: Result) -> go.Figure:
 
 
 def draw_bands(result: Result) -> go.Figure:
-    """Return a figure of the share of rides that each model predicts within bands of relative error.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
-    """
+    """Return a figure of the share of rides that each model predicts within bands of relative error."""
     shares = get_mapping(result, "bands")
     names = [recipe for recipe in get_recipes(result) if recipe in shares]
     limits = list(dict.fromkeys(limit for recipe in names for limit in get_mapping(shares, recipe)))
@@ -253,18 +199,7 @@ def draw_bands(result: Result) -> go.Figure:
 
 
 def draw_buffers(result: Result) -> go.Figure:
-    """Return a figure of the buffer that keeps a share of rides above their reserve, for each model.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
-    """
+    """Return a figure of the buffer that keeps a share of rides above their reserve, for each model."""
     buffers = get_mapping(result, "buffer_kwh")
     names = [recipe for recipe in get_recipes(result) if get_mapping(buffers, recipe)]
     shares = list(dict.fromkeys(share for recipe in names for share in get_mapping(buffers, recipe)))
@@ -291,18 +226,6 @@ def draw_errors_by(result: Result, axis: str) -> go.Figure:
 
     The upper panel shows the mean absolute error, the lower panel the bias. Values are sorted where there are more than
     `MANY_BINS` bins.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    axis : str
-        Key of `AXES`.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
     """
     shown, labels = set(select_principal(result)) - {PHYSICAL}, list_bins(result, axis)
     ranked = len(labels) > MANY_BINS
@@ -333,16 +256,6 @@ def draw_coverage(result: Result) -> go.Figure:
     """Return a figure of the share of rides inside their prediction interval.
 
     The shares are overall, by cluster of distance, by season and by vehicle model.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
     """
     coverage = get_mapping(result, "coverage")
     names = [recipe for recipe in get_recipes(result) if get_mapping(coverage, recipe)]

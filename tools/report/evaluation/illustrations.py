@@ -73,13 +73,6 @@ class Drawing(NamedTuple):
 def build_illustrations(result: Result, section: str) -> list[Illustration]:
     """Return the figures of a section that have something to show.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    section : str
-        Key of the section.
-
     Returns
     -------
     list of Illustration

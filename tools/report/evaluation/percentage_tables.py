@@ -54,18 +54,7 @@ FLOOR_NOTE: Final = (
 
 
 def tabulate_percentages(result: Result) -> list[ReportTable]:
-    """Return the tables of reductions, of percentage errors by what was held out, and of the literature.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    list of ReportTable
-        Tables that have a row.
-    """
+    """Return the tables of reductions, of percentage errors by what was held out, and of the literature."""
     tables = [
         tabulate_baseline_reductions(result),
         tabulate_baseline_reductions(result, new_vehicles=True),
@@ -78,13 +67,6 @@ def tabulate_percentages(result: Result) -> list[ReportTable]:
 def get_reductions(result: Result, recipe: str) -> dict[str, float | None]:
     """Return by which share the average error of a model is below that of each baseline, the mean over vehicle models.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    recipe : str
-        Recipe of the model.
-
     Returns
     -------
     dict
@@ -96,13 +78,6 @@ def get_reductions(result: Result, recipe: str) -> dict[str, float | None]:
 
 def get_new_vehicle_reductions(result: Result, recipe: str) -> dict[str, float | None]:
     """Return the same shares on vehicle models that were left out of training, baselines included.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    recipe : str
-        Recipe of the model.
 
     Returns
     -------
@@ -132,8 +107,6 @@ def tabulate_baseline_reductions(result: Result, *, new_vehicles: bool = False) 
 
     Parameters
     ----------
-    result : mapping
-        Result of an evaluation.
     new_vehicles : bool
         Whether the errors are those on vehicle models left out of training, instead of those by ride.
 
@@ -158,38 +131,13 @@ def tabulate_baseline_reductions(result: Result, *, new_vehicles: bool = False) 
 
 
 def list_known_baselines(shares: Iterable[Mapping[str, float | None]]) -> list[str]:
-    """Return the baselines below which the reduction of any model is known.
-
-    Parameters
-    ----------
-    shares : iterable of mapping
-        Baseline -> share, of each model, see `get_reductions`.
-
-    Returns
-    -------
-    list of str
-        In the order of `BASELINES`.
-    """
+    """Return the baselines below which the reduction of any model is known."""
     known = {name for each in shares for name, share in each.items() if share is not None}
     return [name for name in BASELINES if name in known]
 
 
 def make_baseline_table(title: str, baselines: Sequence[str], rows: tuple[Row, ...]) -> ReportTable:
-    """Return a table of reductions with one column per baseline, and notes that explain these baselines.
-
-    Parameters
-    ----------
-    title : str
-        Title.
-    baselines : sequence of str
-        Baselines, in the order of the cells.
-    rows : tuple of Row
-        Models, with one cell per baseline.
-
-    Returns
-    -------
-    ReportTable
-    """
+    """Return a table of reductions with one column per baseline, and notes that explain these baselines."""
     heads = tuple(f"below {BASELINE_HEADS[name]}" for name in baselines)
     explained = " ".join(BASELINE_NOTES[name] for name in baselines)
     notes = ("Mean over vehicle models of the reduction of the average error.", explained)
@@ -198,13 +146,6 @@ def make_baseline_table(title: str, baselines: Sequence[str], rows: tuple[Row, .
 
 def tabulate_percentages_of(result: Result, kind: str) -> ReportTable:
     """Return the errors of each model in kWh, in percent, and over the noise floor, for one kind of split.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    kind : str
-        Kind of split, a key of `HELD_OUT`.
 
     Returns
     -------
@@ -246,11 +187,6 @@ def _describe_rides(result: Result, figures: Mapping[str, Any]) -> str:
 
 def tabulate_literature(result: Result) -> ReportTable:
     """Return the errors that other work published, above the best model here.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
 
     Returns
     -------

@@ -38,13 +38,6 @@ NOT_CLUSTERS: Final = ("total", AVERAGE)
 def get_part(result: Any, *path: str) -> Any:
     """Return the value along a path of keys, None where the path ends early.
 
-    Parameters
-    ----------
-    result : Any
-        Nested mappings.
-    *path : str
-        Keys from the outermost mapping inwards.
-
     Returns
     -------
     Any
@@ -65,13 +58,6 @@ def get_part(result: Any, *path: str) -> Any:
 def get_mapping(result: Any, *path: str) -> Mapping[str, Any]:
     """Return the mapping along a path of keys, an empty one where there is none.
 
-    Parameters
-    ----------
-    result : Any
-        Nested mappings.
-    *path : str
-        Keys from the outermost mapping inwards.
-
     Returns
     -------
     mapping
@@ -83,11 +69,6 @@ def get_mapping(result: Any, *path: str) -> Mapping[str, Any]:
 
 def get_number(value: Any) -> float | None:
     """Return a value as a number.
-
-    Parameters
-    ----------
-    value : Any
-        A number, or an estimate with the key `value`.
 
     Returns
     -------
@@ -112,11 +93,6 @@ def compute_mean(values: Iterable[float | None]) -> float | None:
 
 def get_recipes(result: Result) -> dict[str, str]:
     """Return the recipes of the models and their titles, in the order of the result.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
 
     Returns
     -------
@@ -147,16 +123,6 @@ def list_vehicle_models(result: Result) -> list[str]:
 def get_vehicle_name(key: str) -> str:
     """Return the name of a vehicle model for readers: the catalogue's name without its battery, or the key.
 
-    Parameters
-    ----------
-    key : str
-        Key of the catalogue, or `ALL`.
-
-    Returns
-    -------
-    str
-        Name; the key itself where the catalogue does not have it.
-
     Examples
     --------
     >>> get_vehicle_name("kia-soul-ev-2015"), get_vehicle_name("horse")
@@ -170,13 +136,6 @@ def get_vehicle_name(key: str) -> str:
 
 def list_clusters(result: Result, rows: Iterable[Any]) -> list[str]:
     """Return the clusters of distance that have a figure in at least one row, shortest first.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    rows : iterable of mapping
-        Cluster -> figure.
 
     Returns
     -------
@@ -212,11 +171,6 @@ def find_best(result: Result) -> str | None:
 
 def select_principal(result: Result) -> list[str]:
     """Return the models for tables that have no room for all of them.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
 
     Returns
     -------

@@ -64,18 +64,7 @@ class Section(NamedTuple):
 
 
 def build_sections(result: Result) -> list[Section]:
-    """Return the sections that have at least one table with a row.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    list of Section
-        Sections in the order of the report.
-    """
+    """Return the sections that have at least one table with a row."""
     matrices = [tabulate_differences(result, key) for key in (ALL, *list_vehicle_models(result))]
     sections = [
         Section("glance", "At a glance", "", [tabulate_headline(result), tabulate_overview(result)]),
@@ -142,11 +131,6 @@ def build_sections(result: Result) -> list[Section]:
 def tabulate_headline(result: Result) -> ReportTable:
     """Return by how much the errors of the principal models are below those of each baseline.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
     Returns
     -------
     ReportTable
@@ -182,18 +166,7 @@ def _percent(statement: PaperStatement | None) -> str:
 
 
 def tabulate_overview(result: Result) -> ReportTable:
-    """Return a table of the principal figures, with the paper's beside them.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        One row per figure that the result has.
-    """
+    """Return a table of the principal figures, with the paper's beside them."""
     coverage = get_mapping(result, "coverage")
     rows = [
         _percentage(result),

@@ -32,16 +32,6 @@ def draw_elimination(result: Result) -> go.Figure:
 
     The upper panel shows the cross-validated error against the number of terms kept, the lower panel the loss as terms
     are removed one after the other.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
     """
     scores = [s for s in get_part(result, "selection", "rfecv", "scores") or () if get_number(s.get("mae")) is not None]
     steps = [s for s in get_part(result, "selection", "rfe", "steps") or () if get_number(s.get("loss")) is not None]
@@ -69,18 +59,6 @@ def draw_difference_matrix(result: Result, vehicle_model: str) -> go.Figure:
 
     A score is the error of the row's model less that of the column's model [Wh]; a star marks significant scores.
     Shades follow the square root of the score, so that small differences between good models remain visible.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    vehicle_model : str
-        Key of the vehicle model.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
     """
     differences = get_mapping(result, "difference", vehicle_model)
     names = [

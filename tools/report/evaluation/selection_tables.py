@@ -12,33 +12,14 @@ BEYOND: Final = 3
 
 
 def tabulate_selection(result: Result) -> list[ReportTable]:
-    """Return the tables of removed terms, and of the loss as terms are removed one after the other.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    list of ReportTable
-        Tables that have a row.
-    """
+    """Return the tables of removed terms, and of the loss as terms are removed one after the other."""
     return [table for table in (tabulate_removed_terms(result), tabulate_steps(result)) if table.rows]
 
 
 def tabulate_removed_terms(result: Result) -> ReportTable:
     """Return the terms that recursive elimination removed, with cross-validation (RFECV) and without (RFE).
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        Removed terms and the loss: the increase of the mean absolute error. [kWh]
+    Units: returns [kWh].
     """
     selection = get_mapping(result, "selection")
     rows: list[Row] = []
@@ -71,18 +52,7 @@ def tabulate_removed_terms(result: Result) -> ReportTable:
 
 
 def tabulate_steps(result: Result) -> ReportTable:
-    """Return the loss as terms are removed one after the other, up to `BEYOND` terms after the last removable one.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        One row per removed term, with the loss [kWh] and its p-value.
-    """
+    """Return the loss as terms are removed one after the other, up to `BEYOND` terms after the last removable one."""
     name = "margin" if get_part(result, "selection", "margin", "steps") else "rfe"
     steps = get_part(result, "selection", name, "steps") or []
     count = len(get_part(result, "selection", name, "removed") or ()) + BEYOND

@@ -20,18 +20,7 @@ SPLITS: Final = ("ride", "vehicle", "date")
 
 
 def tabulate_all_splits(result: Result) -> list[ReportTable]:
-    """Return the tables of average errors by what was held out, and of the changes on each vehicle model.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    list of ReportTable
-        Empty where the result has no split. Changes need the split by ride.
-    """
+    """Return the tables of average errors by what was held out, and of the changes on each vehicle model."""
     present = [split for split in SPLITS if get_mapping(result, "splits", split)]
     if not present:
         return []
@@ -42,17 +31,7 @@ def tabulate_all_splits(result: Result) -> list[ReportTable]:
 def tabulate_splits(result: Result, present: list[str]) -> ReportTable:
     """Return the average errors of all splits side by side.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    present : list of str
-        Splits that the result has.
-
-    Returns
-    -------
-    ReportTable
-        Mean over the vehicle models for which every split has a figure. [kWh]
+    Units: returns [kWh].
     """
     means = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
     names = [recipe for recipe, errors in means.items() if errors[0] is not None]
@@ -83,17 +62,7 @@ def tabulate_splits(result: Result, present: list[str]) -> ReportTable:
 def tabulate_changes(result: Result, split: str) -> ReportTable:
     """Return by how much errors grow on each vehicle model where cars or dates are held out instead of rides.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    split : str
-        Split that is compared with the split by ride.
-
-    Returns
-    -------
-    ReportTable
-        Change of the average error, one column per vehicle model. [%]
+    Units: returns [%].
     """
     keys = list_vehicle_models(result)
     rows = tuple(
@@ -112,20 +81,7 @@ def tabulate_changes(result: Result, split: str) -> ReportTable:
 
 
 def describe_best_models(result: Result, present: list[str]) -> str:
-    """Return a sentence that names the best model of each split.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    present : list of str
-        Splits that the result has.
-
-    Returns
-    -------
-    str
-        One sentence.
-    """
+    """Return a sentence that names the best model of each split."""
     winners: dict[str, str] = {}
     for place, split in enumerate(present):
         errors = {recipe: compute_means_by_split(result, recipe, present)[place] for recipe in get_recipes(result)}
@@ -139,15 +95,6 @@ def describe_best_models(result: Result, present: list[str]) -> str:
 
 def compute_means_by_split(result: Result, recipe: str, present: list[str]) -> list[float | None]:
     """Return the mean error of a model by each split.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    recipe : str
-        Recipe of the model.
-    present : list of str
-        Splits that the result has.
 
     Returns
     -------

@@ -17,15 +17,7 @@ LAST: Final = "glance"
 
 
 def show(result: Any, console: Console) -> None:
-    """Print the tables of an evaluation, with the principal figures last.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation; missing parts are left out.
-    console : Console
-        Console of at least 120 columns, so that tables do not wrap.
-    """
+    """Print the tables of an evaluation, with the principal figures last."""
     shown = [section for section in build_sections(to_json_values(result)) if not section.folded]
     for section in sorted(shown, key=lambda section: section.key == LAST):
         print_section(section, console)
@@ -37,13 +29,6 @@ def print_section(section: Section, console: Console) -> None:
     """Print the title and the tables of a section.
 
     A note that several tables share is printed once, below the last of them.
-
-    Parameters
-    ----------
-    section : Section
-        Section to print.
-    console : Console
-        Console to print to.
     """
     console.print()
     console.rule(Text(section.title, style="bold"), align="left")

@@ -32,20 +32,7 @@ NO_RIDES = 0.3
 
 
 def draw_new_vehicle(result: Result, vehicle_model: str) -> go.Figure:
-    """Return a figure of the errors of all models on a vehicle model left out of training, as Table 12 of the paper.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    vehicle_model : str
-        Key of the vehicle model.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
-    """
+    """Return a figure of the errors of all models on a vehicle model left out of training, as Table 12 of the paper."""
     by_recipe = get_mapping(result, "new_vehicle")
     names = [
         recipe
@@ -72,18 +59,6 @@ def draw_few_shot(result: Result, vehicle_model: str) -> go.Figure:
     """Return a figure of the error on a new vehicle model against the number of its rides seen.
 
     The curve of the fitted physical model is thicker than the others.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    vehicle_model : str
-        Key of the vehicle model.
-
-    Returns
-    -------
-    Figure
-        Plotly figure.
     """
     traces, numbers = [], set()
     for recipe in get_mapping(result, "few_shot", vehicle_model):

@@ -34,18 +34,7 @@ WORSE = " ↑"
 
 
 def tabulate_transfer(result: Result) -> list[ReportTable]:
-    """Return Tables 12 and 13 of the paper, and the few-shot errors of each vehicle model.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    list of ReportTable
-        Tables that have a row.
-    """
+    """Return Tables 12 and 13 of the paper, and the few-shot errors of each vehicle model."""
     tables = [tabulate_new_vehicle(result), tabulate_new_vehicle_relative(result)]
     tables += [tabulate_few_shot(result, key) for key in get_mapping(result, "few_shot")]
     return [table for table in tables if table.rows]
@@ -53,11 +42,6 @@ def tabulate_transfer(result: Result) -> list[ReportTable]:
 
 def tabulate_new_vehicle(result: Result) -> ReportTable:
     """Return the mean absolute errors on vehicle models left out of training, as Table 12 of the paper.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
 
     Returns
     -------
@@ -94,15 +78,7 @@ def tabulate_new_vehicle(result: Result) -> ReportTable:
 def tabulate_new_vehicle_relative(result: Result) -> ReportTable:
     """Return error over consumption on vehicle models left out of training, as Table 13 of the paper.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        Errors over consumption by vehicle model. [%]
+    Units: returns [%].
     """
     names, keys = _tested(result)
 
@@ -119,13 +95,6 @@ def tabulate_new_vehicle_relative(result: Result) -> ReportTable:
 
 def tabulate_few_shot(result: Result, vehicle_model: str) -> ReportTable:
     """Return the error on a new vehicle model against the number of its rides seen in training.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    vehicle_model : str
-        Key of the vehicle model.
 
     Returns
     -------
@@ -150,22 +119,7 @@ def tabulate_few_shot(result: Result, vehicle_model: str) -> ReportTable:
 
 
 def get_few_shot_errors(result: Result, vehicle_model: str, recipe: str) -> dict[int, Mapping[str, Any]]:
-    """Return the few-shot errors of a model on a vehicle model.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    vehicle_model : str
-        Key of the vehicle model.
-    recipe : str
-        Recipe of the model.
-
-    Returns
-    -------
-    dict
-        Number of rides seen -> `value` and `ci95`. [kWh]
-    """
+    """Return the few-shot errors of a model on a vehicle model."""
     made: dict[int, Mapping[str, Any]] = {}
     for point in get_part(result, "few_shot", vehicle_model, recipe) or ():
         rides, error = get_number(get_part(point, "rides")), get_part(point, "mae")

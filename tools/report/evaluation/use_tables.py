@@ -57,11 +57,6 @@ COVERAGE_RANGE: Final = (0.88, 0.92)
 def tabulate_places(result: Result) -> list[ReportTable]:
     """Return the tables of errors by distance, temperature, season and driver.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
     Returns
     -------
     list of ReportTable
@@ -78,20 +73,7 @@ def tabulate_places(result: Result) -> list[ReportTable]:
 
 
 def list_bins(result: Result, axis: str) -> list[str]:
-    """Return the names of the bins of a property, in the order of the result.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    axis : str
-        Key of `AXES`.
-
-    Returns
-    -------
-    list of str
-        Names that occur for at least one model.
-    """
+    """Return the names of the bins of a property, in the order of the result."""
     return list(
         dict.fromkeys(str(b["bin"]) for recipe in get_recipes(result) for b in get_bin_errors(result, axis, recipe))
     )
@@ -99,18 +81,6 @@ def list_bins(result: Result, axis: str) -> list[str]:
 
 def format_bin(axis: str, name: str) -> str:
     """Return the name of a bin for readers.
-
-    Parameters
-    ----------
-    axis : str
-        Key of `AXES`.
-    name : str
-        Name of the bin in the result.
-
-    Returns
-    -------
-    str
-        Name without its unit.
 
     Examples
     --------
@@ -122,15 +92,6 @@ def format_bin(axis: str, name: str) -> str:
 
 def get_bin_errors(result: Result, axis: str, recipe: str) -> list[Mapping[str, Any]]:
     """Return the errors of a model in each bin of a property.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    axis : str
-        Key of `AXES`.
-    recipe : str
-        Recipe of the model.
 
     Returns
     -------
@@ -144,17 +105,7 @@ def get_bin_errors(result: Result, axis: str, recipe: str) -> list[Mapping[str, 
 def tabulate_errors_by_bin(result: Result, axis: str) -> ReportTable:
     """Return mean absolute error and bias of the principal models in each bin of a property.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    axis : str
-        Key of `AXES`.
-
-    Returns
-    -------
-    ReportTable
-        Number of predictions, and mean absolute errors with the bias in parentheses. [kWh]
+    Units: returns [kWh].
     """
     names = [recipe for recipe in select_principal(result) if get_bin_errors(result, axis, recipe)]
     by_recipe = {
@@ -176,13 +127,6 @@ def tabulate_errors_by_bin(result: Result, axis: str) -> ReportTable:
 
 def tabulate_spread(result: Result, axis: str) -> ReportTable:
     """Return how the errors of each model spread over the bins of a property, such as drivers.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-    axis : str
-        Key of `AXES`.
 
     Returns
     -------
@@ -208,18 +152,7 @@ def tabulate_spread(result: Result, axis: str) -> ReportTable:
 
 
 def tabulate_reserve(result: Result) -> list[ReportTable]:
-    """Return the tables of the coverage of intervals, and of the buffers that keep rides above their reserve.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    list of ReportTable
-        Tables that have a row.
-    """
+    """Return the tables of the coverage of intervals, and of the buffers that keep rides above their reserve."""
     tables = (
         tabulate_coverage(result),
         tabulate_coverage_unseen(result),
@@ -231,11 +164,6 @@ def tabulate_reserve(result: Result) -> list[ReportTable]:
 
 def tabulate_coverage(result: Result) -> ReportTable:
     """Return the share of rides inside their 90 % interval: overall, by cluster of distance, by season.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
 
     Returns
     -------
@@ -270,15 +198,7 @@ def tabulate_coverage(result: Result) -> ReportTable:
 def tabulate_coverage_unseen(result: Result) -> ReportTable:
     """Return the share of rides inside their interval by vehicle model, and for unseen cars, dates and vehicle models.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        Coverage, marked where it is outside of its limits. [%]
+    Units: returns [%].
     """
     coverage = get_mapping(result, "coverage")
     names = [recipe for recipe in get_recipes(result) if get_mapping(coverage, recipe)]
@@ -309,15 +229,7 @@ def tabulate_coverage_unseen(result: Result) -> ReportTable:
 def tabulate_buffers(result: Result) -> ReportTable:
     """Return the buffers that keep 95 % and 99 % of rides above their reserve.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        Buffers, one row per model. [kWh]
+    Units: returns [kWh].
     """
     buffers = get_mapping(result, "buffer_kwh")
     names = [recipe for recipe in get_recipes(result) if get_mapping(buffers, recipe)]
@@ -343,15 +255,7 @@ def tabulate_buffers(result: Result) -> ReportTable:
 def tabulate_buffers_by_cluster(result: Result) -> ReportTable:
     """Return the buffers of the principal models by distance, for the largest share of rides.
 
-    Parameters
-    ----------
-    result : mapping
-        Result of an evaluation.
-
-    Returns
-    -------
-    ReportTable
-        Buffers, one column per cluster of distance. [kWh]
+    Units: returns [kWh].
     """
     buffers = get_mapping(result, "buffer_by_cluster")
     names = [recipe for recipe in select_principal(result) if get_mapping(buffers, recipe)]

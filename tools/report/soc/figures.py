@@ -116,15 +116,7 @@ def draw_errors(result: Result) -> go.Figure:
 
 
 def draw_coverage(groups: Mapping[str, Any], axis: str) -> go.Figure:
-    """Return a figure of the coverage of groups, with its interval, and of the target coverage.
-
-    Parameters
-    ----------
-    groups : mapping of str to mapping
-        Name of a group -> its figures.
-    axis : str
-        Title of the axis of groups, with the unit.
-    """
+    """Return a figure of the coverage of groups, with its interval, and of the target coverage."""
     x, shares = [escape_label(name) for name in groups], [get_part(group, "coverage") for group in groups.values()]
     made = make_figure(_points("coverage", FORECAST, x, shares), 380)
     for share in AIMED:

@@ -22,15 +22,7 @@ RESERVE: Final = "reserve"
 
 
 def show(result: Any, console: Console) -> None:
-    """Print an evaluation, with its main result last.
-
-    Parameters
-    ----------
-    result : mapping
-        Result of the evaluation.
-    console : Console
-        Console of at least 120 columns.
-    """
+    """Print an evaluation, with its main result last."""
     values = to_json_values(result)
     for section in sorted(build_sections(values), key=lambda section: section.key == AHEAD):
         if section.tables:
@@ -40,13 +32,7 @@ def show(result: Any, console: Console) -> None:
 
 
 def write(result: Any, path: Path) -> None:
-    """Write an evaluation as a self-contained page.
-
-    Raises
-    ------
-    SettingsError
-        Where the file cannot be written.
-    """
+    """Write an evaluation as a self-contained page."""
     values = to_json_values(result)
     notes = "".join(f"<li>{escape_text(note)}</li>" for note in values["notes"])
     foot = f"<ul>{notes}</ul><p>Made by <code>socast evaluate-soc</code>.</p>"

@@ -15,10 +15,6 @@ MOST_ALARMS: Final = 50
 def list_alarms(board: Board) -> dict[str, Any]:
     """Return the alarms of a fleet as a JSON record.
 
-    Parameters
-    ----------
-    board : Board
-
     Returns
     -------
     dict

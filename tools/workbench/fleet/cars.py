@@ -22,13 +22,7 @@ RIDE_FIELDS: Final = ("distance_km", "duration_s", "gained_m", "lost_m")
 
 
 def get_fleet(workbench: Workbench) -> FleetSource:
-    """Return the source of the fleet.
-
-    Raises
-    ------
-    NotFoundError
-        If the command line gave none.
-    """
+    """Return the source of the fleet."""
     if workbench.fleet is None:
         raise NotFoundError("no recording and no live service was given: start `socast serve` with one")
     return workbench.fleet

@@ -35,10 +35,7 @@ class TraceDensity:
     def add(self, latitude: Floats, longitude: Floats) -> None:
         """Count fixes, unless `count_recordings` has counted all of them; a grid with too many cells becomes coarser.
 
-        Parameters
-        ----------
-        latitude, longitude : (n,) float
-            Possible positions. [deg]
+        Units: latitude [deg], longitude [deg].
         """
         if self._is_complete or not len(latitude):
             return

@@ -47,14 +47,12 @@ class FleetTime(NamedTuple):
     def hear(self, cars: NDArray[np.void], row: int, time: float) -> "FleetTime":
         """Return the time of the fleet after a message of a car, and write that the car was heard.
 
+        Units: time [Unix s].
+
         Parameters
         ----------
         cars : (cars,) structured
             Values of the cars, changed in place.
-        row : int
-            Car of the message.
-        time : float
-            Its time by its own clock. [Unix s]
         """
         car, now = cars[row], self
         step = time - car["time"]
@@ -81,17 +79,12 @@ class FleetTime(NamedTuple):
 def find_newest(time: Floats, is_heard: NDArray[np.bool_]) -> float:
     """Return the newest time of those cars that are not silent and no more than `SILENT_S` ahead of most of them.
 
+    Units: returns [Unix s].
+
     Parameters
     ----------
     time : (cars,) float
         Last time of each car by its own clock, NaN where unknown. [Unix s]
-    is_heard : (cars,) bool
-        Whether the car is not silent.
-
-    Returns
-    -------
-    float
-        NaN without a car. [Unix s]
     """
     known = np.sort(time[is_heard & np.isfinite(time)])
     if not len(known):

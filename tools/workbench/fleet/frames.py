@@ -83,18 +83,7 @@ def describe_frames() -> dict[str, Any]:
 
 
 def encode_frame(board: Board, sequence: int) -> bytes:
-    """Return the newest values of all cars as a frame.
-
-    Parameters
-    ----------
-    board : Board
-    sequence : int
-        Number of the frame.
-
-    Returns
-    -------
-    bytes
-    """
+    """Return the newest values of all cars as a frame."""
     with board.lock:
         flags = RIDING * (board.column("riding") > 0.0) + CHARGING * (board.column("charging") > 0.0)
         derived = {"age": board.get_ages(), "flags": flags + SILENT * board.find_silent()}

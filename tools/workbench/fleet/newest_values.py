@@ -41,7 +41,6 @@ def write_samples(cars: NDArray[np.void], rows: Ints, samples: SampleColumns) ->
         Values with the names of `COLUMNS`, changed in place.
     rows : (n,) int
         Row of the car of each sample, -1 for a sample that is left out.
-    samples : SampleColumns
 
     Returns
     -------

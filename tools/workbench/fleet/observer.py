@@ -74,7 +74,6 @@ class Observer:
 
         Parameters
         ----------
-        vehicle_id : str
         parameters : mapping of str to str
             Fields of the ride that the question is about; empty for the shift as planned.
         """

@@ -184,13 +184,7 @@ class Player:
             self._changed.notify_all()
 
     def set_speed(self, speed: float) -> None:
-        """Set the speed relative to real time; infinite is as fast as possible.
-
-        Raises
-        ------
-        SettingsError
-            If the speed is not above 0, or above `FASTEST` and finite.
-        """
+        """Set the speed relative to real time; infinite is as fast as possible."""
         if not (0.0 < speed <= FASTEST or speed == inf):
             raise SettingsError(f"the speed is {speed:g}, must be above 0 and at most {FASTEST:,.0f}, or max")
         with self._changed:
@@ -198,13 +192,7 @@ class Player:
             self._changed.notify_all()
 
     def seek(self, time_s: float) -> None:
-        """Go to a time of the recording. [Unix s]
-
-        Raises
-        ------
-        SettingsError
-            If the recording does not contain the time.
-        """
+        """Go to a time of the recording. [Unix s]"""
         time_ns = round(time_s * 1e9) if abs(time_s) < 1e11 else 0
         if not self.begin_ns - 10**9 <= time_ns <= self.end_ns + 10**9:
             raise SettingsError(f"the time {time_s:g} is outside the recording; choose one between its begin and end")
@@ -217,7 +205,6 @@ class Player:
 
         Parameters
         ----------
-        vehicle_id : str
         parameters : mapping of str to str
             Fields of the ride that the question is about; empty for the shift as planned.
         """

@@ -10,11 +10,6 @@ from socast.core.totals.tables import model_columns
 def compute_ride_parts(pipeline: Pipeline, vehicle_id: str) -> dict[str, float] | None:
     """Return the predicted energy of a car's ride in progress by term of the first model.
 
-    Parameters
-    ----------
-    pipeline : Pipeline
-    vehicle_id : str
-
     Returns
     -------
     dict of str to float, or None

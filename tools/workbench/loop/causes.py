@@ -30,14 +30,6 @@ from socast.tools.workbench.workspace import Report, Workspace
 def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Mapping[str, Any]) -> dict[str, Any]:
     """Return the candidates of a diagnosis, the most probable first.
 
-    Parameters
-    ----------
-    workspace : Workspace
-    node : ModelNode
-        The diagnosed model.
-    diagnosis : mapping
-        Result of the diagnosis, as JSON values.
-
     Returns
     -------
     dict
@@ -87,14 +79,6 @@ def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Mapping
 def describe_effect(workspace: Workspace, node: ModelNode, name: str) -> dict[str, Any]:
     """Return what an effect declares, its partial residual, and the commands that show and add it.
 
-    Parameters
-    ----------
-    workspace : Workspace
-    node : ModelNode
-        Model beside which the effect is shown.
-    name : str
-        Name of an effect or of a variant.
-
     Returns
     -------
     dict
@@ -136,19 +120,10 @@ def add_to_model(
 
     Parameters
     ----------
-    workspace : Workspace
-    name : str
-        Name of the model.
-    effect : str
-        Name of an effect or of a variant.
-    scopes : sequence of str
-        Where the effect holds.
     even_if_undecided : bool
         Whether to add the effect even if the rides do not decide whether it helps.
     force : bool
         Whether to add the effect even if it does not help.
-    report : callable
-        Function that receives the progress.
 
     Returns
     -------

@@ -88,13 +88,7 @@ class ModelTree:
         return list(self._nodes.values())
 
     def find(self, name: str) -> ModelNode:
-        """Return the model of a name.
-
-        Raises
-        ------
-        SettingsError
-            If no model of the tree has the name.
-        """
+        """Return the model of a name."""
         if name not in self._nodes:
             raise SettingsError(f"model {name!r} is not in this workbench; choose from {', '.join(self._nodes)}")
         return self._nodes[name]
@@ -115,9 +109,6 @@ class ModelTree:
         ----------
         name : str
             Name to begin with; a number is added if it is taken.
-        model : LinearModel
-        parent, origin, given : str
-            As of `ModelNode`.
         """
         with self._lock:
             stamped = models.stamp(model)
@@ -134,13 +125,6 @@ class ModelTree:
 
     def insert_trial(self, name: str, added: AdditionTrial) -> ModelNode:
         """Insert the model that a trial accepted, or write the refused attempt into the history of its model.
-
-        Parameters
-        ----------
-        name : str
-            Name of the model to which the effect was added.
-        added : AdditionTrial
-            Trial of the effect.
 
         Returns
         -------
@@ -159,13 +143,7 @@ class ModelTree:
             return logged
 
     def remove(self, name: str) -> str:
-        """Remove a model that the workbench made, with its file, and return the name of the model before.
-
-        Raises
-        ------
-        SettingsError
-            If the model was not made here by adding an effect, or others were made of it.
-        """
+        """Remove a model that the workbench made, with its file, and return the name of the model before."""
         with self._lock:
             node = self.find(name)
             if not node.parent:
@@ -227,13 +205,7 @@ def _find_last_addition(model: LinearModel) -> Mapping[str, Any]:
 
 
 def read_model_file(node: ModelNode) -> bytes:
-    """Return the content of a model's file, for a download.
-
-    Raises
-    ------
-    ModelError
-        If the file is gone.
-    """
+    """Return the content of a model's file, for a download."""
     try:
         return node.file.read_bytes()
     except OSError as error:

@@ -34,13 +34,7 @@ def list_models(workspace: Workspace) -> dict[str, Any]:
 
 
 def describe_model(workspace: Workspace, node: ModelNode) -> dict[str, Any]:
-    """Return the coefficients of a model with their intervals, its history, and its steps against the noise floor.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    node : ModelNode
-    """
+    """Return the coefficients of a model with their intervals, its history, and its steps against the noise floor."""
     from socast.tools.report import error_fall, history  # noqa: PLC0415 - figures take seconds to import
 
     recipe = RECIPES.get(node.model.recipe)
@@ -64,13 +58,7 @@ def describe_model(workspace: Workspace, node: ModelNode) -> dict[str, Any]:
 
 
 def compare_two(workspace: Workspace, one: ModelNode, other: ModelNode) -> dict[str, Any]:
-    """Return the errors of two models on the same rides, and the step between them if one was made of the other.
-
-    Raises
-    ------
-    SettingsError
-        If both are the same model.
-    """
+    """Return the errors of two models on the same rides, and the step between them if one was made of the other."""
     if one.name == other.name:
         raise SettingsError(f"both models are {one.name}; choose two different ones")
     result = to_json_values(compare_predictions(select_compared(workspace, [one, other])))
@@ -89,23 +77,7 @@ def compare_two(workspace: Workspace, one: ModelNode, other: ModelNode) -> dict[
 def run_shadows(
     workspace: Workspace, one: ModelNode, other: ModelNode, report: Report = lambda *_: None
 ) -> dict[str, Any]:
-    """Return the errors that a model would have had as the shadow of another, on the given recordings.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    one : ModelNode
-        Model that makes the forecasts.
-    other : ModelNode
-        Its shadow.
-    report : callable
-        Function that receives the progress.
-
-    Raises
-    ------
-    SettingsError
-        If tables were given, which do not hold the messages of a service.
-    """
+    """Return the errors that a model would have had as the shadow of another, on the given recordings."""
     if not workspace.recorded:
         raise SettingsError("a shadow runs on recordings, and tables were given; start the workbench with a recording")
     sources = open_recordings(workspace.recordings)

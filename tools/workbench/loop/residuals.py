@@ -30,23 +30,7 @@ MOST_POINTS: Final = 6000
 
 
 def read_residuals(workspace: Workspace, node: ModelNode, level: str, text: str = "") -> ColumnResiduals:
-    """Return the residuals of the rides that a filter keeps.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    node : ModelNode
-        Model that predicts.
-    level : str
-        `rides` or `windows`.
-    text : str
-        Filter of rides, see `socast.tools.workbench.loop.ride_columns.select_by_filter`.
-
-    Raises
-    ------
-    SettingsError
-        If the level or the filter is not understood.
-    """
+    """Return the residuals of the rides that a filter keeps."""
     compared = select_compared(workspace, [node])
     kept = select_by_filter(compared.rides, text, list_ride_columns(compared, node.name)[: len(ENERGIES)])
     if level == "rides":
@@ -75,28 +59,14 @@ def explore_residuals(
 
     Parameters
     ----------
-    workspace : Workspace
-    node : ModelNode
-        Model that predicts.
-    x : str
-        Column along the chart.
-    level : str
-        `rides` or `windows`.
     colour, facet : str
         Column of the colour, and column that divides the points into charts; empty for none.
-    text : str
-        Filter of rides.
 
     Returns
     -------
     dict
         `columns` to choose from; `x`, `colour`; `unit` of the residual; `facets`, each with a `title`, `points` and
         `bins`; the number of `rows`, of which every `every`-th is among the points.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such column.
     """
     seen = read_residuals(workspace, node, level, text)
     known = {column.key: (column, values) for column, values in seen.columns}
@@ -136,16 +106,7 @@ def survey_residuals(workspace: Workspace, node: ModelNode, level: str, text: st
 
 
 def describe_failures(workspace: Workspace, node: ModelNode, diagnosis: dict[str, Any]) -> dict[str, Any]:
-    """Return the slices that a diagnosis found, and the location of the error.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    node : ModelNode
-        The diagnosed model.
-    diagnosis : dict
-        Result of the diagnosis, as JSON values.
-    """
+    """Return the slices that a diagnosis found, and the location of the error."""
     location = diagnosis.get("error_location") or {}
     return {
         "error": diagnosis["error"],

@@ -22,19 +22,10 @@ def select_by_filter(rides: pd.DataFrame, text: str, extra: Sequence[tuple[Shown
 
     Parameters
     ----------
-    rides : (n, columns) DataFrame
-        Rides.
     text : str
         Conditions separated by `;`: `ambient_c:-10..0` for a range with its ends, either of which may be left out,
         `vehicle_id:taxi-1|taxi-2` for names, and `where:colder than -5 °C|wind above 20 km/h` for the conditions of a
         slice. Names are percent-encoded.
-    extra : sequence of (ShownColumn, (n,) array)
-        Further columns.
-
-    Raises
-    ------
-    SettingsError
-        If a condition is not understood.
     """
     kept = np.ones(len(rides), np.bool_)
     columns = {column.key: (column, values) for column, values in (*list_columns(rides), *extra)}

@@ -51,12 +51,6 @@ def list_ride_columns(compared: ComparedRides, model: str) -> list[tuple[ShownCo
 def describe_compared_rides(workspace: Workspace, node: ModelNode) -> dict[str, Any]:
     """Return every ride with its columns, for the scatter, the list and the filters of the page.
 
-    Parameters
-    ----------
-    workspace : Workspace
-    node : ModelNode
-        Model that predicts.
-
     Returns
     -------
     dict
@@ -78,14 +72,6 @@ def describe_compared_rides(workspace: Workspace, node: ModelNode) -> dict[str, 
 
 def measure_selection(workspace: Workspace, node: ModelNode, text: str) -> dict[str, Any]:
     """Return the errors of the rides that a filter keeps, and which these are.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    node : ModelNode
-        Model that predicts.
-    text : str
-        Filter, see `socast.tools.workbench.loop.ride_columns.select_by_filter`.
 
     Returns
     -------
@@ -110,16 +96,7 @@ def measure_selection(workspace: Workspace, node: ModelNode, text: str) -> dict[
 
 
 def trace_one_ride(workspace: Workspace, nodes: Sequence[ModelNode], ride: str) -> dict[str, Any]:
-    """Return the trace of a ride along its way, and the command that shows it.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    nodes : sequence of ModelNode
-        Models that predict.
-    ride : str
-        Key of the ride.
-    """
+    """Return the trace of a ride along its way, and the command that shows it."""
     models = {node.name: node.model for node in nodes}
     rides, windows, _ = workspace.tables
     row = find_ride(rides, ride)

@@ -121,18 +121,7 @@ def load_presets() -> Mapping[str, Preset]:
 
 
 def get_preset(name: str) -> Preset:
-    """Return the preset of a name.
-
-    Parameters
-    ----------
-    name : str
-        Name on the command line.
-
-    Raises
-    ------
-    SettingsError
-        If there is none of this name.
-    """
+    """Return the preset of a name."""
     presets = load_presets()
     if name not in presets:
         raise SettingsError(f"--preset is '{name}', must be one of {', '.join(presets)}")
@@ -141,11 +130,6 @@ def get_preset(name: str) -> Preset:
 
 def find_preset(names: Sequence[str]) -> Preset | None:
     """Return the preset that fits the columns of a table, the one that asks for most of them; None where none fits.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Columns.
 
     Examples
     --------
