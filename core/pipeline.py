@@ -95,8 +95,6 @@ class Pipeline:
         If two models have the same name and version.
     """
 
-    of_lanes: Sequence[str] = OF_LANES
-
     def __init__(
         self,
         model: Model = EXTENDED_PHYSICAL,
@@ -322,7 +320,7 @@ class Pipeline:
         kept = self.silent_cars.begin_day(midnight, since, self.closed.get_lanes())
         if kept is not None and not self.keep_outlooks and not self.deferred:
             self._due.build_all()
-            forget_lanes(kept, rest, self.lanes, self.day_rollover, [getattr(self, name) for name in self.of_lanes])
+            forget_lanes(kept, rest, self.lanes, self.day_rollover, [getattr(self, name) for name in OF_LANES])
 
     def _learn_from_day(self, place: int, midnight: float) -> None:
         """Let what was learned of the day take effect."""

@@ -21,7 +21,6 @@ from socast.core.columns import SECONDS_PER_DAY, SPEED_BINS
 from socast.core.errors import SocastError
 from socast.core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, SCORES, TEMPERATURE_CLASSES
 from socast.core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_SAMPLES
-from socast.core.forecast.day_schema import COUNT, EXACT, FACTOR, LANE, MOST, PATTERN, REAL, SUMS, make_days, make_shift
 from socast.core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
 from socast.core.forecast.learning.daily_cycle import HOURS
 from socast.core.forecast.learning.energy_correction import COEFFICIENTS
@@ -49,7 +48,7 @@ from socast.core.wire.state_schema import (
     Text,
 )
 
-SNAPSHOT: Final = 26
+SNAPSHOT: Final = 27
 """Version of the format of a snapshot."""
 FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
 """Names of the fields in the arrays of a snapshot."""
@@ -114,6 +113,24 @@ class OpenTotals:
         Packed(dtype, by_lane="summed", limits=limits, vacant={"ride": Number(-2.0, -1.0)}).check(value, sizes)
 
 
+MOST: Final = 2.0**53
+"""Largest whole number that all numbers up to it can be told from."""
+COUNT: Final = Number(0, MOST, whole=True)
+"""A number of things."""
+REAL: Final = Number()
+"""Any number, or an unknown one."""
+LANE: Final = Number(0, "lanes", whole=True)
+"""A lane of this process."""
+SUMS: Final = Packed("f8")
+"""Sums of a day, whose number `DaySums.load` checks."""
+FACTOR: Final = Row(REAL, REAL)
+"""Mean and variance of the logarithm of a consumption factor."""
+PATTERN: Final = Row(REAL, REAL)
+"""Duration and intensity of a shift."""
+_EDGE: Final = Packed(
+    np.dtype([(name, "f8") for name in EDGES]), count=1, limits={"kind": Number(0.0, "kinds", unknown=False)}
+)
+_SHIFT: Final = Row(LANE, Maybe(COUNT), *4 * (REAL,), Text(), REAL, REAL, Number(0, 1))
 _ANYTHING, _TEXT, _UNIX = Anything(), Text(), Number(0.0, 4.3e9, unknown=False)
 _AMOUNT: Final = Number(0.0, 1e15, unknown=False)
 _KELVIN: Final = Number(100.0, 400.0, unknown=False)
@@ -143,7 +160,7 @@ _TABLES: Final = Named(
 )
 _CLASSES: Final = BASES * len(DISTANCE_CLASSES) * len(TEMPERATURE_CLASSES)
 _CONFORMAL: Final = Row(
-    EXACT,
+    SUMS,
     Packed(BOUND_PAIR, count=_CLASSES, limits={"": Number(unknown=False)}),
     Row(
         _pack(_CLASSES * len(SCORES), low=0.0),
@@ -151,10 +168,10 @@ _CONFORMAL: Final = Row(
         _pack(_CLASSES * len(LEVELS)),
     ),
 )
-_CORRECTION: Final = Row(EXACT, Row(*(_pack(BASES * count) for count in (COEFFICIENTS**2, COEFFICIENTS))))
+_CORRECTION: Final = Row(SUMS, Row(*(_pack(BASES * count) for count in (COEFFICIENTS**2, COEFFICIENTS))))
 _STATISTICS: Final = Row(
     Row(
-        Row(ByName(SUMS), ByName(SUMS), ByName(_TABLES)),
+        Row(ByName(Row(SUMS, _EDGE, _EDGE)), ByName(_TABLES)),
         Row(
             Many(Row(LANE, FACTOR)),
             Many(Row(COUNT, FACTOR)),
@@ -162,10 +179,10 @@ _STATISTICS: Final = Row(
         ),
         _CONFORMAL,
         _CORRECTION,
-        Row(EXACT, _grid(2, HOURS)),
-        Row(Row(_AMOUNT, REAL, _AMOUNT, REAL, REAL, _AMOUNT), EXACT),
+        Row(SUMS, _grid(2, HOURS)),
+        Row(Row(_AMOUNT, REAL, _AMOUNT, REAL, REAL, _AMOUNT), SUMS),
     ),
-    Many(make_shift(LANE)),
+    Many(_SHIFT),
     Many(Row(LANE, PATTERN)),
     Packed(LOG_FACTOR_PRIOR, by_lane="predicted", limits={"variance": Number(1e-9, 1e9)}),
     Packed(SHIFT_PATTERN, by_lane="predicted"),
@@ -221,10 +238,10 @@ SCHEMAS: Final[dict[str, Schema]] = {
         Packed(
             LANE_YIELD,
             by_lane="summed",
-            limits=dict.fromkeys(("pooled_model", "next_model"), Number(-1, "models")),
+            limits={"pooled_model": Number(-1, "models")},
         ),
         Many(_TEXT, unique=True),
-        *(Many(Row(REAL, REAL), count=count) for count in (None, "pooled", "pooled")),
+        *(Many(Row(REAL, REAL), count=count) for count in (None, "pooled")),
     ),
     "counters": Row(Many(COUNT, count=len(CAUSES)), COUNT, _COUNTS, _COUNTS, ByName(_COUNTS)),
     "engine": Row(
@@ -251,7 +268,6 @@ SCHEMAS: Final[dict[str, Schema]] = {
         Packed("i8", count="noted", limits={"": Number(-MOST, MOST)}),
     ),
     "deferred": _ANYTHING,
-    "days": make_days(_STATISTICS),
     "shadows": Row(
         _TEXT,
         REAL,
@@ -279,11 +295,7 @@ def load_components(components: Mapping[str, Stateful], content: dict[str, Any],
     """
     name, state = "state", content.get("state")
     try:
-        if (
-            not isinstance(state, dict)
-            or (set(state) ^ set(components)) - {"deferred"}
-            or ("days" in state) != ("days" in components)
-        ):
+        if not isinstance(state, dict) or (set(state) ^ set(components)) - {"deferred"}:
             raise Fault("it has other components than this version")
         name = "sizes"
         sizes = _measure_state(state) | {"effects": len(content["effects"])}
@@ -291,10 +303,10 @@ def load_components(components: Mapping[str, Stateful], content: dict[str, Any],
             SCHEMAS[name].check(state[name], sizes)
         if (before := content["effects"]) != list(effects):
             name = "effects"
-            if "deferred" in state or "days" in state:
-                raise Fault(f"it holds sums of {', '.join(before)}, which tables and shards need")
+            if "deferred" in state:
+                raise Fault(f"it holds sums of {', '.join(before)}, which tables need")
             state["accumulator"] = carry_totals(state["accumulator"], before, effects)
-            state["engine"][0][0][0][:2] = {}, {}  # sums of rides by effect begin anew; tables made of them still hold
+            state["engine"][0][0][0][0] = {}  # sums of rides by effect begin anew; tables made of them still hold
         for name in filter(state.__contains__, components):
             components[name].load(state[name])
     except (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError) as error:

@@ -10,7 +10,6 @@ from importlib.metadata import version
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
-from socast.core.columns import SECONDS_PER_DAY
 from socast.core.errors import SettingsError
 from socast.stream.service_snapshot import LAG_BUCKETS, ServiceSnapshot
 
@@ -220,24 +219,6 @@ METRICS: Final = (
         "gauge",
         "Shards that divide the fleet; only with --shard.",
         lambda s, _: s.shards,
-    ),
-    MetricRow(
-        "socast_shards_absent",
-        "gauge",
-        "Shards whose contribution to the daily update is missing; only with --shard.",
-        lambda s, _: None if s.absent_shards is None else len(s.absent_shards),
-    ),
-    MetricRow(
-        "socast_contributions_left_out",
-        "counter",
-        "Contributions of shards that daily updates left out; only with --shard.",
-        lambda s, _: s.left_out_contributions,
-    ),
-    MetricRow(
-        "socast_tables_age_days",
-        "gauge",
-        "Days since that of the tables that forecasts use; only with --shard.",
-        lambda s, now: None if s.tables_of is None or s.tables_of < 0 else now // SECONDS_PER_DAY - s.tables_of,
     ),
     MetricRow(
         "socast_vehicle_sample_age_seconds",

@@ -12,11 +12,11 @@ import numpy as np
 from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
 from socast.core.pipeline import Pipeline
 from socast.core.wire.messages import Message
+from socast.core.wire.shard import Shard
 from socast.stream.checkpoints import Checkpoints
 from socast.stream.loop import Tally
 from socast.stream.query_service import QueryService
 from socast.stream.recorder import Recorder
-from socast.stream.sharded_pipeline import ShardedPipeline
 
 ACTIVE_S: Final = 300.0
 """Age of its newest sample up to which a vehicle is active. [s]"""
@@ -124,12 +124,6 @@ class ServiceSnapshot:
         Share of the fleet that is served, such as `2/4`; empty without shards.
     shards : int, optional
         Number of shards that divide the fleet.
-    absent_shards : tuple of int, optional
-        Shards whose contribution to the daily update is missing.
-    tables_of : int, optional
-        Day of the tables that forecasts use, as a number since 1970; -1 before the first sample.
-    left_out_contributions : int, optional
-        Contributions of shards that daily updates left out.
     obstacle : str
         Why the service is not ready although its loop moves; empty where it is.
     of_vehicles : VehicleSnapshot, optional
@@ -173,9 +167,6 @@ class ServiceSnapshot:
     overlapping: tuple[str, ...] = ()
     shard: str = ""
     shards: int | None = None
-    absent_shards: tuple[int, ...] | None = None
-    tables_of: int | None = None
-    left_out_contributions: int | None = None
     obstacle: str = ""
     of_vehicles: VehicleSnapshot | None = None
 
@@ -245,6 +236,8 @@ class SnapshotTaker:
         Tells whether this consumer publishes, where one of several does.
     overlap : Overlapping, optional
         Tells which other consumers publish for the same cars.
+    shard : Shard, optional
+        Share of the fleet that is served.
     per_vehicle : bool
         Whether to export values of each vehicle.
     now, clock : callable
@@ -261,13 +254,14 @@ class SnapshotTaker:
         candidate: Candidate | None = None,
         overlap: Overlapping | None = None,
         *,
+        shard: Shard | None = None,
         per_vehicle: bool = False,
         now: Callable[[], float] = time.time,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pipeline, self._source, self._recorder = pipeline, source, recorder
         self._checkpoints, self._queries, self._candidate = checkpoints, queries, candidate
-        self._overlap, self._per_vehicle = overlap, per_vehicle
+        self._overlap, self._shard, self._per_vehicle = overlap, shard, per_vehicle
         self._now, self._clock = now, clock
 
     def __call__(self, tally: Tally, lag: LagMeter) -> ServiceSnapshot:
@@ -291,7 +285,8 @@ class SnapshotTaker:
             publishes=self._candidate.is_active if self._candidate else None,
             overlapping=self._overlap.found if self._overlap else (),
             obstacle=self._candidate.failure if self._candidate else "",
-            **_read_days(self._pipeline),
+            shard=str(self._shard or ""),
+            shards=self._shard.count if self._shard else None,
             **_read_quality(self._pipeline.quality()),
             **self._read_vehicles(),
             **self._read_models(),
@@ -350,20 +345,6 @@ class SnapshotTaker:
         for basis, name in names.items():
             for place, count in zip(PLACES, outcomes[basis].tolist(), strict=True):
                 yield (name, place), count
-
-
-def _read_days(pipeline: Pipeline) -> dict[str, Any]:
-    """Return what the exchange between shards tells; nothing without shards."""
-    if not isinstance(pipeline, ShardedPipeline):
-        return {}
-    days = pipeline.days
-    return {
-        "shard": str(days.shard),
-        "shards": days.shard.count,
-        "absent_shards": days.absent,
-        "tables_of": days.tables_of,
-        "left_out_contributions": days.left_out,
-    }
 
 
 def _read_quality(quality: dict[str, Any]) -> dict[str, Any]:

@@ -157,8 +157,6 @@ def describe_role(snapshot: ServiceSnapshot) -> str:
     --------
     >>> describe_role(ServiceSnapshot(publishes=False)), describe_role(ServiceSnapshot())
     ('on standby', '')
-    >>> describe_role(ServiceSnapshot(shard="2/4", absent_shards=(1, 3)))
-    'shard 2/4, with tables of yesterday: nothing from shards 1, 3'
     >>> describe_role(ServiceSnapshot(shard="2/4", overlapping=("shard 3/3",)))
     'shard 2/4, overlaps with shard 3/3'
     """
@@ -166,7 +164,4 @@ def describe_role(snapshot: ServiceSnapshot) -> str:
     words.append(f"shard {snapshot.shard}" if snapshot.shard else "")
     if snapshot.overlapping:
         words.append(f"overlaps with {' and '.join(snapshot.overlapping)}")
-    if snapshot.absent_shards:
-        absent = ", ".join(map(str, snapshot.absent_shards))
-        words.append(f"with tables of yesterday: nothing from shard{'s'[: len(snapshot.absent_shards) > 1]} {absent}")
     return ", ".join(filter(None, words))

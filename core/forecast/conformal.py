@@ -26,7 +26,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from socast.core.batch import Floats, Ints
-from socast.core.totals.exact_sums import DaySums, FloatSums
+from socast.core.totals.day_sums import DaySums
 
 BY_PLAN: Final = 0
 """Basis of a forecast: the plan."""
@@ -97,23 +97,17 @@ class ConformalIntervals:
     bounds : (bases, distances, temperatures) BOUND_PAIR
         Bounds that contain the standardised error with 90 %. [1]
     today : DaySums
-        Shifts since the last daily update, see `make_day`.
+        Since the last daily update: number of shifts, scores, and misses beyond the intended share, below and above.
     """
 
-    def __init__(self, sums: type[DaySums] = FloatSums) -> None:
+    def __init__(self) -> None:
         self.shape = BASES, len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
         self._counts = np.zeros((*self.shape, len(SCORES)))
-        self.today = self.make_day(sums)
+        self.today = DaySums(shifts=(BASES,), scores=(*self.shape, len(SCORES)), missed=(*self.shape, 2))
         self._widening_by_distance = np.zeros((*self.shape[:2], 2))  # of the lower and of the upper bound
         self._widening_by_temperature = np.zeros((*self.shape[::2], 2))
         tables, bounds = zip(*map(_compute_first_quantiles, range(BASES)), strict=True)
         self.table, self.bounds = np.stack(tables), np.stack(bounds)
-
-    @staticmethod
-    def make_day(sums: type[DaySums] = FloatSums) -> DaySums:
-        """Return the sums of a day: number of shifts, scores, and misses beyond the intended share, below and above."""
-        shape = BASES, len(DISTANCE_CLASSES), len(TEMPERATURE_CLASSES)
-        return sums(shifts=(BASES,), scores=(*shape, len(SCORES)), missed=(*shape, 2))
 
     def add_shift(self, basis: int, ahead_km: Floats, ambient_c: Floats, scores: Floats) -> None:
         """Count the standardised errors of one shift's forecasts, for the next daily update."""

@@ -54,16 +54,9 @@ class DailyUpdate(Wire):
 
 
 class DayRollover:
-    """Detect the changes of the UTC day.
+    """Detect the changes of the UTC day."""
 
-    Parameters
-    ----------
-    lead : float
-        Time before midnight at which the next day begins. [s]
-    """
-
-    def __init__(self, lead: float = 0.0) -> None:
-        self._lead = lead
+    def __init__(self) -> None:
         self._midnight = -np.inf  # coming one [s]
         self._place = 0  # of the next sample in `_newest`
         self._newest = np.full(WINDOW_SAMPLES, -1)  # lanes of the newest samples, a ring
@@ -92,7 +85,6 @@ class DayRollover:
         >>> rollover.find_rollovers(np.zeros(5, np.int64), np.array([9e9, 109.0, 86398.0, 86401.0, 86404.0]))
         [(4, 172800.0)]
         """
-        stamp = stamp + self._lead if self._lead else stamp
         lanes = int(lane.max(initial=-1)) + 1
         self._clocks = grown(self._clocks, lanes, _UNKNOWN_CLOCK)
         days: list[tuple[int, float]] = []

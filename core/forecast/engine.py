@@ -6,7 +6,7 @@ messages are cut into batches, nor on which other cars sent samples a moment ear
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from math import inf, nan
 from operator import attrgetter
 from typing import Any, Final, NamedTuple
@@ -188,9 +188,6 @@ class ForecastEngine:
     plans : PlanTracker
     weather : WeatherForecasts
     log : ForecastLog
-    divide : callable, optional
-        Function that yields the parts of an input by the statistics that their cars use, with the numbers of their
-        running rows, and replaces `statistics` before each.
     state : (lanes,) FILTER_STATE
     ends : (lanes,) END_OF_SHIFT
         Newest forecast of each lane's charge at the end of the shift, NaN before the first one and after a restart.
@@ -201,7 +198,6 @@ class ForecastEngine:
     def __init__(self, context: RunContext, width: int) -> None:
         self.context, self._cars, self.width = context, context.cars, width
         self.statistics = FleetStatistics(context, width)
-        self.divide: Callable[[DueInput], Iterable[tuple[Ints, DueInput]]] | None = None
         self.plans, self.weather, self.log = PlanTracker(), WeatherForecasts(), ForecastLog()
         self.state = create_filter_state(0)
         self.ends = np.zeros(0, END_OF_SHIFT)
@@ -209,13 +205,6 @@ class ForecastEngine:
 
     def process(self, due: DueInput) -> ForecastRows:
         """Process the totals and dispatch messages of a batch; return the forecasts at each of its running rows."""
-        if self.divide is None:
-            return self._process(due)
-        numbers, parts = zip(*((numbers, self._process(part)) for numbers, part in self.divide(due)), strict=True)
-        return parts[0] if len(parts) == 1 else ForecastRows.join(parts).rows(np.argsort(np.concatenate(numbers)))
-
-    def _process(self, due: DueInput) -> ForecastRows:
-        """Process totals and messages of cars that use the same statistics."""
         sums, kinds = due.sums, KindHistory(self._cars, due.replaced)
         lanes = len(self.context.lanes)
         self._grow(lanes)

@@ -25,7 +25,6 @@ priors in regression), ISBN 978-1-4398-4095-5. Huber, Annals of Mathematical Sta
 DOI 10.1214/aoms/1177703732.
 """
 
-from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -34,7 +33,6 @@ from numpy.typing import NDArray
 from socast.core.batch import Floats, Ints, grown, take_lanes
 from socast.core.totals.accumulator import Sums, Totals
 from socast.core.totals.display_record import create_unknown_yields
-from socast.core.totals.exact_sums import ExactSums
 from socast.core.totals.measured_energy import (
     METER_GAIN,
     RIDE_SD,
@@ -94,13 +92,9 @@ LANE_YIELD: Final = np.dtype(
         ("likelihood", "f8", (_LEVELS,)),  # logarithm
         ("rides", "f8"),  # sum of the weights of the rides by age
         ("contradictions", "f8"),  # rides in a row that contradicted what was learned
-        ("pooled_model", "f8"),  # code of the vehicle model to which the next two contributed
+        ("pooled_model", "f8"),  # code of the vehicle model to which these two contributed
         ("pooled_weight", "f8"),  # weight of the car in the factor of its model
         ("pooled_sum", "f8"),  # weight times factor
-        ("pooled_anew", "f8"),  # 1 where the car has begun the day of the newest update, in a divided fleet
-        ("next_model", "f8"),  # contribution to the next update, in a divided fleet
-        ("next_weight", "f8"),
-        ("next_sum", "f8"),
     ]
 )
 """What is learned of the car in a lane."""
@@ -134,7 +128,6 @@ class DisplayYields:
         self._lanes: NDArray[Any] = _NO_LANES
         self._codes: dict[str, int] = {}
         self._pooled: Floats = np.zeros((0, 2))  # weight, and weight times factor, of each vehicle model
-        self._pooled_anew: Floats = np.zeros((0, 2))  # the same of the newest update, in a divided fleet
         self._forgotten: Floats = np.zeros((0, 2))  # the part of it that comes from cars that are forgotten
         self._code_of_kind: Ints = np.zeros(0, np.int64)
         self._yields = create_unknown_yields(0)  # of each lane, for a car of the kind that follows
@@ -197,47 +190,6 @@ class DisplayYields:
         factor = np.where(usable, score / np.where(usable, information, 1.0), 0.0)
         return np.where(usable, self._code_of_kind[kinds], -1), weight, weight * factor
 
-    def freeze(self, lanes: Ints) -> None:
-        """Take what is known of cars now as their contribution to the next update of a divided fleet."""
-        lanes = lanes[lanes < len(self._cars.of_lane)]
-        self._grow(int(lanes.max(initial=-1)) + 1)
-        known = self._lanes[lanes]
-        known["next_model"], known["next_weight"], known["next_sum"] = self._weigh(known, self._cars.of_lane[lanes])
-        self._lanes[lanes] = known
-
-    def contribute(self) -> dict[str, ExactSums]:
-        """Return the exact sums of weight, and weight times factor, by vehicle model, of the frozen contributions."""
-        out: dict[str, ExactSums] = {}
-        for name, code in self._codes.items():
-            which = (self._lanes["next_model"] == code) & (self._lanes["next_weight"] > 0.0)
-            out[name] = ExactSums(sums=(2,))
-            out[name].add("sums", self._forgotten[code] if code < len(self._forgotten) else 0.0)
-            for pair in self._lanes[which][["next_weight", "next_sum"]].tolist():
-                out[name].add("sums", pair)
-        return out
-
-    def begin_day(self, sums: Mapping[str, ExactSums], lanes: Ints) -> None:
-        """Make the sums of a divided fleet the newest ones, which cars use from their own midnight on."""
-        for name in sorted(sums):
-            self._codes.setdefault(name, len(self._codes))
-        self._pooled = grown(self._pooled, len(self._codes), 0.0)
-        self._forgotten = grown(self._forgotten, len(self._pooled), 0.0)
-        self._pooled_anew = grown(self._pooled_anew, len(self._pooled), 0.0)
-        self._pooled[:] = self._pooled_anew
-        for name, of_model in sums.items():
-            self._pooled_anew[self._codes[name]] = of_model.get("sums")
-        self._lanes["pooled_anew"], self._kind[:] = 0.0, -1
-        self.enter_day(lanes)
-
-    def enter_day(self, lanes: Ints) -> None:
-        """Let cars use the sums of the newest update, to which they have contributed what was frozen."""
-        self._grow(int(lanes.max(initial=-1)) + 1)
-        known = self._lanes[lanes]
-        for name in ("model", "weight", "sum"):
-            known[f"pooled_{name}"] = known[f"next_{name}"]
-        known["pooled_anew"] = 1.0
-        self._lanes[lanes], self._kind[lanes] = known, -1
-
     def learn_from(self, earlier: "DisplayYields") -> None:
         """Take over what another instance has learned of the same lanes."""
         self.load(earlier.dump())
@@ -253,17 +205,16 @@ class DisplayYields:
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        pooled = (each.tolist() for each in (self._pooled, self._forgotten, self._pooled_anew))
+        pooled = (each.tolist() for each in (self._pooled, self._forgotten))
         return self._lanes.tobytes(), list(self._codes), *pooled
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        lanes, names, pooled, forgotten, anew = state
+        lanes, names, pooled, forgotten = state
         self._lanes = np.frombuffer(lanes, LANE_YIELD).copy()
         self._codes = {name: code for code, name in enumerate(names)}
         self._pooled = np.array(pooled, dtype=np.float64).reshape(-1, 2)
         self._forgotten = np.array(forgotten, dtype=np.float64).reshape(-1, 2)
-        self._pooled_anew = np.array(anew, dtype=np.float64).reshape(-1, 2)
         self._code_of_kind = np.zeros(0, np.int64)
         self._yields, self._kind = create_unknown_yields(len(self._lanes)), np.full(len(self._lanes), -1)
 
@@ -272,7 +223,7 @@ class DisplayYields:
         if len(self._lanes) < lanes:
             added = lanes - len(self._lanes)
             self._lanes = np.concatenate([self._lanes, np.zeros(added, LANE_YIELD)])
-            self._lanes["pooled_model"][-added:] = self._lanes["next_model"][-added:] = -1.0
+            self._lanes["pooled_model"][-added:] = -1.0
             self._yields = np.concatenate([self._yields, create_unknown_yields(added)])
             self._kind = np.concatenate([self._kind, np.full(added, -1)])
         if len(self._code_of_kind) < len(self._cars.models):
@@ -281,7 +232,6 @@ class DisplayYields:
             self._code_of_kind = np.array(codes, np.int64)
             self._pooled = grown(self._pooled, len(self._codes), 0.0)
             self._forgotten = grown(self._forgotten, len(self._pooled), 0.0)
-            self._pooled_anew = grown(self._pooled_anew, len(self._pooled), 0.0)
 
     def _find_yields(self, lanes: Ints, kind: Floats) -> NDArray[Any]:
         """Return the present yields of cars in lanes, (n,) DISPLAY_YIELD."""
@@ -324,11 +274,9 @@ class DisplayYields:
     def _find_prior(self, known: NDArray[Any], kinds: Ints) -> tuple[Floats, Floats]:
         """Return mean and variance of k before the data of the car itself. [1/kWh], [1/kWh^2]"""
         code = self._code_of_kind[kinds]
-        anew = (known["pooled_anew"] > 0.0)[:, np.newaxis]
-        weight, total = np.where(anew, self._pooled_anew[code], self._pooled[code]).T
+        weight, total = self._pooled[code].T
         itself = (known["pooled_weight"] > 0.0) & (known["pooled_model"] == code)
         others = weight - np.where(itself, known["pooled_weight"], 0.0)
-        others[known["pooled_anew"] > 0.0] = np.maximum(others, 0.0)[known["pooled_anew"] > 0.0]  # an update came late
         precision = others + 1.0 / MODEL_SD**2
         factor = (total - np.where(itself, known["pooled_sum"], 0.0) + 1.0 / MODEL_SD**2) / precision
         catalogue = self._cars.capacity[kinds]

@@ -130,7 +130,7 @@ def test_what_divides_the_fleet_needs_a_shard(capsys):
     assert "give --shard I/N too" in refused(capsys, "live", "--shard-by", "chunk")
 
 
-def test_a_killed_shard_is_served_by_its_standby_and_all_forecasts_are_those_of_one_consumer(tmp_path):
+def test_a_killed_shard_is_served_by_its_standby_and_all_forecasts_are_those_of_a_replay(tmp_path):
     messages = make_night(tmp_path / "night.mcap", 5, 2400.0, 600.0)
     outcome = run_shards(tmp_path, messages, 2, kill=True, rate=800.0)
     assert outcome.cars_with_forecasts == outcome.cars == 5

@@ -7,8 +7,8 @@ import argparse
 import copy
 import json
 import random
-from collections.abc import Callable, Iterator
-from functools import cache, partial
+from collections.abc import Iterator
+from functools import cache
 from hashlib import sha256
 from typing import Any, Final
 
@@ -19,10 +19,8 @@ from socast.core.errors import SocastError
 from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.snapshot import SCHEMAS
-from socast.core.wire.shard import Shard
 from socast.core.wire.state_schema import Anything, ByName, Many, Maybe, Named, Row, Schema
 from socast.stream.mcap_reader import McapSource
-from socast.stream.sharded_pipeline import ShardedPipeline
 from tests.support.paths import ROOT
 
 MESSAGES: Final = 250
@@ -30,16 +28,11 @@ MESSAGES: Final = 250
 COMPONENTS: Final = sorted(SCHEMAS.keys() - {"deferred"})
 """Components of a consumer: without those of tables."""
 
-EARLIER_STATISTICS: Final = ("days", 5)
-"""Path of statistics of the same form, and with the same reader, as those of the engine, which are forged there."""
-
 Path = tuple[Any, ...]
 
 
-def make_pipeline(component: str = "") -> Pipeline:
-    """Return a pipeline that has a component: one of a shard that waits for another one, for what shards exchange."""
-    make: Callable[..., Pipeline] = partial(ShardedPipeline, Shard(1, 2)) if component == "days" else Pipeline
-    return make(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
+def make_pipeline() -> Pipeline:
+    return Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
 
 
 @cache
@@ -48,9 +41,9 @@ def read_recording(name: str) -> list[Any]:
 
 
 @cache
-def make_content(name: str, component: str = "") -> dict[str, Any]:
-    """Return the state after most of a recording, with what nightly updates learn, and with a component."""
-    pipeline, messages = make_pipeline(component), read_recording(name)
+def make_content(name: str) -> dict[str, Any]:
+    """Return the state after most of a recording, with what nightly updates learn."""
+    pipeline, messages = make_pipeline(), read_recording(name)
     pipeline.push(messages[: len(messages) * 3 // 4])
     pipeline.take_rides(), pipeline.take_windows()
     return msgspec.msgpack.decode(pipeline.snapshot()[32:])
@@ -131,7 +124,7 @@ def list_mutations(value: Any) -> list[Any]:
     return others + numbers
 
 
-def run(content: dict[str, Any], name: str, component: str = "") -> bool:
+def run(content: dict[str, Any], name: str) -> bool:
     """Restore a state and run it on a recording; return whether it was refused.
 
     Raises
@@ -139,7 +132,7 @@ def run(content: dict[str, Any], name: str, component: str = "") -> bool:
     AssertionError
         Where the refusal is not one short line, or a forecast is implausible.
     """
-    pipeline, messages = make_pipeline(component), read_recording(name)
+    pipeline, messages = make_pipeline(), read_recording(name)
     try:
         pipeline.restore(seal(content))
     except SocastError as error:
@@ -184,16 +177,14 @@ def forge(component: str, places: int, mutations: int) -> tuple[int, int]:
     (refused, tried) : (int, int)
     """
     name, rng = "autumn.mcap", random.Random(component)
-    content = make_content(name, component)
+    content = make_content(name)
     refused = tried = 0
     for path, value in find_parts(SCHEMAS[component], content["state"][component], places, (component,)):
-        if path[:2] == EARLIER_STATISTICS:
-            continue
         every = list_mutations(value)
         for mutation in rng.sample(every, min(mutations, len(every))):
             tried += 1
             try:
-                refused += run(content | {"state": replace(content["state"], path, mutation)}, name, component)
+                refused += run(content | {"state": replace(content["state"], path, mutation)}, name)
             except Exception as error:
                 error.add_note(f"{path} is {str(mutation)[:100]}")
                 raise

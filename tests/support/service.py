@@ -46,9 +46,6 @@ FULL = ServiceSnapshot(
     publishes=True,
     overlapping=("shard 3/3",),
     shards=2,
-    absent_shards=(),
-    tables_of=0,
-    left_out_contributions=1,
     of_vehicles=VehicleSnapshot(("car-1", "car-2"), (100.0, 40.0), (5, 0)),
 )
 """Snapshot with a value of every metric."""

@@ -1,8 +1,7 @@
-"""Divide a simulated fleet among consumers over real Zenoh, compare their forecasts with those of one, and kill one.
+"""Divide a simulated fleet among consumers over real Zenoh, compare their forecasts with replays, and kill one.
 
 `python -m tests.support.shards --shards 4 --cars 200 --hours 2 --kill` prints one JSON object. Router and consumers are
-separate processes on loopback. The cars drive over midnight UTC, at which the shards exchange what they have learned.
-The publisher waits for the contributions of all shards before midnight; in service there is a quarter of an hour.
+separate processes on loopback. The cars drive over midnight UTC.
 """
 
 import argparse
@@ -17,10 +16,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from socast.core.pipeline import Pipeline
 from socast.core.wire.messages import Message
 from socast.core.wire.shard import Shard
 from socast.stream.mcap_reader import McapSource
-from socast.stream.sharded_pipeline import ShardedPipeline
 from socast.stream.zenoh_sink import ZenohSink
 from tests.support.live_consumers import Start, consumers, logged
 from tests.support.router_process import RouterProcess
@@ -43,11 +42,8 @@ class Outcome:
     forecasts: int = 0
     different: int = 0
     forecasts_after_midnight: int = 0
-    different_without_exchange: int = 0
-    forecasts_of_one: int = 0
+    forecasts_of_replay: int = 0
     cars_with_forecasts: int = 0
-    contributions: int = 0
-    contribution_bytes: int = 0
     takeover_s: float | None = None
     lost: int = 0
 
@@ -71,11 +67,7 @@ class Fleet:
         self.router = RouterProcess()
         self.node = self.router.join()
         self.received: list[tuple[float, str, str, bytes]] = []
-        self.contributions: list[tuple[str, bytes]] = []
         self.node.session.declare_subscriber("fleet/*/forecast", self._take)
-        self.node.session.declare_subscriber(
-            "socast/shards/*", lambda s: self.contributions.append((str(s.key_expr), s.payload.to_bytes()))
-        )
         self.running: dict[tuple[int, int], tuple[Any, Path]] = {}
         for member in (0, 1):
             for shard in range(1, count + 1):
@@ -85,17 +77,8 @@ class Fleet:
                     where = "--connect", self.router.endpoint, "--shard", f"{shard}/{count}"
                     self.running[shard, member] = start(*where, *["--standby"] * (shard in standbys), *files)
 
-    def publish(self, messages: Sequence[Message], count: int, rate: float) -> Iterator[int]:
-        """Publish messages in rounds, and yield the number of those that were published.
-
-        Parameters
-        ----------
-        messages : sequence of Message
-        count : int
-            Number of shards whose contributions are awaited before midnight.
-        rate : float
-            Number of messages per second. [1/s]
-        """
+    def publish(self, messages: Sequence[Message], rate: float) -> Iterator[int]:
+        """Publish messages in rounds at a rate [1/s], and yield the number of those that were published."""
         sink, place = ZenohSink(self.node), 0
         while place < len(messages):
             began = time.monotonic()
@@ -103,8 +86,6 @@ class Fleet:
             end = place
             while end < len(messages) and messages[end].receipt_ns < until:
                 end += 1
-            if messages[place].receipt_ns < MIDNIGHT_NS <= until + 60 * 10**9:
-                assert eventually(lambda: len({key for key, _ in self.contributions}) == count, 300.0), "no exchange"
             sink.put(messages[place:end])
             yield end
             time.sleep(max(0.0, (end - place) / rate - (time.monotonic() - began)))
@@ -176,7 +157,7 @@ def make_night(path: Path, cars: int, before_s: float, after_s: float, seed: int
 
 
 def run_shards(folder: Path, messages: Sequence[Message], count: int, *, kill: bool, rate: float) -> Outcome:
-    """Publish messages to the consumers of all shards, and compare their forecasts with those of one consumer.
+    """Publish messages to the consumers of all shards, and compare their forecasts with those of replays.
 
     Parameters
     ----------
@@ -194,7 +175,7 @@ def run_shards(folder: Path, messages: Sequence[Message], count: int, *, kill: b
     with consumers(folder) as start:
         fleet = Fleet(folder, start, count, [1] if kill else [])
         try:
-            for published in fleet.publish(messages, count, rate):
+            for published in fleet.publish(messages, rate):
                 if kill and outcome.takeover_s is None and published > len(messages) * 2 // 3:
                     outcome.takeover_s = round(fleet.kill_active(Shard(1, count)), 3)
             wait_until_quiet(fleet)
@@ -202,7 +183,7 @@ def run_shards(folder: Path, messages: Sequence[Message], count: int, *, kill: b
         finally:
             fleet.close()
     outcome.seconds = round(time.monotonic() - began, 1)
-    compare(outcome, messages, fleet)
+    compare(outcome, messages, fleet, count)
     return outcome
 
 
@@ -215,20 +196,20 @@ def wait_until_quiet(fleet: Fleet, seconds: float = 2.0) -> None:
             seen, since = len(fleet.received), time.monotonic()
 
 
-def compare(outcome: Outcome, messages: Sequence[Message], fleet: Fleet) -> None:
-    """Compare the published forecasts with those of one consumer, and with those of a shard that learns alone."""
-    one = ShardedPipeline(Shard(1, 1))
-    reference = {(m.key.split("/")[1], m.payload): m.receipt_ns for m in one.push(messages)}
+def compare(outcome: Outcome, messages: Sequence[Message], fleet: Fleet, count: int) -> None:
+    """Compare the published forecasts with those of a pipeline for each shard that takes its messages alone."""
+    reference: dict[tuple[str, bytes], int] = {}
+    for shard in (Shard(index, count) for index in range(1, count + 1)):
+        pipeline = Pipeline()
+        mine = [m for m in messages if m.key.startswith("weather/") or shard.has(m.key.split("/")[1])]
+        reference |= {(m.key.split("/")[1], m.payload): m.receipt_ns for m in pipeline.push(mine)}
+        outcome.cars += len(pipeline.lanes)
+        outcome.lost -= int(pipeline.decoder.losses.lost().sum())  # those that the loggers left out
     published = {(car, payload) for _, _, car, payload in fleet.received}
-    outcome.cars, outcome.cars_with_forecasts = len(one.lanes), len({car for car, _ in published})
-    outcome.forecasts, outcome.forecasts_of_one = len(published), len(reference)
+    outcome.cars_with_forecasts = len({car for car, _ in published})
+    outcome.forecasts, outcome.forecasts_of_replay = len(published), len(reference)
     outcome.different = len(published - set(reference))
     outcome.forecasts_after_midnight = sum(reference.get(each, 0) >= MIDNIGHT_NS for each in published)
-    alone = {(m.key.split("/")[1], m.payload) for m in ShardedPipeline(Shard(1, 2)).push(messages)}
-    outcome.different_without_exchange = len(published - alone)
-    outcome.lost -= int(one.decoder.losses.lost().sum())  # those that the loggers left out
-    outcome.contributions = len(fleet.contributions)
-    outcome.contribution_bytes = max((len(payload) for _, payload in fleet.contributions), default=0)
 
 
 def main() -> None:

@@ -1,8 +1,7 @@
 """The options that `live` and `replay` share: models, settings of cleaning, key prefix and warm-up recordings."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,7 +14,6 @@ from socast.core.wire.shard import Shard
 from socast.stream.elevation_files import open_elevation
 from socast.stream.mcap_reader import McapSource
 from socast.stream.recording_metadata import list_changed_settings, make_metadata
-from socast.stream.sharded_pipeline import ShardedPipeline
 from socast.stream.zenoh_session import parse_prefix
 from socast.tools.terminal.cleaning_options import insert_cleaning_options
 from socast.tools.terminal.elevation_option import ElevationFiles
@@ -116,8 +114,7 @@ def make_pipeline(
     elevation_map = open_elevation(options.elevation)
     earlier = options.warm_up if warm else None
     learned = learn_from_recordings(first, shadows, options.settings, earlier, replayed, elevation_map)
-    make: Callable[..., Pipeline] = partial(ShardedPipeline, shard) if shard else Pipeline
-    pipeline = make(
+    pipeline = Pipeline(
         first,
         options.settings,
         prefix,
@@ -126,6 +123,8 @@ def make_pipeline(
         elevation_map=elevation_map,
         limits=limits,
     )
+    if shard:  # each shard publishes the errors of its models under a key of its own
+        pipeline.shadows.prefix = f"{prefix}socast/shards/{shard.chunk}/"
     if learned:
         pipeline.learn_from(learned)
     return pipeline

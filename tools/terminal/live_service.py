@@ -26,13 +26,14 @@ from socast.stream.recorder import Recorder
 from socast.stream.recording_metadata import list_changed_settings
 from socast.stream.service_monitor import ServiceMonitor
 from socast.stream.service_snapshot import SnapshotTaker
+from socast.stream.shard_rows import ShardSource
 from socast.stream.source import Sink
 from socast.stream.state_file import StateFile
 from socast.stream.structured_log import event_fields
 from socast.stream.zenoh_overlap import OverlapWatch
 from socast.stream.zenoh_queryable import ZenohQueryable
+from socast.stream.zenoh_receiver import shares_batches
 from socast.stream.zenoh_session import Connection, Node
-from socast.stream.zenoh_shards import ShardedSource
 from socast.stream.zenoh_sink import ZenohSink
 from socast.stream.zenoh_source import ZenohSource
 from socast.stream.zenoh_standby import LEASE_S, FencedSink, Standby, StandbyQueryable, TakeoverSink
@@ -119,7 +120,7 @@ class ServiceParts:
     Parameters
     ----------
     monitor : ServiceMonitor
-    source : ZenohSource or ShardedSource
+    source : ZenohSource or ShardSource
     pipeline : Pipeline
     sink : Sink
         Sink of what is published.
@@ -132,7 +133,7 @@ class ServiceParts:
     """
 
     monitor: ServiceMonitor
-    source: ZenohSource | ShardedSource
+    source: ZenohSource | ShardSource
     pipeline: Pipeline
     sink: Sink
     queries: QueryService
@@ -177,7 +178,8 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
     overlap = ending.enter_context(OverlapWatch(node, standby=options.standby))
     queryable, sink, watches = _open_outputs(node, ending, role, options.limits)
     source = ZenohSource(node, stop, options.limits.queue_bytes)
-    received = ShardedSource(source, node, options.shard) if options.shard else source
+    own_rows = options.shard if shares_batches(node) else None
+    received = ShardSource(source, own_rows, options.limits) if own_rows else source
     _log_start(node, pipeline, models, monitor)
     sink.put(first)
     parts = ServiceParts(
@@ -304,6 +306,7 @@ def _add_watches(
         parts.queries,
         role,
         overlap,
+        shard=options.shard,
         per_vehicle=options.metrics_per_car,
     )
     parts.watches.extend(parts.monitor.make_watches(take, stop))

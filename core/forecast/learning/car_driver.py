@@ -7,7 +7,6 @@ drivers.
 """
 
 from collections import deque
-from collections.abc import Sequence
 from hashlib import blake2b
 from math import log, nan
 from statistics import fmean, median
@@ -33,8 +32,6 @@ KEPT_SHIFTS: Final = 20
 """Number of newest shifts of a car that are remembered."""
 KEPT_DRIVERS: Final = 10_000
 """Number of drivers that are remembered, beside `DRIVERS_PER_CAR`: those with the newest shifts."""
-GUEST: Final = -1
-"""Lane of a car that another consumer serves."""
 DRIVERS_PER_CAR: Final = 8
 """Number of drivers per car that are remembered; rarely do more share one, stand-ins included."""
 
@@ -54,15 +51,6 @@ class ShiftPattern(NamedTuple):
     relative_power: float
 
 
-class GuestShift(NamedTuple):
-    """Hold a shift as `ConsumptionFactors.add_shift` takes it, without its lane."""
-
-    driver: int | None
-    predicted_kwh: float
-    used_kwh: float
-    capacity_kwh: float
-
-
 class LogFactor(NamedTuple):
     """Hold the normal distribution of the logarithm of a consumption factor, or of a part of it."""
 
@@ -80,18 +68,12 @@ class ConsumptionFactors:
     """Learn how much each car and driver uses, as the logarithm of used over predicted energy.
 
     Cars are identified by their lanes, drivers by their codes, see `compute_driver_code`.
-
-    Attributes
-    ----------
-    fleet_cars : int
-        Number of cars with a shift in the whole fleet, where this consumer serves a share of it.
     """
 
     def __init__(self) -> None:
         self._patterns: dict[int, deque[ShiftPattern]] = {}
         self._cars: dict[int, LogFactor] = {}
         self._drivers: dict[int, LogFactor] = {}  # the driver with the newest shift is the last
-        self.fleet_cars = 0
 
     def expect(self, lane: int, driver: int | None = None) -> LogFactor:
         """Return the distribution of a shift of a car, with its driver where that is known."""
@@ -121,18 +103,11 @@ class ConsumptionFactors:
             person = self.get_driver(driver)
             self._drivers.pop(driver, None)
             self._drivers[driver] = _update_part(person, residual, total, DRIVER_SD, DRIVER_CHANGE_SHIFTS)
-            if len(self._drivers) > KEPT_DRIVERS + DRIVERS_PER_CAR * (self.fleet_cars or len(self._cars)):
+            if len(self._drivers) > KEPT_DRIVERS + DRIVERS_PER_CAR * len(self._cars):
                 del self._drivers[next(iter(self._drivers))]
 
     def __len__(self) -> int:
         return len(self._cars)
-
-    def add_guest_shifts(self, car: LogFactor, shifts: Sequence[GuestShift]) -> None:
-        """Update the parts of drivers by the shifts of a car that another consumer serves."""
-        self._cars[GUEST] = car
-        for shift in shifts:
-            self.add_shift(GUEST, *shift)
-        del self._cars[GUEST]
 
     def add_pattern(self, lane: int, pattern: ShiftPattern) -> None:
         """Remember the duration and intensity of a shift of a car."""

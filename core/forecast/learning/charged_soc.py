@@ -20,7 +20,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.forecast.conformal import DAY_MEMORY
-from socast.core.totals.exact_sums import DaySums, FloatSums
+from socast.core.totals.day_sums import DaySums
 
 CENTRE: Final = 0.8
 """Planned charge at which the slope has no effect. [1]"""
@@ -46,17 +46,12 @@ class ChargedSoc:
     variance : float
         Of the noise. [1]
     today : DaySums
-        Charges since the last daily update, see `make_day`.
+        Of charges since the last daily update: number, and sums of x, x^2, y, x y and y^2.
     """
 
-    def __init__(self, sums: type[DaySums] = FloatSums) -> None:
-        self._sums, self.today = np.zeros(_SUMS), self.make_day(sums)
+    def __init__(self) -> None:
+        self._sums, self.today = np.zeros(_SUMS), DaySums(sums=(_SUMS,))
         self._fit()
-
-    @staticmethod
-    def make_day(sums: type[DaySums] = FloatSums) -> DaySums:
-        """Return the sums of a day: number of charges, and sums of x, x^2, y, x y and y^2."""
-        return sums(sums=(_SUMS,))
 
     def add_charges(self, outcomes: Sequence[tuple[float, float]]) -> None:
         """Add planned charges with the charge that the car departed with, for the next daily update. [1]"""

@@ -12,7 +12,7 @@ import numpy as np
 from socast.core.batch import Floats
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.forecast.conformal import DAY_MEMORY
-from socast.core.totals.exact_sums import DaySums, FloatSums
+from socast.core.totals.day_sums import DaySums
 
 HOURS: Final = 24
 """Number of hours of a day."""
@@ -32,18 +32,13 @@ class DailyCycle:
     Attributes
     ----------
     today : DaySums
-        Changes since the last daily update, see `make_day`.
+        By hour, since the last daily update: change of the temperature [K], and the time of it [s].
     """
 
-    def __init__(self, sums: type[DaySums] = FloatSums) -> None:
-        self.today = self.make_day(sums)
+    def __init__(self) -> None:
+        self.today = DaySums(change=(HOURS,), seconds=(HOURS,))
         self._rates, self._days = np.zeros(HOURS), np.zeros(HOURS)  # weighted sum of the days' rates [K/h], weights
         self._compute_change()
-
-    @staticmethod
-    def make_day(sums: type[DaySums] = FloatSums) -> DaySums:
-        """Return the sums of a day by hour, of all shifts: change of the temperature [K], and the time of it [s]."""
-        return sums(change=(HOURS,), seconds=(HOURS,))
 
     def add_shift(self, time: Floats, celsius: Floats) -> None:
         """Add the outside temperatures of a shift, for the next daily update."""

@@ -22,7 +22,7 @@ import numpy as np
 from socast.core.batch import Floats
 from socast.core.forecast.conformal import DAY_MEMORY, weigh_day
 from socast.core.forecast.learning.leg_energy import TEMPERATURES, compute_knot_weights
-from socast.core.totals.exact_sums import DaySums, FloatSums
+from socast.core.totals.day_sums import DaySums
 
 MILD: Final = 14.0, 21.0
 """Temperatures between which neither cold nor heat counts. [°C]"""
@@ -80,19 +80,14 @@ class EnergyCorrection:
     covariance : (bases, temperatures, 2, 2) float
         Covariance of both at each knot.
     today : DaySums
-        Shifts since the last daily update, see `make_day`.
+        By basis, since the last daily update: number of shifts, and normal equations.
     """
 
-    def __init__(self, bases: int, sums: type[DaySums] = FloatSums) -> None:
+    def __init__(self, bases: int) -> None:
         self._matrix = np.zeros((bases, COEFFICIENTS, COEFFICIENTS))  # of the normal equations
         self._right = np.zeros((bases, COEFFICIENTS))
-        self.today = self.make_day(bases, sums)
+        self.today = DaySums(shifts=(bases,), matrix=(bases, COEFFICIENTS, COEFFICIENTS), right=(bases, COEFFICIENTS))
         self._compute_factors()
-
-    @staticmethod
-    def make_day(bases: int, sums: type[DaySums] = FloatSums) -> DaySums:
-        """Return the sums of a day: number of shifts, and matrix and right side of the normal equations, by basis."""
-        return sums(shifts=(bases,), matrix=(bases, COEFFICIENTS, COEFFICIENTS), right=(bases, COEFFICIENTS))
 
     def add_shift(self, basis: int, forecasts: PartForecasts) -> None:
         """Add the forecasts of a shift, all together with the weight of one, for the next daily update."""

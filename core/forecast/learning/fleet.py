@@ -13,21 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints, grown, take_lanes
-from socast.core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals, check_scores
+from socast.core.forecast.conformal import BASES, TO_CHARGE, ConformalIntervals
 from socast.core.forecast.filter_state import LOG_FACTOR_PRIOR
-from socast.core.forecast.learning.car_driver import ConsumptionFactors, GuestShift, LogFactor, ShiftPattern
+from socast.core.forecast.learning.car_driver import ConsumptionFactors, ShiftPattern
 from socast.core.forecast.learning.charged_soc import ChargedSoc
 from socast.core.forecast.learning.daily_cycle import DailyCycle
 from socast.core.forecast.learning.energy_correction import EnergyCorrection
 from socast.core.forecast.learning.first_tables import make_first_tables
 from socast.core.forecast.learning.forecast_errors import ShiftErrors
 from socast.core.forecast.learning.leg_energy import TEMPERATURES, LegEnergyTables
-from socast.core.forecast.learning.ride_stats import ModelSums, RideStatistics
+from socast.core.forecast.learning.ride_stats import RideStatistics
 from socast.core.forecast.outlook import UsualConsumption, compute_temperature_weights
 from socast.core.forecast.soc_filter import WARM_UP_TIME
 from socast.core.totals.accumulator import Totals
 from socast.core.totals.context import RunContext
-from socast.core.totals.exact_sums import DaySums, ExactSums, FloatSums
 from socast.core.totals.measured_energy import compute_largest_energy, measure_energy
 from socast.core.totals.tables import unfit_reason
 from socast.core.vehicles.fleet import UNKNOWN
@@ -80,74 +79,6 @@ class ShiftEnergy(NamedTuple):
     is_corrected: bool
 
 
-class GuestCar(NamedTuple):
-    """Hold a car whose drivers the whole fleet learns of, with its part before its shifts, and its shifts in order."""
-
-    name: str
-    part: LogFactor
-    shifts: Sequence[ShiftEnergy]
-
-
-class FleetDay:
-    """Hold what the cars of a consumer contribute to a daily update of a divided fleet.
-
-    Parameters
-    ----------
-    rides : RideStatistics
-        Makes the sums of a vehicle model.
-
-    Attributes
-    ----------
-    rides : dict of str to ModelSums
-    sums : dict of str to DaySums
-        Exact ones, by the name of the component that takes them.
-    shifts : list of ShiftEnergy
-    patterns : list of (int, ShiftPattern)
-        By lane.
-    """
-
-    def __init__(self, state: Any = None, rides: RideStatistics | None = None) -> None:
-        self.rides: dict[str, ModelSums] = {}
-        self.sums: dict[str, DaySums] = {
-            "conformal": ConformalIntervals.make_day(ExactSums),
-            "correction": EnergyCorrection.make_day(BASES, ExactSums),
-            "daily_cycle": DailyCycle.make_day(ExactSums),
-            "charged_soc": ChargedSoc.make_day(ExactSums),
-        }
-        self.shifts: list[ShiftEnergy] = []
-        self.patterns: list[tuple[int, ShiftPattern]] = []
-        if state is not None and rides is not None:
-            models, sums, shifts, patterns = state
-            self.rides = rides.load_sums(models)
-            for name, of_component in self.sums.items():
-                of_component.load(sums[name])
-            check_scores(self.sums["conformal"])
-            self.shifts = [ShiftEnergy(*each) for each in shifts]
-            self.patterns = [(lane, ShiftPattern(*each)) for lane, each in patterns]
-
-    def merge(self, other: "FleetDay") -> None:
-        """Add the sums of another consumer, but no shifts and patterns."""
-        for name, of_component in self.sums.items():
-            assert isinstance(of_component, ExactSums)
-            of_component.merge(other.sums[name])
-        for name, of_model in other.rides.items():
-            if name in self.rides:
-                self.rides[name].merge(of_model)
-            else:
-                self.rides[name] = of_model
-
-    def keep(self, lanes: Ints) -> None:
-        """Keep what belongs to some lanes only, in their order, beside the sums."""
-        number = {lane: new for new, lane in enumerate(lanes.tolist())}
-        self.shifts = [each._replace(lane=number[each.lane]) for each in self.shifts if each.lane in number]
-        self.patterns = [(number[lane], each) for lane, each in self.patterns if lane in number]
-
-    def dump(self) -> Any:
-        """Return the state as plain values."""
-        models = RideStatistics.dump_sums(self.rides)
-        return models, {name: each.dump() for name, each in self.sums.items()}, self.shifts, self.patterns
-
-
 class EnergyCorrections(NamedTuple):
     """Hold how tables change the energy that the model predicts of n rides or idle periods, (n,) float each.
 
@@ -173,8 +104,6 @@ class FleetStatistics:
     context : RunContext
     width : int
         Number of amounts that are summed of a ride.
-    sums : type
-        Type of the sums of a day, exact where those of several consumers are merged.
 
     Attributes
     ----------
@@ -184,11 +113,11 @@ class FleetStatistics:
         Numbers of evaluated forecasts with the outcome below, inside and above their published interval.
     """
 
-    def __init__(self, context: RunContext, width: int, sums: type[DaySums] = FloatSums) -> None:
+    def __init__(self, context: RunContext, width: int) -> None:
         self._context, self._cars = context, context.cars
-        self.rides, self.factors = RideStatistics(width, sums), ConsumptionFactors()
-        self.conformal, self.correction = ConformalIntervals(sums), EnergyCorrection(BASES, sums)
-        self.daily_cycle, self.charged_soc = DailyCycle(sums), ChargedSoc(sums)
+        self.rides, self.factors = RideStatistics(width), ConsumptionFactors()
+        self.conformal, self.correction = ConformalIntervals(), EnergyCorrection(BASES)
+        self.daily_cycle, self.charged_soc = DailyCycle(), ChargedSoc()
         self.interval_outcomes: Ints = np.zeros((BASES, 3), np.int64)
         self.prior = np.zeros(0, LOG_FACTOR_PRIOR)
         self._patterns = np.zeros(0, SHIFT_PATTERN)
@@ -240,26 +169,10 @@ class FleetStatistics:
         if pattern is not None:
             self._new_patterns.append((energy.lane, pattern))
 
-    def use_day(self, day: FleetDay) -> None:
-        """Collect what follows for a daily update of a divided fleet."""
-        self.rides.today = day.rides
-        for name, sums in day.sums.items():
-            getattr(self, name).today = sums
-        self._shifts, self._new_patterns = day.shifts, day.patterns
-
-    def apply_daily_update(self, guests: Sequence[GuestCar] = ()) -> None:
-        """Let everything that was collected take effect, after the shifts of cars whose drivers all consumers share."""
+    def apply_daily_update(self) -> None:
+        """Let everything that was collected take effect."""
         self.rides.update_tables(self._context)
         self._tables = []
-        for guest in guests:
-            pairs = [(each, self.correct_prediction(each)) for each in guest.shifts]
-            known = [GuestShift(e.driver, p, e.used_kwh, e.capacity_kwh) for e, p in pairs if p is not None]
-            lane = self._context.lanes.find(guest.name)
-            if lane is None:
-                self.factors.add_guest_shifts(guest.part, known)
-            else:
-                for shift in known:
-                    self.factors.add_shift(lane, *shift)
         for energy in self._shifts:
             if (predicted := self.correct_prediction(energy)) is not None:
                 self.factors.add_shift(energy.lane, energy.driver, predicted, energy.used_kwh, energy.capacity_kwh)

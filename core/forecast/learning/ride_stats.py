@@ -40,7 +40,7 @@ from socast.core.forecast.learning.leg_energy_fit import (
 from socast.core.forecast.soc_filter import ENERGY_SD
 from socast.core.totals.accumulator import EDGES, Totals
 from socast.core.totals.context import RunContext
-from socast.core.totals.exact_sums import DaySums, ExactSums, FloatSums
+from socast.core.totals.day_sums import DaySums
 
 LEAST_RIDES: Final = 12
 """Rides of a vehicle model below which it has no tables of its own."""
@@ -61,8 +61,6 @@ class ModelSums:
     ----------
     width : int
         Number of amounts that are summed of a ride.
-    sums : type
-        Type of the sums.
 
     Attributes
     ----------
@@ -72,9 +70,9 @@ class ModelSums:
         First and last sample of the newest ride.
     """
 
-    def __init__(self, width: int, sums: type[DaySums] = FloatSums) -> None:
+    def __init__(self, width: int) -> None:
         knots = len(TEMPERATURES)
-        self.sums: DaySums = sums(
+        self.sums = DaySums(
             ride_amounts=(CELLS, width),
             ride_energy=(CELLS, _ENERGIES),
             idle_energy=(knots, _ENERGIES),
@@ -117,17 +115,8 @@ class ModelSums:
         self.sums.add(name, weights[which, np.newaxis] * row, (which,))
 
     def note_ride(self, first: Floats, last: Floats) -> None:
-        """Keep the first and last sample of a ride, of exact sums only if it is newer; values decide a tie."""
-        is_ordered = isinstance(self.sums, FloatSums)
-        if is_ordered or _rank(first, last) > _rank(self.first_edge, self.last_edge):
-            self.first_edge[:], self.last_edge[:] = first, last
-
-    def merge(self, other: "ModelSums") -> None:
-        """Add the exact sums of another instance."""
-        assert isinstance(self.sums, ExactSums)
-        assert isinstance(other.sums, ExactSums)
-        self.sums.merge(other.sums)
-        self.note_ride(other.first_edge, other.last_edge)
+        """Keep the first and last sample of a ride."""
+        self.first_edge[:], self.last_edge[:] = first, last
 
     def build_tables(self, context: RunContext) -> LegEnergyTables | None:
         """Return the tables of leg energy by the model of `context`, None where there are too few plausible rides."""
@@ -159,21 +148,16 @@ class RideStatistics:
     ----------
     width : int
         Number of amounts that are summed of a ride.
-    sums : type
-        Type of the sums: `FloatSums`, or `ExactSums` where the sums of several consumers are merged.
 
     Attributes
     ----------
     tables : dict of str to LegEnergyTables
         By vehicle model.
-    today : dict of str to ModelSums
-        Sums since the last daily update, by vehicle model.
     """
 
-    def __init__(self, width: int, sums: type[DaySums] = FloatSums) -> None:
-        self._width, self._type = width, sums
+    def __init__(self, width: int) -> None:
+        self._width = width
         self._sums: dict[str, ModelSums] = {}
-        self.today = {} if sums is ExactSums else self._sums  # sums of floats are added in the order of rides
         self.tables: dict[str, LegEnergyTables] = {}
 
     def add_rides(self, models: Sequence[str], rides: Totals, predicted: Floats, measured: Floats) -> None:
@@ -200,7 +184,7 @@ class RideStatistics:
     def _add_to_equations(self, model: str, ride: Totals, ambient: Floats, measured: float) -> None:
         """Add a ride to the normal equations of its terms, with the variance that the present tables predict."""
         km, seconds = ride.amount("distance") / 1000.0, ride.amount("duration")
-        tables, sums = self.tables[model], self.today[model].sums
+        tables, sums = self.tables[model], self._sums[model].sums
         terms = tables.compute_terms(km, seconds, ride.amount("gained"), ride.amount("lost"))
         waited = float(terms.waiting[0] * (tables.standing_power @ ambient))
         row = np.zeros(1, FIT_TERMS)
@@ -228,17 +212,13 @@ class RideStatistics:
                 sums.sums.add("counts", 1.0, (1,))
 
     def _get_sums(self, model: str) -> ModelSums:
-        """Return the sums of a vehicle model since the last daily update."""
-        if model not in self.today:
-            self.today[model] = ModelSums(self._width, self._type)
-        return self.today[model]
+        """Return the sums of a vehicle model."""
+        if model not in self._sums:
+            self._sums[model] = ModelSums(self._width)
+        return self._sums[model]
 
     def update_tables(self, context: RunContext) -> None:
         """Compute the tables of every vehicle model from its sums, for forecasts by the model of `context`."""
-        if self.today is not self._sums:
-            for name, sums in sorted(self.today.items()):
-                self._sums.setdefault(name, ModelSums(self._width, self._type)).merge(sums)
-            self.today.clear()
         ready = {name: sums for name, sums in self._sums.items() if sums.rides >= LEAST_RIDES}
         built = ((name, sums.build_tables(context)) for name, sums in ready.items())
         # tables that an earlier model learned hold until there are enough rides of the present one
@@ -251,26 +231,14 @@ class RideStatistics:
             name: {field: np.asarray(value).tolist() for field, value in known._asdict().items()}
             for name, known in sorted(self.tables.items())
         }
-        today = {} if self.today is self._sums else self.today
-        return self.dump_sums(self._sums), self.dump_sums(today), tables
-
-    @staticmethod
-    def dump_sums(sums: dict[str, ModelSums]) -> Any:
-        """Return sums by vehicle model as plain values, ordered by name."""
-        return {name: each.dump() for name, each in sorted(sums.items())}
-
-    def load_sums(self, state: Any) -> dict[str, ModelSums]:
-        """Return the sums that `dump_sums` returned as plain values."""
-        out = {name: ModelSums(self._width, self._type) for name in state}
-        for name, sums in out.items():
-            sums.load(state[name])
-        return out
+        return {name: each.dump() for name, each in sorted(self._sums.items())}, tables
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned."""
-        sums, today, tables = state
-        self._sums = self.load_sums(sums)
-        self.today = self.load_sums(today) if self._type is ExactSums else self._sums
+        sums, tables = state
+        self._sums = {name: ModelSums(self._width) for name in sums}
+        for name, of_model in self._sums.items():
+            of_model.load(sums[name])
         self.tables = {name: _load_tables(fields) for name, fields in tables.items()}
 
 
@@ -306,8 +274,3 @@ def _compute_energy_sums(totals: Totals, predicted: Floats, measured: Floats) ->
     for name, values in columns.items():
         out[name] = np.where(known, values, 0.0)
     return out
-
-
-def _rank(first: Floats, last: Floats) -> tuple[float, bytes]:
-    """Return a rank of rides by the time of the last sample; that of equally new ones is decided by all values."""
-    return float(last[_TIME]), np.delete([first, last], _NUMBERED, axis=1).tobytes()

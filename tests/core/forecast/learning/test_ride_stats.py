@@ -192,7 +192,7 @@ def driven(known, rides, rng):
 
 def equations_of(statistics):
     """Return the normal equations of the model."""
-    return (statistics._sums | statistics.today)[MODEL].equations
+    return statistics._sums[MODEL].equations
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -226,7 +226,7 @@ def test_ride_that_mostly_waited_counts_for_no_pace():
     rides.amounts[0, AMOUNTS.index("duration")] = 3600.0 * 8.0
     statistics = RideStatistics(len(AMOUNTS))
     statistics.add_rides([MODEL], rides, used, used)
-    sums = statistics.today[MODEL]
+    sums = statistics._sums[MODEL]
     assert not sums.ride_sums.amounts.any()
     assert not sums.ride_sums.energy["hours"].any()
     assert sums.rides == 1

@@ -1,0 +1,45 @@
+"""Named arrays of sums, which a daily update takes and begins anew."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from socast.core.batch import Floats
+
+
+class DaySums:
+    """Hold named arrays of sums of floats, in the order in which they are added.
+
+    Parameters
+    ----------
+    **shapes : tuple of int
+        Shape of each array.
+    """
+
+    def __init__(self, **shapes: tuple[int, ...]) -> None:
+        self._parts = {name: np.zeros(shape) for name, shape in shapes.items()}
+
+    def add(self, name: str, values: ArrayLike, at: Any = ()) -> None:
+        """Add values to an array, or to the place `at` of it, at which no cell stands twice."""
+        self._parts[name][at] += values
+
+    def get(self, name: str) -> Floats:
+        """Return an array of sums, which `add` changes."""
+        return self._parts[name]
+
+    def clear(self) -> None:
+        """Set all sums to 0, in new arrays."""
+        self._parts = {name: np.zeros(part.shape) for name, part in self._parts.items()}
+
+    def dump(self) -> bytes:
+        """Return the sums as bytes."""
+        return b"".join(part.tobytes() for part in self._parts.values())
+
+    def load(self, state: bytes) -> None:
+        """Replace the sums by those that `dump` returned; raise ValueError where they are none."""
+        values = np.frombuffer(state)
+        if len(values) != sum(part.size for part in self._parts.values()) or np.isnan(values).any():
+            raise ValueError("sums of another number, or not a number")
+        for name, part in self._parts.items():
+            self._parts[name], values = values[: part.size].reshape(part.shape).copy(), values[part.size :]
