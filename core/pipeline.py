@@ -239,13 +239,10 @@ class Pipeline:
 
     def _add_rows(self, rows: CleanRows) -> None:
         """Sum up cleaned rows, and take the totals."""
-        self._take_attached(self.displays.attach(self.sum_up(rows), len(self.lanes)), rows.size)
-
-    def _take_attached(self, sums: Sums, rows: int) -> None:
-        """Take the totals of rows."""
+        sums = self.displays.attach(self.sum_up(rows), len(self.lanes))
         self._take_closed(sums)
         if self.keep_forecasts:
-            self._pending.add_sums(sums, rows)
+            self._pending.add_sums(sums, rows.size)
 
     def clean_up(
         self,

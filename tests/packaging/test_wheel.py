@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.example_project import change_coefficient, write_example
+from tests.support.example_project import read_change, write_example
 from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.long
@@ -95,7 +95,7 @@ def test_example_of_the_guide_passes_and_fails_after_a_change_of_one_percent(env
         run(environment, tmp_path, "sh", "-c", command)
     assert "expected/rides.csv: written for the first time" in run(environment, tmp_path, *pytest_of, update.split()[1])
     assert (test, "6 passed" in run(environment, tmp_path, *pytest_of)) == ("pytest", True)
-    change_coefficient(tmp_path / "model.json", "rolling", 1.01)
+    run(environment, tmp_path, environment / "bin" / "python", "-c", read_change())
     apart = {name: value for name, value in os.environ.items() if name != "CI"}  # CI makes pytest repeat messages
     failed = subprocess.run(pytest_of, cwd=tmp_path, capture_output=True, text=True, check=False, env=apart)
     assert failed.returncode == 1

@@ -1,12 +1,9 @@
-"""The example project of the guide "Test with recordings": its files, its commands, and a change of its model."""
+"""The example project of the guide "Test with recordings": its files, its commands, and the change of its model."""
 
 import re
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
-from socast.core import models
 from tests.support.paths import ROOT
 
 GUIDE: Final = ROOT / "docs" / "guide" / "test-with-recordings.md"
@@ -24,14 +21,6 @@ def write_example(folder: Path) -> list[str]:
     return str(COMMANDS.findall(guide)[-1]).splitlines()
 
 
-def change_coefficient(file: Path, term: str, factor: float) -> None:
-    """Multiply a coefficient of a model file."""
-    model = models.load(str(file))
-    place = [each.name for each in model.terms].index(term)
-    fits = {
-        car: msgspec.structs.replace(
-            fit, coefficients=tuple(c * factor if i == place else c for i, c in enumerate(fit.coefficients))
-        )
-        for car, fit in model.fits.items()
-    }
-    models.save(models.stamp(msgspec.structs.replace(model, fits=fits)), file)
+def read_change() -> str:
+    """Return the code with which the guide changes a coefficient of the model."""
+    return GUIDE.read_text(encoding="utf-8").rpartition("```python\n")[2].partition("```")[0]

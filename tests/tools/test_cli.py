@@ -238,7 +238,7 @@ def test_call_without_command_prints_help_without_error(call, capsys):
     ("arguments", "message"),
     [
         (["info", "nowhere.mcap"], "nowhere.mcap"),
-        (["info", "/"], "directory"),
+        (["info", "/"], "no *.mcap in this folder"),
         (["replay", "{rec}", "--speed", "fast"], "fast"),
         (["replay", "{rec}", "--speed", "0"], "'0'"),
         (["replay", "{rec}", "--longest-gap", "-1"], "gap"),

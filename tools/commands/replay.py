@@ -3,7 +3,8 @@
 import shutil
 import time
 from collections.abc import Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from datetime import tzinfo
 from math import inf
 from pathlib import Path
@@ -11,6 +12,7 @@ from tempfile import TemporaryDirectory
 from threading import Event
 from typing import Annotated, Any
 
+import pandas as pd
 import typer
 from rich.console import Console
 
@@ -18,7 +20,9 @@ from socast.core.errors import SettingsError
 from socast.core.files import replacing
 from socast.core.forecast.forecast_table import FORECAST_COLUMNS
 from socast.core.formatting import format_count
+from socast.core.models import LinearModel
 from socast.core.settings import Settings
+from socast.core.wire.messages import ModelErrors
 from socast.stream.loop import stop_on_signals
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
@@ -47,8 +51,17 @@ from socast.tools.terminal.recordings import (
 )
 from socast.tools.terminal.shift_outcomes import ShiftOutcomes, show_outcomes
 from socast.tools.terminal.time_zone import TimeZone, find_zone
-from socast.tools.testing.difference_report import show_comparison
-from socast.tools.testing.golden_files import compare_recordings, compare_with_old, describe_update
+from socast.tools.testing.difference_report import make_record, show_comparison
+from socast.tools.testing.golden_files import (
+    NOTHING_COMMON,
+    compare_forecasts,
+    compare_recordings,
+    compare_with_old,
+    describe_update,
+    read_expected,
+    refuse_nothing,
+    refuse_replacing,
+)
 from socast.tools.testing.table_differences import TableComparison
 from socast.tools.testing.tolerances import Tolerances, parse_tolerances, resolve_tolerances
 
@@ -146,55 +159,106 @@ def replay(
         raise SettingsError("--foxglove adds to what --out records: give --out F.mcap too")
     if expect is None and (update or tolerance):
         raise SettingsError("--update and --tolerance belong to --expect: give --expect F.mcap too")
-    if expect and not update and not expect.is_file():
-        raise SettingsError(f"{expect}: does not exist; write it with --update")
-    tolerances = parse_tolerances(tolerance or ())
-    resolve_tolerances(tolerances, FORECAST_COLUMNS)  # report mistakes before the replay
+    expectation = _Expectation.prepare(expect, tolerance or (), update=update) if expect else None
     layout = out.with_suffix(".layout.json") if out and foxglove else None
     zone = find_zone(time_zone, make_console(json_file))
     prefix = parse_prefix(options.prefix)
     rate = parse_speed(pace or ("1" if publishes else "max"))
     sources = open_recordings(recordings)
-    check_outputs([*recordings, *options.files], out, json_file, layout, *([expect] if update else []))
+    inputs = [source.path for source in sources]
+    check_outputs([*inputs, *options.files], out, json_file, layout, *([expect] if update else []))
+    differs = False
     with stop_on_signals() as stop:
         source = stop_source(pace_source(merge_sources(sources), rate, longest_gap_s=longest_gap), stop)
         if publishes:
             joined = Connection((connect,) if connect else (), mode="client", config=config)
             with Node(joined) as node:
                 _publish(source, ZenohSink(node, prefix), sources, stop, connect or f"the router of {config}")
-            warn_of_losses(sources)
-            return
-        with replacing(expect) if expect and update else nullcontext() as fresh, TemporaryDirectory() as folder:
-            made = out or fresh or (Path(folder) / "forecasts.mcap" if expect else None)
-            _forecast(source, sources, rate, options, made, layout, json_file, zone)
-            if expect and stop.is_set():
-                raise SettingsError(f"stopped before the end: {expect} needs the whole replay and is as it was")
-            if fresh and out:
-                shutil.copyfile(out, fresh)
-            comparison = _compare(expect, made, tolerances, update=update) if expect and made else None
+        elif expectation is None:
+            report = _forecast(source, sources, rate, options, out, layout, zone)
+            write_json(json_file, "replay", report.result)
+            report.show(make_console(json_file), layout, zone)
+        else:
+            with expectation.replaced() as fresh, TemporaryDirectory() as folder:
+                made = out or fresh or Path(folder) / "forecasts.mcap"
+                report = _forecast(source, sources, rate, options, made, layout, zone)
+                if stop.is_set():
+                    raise SettingsError(f"stopped before the end: {expect} needs the whole replay and is as it was")
+                comparison = expectation.compare(made)
+                if fresh and out:
+                    shutil.copyfile(out, fresh)
+            write_json(json_file, "replay", report.result | make_record(comparison))
+            expectation.show(comparison, make_console(json_file))
+            differs = not (update or isinstance(comparison, str) or comparison.is_equal)
     warn_of_losses(sources)
-    _show_comparison(comparison, expect, make_console(json_file), update=update)
-
-
-def _compare(expect: Path, made: Path, tolerances: Tolerances, *, update: bool) -> TableComparison | str:
-    """Compare forecasts with those in a file, or say why there is nothing to compare with."""
-    if update:
-        return compare_with_old(expect, lambda file: compare_recordings(file, made, tolerances))
-    return compare_recordings(expect, made, tolerances)
-
-
-def _show_comparison(
-    comparison: TableComparison | str | None, expect: Path | None, console: Console, *, update: bool
-) -> None:
-    """Print whether forecasts are as expected, or what an update has changed; exit with 1 where they differ."""
-    if comparison is None or expect is None:
-        return
-    if update or isinstance(comparison, str):
-        console.print(describe_update(expect, comparison), markup=False, highlight=False, soft_wrap=True)
-        return
-    show_comparison(comparison, console)
-    if not comparison.is_equal:
+    if differs:
         raise typer.Exit(1)
+
+
+@dataclass(frozen=True)
+class _Expectation:
+    """Hold the file of --expect and what was read of it; nothing is read where the file is to be written."""
+
+    file: Path
+    tolerances: Tolerances
+    wanted: pd.DataFrame | None
+
+    @classmethod
+    def prepare(cls, file: Path, tolerance: Sequence[str], *, update: bool) -> "_Expectation":
+        """Report mistakes before the replay."""
+        tolerances = parse_tolerances(tolerance)
+        resolve_tolerances(tolerances, FORECAST_COLUMNS)
+        if update:
+            refuse_replacing(file)
+            return cls(file, tolerances, None)
+        if not file.is_file():
+            raise SettingsError(f"{file}: does not exist; write it with --update")
+        return cls(file, tolerances, read_expected(file, "--update"))
+
+    def replaced(self) -> AbstractContextManager[Path | None]:
+        """Return the context in which the file is written whole, if it is to be written."""
+        return nullcontext() if self.wanted is not None else replacing(self.file)
+
+    def compare(self, made: Path) -> TableComparison | str:
+        """Return how the forecasts differ from those of the file, or why nothing can be compared."""
+        if self.wanted is not None:
+            return compare_forecasts(self.wanted, made, self.tolerances)
+        refuse_nothing(made)
+        return compare_with_old(self.file, lambda file: compare_recordings(file, made, self.tolerances))
+
+    def show(self, comparison: TableComparison | str, console: Console) -> None:
+        """Print whether forecasts are as expected, or what an update has changed."""
+        if self.wanted is None or isinstance(comparison, str):
+            console.print(describe_update(self.file, comparison), markup=False, highlight=False, soft_wrap=True)
+            return
+        show_comparison(comparison, console)
+        if not comparison.compared:
+            console.print(NOTHING_COMMON, highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class _Report:
+    """Hold the result of a replay for JSON, and what its tables show beside it."""
+
+    result: dict[str, Any]
+    rides: pd.DataFrame
+    quality: dict[str, Any]
+    errors: Sequence[ModelErrors]
+    models: Sequence[LinearModel]
+    advice: str | None
+
+    def show(self, console: Console, layout: Path | None, zone: tzinfo | None) -> None:
+        """Print the tables of rides, models and shifts, and what was wrong with the telemetry."""
+        show_rides(console, self.rides, self.quality, zone)
+        if self.errors:
+            show_models(console, self.errors, self.models, self.rides)
+        show_outcomes(console, self.result["shifts"], zone)
+        if self.advice:
+            console.print(self.advice, markup=False, highlight=False, soft_wrap=not console.is_terminal)
+        if layout:
+            console.print(f"layout for Foxglove in {layout}", markup=False, highlight=False, soft_wrap=True)
+        warn_outside(self.quality)
+        warn_of_loggers(self.quality)
 
 
 def _forecast(
@@ -204,10 +268,9 @@ def _forecast(
     options: ForecastOptions,
     out: Path | None,
     layout: Path | None,
-    json_file: Path | None,
     zone: tzinfo | None,
-) -> None:
-    """Pass recordings through the models, write the report and print it."""
+) -> _Report:
+    """Pass recordings through the models, and return the report."""
     models = load_models(options.models)
     pipeline = make_pipeline(options, models, replayed=sources, keep_outlooks=True)
     outcomes = ShiftOutcomes(pipeline)
@@ -227,18 +290,8 @@ def _forecast(
     errors = pipeline.shadows.errors() if len(models) > 1 else []
     if errors:
         result["models"] = make_records(errors)
-    write_json(json_file, "replay", result)
-    console = make_console(json_file)
-    show_rides(console, rides, quality, zone)
-    if errors:
-        show_models(console, errors, models, rides)
-    show_outcomes(console, result["shifts"], zone)
-    if advice := advise_fit(models[0], " ".join(str(source.path) for source in sources)):
-        console.print(advice, markup=False, highlight=False, soft_wrap=not console.is_terminal)
-    if layout:
-        console.print(f"layout for Foxglove in {layout}", markup=False, highlight=False, soft_wrap=True)
-    warn_outside(quality)
-    warn_of_loggers(quality)
+    advice = advise_fit(models[0], " ".join(str(source.path) for source in sources))
+    return _Report(result, rides, quality, errors, models, advice)
 
 
 def _publish(source: Source, sink: ZenohSink, sources: Sequence[McapSource], stop: Event, endpoint: str) -> None:

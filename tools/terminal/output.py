@@ -51,7 +51,7 @@ PIPE_WIDTH: Final = 120
 """Width of tables if the output is not a terminal. [characters]"""
 
 
-def _load_effects(files: list[Path] | None) -> list[Path] | None:
+def load_effects(files: list[Path] | None) -> list[Path] | None:
     """Load files of effects before the command starts, so that it knows these effects."""
     if files:
         from socast.core import effects  # noqa: PLC0415 - takes 0.2 s to import, and most commands are given no file
@@ -61,7 +61,7 @@ def _load_effects(files: list[Path] | None) -> list[Path] | None:
     return files
 
 
-def _load_vehicles(files: list[Path] | None) -> list[Path] | None:
+def load_vehicles(files: list[Path] | None) -> list[Path] | None:
     """Add the cars of data sheets to the catalogue before the command starts."""
     if files:
         from socast.core.vehicles import add_vehicles  # noqa: PLC0415 - most commands are given no file
@@ -93,7 +93,7 @@ ModelName = Annotated[str, typer.Option(metavar="M", help="Name of a model, or a
 EffectFiles = Annotated[
     list[Path] | None,
     typer.Option(
-        "--effects", metavar="FILE", help="Load this file of your own effects; may be repeated.", callback=_load_effects
+        "--effects", metavar="FILE", help="Load this file of your own effects; may be repeated.", callback=load_effects
     ),
 ]
 
@@ -103,7 +103,7 @@ VehicleFiles = Annotated[
         "--vehicles",
         metavar="FILE",
         help="Add the cars of this file of data sheets to the catalogue; may be repeated.",
-        callback=_load_vehicles,
+        callback=load_vehicles,
     ),
 ]
 

@@ -14,16 +14,25 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from socast.core.errors import RecordingError, SettingsError
 from socast.core.totals.logger_faults import describe_faults
 from socast.stream.mcap_reader import McapSource
+from socast.stream.recorder import list_recordings
 
 QUIET_S: Final = 30.0
 """Time between two lines on progress where standard error is no terminal. [s]"""
-Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="MCAP recordings.", show_default=False)]
+Recordings = Annotated[
+    list[Path], typer.Argument(metavar="REC...", help="MCAP recordings, or folders of them.", show_default=False)
+]
 
 
 def open_recordings(recordings: Sequence[Path]) -> list[McapSource]:
-    """Open recordings for reading."""
-    refuse_duplicates(recordings)
-    return [McapSource(path) for path in recordings]
+    """Open recordings for reading; a folder stands for those in it."""
+    files: list[Path] = []
+    for path in recordings:
+        inside = list_recordings(path) if path.is_dir() else [path]
+        if not inside:
+            raise SettingsError(f"{path}: no *.mcap in this folder; give a recording, or a folder of recordings")
+        files += inside
+    refuse_duplicates(files)
+    return [McapSource(path) for path in files]
 
 
 def refuse_duplicates(files: Iterable[Path]) -> None:

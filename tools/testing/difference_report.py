@@ -49,6 +49,36 @@ def format_comparison(comparison: TableComparison) -> str:
     return "\n".join(line.rstrip() for line in text.getvalue().splitlines())
 
 
+def make_record(comparison: TableComparison | str) -> dict[str, Any]:
+    """Return a comparison, or why there is none, as plain values for JSON, under `comparison`."""
+    if isinstance(comparison, str):
+        return {"comparison": {"summary": comparison}}
+    absent = {
+        name: {subject: number for subject, (number, _) in getattr(comparison, name).items()}
+        for name in ("missing", "additional")
+    }
+    differences = [
+        {
+            "subject": each.subject,
+            "field": each.field,
+            "differing": each.differing,
+            "compared": each.compared,
+            "first": {name: getattr(each.first, name) for name in ("time", "expected", "found")},
+            "largest": {name: getattr(each.largest, name) for name in ("time", "expected", "found")},
+        }
+        for each in comparison.differences
+    ]
+    record = {
+        "is_equal": comparison.is_equal,
+        "summary": comparison.describe(),
+        "rows": comparison.rows,
+        "compared": comparison.compared,
+        **absent,
+        "differences": differences,
+    }
+    return {"comparison": record}
+
+
 def _show_field(field: str, group: Sequence[FieldDifference], comparison: TableComparison, console: Console) -> None:
     """Print how much a field differs in all, and the first differences, those of a few cars."""
     unit = find_unit(field)

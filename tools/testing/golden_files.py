@@ -12,10 +12,11 @@ from socast.core.errors import RecordingError, SettingsError, SocastError
 from socast.core.files import replacing
 from socast.core.forecast.forecast_table import FORECAST_COLUMNS, is_forecast, tabulate_forecasts
 from socast.core.formatting import format_count
+from socast.core.wire.messages import BATCH
 from socast.stream.mcap_reader import McapSource
 from socast.tools.testing.difference_report import format_comparison
 from socast.tools.testing.table_differences import TableComparison, compare_tables, find_key
-from socast.tools.testing.tolerances import Tolerances
+from socast.tools.testing.tolerances import Tolerances, resolve_tolerances
 
 RECORDING, CSV, PARQUET = ".mcap", ".csv", ".parquet"
 SUFFIXES: Final = (CSV, PARQUET)
@@ -23,6 +24,8 @@ SUFFIXES: Final = (CSV, PARQUET)
 ROWS: Final = {("vehicle_id", "time_s"): "forecast", ("vehicle_id", "start_s"): "ride", ("counter",): "counter"}
 """Key -> what a row is."""
 OPTION: Final = "--socast-update"
+NOTHING_COMMON: Final = "No row is in both: is this the expectation of another recording?"
+_SAMPLES: Final = ("/telemetry", f"/{BATCH}")
 
 
 class Checked(NamedTuple):
@@ -42,20 +45,62 @@ class Checked(NamedTuple):
 
 def compare_recordings(expected: Path, found: Path, tolerances: Tolerances | None = None) -> TableComparison:
     """Compare the forecasts in two recordings, as `socast replay --out` writes them."""
-    wanted = _read_forecasts(expected)
-    if wanted.empty:
-        raise RecordingError(f"{expected}: holds no forecasts to compare with; write it anew with the update option")
-    made = _read_forecasts(found)
-    return compare_tables(wanted, made, tolerances=tolerances, rows="forecast", known=FORECAST_COLUMNS)
+    return compare_forecasts(read_expected(expected), found, tolerances)
+
+
+def compare_forecasts(expected: pd.DataFrame, found: Path, tolerances: Tolerances | None = None) -> TableComparison:
+    """Compare the forecasts in a recording with a table of forecasts."""
+    made = _tabulate(found, McapSource(found))
+    return compare_tables(expected, made, tolerances=tolerances, rows="forecast", known=FORECAST_COLUMNS)
+
+
+def read_expected(path: Path, option: str = f"pytest {OPTION}") -> pd.DataFrame:
+    """Return the forecasts of an expectation; refuse one that holds none, or that breaks off."""
+    source = McapSource(path)
+    table = _tabulate(path, source)
+    if lost := list(source.losses.lines()):
+        raise RecordingError(f"{path}: {lost[0]}; write it anew with {option}")
+    if table.empty:
+        remedy = (
+            "it is a recording of telemetry: name another file" if _holds_telemetry(path) else f"write it with {option}"
+        )
+        raise RecordingError(f"{path}: holds no forecasts to compare with; {remedy}")
+    return table
+
+
+def refuse_replacing(path: Path, recordings: Sequence[Path] = ()) -> None:
+    """Refuse to write an expectation over a file that is none: a recording of telemetry, or of another kind."""
+    if path.suffix != RECORDING:
+        raise SettingsError(f"{path}: give a name that ends with {RECORDING}")
+    is_input = path.exists() and any(each.exists() and path.samefile(each) for each in recordings)
+    if is_input or _holds_telemetry(path):
+        raise SettingsError(f"{path}: is a recording of telemetry, which the update would replace; name another file")
+
+
+def prepare(expected: Path, inputs: Sequence[str | Path], tolerances: Tolerances | None, *, update: bool) -> None:
+    """Refuse mistakes before the replay: unknown fields, and an expectation that cannot be compared or replaced."""
+    resolve_tolerances(tolerances, FORECAST_COLUMNS)
+    if update:
+        refuse_replacing(expected, [Path(each) for each in inputs])
+    elif expected.is_file():
+        read_expected(expected)
 
 
 def check_forecasts(expected: Path, found: Path, tolerances: Tolerances | None, *, update: bool) -> Checked:
     """Compare the forecasts in a recording with those in a golden file, or replace the file by the recording."""
+    if update:
+        refuse_nothing(found)
 
     def write(fresh: Path) -> None:
         shutil.copyfile(found, fresh)
 
     return _check(expected, lambda file: compare_recordings(file, found, tolerances), write, update=update)
+
+
+def refuse_nothing(found: Path) -> None:
+    """Refuse to write an expectation without forecasts."""
+    if not any(is_forecast(message) for block in McapSource(found) for message in block):
+        raise SettingsError("the replay made no forecasts, and an expectation needs some: give a longer recording")
 
 
 def check_table(
@@ -118,12 +163,21 @@ def _check(
     if comparison.is_equal:
         return Checked("", "")
     text = format_comparison(comparison)
-    return Checked(f"{text}\nIf this is meant to be, write {expected} with pytest {OPTION}.", "")
+    remedy = f"If this is meant to be, write {expected} with pytest {OPTION}."
+    return Checked(f"{text}\n{remedy if comparison.compared else NOTHING_COMMON}", "")
 
 
-def _read_forecasts(path: Path) -> pd.DataFrame:
+def _holds_telemetry(path: Path) -> bool:
+    """Return whether a file is a recording with samples; a damaged file counts as none."""
+    try:
+        return path.exists() and any(m.key.endswith(_SAMPLES) for block in McapSource(path) for m in block)
+    except RecordingError:
+        return False
+
+
+def _tabulate(path: Path, source: McapSource) -> pd.DataFrame:
     """Return the forecasts in a recording."""
-    messages = [message for block in McapSource(path) for message in block if is_forecast(message)]
+    messages = [message for block in source for message in block if is_forecast(message)]
     try:
         return tabulate_forecasts(messages)
     except msgspec.DecodeError as error:

@@ -22,7 +22,6 @@ from socast.core.forecast.forecast_table import is_forecast, tabulate_forecasts
 from socast.core.pipeline import Pipeline
 from socast.core.wire.messages import Message, address
 from socast.stream.loop import Tally, run
-from socast.stream.mcap_reader import McapSource
 from socast.stream.query_service import QueryService
 from socast.stream.source import Source, merge_sources
 from socast.stream.zenoh_observer import ZenohObserver
@@ -30,8 +29,9 @@ from socast.stream.zenoh_queryable import ZenohQueryable, query_outlook
 from socast.stream.zenoh_session import Connection, Node
 from socast.stream.zenoh_sink import ZenohSink
 from socast.stream.zenoh_source import ZenohSource
+from socast.tools.terminal.recordings import open_recordings
 from socast.tools.testing.made_recording import gather_messages, write_recording
-from socast.tools.testing.replayed import Replayed, list_recordings, sort_rides, take_tables
+from socast.tools.testing.replayed import Replayed, sort_rides, take_tables
 
 LOOPBACK: Final = "tcp/127.0.0.1:0"
 """Where the consumer listens: a free port of loopback, and nowhere else."""
@@ -118,7 +118,7 @@ class LiveConsumer:
         return Replayed(tabulate_forecasts(self._received), sort_rides(rides), taken.quality, self._out)
 
     def ask(self, vehicle: str, **ride: float) -> dict[str, Any]:
-        """Ask the consumer for the outlook of a car, perhaps with one more ride, such as `distance_km=18`."""
+        """Ask the consumer for the outlook of a car, perhaps after one more ride: `distance_km` and `duration_s`."""
         self._refuse_ended()
         answer = query_outlook(self._client, vehicle, {name: str(value) for name, value in ride.items()})
         return dict(json.loads(answer))
@@ -205,7 +205,7 @@ class LiveConsumer:
 def _read(given: Sequence[Given]) -> Iterable[Message]:
     """Yield the messages of recordings, folders and lists that a consumer takes, merged by their times of receipt."""
     files = [each for each in given if isinstance(each, str | Path)]
-    sources: list[Source] = [McapSource(file) for file in (list_recordings(files) if files else [])]
+    sources: list[Source] = [*open_recordings([Path(file) for file in files])]
     lists = [each for each in given if not isinstance(each, str | Path)]
     if made := gather_messages(*([each] if isinstance(each, Message | Mapping) else each for each in lists)):
         sources.append([made])

@@ -114,6 +114,8 @@ def _follow(profile: Profile, age: float, name: str) -> Any:
         return profile(age)
     if isinstance(profile, Sequence) and not isinstance(profile, str):
         times, values = zip(*profile, strict=True)
+        if wrong := [each for each in (*times, *values) if not isinstance(each, int | float)]:
+            raise SettingsError(f"{name}: {wrong[0]!r} is no number; give points of (seconds after the start, value)")
         if list(times) != sorted(times):
             raise SettingsError(f"{name}: the times of the points {list(times)} must ascend")
         return float(np.interp(age, times, values))

@@ -3,8 +3,9 @@
 Nothing is imported before a fixture is used, so that other tests start as fast as before.
 """
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from glob import glob
 from os.path import relpath
 from pathlib import Path
@@ -76,6 +77,12 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 @pytest.fixture
+def socast_recording() -> Path:
+    """Return a recording of the project; the test runs once for each, see the setting `socast_recordings`."""
+    raise pytest.UsageError("socast_recording is an argument of tests; a fixture cannot take it")
+
+
+@pytest.fixture
 def _socast_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder for the files of this test; `tmp_path` belongs to the test, which may replay it as a whole."""
     return tmp_path_factory.mktemp("socast")
@@ -86,13 +93,21 @@ def socast_replay(_socast_folder: Path) -> "Callable[..., Replayed]":
     """Return a function that replays recordings through a model.
 
     It takes a recording, a folder or several of them, and `model`, the name or file of a model, and returns the tables
-    `forecasts`, `rides` and `quality`, and `file`, the recording of the forecasts.
+    `forecasts`, `rides` and `quality`, `file`, the recording of the forecasts, and `losses`, what was damaged.
+    `warm_up`, `effects`, `vehicles` and `elevation` take the files of these options of `socast replay`, and `settings`
+    a mapping of the settings of cleaning.
     """
 
-    def replay(*recordings: str | Path, model: str | Path = MODEL) -> "Replayed":
-        from socast.tools.testing.replayed import replay_recordings  # noqa: PLC0415 - it imports everything
+    def replay(*recordings: str | Path, model: str | Path = MODEL, **options: Any) -> "Replayed":
+        __tracebackhide__ = True
+        from socast.tools.testing.replayed import make_options, replay_recordings  # noqa: PLC0415 - imports everything
 
-        return replay_recordings(recordings, model, _name_file(_socast_folder / "replayed"))
+        with _plain_errors():
+            made = make_options(model, **options)
+            replayed = replay_recordings(recordings, made, _name_file(_socast_folder / "replayed"))
+        for line in replayed.losses:
+            warnings.warn(line, stacklevel=2)
+        return replayed
 
     return replay
 
@@ -100,9 +115,15 @@ def socast_replay(_socast_folder: Path) -> "Callable[..., Replayed]":
 @pytest.fixture
 def socast_car() -> "Callable[..., list[Message]]":
     """Return the function that makes the messages of a car, see `socast.tools.testing.made_recording.make_car`."""
-    from socast.tools.testing.made_recording import make_car  # noqa: PLC0415 - it imports everything
 
-    return make_car
+    def make(*arguments: Any, **options: Any) -> "list[Message]":
+        __tracebackhide__ = True
+        from socast.tools.testing.made_recording import make_car  # noqa: PLC0415 - it imports everything
+
+        with _plain_errors():
+            return make_car(*arguments, **options)
+
+    return make
 
 
 @pytest.fixture
@@ -114,12 +135,14 @@ def socast_make_recording(_socast_folder: Path) -> Callable[..., Path]:
     """
 
     def write(*parts: "Iterable[Message | Mapping[str, Any]]", name: str = "") -> Path:
+        __tracebackhide__ = True
         from socast.tools.testing.made_recording import (  # noqa: PLC0415 - it imports everything
             gather_messages,
             write_recording,
         )
 
-        return write_recording(gather_messages(*parts), _name_file(_socast_folder / "made", name))
+        with _plain_errors():
+            return write_recording(gather_messages(*parts), _name_file(_socast_folder / "made", name))
 
     return write
 
@@ -130,8 +153,8 @@ def socast_expect(
 ) -> "Callable[..., Replayed]":
     """Return a function that replays a recording and fails where its forecasts are not those of a file.
 
-    It takes the recording or several, the file, `model` and `tolerances`, and returns what `socast_replay` does. With
-    `--socast-update`, it writes the file.
+    It takes the recording or several, the file, `tolerances`, and the options of `socast_replay`, and returns what that
+    does. With `--socast-update`, it writes the file.
     """
 
     def expect(
@@ -140,13 +163,18 @@ def socast_expect(
         *,
         model: str | Path = MODEL,
         tolerances: Mapping[str, float | str] | None = None,
+        **options: Any,
     ) -> "Replayed":
         __tracebackhide__ = True
-        from socast.tools.testing.golden_files import check_forecasts  # noqa: PLC0415 - it imports everything
+        from socast.tools.testing.golden_files import check_forecasts, prepare  # noqa: PLC0415 - imports everything
 
         recordings = [recording] if isinstance(recording, str | Path) else recording
-        replayed = socast_replay(*recordings, model=model)
-        _report(request, check_forecasts(Path(expected), replayed.file, tolerances, update=_updates(request)))
+        with _plain_errors():
+            prepare(Path(expected), recordings, tolerances, update=_updates(request))
+        replayed = socast_replay(*recordings, model=model, **options)
+        with _plain_errors():
+            checked = check_forecasts(Path(expected), replayed.file, tolerances, update=_updates(request))
+        _report(request, checked, replayed.losses)
         return replayed
 
     return expect
@@ -170,7 +198,8 @@ def socast_golden(request: pytest.FixtureRequest) -> Callable[..., None]:
         __tracebackhide__ = True
         from socast.tools.testing.golden_files import check_table  # noqa: PLC0415 - it imports everything
 
-        checked = check_table(Path(expected), table, key=key, tolerances=tolerances, update=_updates(request))
+        with _plain_errors():
+            checked = check_table(Path(expected), table, key=key, tolerances=tolerances, update=_updates(request))
         _report(request, checked)
 
     return check
@@ -188,7 +217,8 @@ def socast_live(_socast_folder: Path) -> "Iterator[Callable[..., LiveConsumer]]"
         def start(*, model: str | Path = MODEL) -> "LiveConsumer":
             from socast.tools.testing.live_consumer import LiveConsumer  # noqa: PLC0415 - it imports everything
 
-            return ending.enter_context(LiveConsumer(model, _name_file(_socast_folder / "live")))
+            with _plain_errors():
+                return ending.enter_context(LiveConsumer(model, _name_file(_socast_folder / "live")))
 
         yield start
 
@@ -205,10 +235,22 @@ def _updates(request: pytest.FixtureRequest) -> bool:
     return bool(request.config.getoption("--socast-update"))
 
 
-def _report(request: pytest.FixtureRequest, checked: "Checked") -> None:
+@contextmanager
+def _plain_errors() -> Iterator[None]:
+    """Fail with the one line of an error of the product, without a traceback through its source."""
+    from socast.core.errors import SocastError  # noqa: PLC0415 - other tests load nothing of the product
+
+    try:
+        yield
+    except SocastError as error:
+        raise pytest.fail.Exception(str(error), pytrace=False) from None
+
+
+def _report(request: pytest.FixtureRequest, checked: "Checked", losses: Sequence[str] = ()) -> None:
     """Fail with what differs, and keep what was written for the summary."""
     __tracebackhide__ = True
+    damaged = [f"the recording is damaged: {line}" for line in losses]
     if checked.written:
-        request.node.user_properties.append((UPDATED, checked.written))
+        request.node.user_properties.append((UPDATED, "\n".join([checked.written, *damaged])))
     if checked.difference:
-        pytest.fail(checked.difference, pytrace=False)
+        pytest.fail("\n".join([*damaged, checked.difference]), pytrace=False)

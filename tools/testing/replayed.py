@@ -6,15 +6,18 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from socast.core import models
-from socast.core.errors import SettingsError
+from socast.core.errors import SettingsError, suggest_names
 from socast.core.forecast.forecast_table import is_forecast, tabulate_forecasts
 from socast.core.pipeline import Pipeline
-from socast.stream.mcap_reader import McapSource
+from socast.core.settings import Settings
 from socast.stream.mcap_writer import McapSink
 from socast.stream.source import merge_sources
 from socast.stream.structured_log import flatten_counts
+from socast.tools.terminal.forecast_options import ForecastOptions, make_pipeline
 from socast.tools.terminal.live_table import add_predictions
+from socast.tools.terminal.model_comparison import load_models
+from socast.tools.terminal.output import load_effects, load_vehicles
+from socast.tools.terminal.recordings import open_recordings
 
 
 class Replayed(NamedTuple):
@@ -32,38 +35,50 @@ class Replayed(NamedTuple):
         as `samples.speed_rejected`.
     file : Path
         Recording of the forecasts.
+    losses : tuple of str
+        What of the recordings was damaged and could not be read, one line each.
     """
 
     forecasts: pd.DataFrame
     rides: pd.DataFrame
     quality: pd.DataFrame
     file: Path
+    losses: tuple[str, ...] = ()
 
 
-def list_recordings(recordings: Sequence[str | Path]) -> list[Path]:
-    """Return recordings, where a folder stands for those in it."""
-    files: list[Path] = []
-    for path in map(Path, recordings):
-        inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-        if not inside:
-            raise SettingsError(f"{path}: no *.mcap in this folder; give a recording, or a folder of recordings")
-        files += inside
-    if not files:
+def replay_recordings(recordings: Sequence[str | Path], options: ForecastOptions, out: Path) -> Replayed:
+    """Replay recordings, or folders that hold some, merged in the order of time."""
+    if not recordings:
         raise SettingsError("no recording to replay; give an MCAP file, or a folder of them")
-    return files
-
-
-def replay_recordings(recordings: Sequence[str | Path], model: str | Path, out: Path) -> Replayed:
-    """Replay recordings, or folders that hold some, merged in the order of time, through a model."""
-    files = list_recordings(recordings)
-    pipeline = Pipeline(models.load(str(model)))
+    models = load_models(options.models)
+    sources = open_recordings([Path(each) for each in recordings])
+    pipeline = make_pipeline(options, models, replayed=sources)
     forecasts = []
-    for messages in merge_sources([McapSource(file) for file in files]):
+    for messages in merge_sources(sources):
         forecasts += [each for each in pipeline.push(messages) if is_forecast(each)]
     forecasts += [each for each in pipeline.finish() if is_forecast(each)]
     with McapSink(out) as sink:
         sink.put(forecasts)
-    return Replayed(tabulate_forecasts(forecasts), *take_tables(pipeline), out)
+    losses = tuple(f"{source.path}: {line}" for source in sources for line in source.losses.lines())
+    return Replayed(tabulate_forecasts(forecasts), *take_tables(pipeline), out, losses)
+
+
+def make_options(
+    model: str | Path,
+    *,
+    warm_up: Sequence[str | Path] = (),
+    effects: Sequence[str | Path] = (),
+    vehicles: Sequence[str | Path] = (),
+    elevation: Sequence[str | Path] = (),
+    settings: Mapping[str, Any] | None = None,
+) -> ForecastOptions:
+    """Return the options of a replay, with the files of effects and vehicles loaded."""
+    files = [[Path(each) for each in group] for group in (effects, vehicles, warm_up, elevation)]
+    load_effects(files[0])
+    load_vehicles(files[1])
+    if unknown := sorted(set(settings or {}) - set(Settings._fields)):
+        raise SettingsError(f"there is no setting {unknown[0]!r}; {suggest_names(unknown[0], Settings._fields)}")
+    return ForecastOptions([str(model)], files[0], files[1], Settings(**dict(settings or {})), "", files[2], files[3])
 
 
 def take_tables(pipeline: Pipeline) -> tuple[pd.DataFrame, pd.DataFrame]:

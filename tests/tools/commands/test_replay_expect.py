@@ -1,5 +1,7 @@
 """Test `socast replay --expect`."""
 
+import json
+import shutil
 from contextlib import nullcontext
 from threading import Event
 
@@ -22,7 +24,22 @@ def expected(tmp_path_factory):
 
 def test_same_forecasts_are_one_line_and_exit_with_0(expected):
     out, _, code = called("replay", SHIFT, "--expect", expected)
-    assert (code, out.splitlines()[-1].endswith("forecasts as expected")) == (0, True)
+    assert (code, out.endswith(" forecasts as expected\n"), len(out.splitlines())) == (0, True, 1)
+
+
+def test_json_holds_the_comparison(expected):
+    out, _, code = called("replay", SHIFT, "--expect", expected, "--model", "basic_physical", "--json", "-")
+    made = json.loads(out)["comparison"]
+    assert (code, made["is_equal"], made["missing"]) == (1, False, {})
+    assert {each["field"] for each in made["differences"]} == {"model", "ride_energy_predicted_kwh"}
+
+
+def test_update_never_replaces_a_recording_of_telemetry(capsys, tmp_path):
+    other = shutil.copy(RECORDINGS / "commuter.csv", tmp_path / "model.json")
+    assert "name that ends with .mcap" in refused(capsys, "replay", SHIFT, "--expect", other, "--update")
+    other = shutil.copy(SHIFT, tmp_path / "other.mcap")
+    assert "is a recording of telemetry" in refused(capsys, "replay", SHIFT, "--expect", other, "--update")
+    assert other.read_bytes() == SHIFT.read_bytes()
 
 
 def test_other_forecasts_are_listed_and_exit_with_1(expected):
@@ -79,4 +96,4 @@ def test_mistakes_are_refused_before_the_replay(capsys, options, message):
 
 
 def test_expectation_without_forecasts_is_refused(capsys):
-    assert "holds no forecasts" in refused(capsys, "replay", SHIFT, "--expect", SHIFT)
+    assert "it is a recording of telemetry" in refused(capsys, "replay", SHIFT, "--expect", SHIFT)

@@ -58,6 +58,24 @@ def test_field_that_no_forecast_has_yet_may_have_a_tolerance(write):
     assert compare_recordings(file, file, {"next_charge": 1.0}).is_equal
 
 
+def test_expectation_that_breaks_off_is_refused(write):
+    file = write("x.mcap", *[("a", {"note": "y" * 2000 + str(i)}) for i in range(5000)])
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(RecordingError, match=r"x.mcap: .* write it anew with pytest --socast-update"):
+        compare_recordings(file, file)
+
+
+def test_expectation_without_forecasts_is_neither_written_nor_compared(tmp_path, write):
+    with pytest.raises(SettingsError, match="made no forecasts"):
+        check_forecasts(tmp_path / "new.mcap", write("y.mcap"), None, update=True)
+    assert not (tmp_path / "new.mcap").exists()
+
+
+def test_expectation_of_another_recording_is_supposed(write):
+    difference = check_forecasts(write("x", ("a", {})), write("y", ("b", {})), None, update=False).difference
+    assert "is this the expectation of another recording?" in difference
+
+
 def test_expectation_without_forecasts_is_refused(write):
     with pytest.raises(RecordingError, match="holds no forecasts"):
         compare_recordings(write("x"), write("y"))

@@ -11,7 +11,7 @@ from socast.core.wire.messages import Message
 from socast.stream.mcap_reader import McapSource
 from socast.tools.testing.live_consumer import LiveConsumer
 from socast.tools.testing.made_recording import gather_messages, make_car, write_recording
-from socast.tools.testing.replayed import replay_recordings
+from socast.tools.testing.replayed import make_options, replay_recordings
 from tests.support.paths import RECORDINGS
 
 MODEL = RECORDINGS / "fitted.json"
@@ -29,7 +29,7 @@ def test_results_are_bit_identical_with_those_of_a_replay(live, tmp_path):
     messages = list(islice(chain.from_iterable(McapSource(RECORDINGS / "shift.mcap")), 8000))
     recording = write_recording(messages, tmp_path / "recorded.mcap")
     live.publish(recording)
-    published, replayed = live.finish(), replay_recordings([recording], MODEL, tmp_path / "replayed.mcap")
+    published, replayed = live.finish(), replay_recordings([recording], make_options(MODEL), tmp_path / "replayed.mcap")
     assert len(published.forecasts) > 500
     one, other = (each.forecasts.sort_values(KEY, ignore_index=True) for each in (published, replayed))
     pd.testing.assert_frame_equal(one, other, check_exact=True)

@@ -171,7 +171,87 @@ def test_live_consumer_ends_with_a_test_that_fails(project):
 
 
 def test_mistakes_are_one_line(project):
-    project.makepyfile("def test_folder(socast_replay, tmp_path): socast_replay(tmp_path)")
-    done = run(project)
-    done.assert_outcomes(failed=1)
-    done.stdout.fnmatch_lines(["*SettingsError: *: no ?.mcap in this folder; give a recording, or a folder of *"])
+    project.makepyfile(
+        """
+        def test_folder(socast_replay, tmp_path): socast_replay(tmp_path)
+        def test_model(socast_replay): socast_replay("x.mcap", model="absent.json")
+        def test_fault(socast_car): socast_car(faults={"loss": (1, 2)})
+        def test_profile(socast_car): socast_car(speed_kmh=[(0, 0), (60, "x")])
+        def test_setting(socast_replay): socast_replay("x.mcap", settings={"windw": 3})
+        def test_tolerance(socast_expect, socast_recording):
+            socast_expect(socast_recording, "new.mcap", tolerances={"rangekm": 1})
+        """
+    )
+    for option in ((), ("--socast-update",)):
+        done = run(project, *option)
+        done.assert_outcomes(failed=7)
+        done.stdout.fnmatch_lines(
+            [
+                "*: no ?.mcap in this folder; give a recording, or a folder of *",
+                "*absent.json*",
+                "*there is no fault 'loss'*",
+                "*speed_kmh: 'x' is no number*",
+                "*there is no setting 'windw'; did you mean *",
+                "*tolerance of 'rangekm': there is no such field; did you mean range_km*",
+            ]
+        )
+        assert "Traceback" not in done.stdout.str()
+        assert "socast/tools" not in done.stdout.str()
+        assert len(done.outlines) < 40
+
+
+def test_an_update_never_replaces_a_recording_of_telemetry(project):
+    recording = project.path / "recordings" / "monday.mcap"
+    shutil.copy(RECORDINGS / "shift.mcap", recording)
+    shutil.copy(RECORDINGS / "shift.mcap", project.path / "other.mcap")
+    project.makepyfile(
+        """
+        def test_itself(socast_expect): socast_expect("recordings/monday.mcap", "recordings/monday.mcap")
+        def test_other(socast_expect): socast_expect("recordings/monday.mcap", "other.mcap")
+        """
+    )
+    before = recording.read_bytes()
+    done = run(project, "--socast-update")
+    done.assert_outcomes(failed=2)
+    done.stdout.fnmatch_lines(
+        ["*other.mcap: is a recording of telemetry, which the update would replace; name another*"]
+    )
+    run(project).stdout.fnmatch_lines(
+        ["*other.mcap: holds no forecasts to compare with; it is a recording of telemetry*"]
+    )
+    assert recording.read_bytes() == (project.path / "other.mcap").read_bytes() == before
+
+
+def test_what_a_damaged_recording_lost_is_told(project):
+    whole = (RECORDINGS / "shift.mcap").read_bytes()
+    (project.path / "recordings" / "monday.mcap").write_bytes(whole[: len(whole) // 2])
+    project.makepyfile(
+        """
+        def test_damaged(socast_expect): assert socast_expect("recordings/monday.mcap", "x.mcap").losses
+        """
+    )
+    run(project, "--socast-update").stdout.fnmatch_lines(
+        ["*the recording is damaged: *monday.mcap: *after the last whole*"]
+    )
+    shutil.copy(RECORDINGS / "shift.mcap", project.path / "recordings" / "monday.mcap")
+    project.makepyfile("def test_whole(socast_expect): socast_expect('recordings/monday.mcap', 'x.mcap')")
+    run(project).stdout.fnmatch_lines(["*forecasts not expected*"])
+
+
+def test_options_of_a_replay_apply(project):
+    project.makepyfile(
+        """
+        def test_options(socast_replay, socast_car, socast_make_recording):
+            earlier = socast_make_recording(socast_car(duration_s=600, speed_kmh=40))
+            later = socast_make_recording(socast_car(duration_s=600, speed_kmh=40, start_s=1.8e9))
+            plain = socast_replay(later)
+            warm = socast_replay(later, warm_up=[earlier], settings={"window": 8})
+            plain, warm = (each.forecasts["ride_energy_predicted_kwh"].tolist() for each in (plain, warm))
+            assert plain != warm
+        """
+    )
+    run(project).assert_outcomes(passed=1)
+
+
+def test_fixtures_are_listed_with_the_recording_of_a_test(project):
+    run(project, "--fixtures").stdout.fnmatch_lines(["socast_recording -- *"])
