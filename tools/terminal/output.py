@@ -24,7 +24,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "ask": 1,
     "check": 1,
     "cluster": 1,
-    "compare": 1,
+    "compare": 2,
     "demo": 1,
     "diagnose": 2,
     "effect": 1,
