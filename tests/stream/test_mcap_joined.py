@@ -14,7 +14,7 @@ from socast.stream import mcap_sections
 from socast.stream.mcap_format import MAGIC
 from socast.stream.mcap_reader import McapSource
 from socast.tools.commands.info import describe_recording
-from socast.tools.commands.tables import in_memory
+from socast.tools.terminal.ride_source import RideSource
 from tests.support.mcap_recordings import BEGIN, SECOND, make_telemetry, write_recording
 
 DAY_NS = 86_400 * SECOND
@@ -160,8 +160,8 @@ def test_joined_file_gives_the_tables_of_its_recordings(tmp_path):
         write_recording(path, messages)
     joined = tmp_path / "joined.mcap"
     joined.write_bytes(b"".join(path.read_bytes() for path in paths))
-    rides, windows = in_memory([joined], [])
-    expected = in_memory(paths, [])
+    rides, windows = RideSource([joined]).read(library=False)
+    expected = RideSource(paths).read(library=False)
     assert len(rides) > 3
     assert rides.equals(expected[0])
     assert windows.equals(expected[1])

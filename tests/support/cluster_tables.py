@@ -15,7 +15,8 @@ from socast.stream.mcap_reader import McapSource
 from socast.tools.cluster.job import Job
 from socast.tools.cluster.runner import InProcessRunner, Runner
 from socast.tools.cluster.tables import make_tables
-from socast.tools.commands.tables import COUNTED_BY_NAME, tabulate
+from socast.tools.commands.tables import COUNTED_BY_NAME
+from socast.tools.terminal.ride_source import tabulate
 from socast.tools.terminal.table_files import read
 from tests.support.mcap_recordings import BEGIN, SECOND, write_recording
 

@@ -27,7 +27,7 @@ import pyarrow.parquet as pq
 from socast.core.fit.ride_blocks import list_parts
 from socast.tools.cluster.run import REPORT
 from socast.tools.cluster.simulation import TRUTH
-from socast.tools.commands.tables import RIDES, WINDOWS
+from socast.tools.terminal.ride_source import RIDES, WINDOWS
 from socast.tools.terminal.table_source import QUALITY
 
 LONGEST_SHIFT_H: Final = 8.0

@@ -20,9 +20,9 @@ from socast.core.models import ANY, LinearModel
 from socast.core.models.features import Columns
 from socast.core.pipeline import BLOCK, Pipeline
 from socast.tools.bench.measures import Measure, alternate_timings, cut_blocks, time_action
-from socast.tools.commands.tables import ROW_GROUP
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.settings import Simulation
+from socast.tools.terminal.ride_source import ROW_GROUP
 
 MANY, FEW = 200_000, 20_000
 RECIPE: Final = "hybrid_interactions"

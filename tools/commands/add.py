@@ -15,28 +15,24 @@ from socast.core.diagnose.residual_survey import survey_model
 from socast.core.errors import ModelError
 from socast.core.fit.measured_rows import join_tables
 from socast.core.models import LinearModel
-from socast.core.settings import Settings
-from socast.tools.commands.diagnose import LeastGain, read_files, read_tables
-from socast.tools.commands.fit import Rides, inputs
-from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables
+from socast.tools.commands.diagnose import LeastGain, read_tables
 from socast.tools.terminal.elapsed_time import show_elapsed
 from socast.tools.terminal.output import (
-    EffectFiles,
     HtmlFile,
     JsonFile,
-    VehicleFiles,
     check_outputs,
     make_console,
     select_model_files,
     write_json,
 )
+from socast.tools.terminal.ride_source import RideSource, insert_ride_source
 
 
-@insert_cleaning_options
+@insert_ride_source
 def add_effect(
     effect: Annotated[str, typer.Argument(metavar="EFFECT", help="Effect of `socast effects list`, or a variant.")],
-    rides: Rides,
     *,
+    source: RideSource,
     model: Annotated[str, typer.Option("--model", metavar="M", help="Model name or file; the file is not changed.")],
     out: Annotated[
         Path,
@@ -57,9 +53,6 @@ def add_effect(
         bool, typer.Option("--even-if-undecided", help="Add the effect where the rides do not decide whether it helps.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Add the effect even if it does not help.")] = False,
-    effects_file: EffectFiles = None,
-    vehicles: VehicleFiles = None,
-    settings: Settings,
     least_gain: LeastGain = LEAST_GAIN,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
@@ -67,16 +60,11 @@ def add_effect(
     """Add an effect to a model, refit it, and compare the errors on held-out days and vehicles."""
     from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
 
-    refuse_cleaning_of_tables(inputs(rides), settings)
+    source.check()
     base = models.load(model)
     build_term_columns(effect, scope or ())  # refuses a wrong scope before the rides are read
-    check_outputs(
-        [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())],
-        out,
-        json_file,
-        html_file,
-    )
-    tables = read_tables(rides, base, settings)
+    check_outputs([*source.list_read_files(), *select_model_files([model])], out, json_file, html_file)
+    tables = read_tables(source, base)
     with show_elapsed("fitting with and without the effect"):
         added = try_effect(base, effect, scope or (), *tables, least=least_gain)
     write_json(json_file, "add", added.trial)

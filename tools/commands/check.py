@@ -7,12 +7,12 @@ from socast.core.settings import Settings
 from socast.core.totals.logger_faults import list_facts
 from socast.core.totals.run_counters import CarCounters
 from socast.stream.elevation_files import open_elevation
-from socast.tools.commands.tables import tabulate
 from socast.tools.terminal.cleaning_options import insert_cleaning_options
 from socast.tools.terminal.elevation_option import ElevationFiles
 from socast.tools.terminal.fault_report import RIDE_COLUMNS, choose_next_step, describe_car, report_cars, show_cars
 from socast.tools.terminal.output import JsonFile, VehicleFiles, check_outputs, make_console, write_json
 from socast.tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
+from socast.tools.terminal.ride_source import tabulate
 
 
 @insert_cleaning_options

@@ -3,12 +3,11 @@
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 import typer
 
 from socast.core import models
@@ -19,34 +18,25 @@ from socast.core.evaluate.compare.models import ComparedRides, compare_predictio
 from socast.core.evaluate.compare.ride_trace import find_ride, trace_ride
 from socast.core.evaluate.paper.results import to_json_values
 from socast.core.models import BUILT_IN_MODELS, LinearModel
-from socast.core.settings import Settings
 from socast.tools.cluster.dask_runner import ClusterPlace
-from socast.tools.commands.diagnose import read_both_tables
-from socast.tools.commands.fit import RECORDING, Rides, inputs, ride_files
-from socast.tools.commands.tables import WINDOWS, in_memory, tables_by_workers
-from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables, word_settings
 from socast.tools.terminal.cluster_option import insert_cluster_options
 from socast.tools.terminal.output import (
-    EffectFiles,
     HtmlFile,
     JsonFile,
-    VehicleFiles,
     check_outputs,
     select_model_files,
     show_report,
     write_json,
 )
-from socast.tools.terminal.table_files import KEY, is_table, read
-
-RideTables = tuple[pd.DataFrame, pd.DataFrame]
-"""Ride table and window table."""
+from socast.tools.terminal.ride_source import BothTables, RideSource, insert_ride_source, place_source
+from socast.tools.terminal.table_files import KEY
 
 
 @insert_cluster_options
-@insert_cleaning_options
+@insert_ride_source
 def compare_models(
-    rides: Rides,
     *,
+    source: RideSource,
     model: Annotated[
         list[str], typer.Option("--model", metavar="M", help="A model's name, or a model file; may be repeated.")
     ],
@@ -57,9 +47,6 @@ def compare_models(
     ride: Annotated[
         str | None, typer.Option(metavar="KEY", help="Show the trace of this ride instead, by ride_key or ride_id.")
     ] = None,
-    effects_file: EffectFiles = None,
-    vehicles: VehicleFiles = None,
-    settings: Settings,
     place: ClusterPlace | None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
@@ -78,33 +65,28 @@ def compare_models(
     """
     if ride is not None and against:
         raise SettingsError("--ride shows one ride of the first rides; leave out --against")
-    files = [*inputs(rides), *inputs(against or ())]
-    refuse_cleaning_of_tables(files, settings)
-    read = [
-        *files,
-        *select_model_files(model),
-        *(effects_file or ()),
-        *(vehicles or ()),
-    ]
+    source = place_source(source, place)
+    other = replace(source, given=against or ())
+    read = select_model_files(model)
+    for each in (source, other) if against else (source,):
+        each.check()
+        read += each.list_read_files()
     check_outputs(read, json_file, html_file)
-    chosen, words = named(model), [*_words(rides, effects_file or (), vehicles or ()), *word_settings(settings)]
-    wanted, loaded = [name for each in chosen.values() for name in each.effects], (effects_file or (), vehicles or ())
+    chosen = named(model)
+    wanted = [name for each in chosen.values() for name in each.effects]
     with ExitStack() as folders:
-        first, second = (
-            folders.enter_context(tables_by_workers(given, place, wanted, *loaded, settings))
-            for given in (rides, against or ())
-        )
+        first, second = (folders.enter_context(each.tabulated(wanted)) for each in (source, other))
         if ride is not None:
-            result: dict[str, Any] = {"trace": _trace(first, ride, chosen, settings)}
+            result: dict[str, Any] = {"trace": _trace(first, ride, chosen, wanted)}
         else:
-            table, read_windows, read_all = _read(first, chosen, settings)
+            table, read_windows, read_all = _read(first, wanted)
             selected = select_rides(table, chosen)
             result = compare_predictions(selected)
-            _say_commands(result, words, dict(zip(chosen, model, strict=True)))
+            _say_commands(result, ["socast", "compare", *source.list_words()], dict(zip(chosen, model, strict=True)))
             result["failures"] = _find_failures(read_all, selected, chosen)
             if against:
-                shown = " ".join(map(str, rides)), " ".join(map(str, against))
-                result["against"] = _against(selected, second, shown, chosen, settings)
+                shown = " ".join(map(str, source.given)), " ".join(map(str, against))
+                result["against"] = _against(selected, second.read_rides(wanted), shown, chosen)
         result = to_json_values(result)
         write_json(json_file, "compare", result)
         if html_file is not None and ride is None:
@@ -128,37 +110,18 @@ def named(given: Sequence[str]) -> dict[str, LinearModel]:
     return {label: models.load(name) for label, name in zip(labels, given, strict=True)}
 
 
-def _recorded(given: Sequence[Path]) -> bool:
-    """Return whether the given files are recordings."""
-    return given[0].suffix == RECORDING
-
-
-def _summed(
-    given: Sequence[Path], chosen: Mapping[str, LinearModel], settings: Settings
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the ride table and the window table of recordings."""
-    wanted = [name for model in chosen.values() for name in model.effects]
-    return in_memory(given, wanted, settings=settings)
-
-
-def _rides(given: Sequence[Path], chosen: Mapping[str, LinearModel], settings: Settings) -> pd.DataFrame:
-    """Return the ride table of recordings or of files of rides."""
-    return _summed(given, chosen, settings)[0] if _recorded(given) else read(ride_files(given))
-
-
 def _read(
-    given: Sequence[Path], chosen: Mapping[str, LinearModel], settings: Settings
-) -> tuple[pd.DataFrame, Callable[[str], pd.DataFrame], Callable[[], RideTables]]:
+    source: RideSource, wanted: Sequence[str]
+) -> tuple[pd.DataFrame, Callable[[str], pd.DataFrame], Callable[[], BothTables]]:
     """Return the ride table, and functions that read the windows of a ride by its key, and both tables."""
-    if _recorded(given):
-        rides, windows = _summed(given, chosen, settings)
+    if source.is_recorded:
+        rides, windows = source.read(wanted, library=False)
         return rides, lambda _: windows, lambda: (rides, windows)
-    files, wanted = ride_files(given), [name for model in chosen.values() for name in model.effects]
-    return read(files), lambda key: _windows(files, key), lambda: read_both_tables(given, wanted)
+    return source.read_rides(), source.read_windows_of, lambda: source.read(wanted)
 
 
 def _find_failures(
-    read_all: Callable[[], RideTables], compared: ComparedRides, chosen: Mapping[str, LinearModel]
+    read_all: Callable[[], BothTables], compared: ComparedRides, chosen: Mapping[str, LinearModel]
 ) -> dict[str, Any]:
     """Return where the windows of the compared rides show that the first model fails; why not, where they cannot."""
     label, model = next(iter(chosen.items()))
@@ -185,41 +148,20 @@ def _trace_worst(
     return traces
 
 
-def _trace(given: Sequence[Path], name: str, chosen: Mapping[str, LinearModel], settings: Settings) -> dict[str, Any]:
+def _trace(source: RideSource, name: str, chosen: Mapping[str, LinearModel], wanted: Sequence[str]) -> dict[str, Any]:
     """Return the trace of a ride."""
-    if _recorded(given):
-        rides, windows = _summed(given, chosen, settings)
-        return trace_ride(find_ride(rides, name), windows, chosen)
-    files = ride_files(given)
-    row = find_ride(read(files), name)
+    rides, read_windows, _ = _read(source, wanted)
+    row = find_ride(rides, name)
     if KEY not in row:
         raise ModelError(f"column {KEY!r} is missing in the ride table: make it again with `socast tables`")
-    return trace_ride(row, _windows(files, str(row[KEY].iloc[0])), chosen)
-
-
-def _windows(files: Sequence[Path], key: str) -> pd.DataFrame:
-    """Return the windows of a ride, from the window table beside its ride table."""
-    place, ride_key = (0, key) if len(files) == 1 else (int(key.partition("/")[0]), key.partition("/")[2])
-    file = files[place].with_name(WINDOWS)
-    if not is_table(file):
-        raise SettingsError(f"{file.parent} holds no {WINDOWS}; a trace needs the windows that `socast tables` makes")
-    try:
-        windows: pd.DataFrame = pq.read_table(file, filters=[(KEY, "==", ride_key)]).to_pandas()
-    except (OSError, pa.ArrowException) as error:
-        reason = " ".join(str(error).split())
-        raise ModelError(f"{file}: cannot read windows: {reason}; a trace needs what `socast tables` made") from error
-    return windows.assign(**{KEY: key})
+    return trace_ride(row, read_windows(str(row[KEY].iloc[0])), chosen)
 
 
 def _against(
-    compared: ComparedRides,
-    against: Sequence[Path],
-    shown: tuple[str, str],
-    chosen: Mapping[str, LinearModel],
-    settings: Settings,
+    compared: ComparedRides, rides: pd.DataFrame, shown: tuple[str, str], chosen: Mapping[str, LinearModel]
 ) -> dict[str, Any]:
     """Return the differences between two sets of rides, and the errors of models on the second set."""
-    other = select_rides(_rides(against, chosen, settings), chosen)
+    other = select_rides(rides, chosen)
     second = compare_predictions(other)
     return {
         "first": shown[0],
@@ -228,13 +170,6 @@ def _against(
         "second_models": second["models"],
         **compare_datasets(compared, other, chosen),
     }
-
-
-def _words(rides: Sequence[Path], effect_files: Sequence[Path], vehicle_files: Sequence[Path]) -> list[str]:
-    """Return the first words of a command that reads the same rides with the same effects."""
-    brought = [word for path in effect_files for word in ("--effects", str(path))]
-    brought += [word for path in vehicle_files for word in ("--vehicles", str(path))]
-    return ["socast", "compare", *map(str, rides), *brought]
 
 
 def _say_commands(result: Mapping[str, Any], words: Sequence[str], given: Mapping[str, str]) -> None:

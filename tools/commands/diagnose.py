@@ -1,7 +1,7 @@
 """Run `socast diagnose`: find where a model fails and why; with `--auto`, add effects until none is missing."""
 
 import shlex
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import Annotated, Any
@@ -26,29 +26,22 @@ from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from socast.core.models.features import EFFECT_PREFIX, FEATURES, is_scope
-from socast.core.settings import Settings
 from socast.core.wire.messages import Finding
 from socast.tools.cluster.dask_runner import ClusterPlace
-from socast.tools.commands.fit import RECORDING, Rides, inputs
-from socast.tools.commands.tables import WINDOWS, in_memory, tables_by_workers
-from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables, word_settings
 from socast.tools.terminal.cluster_option import insert_cluster_options
 from socast.tools.terminal.elapsed_time import show_elapsed
 from socast.tools.terminal.findings_file import read_findings, show_changes, write_findings
 from socast.tools.terminal.output import (
-    EffectFiles,
     HtmlFile,
     JsonFile,
-    VehicleFiles,
     check_outputs,
     make_console,
     select_model_files,
     show_report,
     write_json,
 )
-from socast.tools.terminal.recordings import refuse_duplicates
-from socast.tools.terminal.table_files import KEY, is_table, join_parts, read
-from socast.tools.terminal.table_source import are_dated, complete_tables
+from socast.tools.terminal.ride_source import RideSource, insert_ride_source, place_source
+from socast.tools.terminal.table_files import KEY
 
 ENERGY_COLUMNS = (
     "energy_kwh",
@@ -71,16 +64,13 @@ LeastGain = Annotated[
 
 
 @insert_cluster_options
-@insert_cleaning_options
+@insert_ride_source
 def diagnose_rides(
-    rides: Rides,
     *,
+    source: RideSource,
     model: Annotated[str, typer.Option("--model", metavar="M", help="Model: a name, or a model file.")],
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
-    effects_file: EffectFiles = None,
-    vehicles: VehicleFiles = None,
-    settings: Settings,
     place: ClusterPlace | None,
     suggest: Annotated[
         Path | None, typer.Option(metavar="FILE.py", help="Write the suggested effect, if any, to a file.")
@@ -113,20 +103,18 @@ def diagnose_rides(
     """
     _check_options(auto, out, groups, findings)
     first_day = _parse_date(since) if since else None
-    refuse_cleaning_of_tables(inputs(rides), settings)
+    source.check()
     loaded = models.load(model)
-    read_from = [*read_files(rides), *select_model_files([model]), *(effects_file or ()), *(vehicles or ())]
+    read_from = [*source.list_read_files(), *select_model_files([model])]
     check_outputs(read_from, json_file, html_file, suggest, findings, out)
-    refuse_duplicates(inputs(rides))
-    dated = are_dated(inputs(rides))
+    dated = source.are_dated
     earlier = read_findings(findings) if findings else []
-    wanted = [*loaded.effects, *effects.list_tabulated()]
-    with tables_by_workers(rides, place, wanted, effects_file or (), vehicles or (), settings) as given:
-        table, windows = read_tables(given, loaded, settings)
+    with place_source(source, place).tabulated(loaded.effects) as made:
+        table, windows = read_tables(made, loaded)
     if first_day is not None:
         table, windows = select_since(table, windows, first_day)
     console = make_console(json_file)
-    for name in list_lacking_effects(effects_file or (), windows):
+    for name in list_lacking_effects(source.effect_files, windows):
         console.print(
             f"{name} is not in the tables and is not tested: make them again with `socast tables --effects FILE`",
             style="yellow",
@@ -138,7 +126,7 @@ def diagnose_rides(
     else:
         of_vehicle = read_groups(groups) if groups else None
         result = _diagnose(loaded, table, windows, least_gain, of_vehicle, dated=dated)
-        insert_commands(result, model, rides, effects_file or (), vehicles or (), settings)
+        insert_commands(result, model, source)
         if findings:
             after = _keep_findings(result, table, earlier, findings)
     result |= _word_result(result)
@@ -172,16 +160,8 @@ def check_tables(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame)
     return rides, windows
 
 
-def read_files(given: Sequence[Path]) -> list[Path]:
-    """Return every file that a command reads: recordings, or ride tables with the window tables beside them."""
-    files = inputs(given)
-    return files if files[0].suffix == RECORDING else [*files, *(file.with_name(WINDOWS) for file in files)]
-
-
-def read_tables(
-    given: Sequence[Path], model: LinearModel, settings: Settings | None = None
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the ride and window tables, read from tables or made from recordings with every known effect.
+def read_tables(source: RideSource, model: LinearModel) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the ride and window tables that a diagnosis needs.
 
     Raises
     ------
@@ -190,42 +170,7 @@ def read_tables(
     ModelError
         A table cannot be read, a column is missing, or the rides are of other vehicle models than the model.
     """
-    return check_tables(model, *read_both_tables(given, model.effects, settings=settings))
-
-
-def read_both_tables(
-    given: Sequence[Path],
-    wanted: Sequence[str] = (),
-    report: Callable[[float], None] | None = None,
-    settings: Settings | None = None,
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the ride and window tables, read from tables or made from recordings with every known effect."""
-    files = inputs(given)
-    if files[0].suffix == RECORDING:
-        return in_memory(files, [*wanted, *effects.list_tabulated()], report, settings)
-    beside = [file.with_name(WINDOWS) for file in files]
-    for file in beside:
-        if not is_table(file):
-            raise SettingsError(
-                f"{file.parent} holds no {WINDOWS}, which diagnosis needs: name a folder that `socast tables` made"
-            )
-    if not (own := effects.list_own()):
-        return read(files), read(beside)
-    parts = [_complete(*pair, own, report) for pair in zip(files, beside, strict=True)]
-    return join_parts([rides for rides, _ in parts]), join_parts([windows for _, windows in parts])
-
-
-def _complete(
-    rides: Path, windows: Path, own: Sequence[str], report: Callable[[float], None] | None
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the tables of a folder, with columns of one's own effects from their recordings."""
-
-    def read_again(
-        recordings: Sequence[Path], wanted: Sequence[str], settings: Settings, elevation: Sequence[Path]
-    ) -> tuple[pd.DataFrame, pd.DataFrame]:
-        return in_memory(recordings, wanted, report, settings, elevation)
-
-    return complete_tables(rides.parent, read([rides]), read([windows]), own, read_again)
+    return check_tables(model, *source.read(model.effects))
 
 
 def check_vehicles(model: LinearModel, rides: pd.DataFrame) -> None:
@@ -249,30 +194,21 @@ def select_since(rides: pd.DataFrame, windows: pd.DataFrame, first: date) -> tup
     return kept, windows.loc[windows["ride_key"].isin(kept["ride_key"])]
 
 
-def insert_commands(
-    result: dict[str, Any],
-    model: str,
-    data: Sequence[Path],
-    effect_files: Sequence[Path] = (),
-    vehicle_files: Sequence[Path] = (),
-    settings: Settings | None = None,
-) -> None:
+def insert_commands(result: dict[str, Any], model: str, source: RideSource) -> None:
     """Insert into the entry of each missing effect and deviation that a term can hold the command that adds it.
 
     `commands` holds this command, and the one that runs the model with the effect as a shadow. The command of an
     episode shows the ride with the largest part of it.
     """
     stem = model if model in BUILT_IN_MODELS else str(Path(model).with_suffix(""))
-    own = [word for path in effect_files for word in ("--effects", str(path))]
-    own += [word for path in vehicle_files for word in ("--vehicles", str(path))]
-    own += word_settings(settings or Settings())
+    data, own = [str(path) for path in source.given], source.list_options()
     for episode in result.get("episodes") or ():
-        words = ["socast", "compare", *map(str, data), "--model", model, "--ride", str(episode["rides"][0])]
+        words = ["socast", "compare", *data, "--model", model, "--ride", str(episode["rides"][0])]
         episode["command"] = shlex.join([*words, *own])
     deviations = [entry for entry in result.get("deviations") or () if entry["columns"]]
     for entry in [*(result.get("missing") or ()), *deviations]:
         name, scopes = parse_term(entry)
-        words = ["socast", "add", name, *map(str, data), "--model", model, *own]
+        words = ["socast", "add", name, *data, "--model", model, *own]
         words += [word for scope in scopes for word in ("--scope", scope)]
         file = f"{stem}-{name.partition('@')[0]}.json"
         entry["command"] = shlex.join([*words, "-o", file])

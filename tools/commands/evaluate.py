@@ -23,10 +23,9 @@ from socast.core.stats.splits import REPEATS
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.evaluation import EvaluationJob, evaluate_by_workers, plan_job
 from socast.tools.cluster.workers import open_workers
-from socast.tools.commands.fit import Tables, ride_files
-from socast.tools.commands.tables import WINDOWS
 from socast.tools.terminal.cluster_option import insert_cluster_options
-from socast.tools.terminal.output import HtmlFile, JsonFile, VehicleFiles, check_outputs, make_console, write_json
+from socast.tools.terminal.output import HtmlFile, JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source, place_source
 from socast.tools.terminal.table_files import KEY, is_table
 
 LEAST_REPEATS = 2
@@ -34,12 +33,12 @@ LEAST_REPEATS = 2
 
 
 @insert_cluster_options
+@insert_ride_source
 def evaluate_tables(
-    tables: Tables,
     *,
+    source: RideSource,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
-    vehicles: VehicleFiles = None,
     seed: Annotated[int, typer.Option(help="Seed of splits and draws; the same seed gives the same result.")] = 0,
     repeats: Annotated[int, typer.Option(help="Number of splits by ride.")] = REPEATS,
     recipes: Annotated[
@@ -86,22 +85,24 @@ def evaluate_tables(
     for name, value, least in (("--repeats", repeats, LEAST_REPEATS), ("--jobs", jobs, 1), ("--seed", seed, 0)):
         if value is not None and value < least:
             raise SettingsError(f"{name} is {value}; give {least} or more")
-    files = ride_files(tables)
-    beside = [file.with_name(WINDOWS) for file in files]
-    check_outputs([*files, *beside], json_file, html_file)
+    source.check()
+    check_outputs(source.list_read_files(), json_file, html_file)
     named = RECIPES if recipes is None else [name.strip() for name in recipes.split(",")]
-    job = EvaluationJob(
-        tuple(file.resolve() for file in files),
-        tuple(file.resolve() for file in beside) if all(map(is_table, beside)) else (),
-        tuple(window_columns(named)),
-        recipes,
-        seed,
-        repeats,
-        tuple(leave_out_of_training or ()),
-        removal_margin / 100.0,
-        tuple(file.resolve() for file in vehicles or ()),
-    )
-    result = _evaluate(job, jobs, place)
+    with place_source(source, place if source.is_recorded else None).tabulated(always=True) as made:
+        files = made.files
+        beside = [file.with_name(WINDOWS) for file in files]
+        job = EvaluationJob(
+            tuple(file.resolve() for file in files),
+            tuple(file.resolve() for file in beside) if all(map(is_table, beside)) else (),
+            tuple(window_columns(named)),
+            recipes,
+            seed,
+            repeats,
+            tuple(leave_out_of_training or ()),
+            removal_margin / 100.0,
+            tuple(file.resolve() for file in source.vehicle_files),
+        )
+        result = _evaluate(job, jobs, place)
     result["about"]["seconds"] = round(time.perf_counter() - began, 1)
     write_json(json_file, "evaluate", result)
     _report(result, html_file, json_file)

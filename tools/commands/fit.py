@@ -1,7 +1,6 @@
 """`socast fit`: fit a model to ride tables, write it to a file and print its coefficients."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from math import sqrt
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -12,7 +11,7 @@ from msgspec import UNSET
 from rich.console import Console
 from scipy.special import stdtrit
 
-from socast.core import effects, models
+from socast.core import models
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.errors import SettingsError, suggest_names
 from socast.core.fit.pooled import adapt
@@ -23,31 +22,16 @@ from socast.core.formatting import format_count, format_minus
 from socast.core.models import ANY, LinearModel, Term
 from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible, get_plausible_ranges, is_within, list_implausible
-from socast.core.settings import Settings
 from socast.core.vehicles import AccessoryCurve
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.workers import open_workers
-from socast.tools.commands.tables import RIDES, WINDOWS, make_table_folder, tables_by_workers
-from socast.tools.terminal.cleaning_options import insert_cleaning_options, refuse_cleaning_of_tables
 from socast.tools.terminal.cluster_option import insert_cluster_options
 from socast.tools.terminal.elapsed_time import show_elapsed
-from socast.tools.terminal.output import EffectFiles, JsonFile, VehicleFiles, check_outputs, make_console, write_json
-from socast.tools.terminal.recordings import refuse_duplicates
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from socast.tools.terminal.rich_table import Column, make_table
-from socast.tools.terminal.table_files import PARQUET, is_table, is_window_table, read
+from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source, place_source
+from socast.tools.terminal.table_files import is_table, read
 
-Tables = Annotated[
-    list[Path],
-    typer.Argument(metavar="TABLES...", help="Folders that `socast tables` made, or Parquet files of rides."),
-]
-
-Rides = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="TABLES|REC", help="Folders that `socast tables` made, or MCAP recordings and their folders."
-    ),
-]
-RECORDING = ".mcap"
 RECOMMENDED = "fitted_physical"
 """The recommended first recipe, because its coefficients are physical and it needs few rides."""
 
@@ -59,10 +43,10 @@ LEVELS = ("heating", "standby", "cooling")
 
 
 @insert_cluster_options
-@insert_cleaning_options
+@insert_ride_source
 def fit(
-    rides: Rides,
     *,
+    source: RideSource,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="MODEL.json", help="The model file to write.")],
     recipe_name: Annotated[
         str | None,
@@ -81,9 +65,6 @@ def fit(
             help="Adapt this pooled model to the rides instead, such as those of a new car.",
         ),
     ] = None,
-    effects_file: EffectFiles = None,
-    vehicles: VehicleFiles = None,
-    settings: Settings,
     place: ClusterPlace | None,
     json_file: JsonFile = None,
 ) -> None:
@@ -108,10 +89,11 @@ def fit(
         raise SettingsError(f"recipe {recipe_name!r} is unknown: {suggest_names(recipe_name, RECIPES)}")
     base = None if adapt_to is None else models.load(adapt_to)
     chosen = get_recipe(recipe_name or (base.recipe if base else ""))
-    refuse_cleaning_of_tables(inputs(rides), settings)
-    check_outputs([*inputs(rides), *(effects_file or ()), *(vehicles or ())], out, json_file)
+    source.check()
+    check_outputs(source.list_read_files(), out, json_file)
     _refuse_undivided(chosen, place, adapted=base is not None)
-    with _open_rides(rides, settings, place, effects_file or (), vehicles or ()) as files:
+    with place_source(source, place if source.is_recorded else None).tabulated(always=True) as made:
+        files = made.files
         if place and isinstance(chosen, LinearRecipe):
             model = _fit_by_workers(chosen, files, out, place)
         else:
@@ -123,79 +105,6 @@ def fit(
     show(model, chosen.title, console)
     message = f"{out}: {chosen.title}, version {model.version}; forecast with --model {out}"
     console.print(message, markup=False, highlight=False, soft_wrap=True)
-
-
-@contextmanager
-def _open_rides(
-    given: Sequence[Path],
-    settings: Settings,
-    place: ClusterPlace | None,
-    effect_files: Sequence[Path],
-    vehicle_files: Sequence[Path],
-) -> Iterator[list[Path]]:
-    """Yield files of rides; of recordings they are made first, in a temporary folder."""
-    files, wanted = inputs(given), effects.list_tabulated()
-    if files[0].suffix != RECORDING:
-        yield files
-    elif place is not None:
-        with tables_by_workers(files, place, wanted, effect_files, vehicle_files, settings) as folders:
-            yield ride_files(folders)
-    else:
-        with make_table_folder(files, wanted, settings) as folder:
-            yield [folder / RIDES]
-
-
-def ride_files(tables: Sequence[Path]) -> list[Path]:
-    """Return the files of rides that the command line names."""
-    files = [path / RIDES if path.is_dir() and not is_table(path) else path for path in tables]
-    for given, file in zip(tables, files, strict=True):
-        if given.suffix == RECORDING and given.is_file():
-            folder = given.with_suffix("")
-            raise SettingsError(
-                f"{given} is a recording; make tables of it first with `socast tables {given} --out {folder}`, "
-                f"and give {folder}"
-            )
-        if not is_table(file):
-            lacks = f"holds no {RIDES}" if given.is_dir() else "does not exist"
-            raise SettingsError(f"{given} {lacks}; name a folder that `socast tables` made, or a Parquet file of rides")
-        if file.suffix != PARQUET:
-            raise SettingsError(f"{given} is neither a recording (*{RECORDING}) nor a Parquet file of rides")
-        if is_window_table(file):
-            raise SettingsError(f"{given} is a window table; give the folder, or {RIDES}")
-    refuse_duplicates(files)
-    return files
-
-
-def inputs(given: Sequence[Path]) -> list[Path]:
-    """Return the recordings, or the files of rides, that the command line names.
-
-    Parameters
-    ----------
-    given : sequence of Path
-        Recordings and folders of recordings, or folders of tables and Parquet files of rides.
-    """
-    if empty := [
-        path
-        for path in given
-        if path.is_dir() and not is_table(path) and not (path / RIDES).exists() and not _list_recordings(path)
-    ]:
-        raise SettingsError(
-            f"{empty[0]} holds no {RIDES} and no recording (*{RECORDING}); name a folder of recordings, or one that "
-            "`socast tables` made"
-        )
-    files = [file for path in given for file in _list_recordings(path) or [path]]
-    recordings = [path for path in files if path.suffix == RECORDING]
-    if not recordings:
-        return ride_files(given)
-    if len(recordings) < len(files):
-        other = next(path for path in files if path.suffix != RECORDING)
-        raise SettingsError(f"{recordings[0]} is a recording and {other} is none; give recordings or tables, not both")
-    return recordings
-
-
-def _list_recordings(folder: Path) -> list[Path]:
-    """Return the recordings in a folder in the order of their names, none if it holds tables."""
-    return [] if (folder / RIDES).exists() else sorted(folder.glob(f"*{RECORDING}"))
 
 
 def _fitted(chosen: Recipe, files: Sequence[Path]) -> LinearModel:

@@ -17,7 +17,7 @@ from socast.tools.terminal.elapsed_time import show_elapsed
 from socast.tools.terminal.forecast_options import ForecastOptions, insert_forecast_options, make_pipeline
 from socast.tools.terminal.kernels import compile_kernels
 from socast.tools.terminal.model_comparison import advise_fit, load_models
-from socast.tools.terminal.recordings import refuse_duplicates
+from socast.tools.terminal.ride_source import RideSource
 from socast.tools.terminal.time_zone import parse_zone
 from socast.tools.workbench.fleet.board import Board
 from socast.tools.workbench.fleet.observer import Observer
@@ -114,9 +114,11 @@ def serve(
     log_lines(level=logging.WARNING)
     if (connect or config or shard_by != "name") and not live:
         raise SettingsError("--connect, --config and --shard-by belong to --live: add it, or leave them out")
-    refuse_duplicates(given or [])
     router = ", ".join(connect or [LOOPBACK]) if live else None
-    workspace = Workspace(Given(tuple(given or ()), tuple(options.models), tuple(options.effect_files), folder, router))
+    source = RideSource(
+        tuple(given or ()), options.settings, options.elevation, options.effect_files, options.vehicle_files
+    )
+    workspace = Workspace(Given(source, tuple(options.models), folder, router))
     if time_zone:
         parse_zone(time_zone)
     drawn = TileFile(tiles) if tiles else None
@@ -130,7 +132,7 @@ def serve(
             connection = Connection(ends, mode="client", prefix=options.prefix, config=config, shard=all_chunks)
             workbench.fleet = _observe(connection)
         elif workspace.recordings:
-            workbench.fleet = _replay(workspace.recordings, options)
+            workbench.fleet = _replay(workspace.recordings, source, options)
         if workbench.fleet is not None:
             ending.callback(workbench.fleet.close)
         server = WorkbenchServer(workbench, host, port, make_announcer(opens_browser=not no_browser))
@@ -145,7 +147,7 @@ def _observe(connection: Connection) -> FleetSource:
     return observer
 
 
-def _replay(recordings: list[Path], options: ForecastOptions) -> FleetSource:
+def _replay(recordings: list[Path], source: RideSource, options: ForecastOptions) -> FleetSource:
     """Return the running player of recordings."""
     options = options.find_models(recordings[0].parent)
     models = load_models(options.models)
@@ -156,10 +158,8 @@ def _replay(recordings: list[Path], options: ForecastOptions) -> FleetSource:
     def make(warm: bool) -> Pipeline:
         return make_pipeline(options, models, replayed=sources, warm=warm)
 
-    words = ["socast", "replay", *map(str, recordings)]
+    words = ["socast", "replay", *source.list_words()]
     words += [word for model in options.models for word in ("--model", model)]
-    words += [word for path in options.effect_files for word in ("--effects", str(path))]
-    words += [word for path in options.vehicle_files for word in ("--vehicles", str(path))]
     words += [word for path in options.warm_up for word in ("--warm-up", str(path))]
     advice = advise_fit(models[0], " ".join(map(str, recordings))) or ""
     player = Player(recordings, make, Board(), words, advice)

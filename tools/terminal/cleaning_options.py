@@ -1,13 +1,10 @@
 """The settings of cleaning as command-line options in everyday units, the same for every command."""
 
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
 from socast.core.columns import KMH
-from socast.core.errors import SettingsError
 from socast.core.settings import LIMITS, Settings
 from socast.tools.terminal.option_groups import insert_options
 
@@ -102,17 +99,6 @@ def word_settings(settings: Settings) -> list[str]:
     }
     changed = {name: round(value, 6) for name, (value, default) in values.items() if round(value, 6) != default}
     return [word for name, value in changed.items() for word in (name, f"{value:g}")]
-
-
-def refuse_cleaning_of_tables(files: Sequence[Path], settings: Settings) -> None:
-    """Refuse options of cleaning beside tables, which are cleaned already."""
-    words = word_settings(settings)
-    tables = [file for file in files if file.suffix != ".mcap"]
-    if words and tables:
-        raise SettingsError(
-            f"{' '.join(words)} cleans recordings, and {tables[0]} holds rides that are cleaned already; leave it out, "
-            "and give it to `socast tables` as you make the tables"
-        )
 
 
 insert_cleaning_options = insert_options("settings", make_settings, "Cleaning")

@@ -17,9 +17,8 @@ from socast.core.evaluate.paper.results import to_json_values
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.models import BUILT_IN_MODELS, EXTENDED_PHYSICAL, LinearModel
 from socast.tools.commands.compare import named
-from socast.tools.commands.diagnose import check_tables, list_lacking_effects, read_both_tables
-from socast.tools.commands.fit import RECORDING, inputs
-from socast.tools.terminal.table_source import are_dated
+from socast.tools.commands.diagnose import check_tables, list_lacking_effects
+from socast.tools.terminal.ride_source import RECORDING, RideSource
 from socast.tools.workbench.loop.model_tree import ModelNode, ModelTree
 from socast.tools.workbench.loop.own_effects import OwnEffects
 
@@ -34,21 +33,18 @@ class Given(NamedTuple):
 
     Parameters
     ----------
-    data : sequence of Path
+    source : RideSource
         Recordings, or folders of tables; none for a fleet without rides.
     models : sequence of str
         Names of models, or model files.
-    effects : sequence of Path
-        Files of effects.
     folder : Path, optional
         Folder in which models are kept; by default a temporary one.
     live : str, optional
         Endpoint of a live service, None without one.
     """
 
-    data: Sequence[Path] = ()
+    source: RideSource = RideSource()
     models: Sequence[str] = ()
-    effects: Sequence[Path] = ()
     folder: Path | None = None
     live: str | None = None
 
@@ -95,9 +91,11 @@ class Workspace:
 
     def __init__(self, given: Given = Given()) -> None:  # noqa: B008 - immutable
         self.given = given
-        files = inputs(given.data) if given.data else []
+        if given.source.given:
+            given.source.check()
+        files = given.source.files if given.source.given else []
         self.recordings = [file for file in files if file.suffix == RECORDING]
-        self.effects = OwnEffects(given.effects)
+        self.effects = OwnEffects(given.source.effect_files)
         self._temporary = None if given.folder else TemporaryDirectory(prefix="socast-models-")
         self.models = ModelTree(given.folder or Path(self._temporary.name if self._temporary else "."))
         self.notes: list[str] = []
@@ -132,7 +130,7 @@ class Workspace:
         """Read the rides, load or fit the first model, and return what was read."""
         try:
             given = named(self.given.models)
-            if self.given.data:
+            if self.given.source.given:
                 self.make_tables(report, [name for model in given.values() for name in model.effects])
             self.models.load_folder()
             for (label, model), word in zip(given.items(), self.given.models, strict=True):
@@ -149,9 +147,7 @@ class Workspace:
         """Read the tables, or make them of the recordings with every effect that is known now."""
         words = "making tables of the recordings" if self.recorded else "reading the tables"
         of_models = [name for node in self.models.list_nodes() for name in node.model.effects]
-        rides, windows = read_both_tables(
-            self.given.data, [*wanted, *of_models], lambda share: report(0.95 * share, words)
-        )
+        rides, windows = self.given.source.read([*wanted, *of_models], lambda share: report(0.95 * share, words))
         self._tables = RideTables(rides, windows, self._tables.version + 1 if self._tables else 1)
         return self._tables
 
@@ -196,7 +192,7 @@ class Workspace:
         rides, windows = self.check_rides(node.model)
         version = self.tables.version
         result: dict[str, Any] = to_json_values(
-            diagnose(rides, windows, node.model, dated=are_dated(inputs(self.given.data)), report=report)
+            diagnose(rides, windows, node.model, dated=self.given.source.are_dated, report=report)
         )
         self._diagnoses[node.model.version, version] = result
         return result
@@ -205,9 +201,9 @@ class Workspace:
         """Return what was given and read, for the head of every page."""
         made = self._tables
         described = {
-            "given": [str(path) for path in self.given.data],
+            "given": [str(path) for path in self.given.source.given],
             "recordings": [str(path) for path in self.recordings],
-            "effects": [str(path) for path in self.given.effects],
+            "effects": [str(path) for path in self.given.source.effect_files],
             "live": self.given.live,
             "recorded": self.recorded,
             "ready": self.is_ready,
@@ -228,7 +224,7 @@ class Workspace:
                 "first_date": str(made.rides["date"].min()),
                 "last_date": str(made.rides["date"].max()),
                 "seen": [node.name for node in self.models.list_nodes() if _is_in_sample(node.model, made.rides)],
-                "lacking": list_lacking_effects(self.given.effects, made.windows),
+                "lacking": list_lacking_effects(self.given.source.effect_files, made.windows),
             }
         return described
 
@@ -253,7 +249,7 @@ class Workspace:
 
     def _explain_absence(self) -> str:
         """Return why there are no tables."""
-        if not self.given.data:
+        if not self.given.source.given:
             return "no rides were given; start the workbench with socast serve RECORDING"
         return "the rides are still being read; wait until the tables are made"
 

@@ -12,12 +12,12 @@ from rich.console import Console
 
 from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term, save, stamp
 from socast.tools.cli import main
-from socast.tools.commands.tables import in_memory
 from socast.tools.report.comparison import tables
 from socast.tools.report.comparison.figures import get_model_style
 from socast.tools.report.comparison.page import MOST_COMMANDS
 from socast.tools.report.evaluation.sections import Section
 from socast.tools.report.evaluation.terminal import print_section
+from socast.tools.terminal.ride_source import RideSource
 from tests.support.browsers import WIDE, open_browser
 from tests.support.commands import called, done
 from tests.support.html_pages import assert_axes_are_titled, read_figures, read_page
@@ -32,7 +32,7 @@ ODD = "<b>R&D's 'best'</b>"
 
 @pytest.fixture(scope="module")
 def shift():
-    return in_memory([SHIFT], EXTENDED_PHYSICAL.effects)
+    return RideSource([SHIFT]).read(EXTENDED_PHYSICAL.effects, library=False)
 
 
 @pytest.fixture(scope="module")

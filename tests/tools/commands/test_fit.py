@@ -15,7 +15,7 @@ from socast.stream.loop import run
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
 from socast.stream.memory import MemorySink, MemorySource
-from socast.tools.commands.fit import ride_files
+from socast.tools.terminal.ride_source import list_ride_files
 from tests.support.commands import done, refused
 from tests.support.planted_rides import MODELS, noisy, physical_energy, rides
 from tests.support.pooled_rides import differing, fleet, measured, planted
@@ -125,7 +125,7 @@ def test_several_tables_are_fitted_together(folder, table, tmp_path):
     table.iloc[:450].to_parquet(half)
     table.iloc[450:].to_parquet(tmp_path / "rides.parquet")
     done("fit", half, tmp_path, "--recipe", "hybrid", "-o", tmp_path / "model.json")
-    assert ride_files([half, tmp_path]) == [half, tmp_path / "rides.parquet"]
+    assert list_ride_files([half, tmp_path]) == [half, tmp_path / "rides.parquet"]
     together, whole = models.load(tmp_path / "model.json"), fitted(folder, "hybrid", tmp_path / "whole.json")
     assert together.training == whole.training
     np.testing.assert_allclose(together.predict(table), whole.predict(table), rtol=1e-6)

@@ -15,11 +15,11 @@ from socast.stream.loop import Tally
 from socast.stream.mcap_writer import McapSink
 from socast.stream.memory import MemorySink
 from socast.stream.zenoh_session import Connection, Node, find_free_port
-from socast.tools.commands.fit import inputs
 from socast.tools.terminal import night_watch
 from socast.tools.terminal.diagnosis_process import DiagnosisProcess
 from socast.tools.terminal.forecast_options import ForecastOptions
 from socast.tools.terminal.night_watch import make_nightly_diagnosis
+from socast.tools.terminal.ride_source import list_inputs
 from tests.support.commands import called, refused
 from tests.support.live_consumers import consumers, logged
 from tests.support.paths import ROOT
@@ -173,7 +173,7 @@ def test_missing_effect_is_published_after_midnight(tmp_path):
 def test_folder_of_recordings_stands_for_its_recordings(tmp_path):
     for name in ("b.mcap", "a.mcap", "notes.txt"):
         (tmp_path / name).touch()
-    assert inputs([tmp_path]) == [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    assert list_inputs([tmp_path]) == [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     (tmp_path / "empty").mkdir()
     with pytest.raises(SettingsError, match="holds no rides"):
-        inputs([tmp_path / "empty"])
+        list_inputs([tmp_path / "empty"])

@@ -1,6 +1,7 @@
 """Test the report of cars that deviate or change: sentences, commands and figures."""
 
 from io import StringIO
+from pathlib import Path
 
 import pytest
 from rich.console import Console
@@ -10,6 +11,7 @@ from socast.tools.report.diagnosis.deviation_figures import draw_deviations
 from socast.tools.report.diagnosis.deviations import describe_deviation, describe_deviations, describe_spread
 from socast.tools.report.diagnosis.page import print_step
 from socast.tools.report.diagnosis.sentences import describe_next_step, describe_verdict
+from socast.tools.terminal.ride_source import RideSource
 from tests.support.diagnosis_result import make_deviation, make_diagnosis, make_empty_diagnosis, make_ranked_car
 
 
@@ -41,7 +43,7 @@ def make_change(**changes):
 
 def test_change_is_the_headline_and_its_command_the_next_step():
     result = make_change()
-    insert_commands(result, "base.json", ["tables"])
+    insert_commands(result, "base.json", RideSource([Path("tables")]))
     first, sure, common = describe_verdict(result)[:3]
     assert first.startswith("Finding: taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018")
     assert "probability of more than 99.9 %" in sure
@@ -110,7 +112,7 @@ def test_nothing_found_is_said():
 
 def test_command_adds_a_step_and_not_a_ramp():
     result = make_diagnosis(deviations=[make_deviation(), make_deviation(kind="ramp", columns=[])])
-    insert_commands(result, "base.json", [])
+    insert_commands(result, "base.json", RideSource())
     step, ramp = result["deviations"]
     assert "socast add tyre_pressure" in step["command"]
     assert "--scope vehicle=taxi-005 --scope since=2018-11-14" in step["command"]

@@ -18,6 +18,7 @@ from socast.tools.report.diagnosis.figures import (
     draw_remainder,
     draw_slices,
 )
+from socast.tools.terminal.ride_source import RideSource
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
 from tests.support.html_pages import assert_axes_are_titled, read_page
 from tests.support.read_parts import find_read_parts
@@ -171,7 +172,9 @@ def test_error_without_missing_effect_is_not_called_held_out():
 
 def test_next_command_can_be_copied(tmp_path):
     result = make_diagnosis()
-    insert_commands(result, "models/base.json", [Path("tables one"), Path("b")], [Path("my.py")])
+    insert_commands(
+        result, "models/base.json", RideSource([Path("tables one"), Path("b")], effect_files=[Path("my.py")])
+    )
     command = result["missing"][0]["command"]
     assert command == (
         "socast add cold_rolling@reference=283.15 'tables one' b --model models/base.json "

@@ -10,6 +10,7 @@ from socast.tools.commands.diagnose import insert_commands
 from socast.tools.report.diagnosis import page as report
 from socast.tools.report.diagnosis import sentences
 from socast.tools.report.diagnosis.episodes import describe_episodes
+from socast.tools.terminal.ride_source import RideSource
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_episode
 from tests.support.html_pages import read_page
 
@@ -43,7 +44,7 @@ def test_report_without_episodes_does_not_mention_them():
 
 def test_next_step_is_to_look_at_the_worst_ride():
     result = make_diagnosis(episodes=[make_episode()])
-    insert_commands(result, "base.json", [Path("autumn")])
+    insert_commands(result, "base.json", RideSource([Path("autumn")]))
     first, command, *rest = sentences.describe_next_step(result)
     assert first.startswith("First look at the recordings of 17 January 2018 and 2 March 2018, 16 to 19 h UTC")
     assert command == "socast compare autumn --model base.json --ride 'taxi-003#7'"

@@ -7,7 +7,8 @@ import pytest
 from socast.core.errors import SettingsError
 from socast.core.settings import Settings
 from socast.tools.commands.diagnose import insert_commands
-from socast.tools.terminal.cleaning_options import make_settings, refuse_cleaning_of_tables, word_settings
+from socast.tools.terminal.cleaning_options import make_settings, word_settings
+from socast.tools.terminal.ride_source import RideSource
 
 MOTORWAY = make_settings(speed_limit_kmh=180.0, least_distance_km=1.5)
 WORDS = "--speed-limit-kmh 180 --least-distance-km 1.5"
@@ -18,14 +19,18 @@ def test_only_changed_settings_are_worded():
     assert word_settings(Settings()) == []
 
 
-def test_options_beside_tables_are_refused_with_the_remedy():
-    with pytest.raises(SettingsError, match=f"{WORDS} cleans recordings, and tables/rides.parquet .* `socast tables`"):
-        refuse_cleaning_of_tables([Path("tables/rides.parquet")], MOTORWAY)
-    refuse_cleaning_of_tables([Path("kept.mcap")], MOTORWAY)
-    refuse_cleaning_of_tables([Path("tables/rides.parquet")], Settings())
+def test_options_beside_tables_are_refused_with_the_remedy(tmp_path):
+    rides = tmp_path / "rides.parquet"
+    rides.write_bytes(b"")
+    with pytest.raises(SettingsError, match=f"{WORDS} cleans recordings, and .*rides.parquet .* `socast tables`"):
+        RideSource([rides], MOTORWAY).check()
+    with pytest.raises(SettingsError, match=r"--elevation cleans recordings, and .* give it to `socast tables`"):
+        RideSource([rides], elevation=[Path("city.parquet")]).check()
+    RideSource([Path("kept.mcap")], MOTORWAY, [Path("city.parquet")]).check()
+    RideSource([rides]).check()
 
 
 def test_command_that_adds_an_effect_cleans_the_recording_alike():
     missing = {"effect": "headwind", "columns": ["effect_headwind"]}
-    insert_commands({"missing": [missing]}, "base.json", [Path("kept.mcap")], settings=MOTORWAY)
+    insert_commands({"missing": [missing]}, "base.json", RideSource([Path("kept.mcap")], MOTORWAY))
     assert all(WORDS in command for command in missing["commands"])

@@ -8,7 +8,7 @@ import pytest
 
 from socast.core import effects
 from socast.stream.mcap_writer import McapSink
-from socast.tools.commands.diagnose import read_both_tables
+from socast.tools.terminal.ride_source import RideSource
 from socast.tools.terminal.table_source import read_source
 from tests.support.commands import done
 from tests.support.recorded_shift import shift
@@ -50,11 +50,11 @@ def test_tables_name_their_recordings_and_settings(folder):
 def test_tables_made_before_an_effect_was_written_get_its_column(folder):
     expected = folder.parent / "expected"
     done("tables", folder.parent / "shift.mcap", "--out", expected, *SETTINGS)
-    rides, windows = read_both_tables([folder])
+    rides, windows = RideSource([folder]).read()
     for table, name in ((rides, "rides.parquet"), (windows, "windows.parquet")):
         whole = pd.read_parquet(expected / name)
         pd.testing.assert_frame_equal(table[whole.columns], whole)
-    both, _ = read_both_tables([folder, expected])
+    both, _ = RideSource([folder, expected]).read()
     assert both["effect_my_effect"].notna().all()
 
 
@@ -70,6 +70,6 @@ def test_tables_whose_source_is_gone_or_another_stay_as_they_are(folder, loss):
     else:
         with McapSink(folder.parent / "shift.mcap") as sink:
             sink.put(shift()[: len(shift()) // 2])
-    rides, windows = read_both_tables([folder])
+    rides, windows = RideSource([folder]).read()
     assert "effect_my_effect" not in rides
     assert "effect_my_effect" not in windows

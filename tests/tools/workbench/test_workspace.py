@@ -6,6 +6,7 @@ import pytest
 
 from socast.core import effects, models
 from socast.core.errors import ModelError, SettingsError
+from socast.tools.terminal.ride_source import RideSource
 from socast.tools.workbench.loop import causes
 from socast.tools.workbench.loop import models as model_records
 from socast.tools.workbench.workspace import Given, Workspace
@@ -51,7 +52,7 @@ def own(tmp_path):
 
 
 def test_models_of_a_folder_form_the_same_tree_again(tables, tmp_path):
-    given = Given(data=(tables,), models=(str(tmp_path / "base.json"),), folder=tmp_path / "kept")
+    given = Given(RideSource((tables,)), models=(str(tmp_path / "base.json"),), folder=tmp_path / "kept")
     first = Workspace(given)
     first.open()
     added = causes.add_to_model(first, "base", "cold_rolling")
@@ -68,7 +69,7 @@ def test_models_of_a_folder_form_the_same_tree_again(tables, tmp_path):
 
 
 def test_temporary_models_are_removed_at_the_end(tables, tmp_path):
-    workspace = Workspace(Given(data=(tables,), models=(str(tmp_path / "base.json"),)))
+    workspace = Workspace(Given(RideSource((tables,)), models=(str(tmp_path / "base.json"),)))
     workspace.open()
     assert workspace.models.folder.is_dir()
     workspace.close()
@@ -76,7 +77,7 @@ def test_temporary_models_are_removed_at_the_end(tables, tmp_path):
 
 
 def test_shadow_of_tables_is_refused(tables, tmp_path):
-    workspace = Workspace(Given(data=(tables,), models=(str(tmp_path / "base.json"),)))
+    workspace = Workspace(Given(RideSource((tables,)), models=(str(tmp_path / "base.json"),)))
     workspace.open()
     node = workspace.get_node()
     with pytest.raises(SettingsError, match="tables were given"):
@@ -85,7 +86,7 @@ def test_shadow_of_tables_is_refused(tables, tmp_path):
 
 
 def test_too_few_rides_for_a_fit_take_a_built_in_model():
-    workspace = Workspace(Given(data=(ROOT / "recordings/shift.mcap",)))
+    workspace = Workspace(Given(RideSource((ROOT / "recordings/shift.mcap",))))
     workspace.open()
     assert workspace.is_ready
     assert "built-in model" in workspace.notes[0] or workspace.get_node().origin == "fitted"
@@ -102,7 +103,7 @@ def test_workspace_without_rides_says_how_to_give_some():
 
 
 def test_unreadable_model_is_kept_as_the_problem(tables, tmp_path):
-    workspace = Workspace(Given(data=(tables,), models=(str(tmp_path / "none.json"),)))
+    workspace = Workspace(Given(RideSource((tables,)), models=(str(tmp_path / "none.json"),)))
     with pytest.raises(ModelError):
         workspace.open()
     assert "none.json" in workspace.describe()["problem"]
@@ -112,7 +113,7 @@ def test_unreadable_model_is_kept_as_the_problem(tables, tmp_path):
 def test_changed_file_of_effects_gives_new_tables(own, tmp_path):
     recording = tmp_path / "shift.mcap"
     shutil.copy(ROOT / "recordings/shift.mcap", recording)
-    workspace = Workspace(Given(data=(recording,), effects=(own,)))
+    workspace = Workspace(Given(RideSource((recording,), effect_files=(own,))))
     workspace.open()
     assert "effect_my_drag" in workspace.tables.windows
     assert not workspace.effects.has_changed
@@ -125,7 +126,7 @@ def test_changed_file_of_effects_gives_new_tables(own, tmp_path):
 
 
 def test_error_of_a_changed_file_is_shown_at_its_line(own, tables, tmp_path):
-    workspace = Workspace(Given(data=(tables,), models=(str(tmp_path / "base.json"),), effects=(own,)))
+    workspace = Workspace(Given(RideSource((tables,), effect_files=(own,)), models=(str(tmp_path / "base.json"),)))
     workspace.open()
     own.write_text("from socast import effect\n\nthis is not Python\n", encoding="utf-8")
     workspace.read_effects_again()
@@ -137,7 +138,7 @@ def test_error_of_a_changed_file_is_shown_at_its_line(own, tables, tmp_path):
 
 
 def test_tables_that_lack_an_effect_name_it(own, tables, tmp_path):
-    workspace = Workspace(Given(data=(tables,), models=(str(tmp_path / "base.json"),), effects=(own,)))
+    workspace = Workspace(Given(RideSource((tables,), effect_files=(own,)), models=(str(tmp_path / "base.json"),)))
     workspace.open()
     assert workspace.describe()["lacking"] == ["my_drag"]
     assert workspace.read_effects_again() == {"effects": [], "made": False}

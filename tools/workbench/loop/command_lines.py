@@ -10,13 +10,13 @@ from socast.tools.workbench.workspace import Workspace
 
 def compare_command(workspace: Workspace, nodes: Sequence[ModelNode], ride: str = "") -> str:
     """Return the command that compares models, or traces one ride."""
-    words = ["socast", "compare", *_data(workspace), *_models(nodes), *_effects(workspace)]
+    words = ["socast", "compare", *_data(workspace), *_models(nodes), *_options(workspace)]
     return shlex.join([*words, *(["--ride", ride] if ride else [])])
 
 
 def diagnose_command(workspace: Workspace, node: ModelNode) -> str:
     """Return the command that diagnoses a model."""
-    return shlex.join(["socast", "diagnose", *_data(workspace), *_models([node]), *_effects(workspace)])
+    return shlex.join(["socast", "diagnose", *_data(workspace), *_models([node]), *_options(workspace)])
 
 
 def add_command(
@@ -33,17 +33,17 @@ def add_command(
     words += [word for scope in scopes for word in ("--scope", scope)]
     out = str(Path(node.path).with_name(f"{node.name}-{effect.partition('@')[0]}.json"))
     also = ["--force"] if force else ["--even-if-undecided"] if even_if_undecided else []
-    return shlex.join([*words, *_effects(workspace), *also, "-o", out])
+    return shlex.join([*words, *_options(workspace), *also, "-o", out])
 
 
 def live_command(workspace: Workspace, nodes: Sequence[ModelNode]) -> str:
     """Return the command that runs the models after the first one as its shadows, in service."""
-    return shlex.join(["socast", "live", *_models(nodes), *_effects(workspace)])
+    return shlex.join(["socast", "live", *_models(nodes), *_options(workspace)])
 
 
 def replay_command(workspace: Workspace, nodes: Sequence[ModelNode]) -> str:
     """Return the command that shows with recordings the errors that shadows would have had in service."""
-    return shlex.join(["socast", "replay", *_data(workspace), *_models(nodes), *_effects(workspace)])
+    return shlex.join(["socast", "replay", *_data(workspace), *_models(nodes), *_options(workspace)])
 
 
 def history_command(node: ModelNode) -> str:
@@ -53,8 +53,10 @@ def history_command(node: ModelNode) -> str:
 
 def list_fit_commands(workspace: Workspace, node: ModelNode) -> list[str]:
     """Return the commands that fit the first model."""
-    folder = Path(workspace.given.data[0]).stem if workspace.recorded else ""
-    made = [shlex.join(["socast", "tables", *_data(workspace), "--out", folder])] if folder else []
+    folder = Path(workspace.given.source.given[0]).stem if workspace.recorded else ""
+    made = (
+        [shlex.join(["socast", "tables", *_data(workspace), *_options(workspace), "--out", folder])] if folder else []
+    )
     tables = [folder] if folder else _data(workspace)
     return [*made, shlex.join(["socast", "fit", *tables, "--recipe", node.model.recipe, "-o", f"{node.name}.json"])]
 
@@ -66,7 +68,7 @@ def effect_command(workspace: Workspace, effect: str) -> str:
 
 def _data(workspace: Workspace) -> list[str]:
     """Return the recordings or tables."""
-    return [str(path) for path in workspace.given.data]
+    return [str(path) for path in workspace.given.source.given]
 
 
 def _models(nodes: Sequence[ModelNode]) -> list[str]:
@@ -74,6 +76,11 @@ def _models(nodes: Sequence[ModelNode]) -> list[str]:
     return [word for node in nodes for word in ("--model", node.path)]
 
 
+def _options(workspace: Workspace) -> list[str]:
+    """Return the options with which a command reads the rides as the workbench does."""
+    return workspace.given.source.list_options()
+
+
 def _effects(workspace: Workspace) -> list[str]:
     """Return the options that name files of effects."""
-    return [word for path in workspace.given.effects for word in ("--effects", str(path))]
+    return [word for path in workspace.given.source.effect_files for word in ("--effects", str(path))]

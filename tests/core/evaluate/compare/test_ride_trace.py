@@ -10,7 +10,7 @@ from socast.core.errors import ModelError
 from socast.core.evaluate.compare.ride_trace import accumulate_windows, find_ride, locate_divergence, trace_ride
 from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Term
 from socast.core.models.features import FEATURES
-from socast.tools.commands.tables import in_memory
+from socast.tools.terminal.ride_source import RideSource
 from tests.support.linear_models import make_model
 from tests.support.paths import ROOT
 
@@ -22,7 +22,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 @pytest.fixture(scope="module")
 def shift():
-    return in_memory([SHIFT], EXTENDED_PHYSICAL.effects)
+    return RideSource([SHIFT]).read(EXTENDED_PHYSICAL.effects, library=False)
 
 
 def test_accumulated_windows_end_with_values_of_ride(shift):

@@ -6,6 +6,7 @@ import re
 import pytest
 
 from socast.core import effects
+from socast.tools.terminal.ride_source import RideSource
 from socast.tools.workbench.jobs import Jobs
 from socast.tools.workbench.json_routes import Workbench
 from socast.tools.workbench.workspace import Given, Workspace
@@ -42,7 +43,9 @@ def own(tmp_path_factory):
 @pytest.fixture(scope="module")
 def server(own):
     """A workbench that reads the recording while the first page opens, with a model that is quickly refitted."""
-    workspace = Workspace(Given(data=(ROOT / "recordings/autumn.mcap",), models=("extended_physical",), effects=(own,)))
+    workspace = Workspace(
+        Given(RideSource((ROOT / "recordings/autumn.mcap",), effect_files=(own,)), models=("extended_physical",))
+    )
     workbench = Workbench(workspace, Jobs())
     workbench.jobs.start("reading the rides", workspace.open)
     with serve(workbench) as served:

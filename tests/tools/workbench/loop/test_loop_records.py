@@ -8,6 +8,7 @@ import pytest
 from socast.core import models
 from socast.core.errors import SettingsError
 from socast.core.models import EXTENDED_PHYSICAL
+from socast.tools.terminal.ride_source import RideSource
 from socast.tools.workbench.loop import causes, residuals, rides
 from socast.tools.workbench.loop import models as model_records
 from socast.tools.workbench.workspace import Given, Workspace
@@ -19,7 +20,7 @@ AUTUMN = ROOT / "recordings/autumn.mcap"
 
 @pytest.fixture(scope="module")
 def workspace():
-    opened = Workspace(Given(data=(AUTUMN,)))
+    opened = Workspace(Given(RideSource((AUTUMN,))))
     opened.open()
     yield opened
     opened.close()
