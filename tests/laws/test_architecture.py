@@ -68,6 +68,25 @@ def parse(module: str) -> ast.Module:
     return ast.parse(MODULES[module].read_text(encoding="utf-8"))
 
 
+INPUT_OUTPUT = re.compile(
+    r"\bopen\(|\.open\(|read_bytes\(|read_text\(|write_bytes\(|write_text\(|ParquetFile\(|ParquetWriter\(|"
+    r"import subprocess|from joblib|import joblib|os\.replace|NamedTemporaryFile|write_whole\("
+)
+"""What reads or writes files, or starts processes."""
+OUTSIDE = {
+    "core/compiled_cache.py",  # the sources of kernels
+    "core/effects/registry.py",  # files of the user's effects, imported in a process of their own first
+    "core/errors.py",
+    "core/evaluate/paper/published.py",  # the paper's tables, in the package
+    "core/evaluate/paper/runs.py",
+    "core/files.py",
+    "core/fit/ride_blocks.py",
+    "core/models/file.py",
+    "core/vehicles/catalogue.py",  # the catalogue, in the package
+}
+"""Files of core that do: those of the page, their helpers, and data in the package."""
+
+
 def docstrings(tree: ast.Module) -> set[int]:
     """Return the identities of the docstrings and of the texts that describe constants."""
     return {
@@ -147,6 +166,15 @@ def test_transport_is_imported_only_in_its_files():
 def test_core_reads_no_clock():
     readers = {module for module in MODULES if module.startswith("socast.core") and CLOCKS & import_names(module)}
     assert readers == set()
+
+
+def test_core_reads_writes_and_starts_processes_in_few_files_only():
+    found = {
+        str(path.relative_to(ROOT))
+        for path in (ROOT / "core").rglob("*.py")
+        if INPUT_OUTPUT.search(path.read_text(encoding="utf-8"))
+    }
+    assert found == OUTSIDE
 
 
 def test_every_file_has_fewer_than_500_lines():

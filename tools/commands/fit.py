@@ -32,8 +32,8 @@ from socast.tools.terminal.rich_table import Column, make_table
 from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source, place_source
 from socast.tools.terminal.table_files import is_table, read
 
-RECOMMENDED = "fitted_physical"
-"""The recommended first recipe, because its coefficients are physical and it needs few rides."""
+RECOMMENDED = "road_load"
+"""The recommended first recipe: textbook physics with priors needs few rides, and what it lacks can be found."""
 
 LEAST_PRIOR_FREEDOM = 4
 """Least degrees of freedom of an interval whose coefficient has a prior: the prior is known without any ride."""
@@ -75,7 +75,7 @@ def fit(
     Examples
     --------
     socast tables recordings/shift.mcap --out tables
-    socast fit tables --recipe fitted_physical --out fitted.json
+    socast fit tables --recipe road_load --out fitted.json
     socast fit recordings/shift.mcap --recipe road_load --out base.json
     socast fit new-car --adapt pooled.json --out adapted.json
     socast fit by-workers --recipe hybrid --out hybrid.json --cluster local:2
