@@ -67,5 +67,5 @@ def test_recording_without_usable_message_is_refused_in_one_line(command, tmp_pa
 
 def test_fit_without_recipe_recommends_one_and_lists_all(tmp_path, capsys):
     message = refused(capsys, "fit", tmp_path, "-o", tmp_path / "m.json")
-    assert "start with --recipe fitted_physical" in message
+    assert "start with --recipe road_load" in message
     assert "pooled_hybrid" in message
