@@ -66,16 +66,20 @@ class Candidates:
 
     def get_limits(self, at: int) -> tuple[float, float]:
         """Return the smallest and the largest plausible coefficient of a candidate, which include 0."""
-        sign = int(self.sign[at])
-        if self.variants[at].split(VARIANT, maxsplit=1)[0] not in effects.get_library():
-            return (-inf if sign <= 0 else 0.0), (inf if sign >= 0 else 0.0)
-        effect = effects.get(self.variants[at])
-        return min(effect.low, 0.0), max(effect.high, 0.0)
+        return find_limits(self.variants[at], int(self.sign[at]))
 
     @property
     def least_coefficients(self) -> Floats:
         """Coefficient above which each candidate is large enough to report, (k,), see `compute_least_coefficients`."""
         return compute_least_coefficients(self.columns, self.measured)
+
+
+def find_limits(variant: str, sign: int) -> tuple[float, float]:
+    """Return the smallest and the largest plausible coefficient of an effect, which include 0."""
+    if variant.split(VARIANT, maxsplit=1)[0] not in effects.get_library():
+        return (-inf if sign <= 0 else 0.0), (inf if sign >= 0 else 0.0)
+    effect = effects.get(variant)
+    return min(effect.low, 0.0), max(effect.high, 0.0)
 
 
 def compute_least_coefficients(columns: Floats, measured: Floats) -> Floats:

@@ -47,6 +47,7 @@ from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible
+from socast.core.stats.held_out_gain import HeldOutGain
 
 LEAST_SUGGESTION_GAIN: Final = 0.005
 """Share of the squared error that a free-form term must explain to be suggested."""
@@ -163,6 +164,7 @@ def _diagnose(
     selection = ForwardSelection(base, candidates, clusters, SelectionSettings(least_gain, MAX_EFFECTS, seed))
     report(0.5, "ranking the effects")
     first = selection.rank()
+    gains = selection.measure_candidates(first)
     causes = selection.select_all()
     local: dict[str, list[dict[str, Any]]] = {"deviations": [], "cars": []}
     if places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES:
@@ -200,7 +202,7 @@ def _diagnose(
             _describe_missing(finding, selection) | {"partial_residual": compute_partial_residual(selection, finding)}
             for finding in missing
         ],
-        "candidates": _tabulate_candidates(first, missing),
+        "candidates": _tabulate_candidates(first, gains, missing),
         "verdict": verdict,
         "causes": _describe_causes(causes),
         "credible_set": causes.list_credible_set(),
@@ -263,7 +265,6 @@ def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> di
     value = float(evidence.coefficient[0])
     low, high = evidence.compute_interval(0)
     energy = named.column[:, 0] * value
-    half = NORMAL * finding.gain_error
     credible = [] if named.causes is None else named.causes.list_credible_set()
     return {
         "effect": named.effect,
@@ -273,8 +274,8 @@ def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> di
         "credible_set": credible,
         "scope": " ".join(part.replace("=", " ") for part in named.candidates.scope) or "all",
         "columns": [f"{EFFECT_PREFIX}{named.variant}", *named.candidates.scope],
-        "gain": finding.gain,
-        "gain_ci95": [finding.gain - half, finding.gain + half],
+        "gain": finding.gain.value,
+        "gain_ci95": [finding.gain.value - finding.gain.half, finding.gain.value + finding.gain.half],
         "energy_share": float(np.abs(energy).sum() / seen.measured.sum()),
         "p": float(evidence.p[0]),
         "z": float(evidence.z[0]),
@@ -324,7 +325,9 @@ def _equivalents(energy: Floats, seen: Windows) -> list[str]:
     return equal
 
 
-def _tabulate_candidates(first: Ranking, missing: list[MissingEffect]) -> list[dict[str, Any]]:
+def _tabulate_candidates(
+    first: Ranking, gains: Mapping[str, HeldOutGain], missing: list[MissingEffect]
+) -> list[dict[str, Any]]:
     """Return all effects that were tested everywhere, as they ranked before any was selected."""
     rows: list[dict[str, Any]] = []
     for e, (name, at) in enumerate(zip(first.candidates.names, first.best.tolist(), strict=True)):
@@ -335,7 +338,7 @@ def _tabulate_candidates(first: Ranking, missing: list[MissingEffect]) -> list[d
                 "z": float(first.evidence.z[at]),
                 "p": float(first.evidence.p[at]),
                 "q": float(first.q[e]),
-                "gain": first.compute_gain(at)[0],
+                "gain": gains[name].value,
             }
         rows.append(row | {"status": _describe_status(name, row, int(first.candidates.sign[at]), missing)})
     rows.sort(key=lambda row: -(row["gain"] if row["gain"] is not None else -1.0))
@@ -370,7 +373,7 @@ def _describe_structure(remains: ResidualStructure) -> dict[str, Any]:
         "least": residual_structure.LEAST_TAKEN,
         "shape": remains.shape,
         "q": remains.q,
-        "gain": remains.gain,
+        "shape_taken": remains.gain,
         "better": remains.better,
         "signs": remains.signs,
         "days": remains.days,

@@ -8,6 +8,7 @@ The gain of an effect is that with a plausible coefficient. What an effect would
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Final
 
@@ -23,9 +24,10 @@ from socast.core.diagnose.ranking import (
     Ranking,
     ResidualSpace,
     compute_correlation,
+    compute_held_out_gain,
     rank_candidates,
-    sum_over_clusters,
 )
+from socast.core.stats.held_out_gain import HeldOutGain
 
 NEEDED: Final = 0.05
 """Probability above which an effect is dropped again beside the others."""
@@ -78,15 +80,13 @@ class MissingEffect:
         The effect.
     evidence : Evidence
         Its test result.
-    gain, gain_error : float
-        Fall of the squared error of rides on held-out vehicle-days, as a share, and its standard error, with a
-        coefficient within the plausible range. [1]
+    gain : HeldOutGain
+        Of rides, with a coefficient within the plausible range.
     """
 
     selected: SelectedEffect
     evidence: Evidence
-    gain: float
-    gain_error: float
+    gain: HeldOutGain
 
 
 @dataclass(frozen=True)
@@ -140,6 +140,7 @@ class ForwardSelection:
         settings: SelectionSettings,
     ) -> None:
         self.base, self.candidates, self.clusters, self.settings = base, candidates, clusters, settings
+        self._given = base
         self.selected: list[SelectedEffect] = []
         self.dropped: set[tuple[str, tuple[str, ...]]] = set()
         self.remaining: Causes | None = None
@@ -221,10 +222,11 @@ class ForwardSelection:
         """Return the results for each selected effect, in the order of selection."""
         missing = []
         for effect in self.selected:
-            evidence, column, residual = self.compare_with_others(effect)
-            gain = self.compute_gain(column, residual, effect.candidates.get_limits(effect.at))
+            evidence, _, _ = self.compare_with_others(effect)
             least = effect.candidates.least_coefficients[[effect.at]]
-            missing.append(MissingEffect(effect, evidence.allow_for_distortion(least), *gain))
+            missing.append(
+                MissingEffect(effect, evidence.allow_for_distortion(least), self.compute_gain_beside(effect))
+            )
         return missing
 
     def correlate(self, effect: SelectedEffect, others: Sequence[str]) -> list[tuple[str, float]]:
@@ -238,30 +240,35 @@ class ForwardSelection:
         pairs = [(name, compute_correlation(off[:, 0], off[:, 1 + i])) for i, name in enumerate(names)]
         return sorted(pairs, key=lambda pair: -abs(pair[1]))
 
-    def compute_gain(self, column: Floats, residual: Floats, limits: tuple[float, float]) -> tuple[float, float]:
-        """Return the gain of an effect on held-out vehicle-days and its standard error, as of `MissingEffect`. [1]"""
-        windows = self.base.windows
-        after = residual - column * self.cross_fit_coefficients(column, residual, limits)
-        before, then = (windows.by_ride(self.base.convert_to_energy(values)) for values in (residual, after))
-        fall = np.bincount(windows.day_of_ride, before**2 - then**2)
-        return sum_over_clusters(fall / max(float(before @ before), 1e-300))
+    def compute_gain(self, column: Floats, residual: Floats, limits: tuple[float, float]) -> HeldOutGain:
+        """Return the gain of a column on a residual, see `compute_held_out_gain`."""
+        return compute_held_out_gain(self.base, column, residual, limits, self.clusters[0], self.settings.seed)
 
-    def cross_fit_coefficients(self, column: Floats, residual: Floats, limits: tuple[float, float]) -> Floats:
-        """Return for each window the coefficient within limits that fits the other folds best, (n,)."""
-        clusters = self.clusters[0]
-        folds = clusters.assign_folds(self.settings.seed)
-        size, cross = clusters.sum_by_cluster(column**2), clusters.sum_by_cluster(column * residual)
-        rest = size.sum() - np.bincount(folds, size), cross.sum() - np.bincount(folds, cross)
-        coefficient = np.divide(rest[1], rest[0], out=np.zeros_like(rest[1]), where=rest[0] > 0.0)
-        return np.asarray(np.clip(coefficient, *limits)[folds][clusters.code])
+    def compute_gain_beside(self, effect: SelectedEffect) -> HeldOutGain:
+        """Return the gain of an effect beside the other selected ones, with the weights of the model as given.
+
+        `socast add` and the list of candidates use these weights too, so that all three state one gain.
+        """
+        given = copy(self)
+        given.base = self._given
+        _, column, residual = given.compare_with_others(effect)
+        return given.compute_gain(column, residual, effect.candidates.get_limits(effect.at))
+
+    def measure_candidates(self, ranking: Ranking) -> dict[str, HeldOutGain]:
+        """Return the gain of each effect that can be told from the model, each alone beside what is selected."""
+        residual = self.compute_residual(self.build_basis())
+        best = zip(ranking.candidates.names, ranking.best.tolist(), strict=True)
+        return {
+            name: self.compute_gain(ranking.projected[:, at], residual, ranking.candidates.get_limits(at))
+            for name, at in best
+            if at >= 0
+        }
 
     def is_worthwhile(self, effect: SelectedEffect) -> bool:
         """Return whether an effect explains the least gain on held-out days, beside the selected ones."""
         if not self.settings.least_gain > 0.0:
             return True
-        _, column, residual = self.compare_with_others(effect)
-        limits = effect.candidates.get_limits(effect.at)
-        return self.compute_gain(column, residual, limits)[0] >= self.settings.least_gain
+        return self.compute_gain_beside(effect).value >= self.settings.least_gain
 
     def is_new(self, effect: SelectedEffect) -> bool:
         """Return whether an effect is neither selected nor dropped."""

@@ -10,6 +10,7 @@ from socast.core.batch import Floats, Ints
 from socast.core.diagnose.candidates import Candidates
 from socast.core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
 from socast.core.diagnose.projection import BaseProjection
+from socast.core.stats.held_out_gain import HeldOutGain, cross_fit, measure_gain
 from socast.core.stats.multiple_testing import adjust_false_discovery
 
 LEAST_LEFT: Final = 0.03
@@ -63,8 +64,6 @@ class Ranking:
         For each effect, its variant with the largest held-out gain; -1 where none is identifiable.
     q : (names,) float
         Probability adjusted over all effects; NaN where no variant is identifiable. [1]
-    gains : (clusters, k) float
-        Fall of the weighted squared error on held-out vehicle-days, as a share of the total. [1]
     """
 
     candidates: Candidates
@@ -73,11 +72,6 @@ class Ranking:
     left: Floats
     best: Ints
     q: Floats
-    gains: Floats
-
-    def compute_gain(self, at: int) -> tuple[float, float]:
-        """Return the held-out gain of a candidate and its standard error. [1]"""
-        return sum_over_clusters(self.gains[:, at])
 
     def list_significant(self) -> list[int]:
         """Return the best variants of the significant effects, the most significant first.
@@ -104,7 +98,7 @@ def rank_candidates(
     evidence = compute_worst_case_evidence(
         space.residual, projected, candidates.sign, clusters, candidates.least_coefficients
     )
-    gains = compute_held_out_gains(space.residual, projected, candidates.sign, clusters[0], seed)
+    gains = compute_window_gains(space.residual, projected, candidates.sign, clusters[0], seed)
     identifiable = left > LEAST_LEFT
     count = len(candidates.names)
     best, p = np.full(count, -1, dtype=np.int64), np.full(count, np.nan)
@@ -113,10 +107,31 @@ def rank_candidates(
         if len(variants):
             best[e] = variants[np.argmax(gains[:, variants].sum(axis=0))]
             p[e] = combine_by_simes(evidence.p[variants])
-    return Ranking(candidates, projected, evidence, left, best, adjust_false_discovery(p), gains)
+    return Ranking(candidates, projected, evidence, left, best, adjust_false_discovery(p))
 
 
-def compute_held_out_gains(residual: Floats, columns: Floats, sign: Ints, clusters: ClusterSums, seed: int) -> Floats:
+def compute_held_out_gain(
+    base: BaseProjection, column: Floats, residual: Floats, limits: tuple[float, float], days: ClusterSums, seed: int
+) -> HeldOutGain:
+    """Return the gain of a candidate on rides of vehicle-days to which it was not fitted.
+
+    Parameters
+    ----------
+    column, residual : (n,) float
+        Candidate and residual, weighted and off what it is tested beside.
+    limits : tuple of (float, float)
+        Smallest and largest plausible coefficient.
+    days : ClusterSums
+        Vehicle-days.
+    seed : int
+        Seed of the folds.
+    """
+    after = residual - column * cross_fit(column, residual, days.assign_folds(seed)[days.code], limits)
+    before, then = (base.windows.by_ride(base.convert_to_energy(values)) for values in (residual, after))
+    return measure_gain(before, then, base.windows.day_of_ride)
+
+
+def compute_window_gains(residual: Floats, columns: Floats, sign: Ints, clusters: ClusterSums, seed: int) -> Floats:
     """Return the fall of the squared error by each candidate on vehicle-days to which it was not fitted.
 
     Parameters

@@ -22,7 +22,7 @@ from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
 from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect
 from socast.core.diagnose.plain_shapes import build_plain_shapes, compute_window_sun_sine
-from socast.core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_held_out_gains, sum_over_clusters
+from socast.core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_window_gains, sum_over_clusters
 from socast.core.fit.ride_blocks import get_numbers
 from socast.core.stats.multiple_testing import adjust_false_discovery
 
@@ -207,9 +207,9 @@ class PlainShapes:
             return "", 1.0, 0.0
         either = np.zeros(len(free), dtype=np.int64)
         q = adjust_false_discovery(compute_worst_case_evidence(left, shapes, either, self.selection.clusters).p)
-        gain = compute_held_out_gains(
-            left, shapes, either, self.selection.clusters[0], self.selection.settings.seed
-        ).sum(axis=0)
+        gain = compute_window_gains(left, shapes, either, self.selection.clusters[0], self.selection.settings.seed).sum(
+            axis=0
+        )
         best = int(np.argmax(np.where(q < LEVEL, gain, -1.0))) if (q < LEVEL).any() else int(np.argmin(q))
         return self.names[free[best]], float(q[best]), float(gain[best])
 
@@ -225,10 +225,9 @@ class PlainShapes:
         if not alike.any():
             return ""
         either = np.zeros(int(alike.sum()), dtype=np.int64)
-        mine = compute_held_out_gains(left, column, either[:1], selection.clusters[0], selection.settings.seed)
+        mine = compute_window_gains(left, column, either[:1], selection.clusters[0], selection.settings.seed)
         more = (
-            compute_held_out_gains(left, shapes[:, alike], either, selection.clusters[0], selection.settings.seed)
-            - mine
+            compute_window_gains(left, shapes[:, alike], either, selection.clusters[0], selection.settings.seed) - mine
         )
         ahead = np.array([value / error if error > 0.0 else 0.0 for value, error in map(sum_over_clusters, more.T)])
         best = int(np.argmax(ahead))

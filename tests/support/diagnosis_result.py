@@ -134,7 +134,7 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
         "structure_remains": True,
         "structure": {
             "before": 0.12, "after": 0.05, "taken": 0.58, "least": 0.8, "shape": "stops * sun", "q": 0.001,
-            "gain": 0.01, "better": {}, "signs": ["trees"], "days": 1.1, "most_days": 1.3,
+            "shape_taken": 0.01, "better": {}, "signs": ["trees"], "days": 1.1, "most_days": 1.3,
         },
         "suggestion": "P = (average speed)^2 v",
         "suggestion_file": '"""An effect of your own."""\n',

@@ -56,6 +56,7 @@ from socast.core.diagnose.add.terms import (
     is_additive,
     warn_if_implausible,
 )
+from socast.core.diagnose.candidates import find_limits
 from socast.core.diagnose.ranking import LEAST_GAIN, LEVEL
 from socast.core.effects import Effect
 from socast.core.errors import ModelError
@@ -153,7 +154,8 @@ def add_effect(
     report(0.05, "fitting without and with the effect")
     pair = _refit(model, addition, data, seed)
     final = _choose_final_days(model, data, active)
-    results, by_condition = _evaluate(addition, data, final, seed, declared.sign, report)
+    limits = find_limits(effect, declared.sign)
+    results, by_condition = _evaluate(addition, data, final, seed, declared.sign, limits, report)
     results["mae_given_kwh"] = _compute_given_error(model, data, final)
     results |= _decide(results, least)
     grown = _name_model(pair.after, model, data)
@@ -280,6 +282,7 @@ def _evaluate(
     final: tuple[str, ...],
     seed: int,
     sign: int,
+    limits: tuple[float, float],
     report: Callable[[float, str], None],
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the results of the trial, and the comparison by conditions."""
@@ -290,7 +293,7 @@ def _evaluate(
     predictions = predict_with_effects_held_out(addition, plain, base, [fold[development.ride] for fold in folds])
     before, after = map(development.by_ride, predictions)
     of_effect = compare_errors(development.table, before, after)
-    evidence = assess_addition(addition, base, sign=sign, seed=seed)
+    evidence = assess_addition(addition, base, sign=sign, limits=limits, seed=seed)
     report(0.3, "refitting all terms and evaluating on held-out days")
     on_days = compare_errors(development.table, *predict_held_out(addition, development, folds))
     report(0.6, "refitting all terms and evaluating on held-out vehicles")
@@ -302,7 +305,7 @@ def _evaluate(
         "vehicles": int(data.table["vehicle_id"].nunique()),
         "first_date": min(data.dates),
         "last_date": max(data.dates),
-        "gain": {"value": evidence.gain, "ci95": evidence.half},
+        "gain": {"value": evidence.gain.value, "ci95": evidence.gain.half},
         "p": evidence.p,
         **{key: of_effect[key] for key in ("mae_before_kwh", "mae_after_kwh", "change_kwh")},
         "noise_floor_kwh": of_effect["noise_kwh"],

@@ -27,7 +27,7 @@ from socast.core.diagnose.candidates import compute_least_coefficients
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
-from socast.core.diagnose.ranking import sum_over_clusters
+from socast.core.diagnose.ranking import compute_held_out_gain
 from socast.core.fit.block_sums import build_design, limit_to_one_thread
 from socast.core.fit.fitting import fit_terms
 from socast.core.fit.recipes import LinearRecipe
@@ -36,6 +36,7 @@ from socast.core.fit.window_fit import fit_rows
 from socast.core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
 from socast.core.models.features import Columns
 from socast.core.stats.clustered import assign_vehicle_days
+from socast.core.stats.held_out_gain import HeldOutGain
 
 LEAST_LEFT: Final = 1e-5
 """Share of a column that must remain off the terms of the model for the column to have a coefficient."""
@@ -294,24 +295,25 @@ class AdditionEvidence(NamedTuple):
     ----------
     p : float
         Probability of this evidence or more without the term, with the sign that physics demands. [1]
-    gain, half : float
-        Fall of the squared error on vehicle-days to which the coefficient was not fitted, as a share of what the terms
-        of the model cannot explain, of windows or of rides, whichever falls more; and half the width of its 95 %
-        interval, NaN where nothing can be held out. [1]
+    gain : HeldOutGain
+        On rides of vehicle-days to which the coefficient was not fitted; its interval is NaN where there are none.
     """
 
     p: float
-    gain: float
-    half: float
+    gain: HeldOutGain
 
 
-def assess_addition(change: TermAddition, base: BaseProjection, *, sign: int, seed: int) -> AdditionEvidence:
+def assess_addition(
+    change: TermAddition, base: BaseProjection, *, sign: int, limits: tuple[float, float], seed: int
+) -> AdditionEvidence:
     """Return the evidence in rows for a term that a model lacks, by the test of `forward_selection`.
 
     Parameters
     ----------
     sign : int
-        Sign of the coefficient that physics demands; a coefficient of the other sign has no gain.
+        Sign of the coefficient that physics demands.
+    limits : tuple of (float, float)
+        Smallest and largest plausible coefficient.
     """
     windows = base.windows
     rows = windows.table
@@ -321,24 +323,11 @@ def assess_addition(change: TermAddition, base: BaseProjection, *, sign: int, se
         column, residual = _off(left[:, :-1], left[:, -1], base.residual)
     clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
     if clusters[0].count < 2 or not column.any():
-        return AdditionEvidence(1.0, 0.0, nan)
+        return AdditionEvidence(1.0, HeldOutGain(0.0, nan))
     worth = compute_least_coefficients(columns[:, -1:], windows.measured)
     evidence = compute_worst_case_evidence(residual, column[:, np.newaxis], np.array([sign]), clusters, worth)
-    after = residual - column * _cross_fitted(column, residual, sign, clusters[0], seed)
-    of_windows = clusters[0].sum_by_cluster(residual**2 - after**2) / float(residual @ residual)
-    rides = [windows.by_ride(base.convert_to_energy(values)) for values in (residual, after)]
-    fall = np.bincount(windows.day_of_ride, rides[0] ** 2 - rides[1] ** 2, clusters[0].count)
-    gain, error = max(sum_over_clusters(of_windows), sum_over_clusters(fall / float(rides[0] @ rides[0])))
-    return AdditionEvidence(float(evidence.p[0]), gain, float(stdtrit(clusters[0].count - 1, 0.975) * error))
-
-
-def _cross_fitted(column: Floats, residual: Floats, sign: int, clusters: ClusterSums, seed: int) -> Floats:
-    """Return for each row the coefficient fitted to the other folds of vehicle-days, 0 where its sign is wrong."""
-    fold = clusters.assign_folds(seed)[clusters.code]
-    size, cross = np.bincount(fold, column**2), np.bincount(fold, column * residual)
-    rest = size.sum() - size
-    fitted = np.divide(cross.sum() - cross, rest, out=np.zeros(len(rest)), where=rest > 0.0)
-    return np.asarray(np.where(sign * fitted < 0.0, 0.0, fitted)[fold])
+    gain = compute_held_out_gain(base, column, residual, limits, clusters[0], seed)
+    return AdditionEvidence(float(evidence.p[0]), gain)
 
 
 def _pooled(common: CoefficientEstimate, by_kind: dict[str, CoefficientEstimate]) -> dict[str, CoefficientEstimate]:

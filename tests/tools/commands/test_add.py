@@ -72,8 +72,11 @@ def test_command_of_diagnosis_adds_effect(here, capsys):
     assert command in printed
     program, *arguments = shlex.split(command)
     assert program == "socast"
-    done(*arguments)
+    done(*arguments, "--json", here / "a.json")
     printed = capsys.readouterr().out
+    alone = next(one["gain"] for one in result["candidates"] if one["effect"] == "cold_rolling")
+    assert alone == result["missing"][0]["gain"]
+    assert json.loads((here / "a.json").read_text())["gain"]["value"] == pytest.approx(alone, abs=2e-3)
     assert "cold_rolling helps: it explains" in printed
     assert "held-out vehicles" in printed
     assert "By outside temperature" in printed

@@ -326,7 +326,7 @@ def describe_signs(structure: Mapping[str, Any]) -> list[str]:
         if taken is None
         else f"; the missing effects explain {format_percent(taken, 0)} of the predictable part, less than {least}"
     )
-    after, gain, days = (get_number(structure.get(key)) for key in ("after", "gain", "days"))
+    after, gain, days = (get_number(structure.get(key)) for key in ("after", "shape_taken", "days"))
     texts = {
         "trees": f"boosted trees predict {format_percent(after)} of its variance on held-out days{share}",
         "shape": f"the pattern {format_shape(str(structure.get('shape')))} explains {format_percent(gain)} of the "

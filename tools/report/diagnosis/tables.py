@@ -110,7 +110,7 @@ def tabulate_structure(result: Result) -> ReportTable:
         ("required for them to explain it all", part.get("least")),
         (
             "explained by a plain pattern that remains",
-            part.get("gain") if "shape" in (part.get("signs") or ()) else None,
+            part.get("shape_taken") if "shape" in (part.get("signs") or ()) else None,
         ),
     )
     rows = tuple(Row(what, (Cell(format_percent(value)),)) for what, value in values if get_number(value) is not None)
