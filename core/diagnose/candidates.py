@@ -66,7 +66,7 @@ class Candidates:
 
     def get_limits(self, at: int) -> tuple[float, float]:
         """Return the smallest and the largest plausible coefficient of a candidate, which include 0."""
-        return find_limits(self.variants[at], int(self.sign[at]))
+        return find_coefficient_limits(self.variants[at], int(self.sign[at]))
 
     @property
     def least_coefficients(self) -> Floats:
@@ -74,7 +74,7 @@ class Candidates:
         return compute_least_coefficients(self.columns, self.measured)
 
 
-def find_limits(variant: str, sign: int) -> tuple[float, float]:
+def find_coefficient_limits(variant: str, sign: int) -> tuple[float, float]:
     """Return the smallest and the largest plausible coefficient of an effect, which include 0."""
     if variant.split(VARIANT, maxsplit=1)[0] not in effects.get_library():
         return (-inf if sign <= 0 else 0.0), (inf if sign >= 0 else 0.0)

@@ -56,7 +56,7 @@ from socast.core.diagnose.add.terms import (
     is_additive,
     warn_if_implausible,
 )
-from socast.core.diagnose.candidates import find_limits
+from socast.core.diagnose.candidates import find_coefficient_limits
 from socast.core.diagnose.ranking import LEAST_GAIN, LEVEL
 from socast.core.effects import Effect
 from socast.core.errors import ModelError
@@ -154,7 +154,7 @@ def add_effect(
     report(0.05, "fitting without and with the effect")
     pair = _refit(model, addition, data, seed)
     final = _choose_final_days(model, data, active)
-    limits = find_limits(effect, declared.sign)
+    limits = find_coefficient_limits(effect, declared.sign)
     results, by_condition = _evaluate(addition, data, final, seed, declared.sign, limits, report)
     results["mae_given_kwh"] = _compute_given_error(model, data, final)
     results |= _decide(results, least)
