@@ -442,8 +442,8 @@ class Pipeline:
         names = self.decoder.rides.names(totals.at_last("code").tolist())
         return build_statuses(totals, names, self.context, predicted, self.engine.get_ends(lanes))
 
-    def learn_from(self, earlier: "Pipeline") -> None:
-        """Take over the cars and the knowledge of a pipeline that sums the same effects, but no ride."""
+    def learn_from(self, earlier: "Pipeline", serves: Callable[[str], bool] = lambda _: True) -> None:
+        """Take over the knowledge of a pipeline that sums the same effects, and the cars that this one serves."""
         earlier._update_forecasts()  # noqa: SLF001 - another instance of this class
         self.lanes.load(earlier.lanes.dump())
         self.cars.load(earlier.cars.dump())
@@ -451,6 +451,10 @@ class Pipeline:
         self.displays.learn_from(earlier.displays)
         self.engine.learn_from(earlier.engine)
         self.silent_cars.hear(range(len(self.lanes)), samples=False)
+        kept = np.array([lane for lane, name in enumerate(self.lanes.names) if serves(name)], np.int64)
+        if len(kept) < len(self.lanes):
+            for component in (*(getattr(self, name) for name in OF_LANES), self.lanes):
+                component.keep(kept)
 
     def snapshot(self, note: Any = None) -> bytes:
         """Return the state of every vehicle, from which `restore` continues as if uninterrupted, and a plain note.

@@ -267,7 +267,7 @@ class Recorder(Closeable):
 
 
 def list_recordings(folder: Path) -> list[Path]:
-    """Return the files of a recorder, the oldest first."""
+    """Return the recordings in a folder by name; the files of a recorder are then in the order of their times."""
     return sorted(folder.glob("*.mcap"), key=lambda path: _order(path.name))
 
 

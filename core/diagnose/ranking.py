@@ -175,10 +175,3 @@ def compute_correlation(one: Floats, other: Floats) -> float:
     """Return the correlation of two projected candidates, 0 where one of them is zero. [1]"""
     size = float(np.sqrt((one @ one) * (other @ other)))
     return float(one @ other) / size if size > 0.0 else 0.0
-
-
-def sum_over_clusters(values: Floats) -> tuple[float, float]:
-    """Return the sum of values over independent clusters and its standard error."""
-    count = len(values)
-    spread = float(((values - values.mean()) ** 2).sum()) * count / max(count - 1, 1)
-    return float(values.sum()), float(np.sqrt(spread))

@@ -22,8 +22,9 @@ from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
 from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect
 from socast.core.diagnose.plain_shapes import build_plain_shapes, compute_window_sun_sine
-from socast.core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_window_gains, sum_over_clusters
+from socast.core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_window_gains
 from socast.core.fit.ride_blocks import get_numbers
+from socast.core.stats.held_out_gain import sum_over_clusters
 from socast.core.stats.multiple_testing import adjust_false_discovery
 
 LEAST_TAKEN: Final = 0.8

@@ -31,6 +31,13 @@ def cross_fit(column: Floats, residual: Floats, fold: Ints, limits: tuple[float,
     return np.asarray(np.clip(fitted, *limits)[fold])
 
 
+def sum_over_clusters(values: Floats) -> tuple[float, float]:
+    """Return the sum of values over independent clusters and its standard error."""
+    count = len(values)
+    spread = float(((values - values.mean()) ** 2).sum()) * count / max(count - 1, 1)
+    return float(values.sum()), float(np.sqrt(spread))
+
+
 def measure_gain(before: Floats, after: Floats, cluster: Ints) -> HeldOutGain:
     """Return the gain from errors before and after.
 
@@ -47,6 +54,5 @@ def measure_gain(before: Floats, after: Floats, cluster: Ints) -> HeldOutGain:
     HeldOutGain(value=0.75, half=0.0)
     """
     fall = np.bincount(cluster, before**2 - after**2) / max(float(before @ before), 1e-300)
-    count = len(fall)
-    spread = float(((fall - fall.mean()) ** 2).sum()) * count / max(count - 1, 1)
-    return HeldOutGain(float(fall.sum()), float(stdtrit(count - 1, 0.975) * np.sqrt(spread)))
+    value, error = sum_over_clusters(fall)
+    return HeldOutGain(value, float(stdtrit(len(fall) - 1, 0.975) * error))

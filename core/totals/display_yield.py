@@ -141,6 +141,7 @@ class DisplayYields:
         Sums
             The same totals with their field `display`. A ride has the yield before it; its last window, too.
         """
+        self._grow(lanes)  # also for a car that has sent nothing to sum: a state has a row for each car
         if not any(len(part.lane) for part in sums):
             return sums
         parts = [self.describe(part, lanes) for part in sums]
@@ -159,7 +160,7 @@ class DisplayYields:
         return Sums(*parts)
 
     def describe(self, totals: Totals, lanes: int) -> Totals:
-        """Return totals with the present yields of their cars; the parameters are those of `attach`."""
+        """Return totals with the present yields of their cars."""
         if not len(totals.lane):
             return totals
         self._grow(lanes)

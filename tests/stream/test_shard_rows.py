@@ -1,6 +1,7 @@
 """A shard takes the rows of its own cars from the batches of gateways."""
 
 import pyarrow as pa
+import pytest
 
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Limits
@@ -8,7 +9,12 @@ from socast.core.wire.arrow_batch import PREFIX, write_rows
 from socast.core.wire.message_block import MessageBlock
 from socast.core.wire.messages import Message
 from socast.core.wire.shard import Shard
+from socast.stream.checkpoints import Checkpoints
+from socast.stream.mcap_reader import McapSource
 from socast.stream.shard_rows import ShardSource
+from socast.stream.state_file import StateFile
+from tests.support.commands import called
+from tests.support.paths import RECORDINGS
 
 ROWS = {"vehicle_id": ["a1", "b2", "c3", "d4", "a1"], "time_s": [1e9 + 3.0 * at for at in range(5)]}
 
@@ -56,3 +62,28 @@ def test_a_batch_that_is_too_large_is_left_to_the_shard_of_its_gateway():
     limits = Limits(payload_bytes=1000)
     blocks = [list(*ShardSource(ListSource([large]), Shard(index, 2), limits)) for index in (1, 2)]
     assert blocks == [[large], []]
+
+
+@pytest.mark.parametrize("index", [1, 2])
+def test_a_shard_keeps_of_a_whole_fleets_recording_its_own_cars_and_all_that_the_fleet_taught(index):
+    earlier = Pipeline()
+    earlier.push([message for block in McapSource(RECORDINGS / "shift.mcap") for message in block])
+    pipeline, shard = Pipeline(), Shard(index, 2)
+    pipeline.learn_from(earlier, shard.has)
+    assert pipeline.lanes.names == [name for name in earlier.lanes.names if shard.has(name)]
+    assert 0 < len(pipeline.lanes) < len(earlier.lanes)
+    assert pipeline.engine.statistics.rides.dump() == earlier.engine.statistics.rides.dump()
+    again = Pipeline()
+    again.restore(pipeline.snapshot())
+    assert again.lanes.names == pipeline.lanes.names
+
+
+def test_a_state_with_cars_of_another_shard_is_refused(tmp_path):
+    pipeline = Pipeline()
+    pipeline.push([Message("fleet/b2/telemetry", b'{"vehicle_id": "b2", "time_s": 1e9}', 1)])
+    with StateFile(tmp_path / "x.state") as state:
+        Checkpoints(pipeline, state, None).save()
+    connection = ("--connect", "tcp/127.0.0.1:1", "--state", tmp_path / "x.state")
+    _, err, code = called("live", "--shard", "1/2", *connection)
+    assert code == 2
+    assert "holds b2, which shard 1/2 does not serve" in err

@@ -67,7 +67,7 @@ class HeightTruth(Truth):
     heights: dict[str, list[tuple[Floats, Floats]]] = field(default_factory=lambda: defaultdict(list))
 
     def add_shift(self, name: str, shift: Any, *others: Any) -> None:
-        """Record the elevation of a shift; the parameters are those of `Truth.add_shift`."""
+        """Record the elevation of a shift, as `Truth.add_shift` does."""
         super().add_shift(name, shift, *others)
         heights = compute_elevation(*to_plane(shift.timeline.u, shift.timeline.v))
         self.heights[name].append((shift.time + STEP * np.arange(1, len(heights) + 1), heights))

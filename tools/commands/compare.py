@@ -75,7 +75,7 @@ def compare_models(
     chosen = named(model)
     wanted = [name for each in chosen.values() for name in each.effects]
     with ExitStack() as folders:
-        first, second = (folders.enter_context(each.tabulated(wanted)) for each in (source, other))
+        first, second = (folders.enter_context(each.open_tables(wanted)) for each in (source, other))
         if ride is not None:
             result: dict[str, Any] = {"trace": _trace(first, ride, chosen, wanted)}
         else:

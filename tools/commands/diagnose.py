@@ -109,7 +109,7 @@ def diagnose_rides(
     check_outputs(read_from, json_file, html_file, suggest, findings, out)
     dated = source.are_dated
     earlier = read_findings(findings) if findings else []
-    with place_source(source, place).tabulated(loaded.effects) as made:
+    with place_source(source, place).open_tables(loaded.effects) as made:
         table, windows = read_tables(made, loaded)
     if first_day is not None:
         table, windows = select_since(table, windows, first_day)

@@ -88,7 +88,7 @@ def evaluate_tables(
     source.check()
     check_outputs(source.list_read_files(), json_file, html_file)
     named = RECIPES if recipes is None else [name.strip() for name in recipes.split(",")]
-    with place_source(source, place if source.is_recorded else None).tabulated(always=True) as made:
+    with place_source(source, place if source.is_recorded else None).open_tables(always=True) as made:
         files = made.files
         beside = [file.with_name(WINDOWS) for file in files]
         job = EvaluationJob(

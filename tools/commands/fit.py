@@ -92,7 +92,7 @@ def fit(
     source.check()
     check_outputs(source.list_read_files(), out, json_file)
     _refuse_undivided(chosen, place, adapted=base is not None)
-    with place_source(source, place if source.is_recorded else None).tabulated(always=True) as made:
+    with place_source(source, place if source.is_recorded else None).open_tables(always=True) as made:
         files = made.files
         if place and isinstance(chosen, LinearRecipe):
             model = _fit_by_workers(chosen, files, out, place)

@@ -179,7 +179,7 @@ def replay(
             write_json(json_file, "replay", report.result)
             report.show(make_console(json_file), layout, zone)
         else:
-            with expectation.replaced() as fresh, TemporaryDirectory() as folder:
+            with expectation.open_replacement() as fresh, TemporaryDirectory() as folder:
                 made = out or fresh or Path(folder) / "forecasts.mcap"
                 report = _forecast(source, sources, rate, options, made, layout, zone)
                 if stop.is_set():
@@ -215,7 +215,7 @@ class _Expectation:
             raise SettingsError(f"{file}: does not exist; write it with --update")
         return cls(file, tolerances, read_expected(file, "--update"))
 
-    def replaced(self) -> AbstractContextManager[Path | None]:
+    def open_replacement(self) -> AbstractContextManager[Path | None]:
         """Return the context in which the file is written whole, if it is to be written."""
         return nullcontext() if self.wanted is not None else replacing(self.file)
 

@@ -126,7 +126,7 @@ def make_pipeline(
     if shard:  # each shard publishes the errors of its models under a key of its own
         pipeline.shadows.prefix = f"{prefix}socast/shards/{shard.chunk}/"
     if learned:
-        pipeline.learn_from(learned)
+        pipeline.learn_from(learned, shard.has if shard and shard.by == "name" else lambda _: True)
     return pipeline
 
 

@@ -170,6 +170,7 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
     pipeline = _make_pipeline(options, models, storage)
     checkpoints = Checkpoints(pipeline, storage.state, storage.recorder) if storage.state else None
     first = _restore(pipeline, checkpoints)
+    _refuse_other_shard(options, pipeline)
     monitor.begin("connecting to Zenoh")
     stop = ending.enter_context(stop_on_signals())
     ending.enter_context(act_on_hangup(_choose_act(storage.recorder, stop)))
@@ -272,6 +273,18 @@ def _restore(pipeline: Pipeline, checkpoints: Checkpoints | None) -> list[Messag
     if pipeline.cleaner.has_new_map:
         _log.warning("the state was made with another elevation map: elevation starts anew, all else continues")
     return forecasts
+
+
+def _refuse_other_shard(options: LiveOptions, pipeline: Pipeline) -> None:
+    """Refuse a state with cars that this shard does not serve."""
+    shard = options.shard
+    if shard is None or shard.by != "name":
+        return
+    if strange := [name for name in pipeline.lanes.names if not shard.has(name)]:
+        raise SettingsError(
+            f"{options.state}: holds {strange[0]}, which shard {shard} does not serve: give the state of this shard, "
+            "or start without one, with --warm-up"
+        )
 
 
 def _open_outputs(

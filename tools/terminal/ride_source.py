@@ -23,6 +23,7 @@ from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
 from socast.stream.elevation_files import open_elevation
 from socast.stream.mcap_reader import McapSource
+from socast.stream.recorder import list_recordings
 from socast.stream.source import merge_sources
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.run import tabulate_by_workers
@@ -60,7 +61,7 @@ Report = Callable[[float], None]
 
 @dataclass(frozen=True)
 class RideSource:
-    """Say where rides come from.
+    """Say where rides come from, and how they are read.
 
     Parameters
     ----------
@@ -126,7 +127,7 @@ class RideSource:
             )
 
     @contextmanager
-    def tabulated(self, wanted: Sequence[str] = (), *, always: bool = False) -> Iterator["RideSource"]:
+    def open_tables(self, wanted: Sequence[str] = (), *, always: bool = False) -> Iterator["RideSource"]:
         """Yield this source, of which workers have made tables, if there are any.
 
         Parameters
@@ -313,7 +314,7 @@ def list_inputs(given: Sequence[Path]) -> list[Path]:
 
 def _list_recordings(folder: Path) -> list[Path]:
     """Return the recordings in a folder in the order of their names, none if it holds tables."""
-    return [] if (folder / RIDES).exists() else sorted(folder.glob(f"*{RECORDING}"))
+    return [] if (folder / RIDES).exists() else list_recordings(folder)
 
 
 def list_ride_files(tables: Sequence[Path]) -> list[Path]:

@@ -77,7 +77,9 @@ def refuse_replacing(path: Path, recordings: Sequence[Path] = ()) -> None:
         raise SettingsError(f"{path}: is a recording of telemetry, which the update would replace; name another file")
 
 
-def prepare(expected: Path, inputs: Sequence[str | Path], tolerances: Tolerances | None, *, update: bool) -> None:
+def refuse_mistakes(
+    expected: Path, inputs: Sequence[str | Path], tolerances: Tolerances | None, *, update: bool
+) -> None:
     """Refuse mistakes before the replay: unknown fields, and an expectation that cannot be compared or replaced."""
     resolve_tolerances(tolerances, FORECAST_COLUMNS)
     if update:

@@ -166,11 +166,11 @@ def socast_expect(
         **options: Any,
     ) -> "Replayed":
         __tracebackhide__ = True
-        from socast.tools.testing.golden_files import check_forecasts, prepare  # noqa: PLC0415 - imports everything
+        from socast.tools.testing.golden_files import check_forecasts, refuse_mistakes  # noqa: PLC0415 - imports everything
 
         recordings = [recording] if isinstance(recording, str | Path) else recording
         with _plain_errors():
-            prepare(Path(expected), recordings, tolerances, update=_updates(request))
+            refuse_mistakes(Path(expected), recordings, tolerances, update=_updates(request))
         replayed = socast_replay(*recordings, model=model, **options)
         with _plain_errors():
             checked = check_forecasts(Path(expected), replayed.file, tolerances, update=_updates(request))

@@ -223,7 +223,7 @@ class FleetStatistics:
         )
 
     def compute_usual(self, kinds: Ints, weights: Floats) -> UsualConsumption:
-        """Return the usual consumption of cars at the temperature of each row; the parameters are as above."""
+        """Return the usual consumption of cars at the temperature of each row."""
         self._update_kinds()
 
         def interpolate(table: Floats) -> Floats:

@@ -177,7 +177,7 @@ class ForecastLog:
         return compute_shift_errors(records[records["end"] <= time], soc, spoilt, faulty)
 
     def evaluate_shift(self, lane: int, soc: float, spoilt: float, faulty: float = nan) -> list[ShiftErrors]:
-        """Return the errors of all forecasts of a shift that is over; the parameters are those of `evaluate_until`."""
+        """Return the errors of all forecasts of a shift that is over."""
         records = self.get_records(lane)
         self._records.pop(lane, None)
         self._next[lane], self._ends[lane], self._before_charge[lane] = 0.0, np.inf, np.inf

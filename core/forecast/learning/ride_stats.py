@@ -198,7 +198,7 @@ class RideStatistics:
         sums.add("right", weight * (values[which] * (measured - waited)), (which,))
 
     def add_idle_periods(self, models: Sequence[str], idle: Totals, predicted: Floats, measured: Floats) -> None:
-        """Add idle periods that have ended; the parameters are those of `add_rides`."""
+        """Add idle periods that have ended."""
         ambient, energy = _compute_temperature_weights(idle), _compute_energy_sums(idle, predicted, measured)
         stood = idle.amount("distance") < STANDING_DISTANCE
         standing = np.zeros(len(stood), IDLE_SUMS)

@@ -16,8 +16,8 @@ from socast.core.diagnose.ranking import (
     compute_correlation,
     compute_window_gains,
     rank_candidates,
-    sum_over_clusters,
 )
+from socast.core.stats.held_out_gain import sum_over_clusters
 from tests.support.synthetic_windows import gather_with_model, keep_only, make_tables, make_windows
 
 EITHER = np.zeros(1, dtype=np.int64)
