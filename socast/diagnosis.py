@@ -10,9 +10,9 @@ from socast.core.diagnose.add.add import add_effect as _add
 from socast.core.diagnose.add.terms import build_term_columns as _build_term_columns
 from socast.core.diagnose.diagnosis import diagnose as _diagnose
 from socast.core.diagnose.ranking import LEAST_GAIN
-from socast.core.evaluate.paper.results import to_json_values as _plain
 from socast.core.fit.measured_rows import join_tables as _join
 from socast.core.models import LinearModel
+from socast.core.records import to_json_values as _plain
 
 __all__ = ["AdditionTrial", "add_effect", "diagnose"]
 

@@ -16,9 +16,9 @@ from socast.core.evaluate.compare.ride_trace import find_ride as _find
 from socast.core.evaluate.compare.ride_trace import trace_ride as _trace
 from socast.core.evaluate.paper.protocol import evaluate as _evaluate
 from socast.core.evaluate.paper.protocol import select_recipes as _choose_recipes
-from socast.core.evaluate.paper.results import to_json_values as _plain
 from socast.core.models import EXTENDED_PHYSICAL, LinearModel
 from socast.core.pipeline import Pipeline
+from socast.core.records import to_json_values as _plain
 from socast.core.stats.splits import REPEATS
 from socast.stream.mcap_reader import McapSource
 from socast.stream.source import merge_sources

@@ -16,6 +16,7 @@ ORDER = (
         "socast.core.batch",
         "socast.core.settings",
         "socast.core.formatting",
+        "socast.core.records",
         "socast.core.files",
         "socast.core.compiled_cache",
     ),
@@ -39,7 +40,7 @@ ORDER = (
     *("socast.stream", "socast.tools", "socast"),
 )
 """Packages and root modules; each may import itself and those before it."""
-MOST_PACKAGES, MOST_MODULES, MOST_LINES = 13, 9, 499
+MOST_PACKAGES, MOST_MODULES, MOST_LINES = 13, 10, 499
 ONLY_IN = {
     "zenoh": r"stream/zenoh_\w+\.py",
     "mcap": r"stream/mcap_\w+\.py|tools/bench/measures\.py",

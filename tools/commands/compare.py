@@ -16,8 +16,8 @@ from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.compare.datasets import compare_datasets
 from socast.core.evaluate.compare.models import ComparedRides, compare_predictions, select_rides
 from socast.core.evaluate.compare.ride_trace import find_ride, trace_ride
-from socast.core.evaluate.paper.results import to_json_values
 from socast.core.models import BUILT_IN_MODELS, LinearModel
+from socast.core.records import to_json_values
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
 from socast.tools.terminal.output import (

@@ -20,12 +20,12 @@ from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.diagnose.siblings.groups import read_groups
 from socast.core.effects.road_load import ROAD_LOAD
 from socast.core.errors import ModelError, SettingsError
-from socast.core.evaluate.paper.results import to_json_values
 from socast.core.files import write_whole
 from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from socast.core.models.features import EFFECT_PREFIX, FEATURES, is_scope
+from socast.core.records import to_json_values
 from socast.core.wire.messages import Finding
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options

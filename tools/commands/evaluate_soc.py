@@ -10,12 +10,12 @@ import typer
 
 from socast.core import models
 from socast.core.errors import SettingsError
-from socast.core.evaluate.paper.results import to_json_values
 from socast.core.evaluate.soc.legs import RIDE_COLUMNS, LegRecorder, match_legs_to_rides
 from socast.core.evaluate.soc.plans import PlanRecorder
 from socast.core.evaluate.soc.query_times import QueryTimes
 from socast.core.evaluate.soc.report import evaluate_soc
 from socast.core.pipeline import Pipeline
+from socast.core.records import to_json_values
 from socast.core.settings import Settings
 from socast.core.wire.messages import Message
 from socast.stream.elevation_files import open_elevation

@@ -8,9 +8,9 @@ from rich.console import Console
 from rich.text import Text
 
 from socast.core.diagnose.add.error_fall import ATTEMPTS, ErrorStep, list_error_steps, read_step
-from socast.core.evaluate.paper.results import to_json_values
 from socast.core.formatting import format_minus
 from socast.core.models import LinearModel
+from socast.core.records import to_json_values
 from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_signed
 from socast.tools.report.comparison.failures import illustrate_change
 from socast.tools.report.diagnosis.sentences import describe_coefficient, format_energy

@@ -13,8 +13,8 @@ from plotly.offline import get_plotlyjs
 
 from socast.core.errors import SettingsError
 from socast.core.evaluate.paper import published
-from socast.core.evaluate.paper.results import to_json_values
 from socast.core.files import write_whole
+from socast.core.records import to_json_values
 from socast.tools.report.cells import Cell, ReportTable, Row
 from socast.tools.report.evaluation.illustrations import Drawing, Illustration, build_illustrations
 from socast.tools.report.evaluation.result import Result, get_mapping

@@ -13,9 +13,9 @@ import pandas as pd
 
 from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.errors import ModelError, SettingsError, SocastError
-from socast.core.evaluate.paper.results import to_json_values
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.models import BUILT_IN_MODELS, EXTENDED_PHYSICAL, LinearModel
+from socast.core.records import to_json_values
 from socast.tools.commands.compare import named
 from socast.tools.commands.diagnose import check_tables, list_lacking_effects
 from socast.tools.terminal.ride_source import RECORDING, RideSource

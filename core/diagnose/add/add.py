@@ -60,7 +60,6 @@ from socast.core.diagnose.candidates import find_coefficient_limits
 from socast.core.diagnose.ranking import LEAST_GAIN, LEVEL
 from socast.core.effects import Effect
 from socast.core.errors import ModelError
-from socast.core.evaluate.paper.results import to_json_values
 from socast.core.fit.block_sums import build_design
 from socast.core.fit.calibration import add_interval
 from socast.core.fit.recipes import RECIPES
@@ -69,6 +68,7 @@ from socast.core.fit.window_recipe import WindowRecipe
 from socast.core.formatting import format_minus, rounded
 from socast.core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamp
 from socast.core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope, list_raw_columns
+from socast.core.records import to_json_values
 
 ADDED: Final = "add"
 REFUSED: Final = "refused"

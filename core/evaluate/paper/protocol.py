@@ -22,6 +22,7 @@ from socast.core.fit.segment_network import SegmentRecipe, build_segments
 from socast.core.fit.window_recipe import RecipeWithWindows, WindowRecipe
 from socast.core.models import BUILT_IN_MODELS, HILLS_OF_BUILT_IN
 from socast.core.models.features import list_raw_columns
+from socast.core.records import to_json_values
 from socast.core.stats.scores import compute_widening
 from socast.core.stats.splits import REPEATS, TEST_SHARE, Split, split_by_date, split_by_ride, split_by_vehicle
 
@@ -170,7 +171,7 @@ def tabulate_runs(plan: EvaluationPlan, done: Mapping[Any, Any]) -> dict[str, An
     hills = [f"{', '.join(unfitted)}: {HILLS_OF_BUILT_IN}"] if unfitted else []
     notes = wide + _list_notes(splits, held, new) + _list_untested(table, splits["new"]) + failed + hills
     found["about"]["notes"] = notes
-    return results.to_json_values(found)
+    return to_json_values(found)
 
 
 def _check_columns(recipes: Mapping[str, EvaluatedRecipe], table: EvaluatedRides) -> None:

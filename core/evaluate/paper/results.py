@@ -200,23 +200,6 @@ def _pairs(rides: Mapping[Any, Estimate], average: Mapping[Any, Estimate]) -> di
     }
 
 
-def to_json_values(value: Any) -> Any:
-    """Return a result with the values that JSON knows: plain numbers, and None for what is unknown.
-
-    Examples
-    --------
-    >>> to_json_values({"a": np.float64(1.5), "b": [float("nan"), np.int64(2)]})
-    {'a': 1.5, 'b': [None, 2]}
-    """
-    if isinstance(value, Mapping):
-        return {str(key): to_json_values(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [to_json_values(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
 def compute_pooled_average(held: HeldOutPredictions, evaluated: EvaluatedRides, recipe: str) -> list[float]:
     """Return the error over all folds together, averaged over clusters, for each vehicle model. [kWh]
 

@@ -9,10 +9,10 @@ import pytest
 from rich.console import Console
 
 from socast.core.errors import SettingsError
-from socast.core.evaluate.paper.results import to_json_values
 from socast.core.evaluate.soc.legs import LegRecorder
 from socast.core.evaluate.soc.report import evaluate_soc
 from socast.core.models import EXTENDED_PHYSICAL
+from socast.core.records import to_json_values
 from socast.core.stats.clustered import LEAST_CLUSTERS
 from socast.stream.mcap_reader import McapSource
 from socast.tools.cli import main

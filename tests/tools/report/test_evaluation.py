@@ -15,7 +15,7 @@ from rich.console import Console
 from socast.core.errors import SettingsError
 from socast.core.evaluate.binning import SEASONS
 from socast.core.evaluate.paper import published
-from socast.core.evaluate.paper.results import to_json_values
+from socast.core.records import to_json_values
 from socast.tools.report.cells import PAPER_NOTE, UNKNOWN
 from socast.tools.report.evaluation import selection_figures
 from socast.tools.report.evaluation.illustrations import MAKERS, PAPER_CAPTION, build_illustrations

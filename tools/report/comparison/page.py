@@ -6,7 +6,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.text import Text
 
-from socast.core.evaluate.paper.results import to_json_values
+from socast.core.records import to_json_values
 from socast.tools.report.cells import format_count, format_percent
 from socast.tools.report.comparison import figures, tables
 from socast.tools.report.comparison import trace as traced

@@ -13,7 +13,7 @@ from rich.style import Style
 from rich.text import Text
 
 from socast.core.diagnose.deviation_words import find_leading_deviation
-from socast.core.evaluate.paper.results import to_json_values
+from socast.core.records import to_json_values
 from socast.tools.report.diagnosis import deviations, episodes, figures, sentences, tables
 from socast.tools.report.diagnosis.cause_figures import draw_causes
 from socast.tools.report.diagnosis.deviation_figures import draw_deviations

@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from socast.core.evaluate.paper import published
-from socast.core.evaluate.paper.results import to_json_values
+from socast.core.records import to_json_values
 from socast.tools.report.cells import PAPER_NOTE, Cell, ReportTable
 from socast.tools.report.evaluation.sections import Section, build_sections
 from socast.tools.terminal.rich_table import Column, make_table

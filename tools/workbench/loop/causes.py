@@ -8,7 +8,7 @@ from socast.core.diagnose.add.add import REFUSED, UNDECIDED, AdditionTrial, forc
 from socast.core.diagnose.deviation_words import find_leading_deviation
 from socast.core.diagnose.partial_residual import compute_candidate_residual
 from socast.core.errors import SocastError
-from socast.core.evaluate.paper.results import to_json_values
+from socast.core.records import to_json_values
 from socast.tools.commands.add import try_effect
 from socast.tools.commands.diagnose import parse_term
 from socast.tools.commands.effects import find_topic, make_effect_record

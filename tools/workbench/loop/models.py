@@ -7,10 +7,10 @@ from socast.core.diagnose.add.add import ADDED
 from socast.core.diagnose.add.error_fall import list_error_steps
 from socast.core.errors import SettingsError
 from socast.core.evaluate.compare.models import compare_predictions
-from socast.core.evaluate.paper.results import to_json_values
 from socast.core.fit.recipes import RECIPES
 from socast.core.models import ANY
 from socast.core.pipeline import Pipeline
+from socast.core.records import to_json_values
 from socast.stream.source import merge_sources
 from socast.tools.commands.fit import summary
 from socast.tools.terminal.model_comparison import make_records

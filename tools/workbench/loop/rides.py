@@ -16,7 +16,7 @@ from socast.core.evaluate.compare.models import (
     select_rides,
 )
 from socast.core.evaluate.compare.ride_trace import find_ride, trace_ride
-from socast.core.evaluate.paper.results import to_json_values
+from socast.core.records import to_json_values
 from socast.tools.workbench.loop.command_lines import compare_command
 from socast.tools.workbench.loop.model_tree import ModelNode
 from socast.tools.workbench.loop.ride_columns import select_by_filter

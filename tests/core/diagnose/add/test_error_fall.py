@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from socast.core.diagnose.add.error_fall import ErrorFall, list_error_steps, measure_fall, read_fall
-from socast.core.evaluate.paper.results import to_json_values
 from socast.core.fit.measurement_noise import MEAN_OVER_SD
+from socast.core.records import to_json_values
 
 RIDES = 600
 CLUSTERS = np.repeat(np.arange(RIDES // 3), 3)

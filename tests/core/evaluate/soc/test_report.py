@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 
 from socast.core.errors import ModelError
-from socast.core.evaluate.paper.results import to_json_values
 from socast.core.evaluate.soc.baselines import PERSONS
 from socast.core.evaluate.soc.cases import HOURS_AHEAD, WARM_UP
 from socast.core.evaluate.soc.report import evaluate_soc
+from socast.core.records import to_json_values
 from tests.support.soc_frames import CAPACITY, DAY_ONE, MODELS, SPREAD, make_frames
 
 pytestmark = pytest.mark.long

@@ -1,0 +1,91 @@
+"""Declare results as records: typed, immutable values whose fields carry their unit and meaning.
+
+A result of a fit, a comparison, a diagnosis or an evaluation is a `Record` of records. What the command line writes
+with `--json`, the tables of the terminal and of HTML pages, and DataFrames are all made from the declared fields, so a
+new field is declared once.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple, get_type_hints
+
+import msgspec
+import numpy as np
+import pandas as pd
+
+SCALARS: Final = (str, int, float, bool, type(None))
+
+
+class Shown(NamedTuple):
+    """Declare that tables show a field: the head of its column, and the name of its format in reports."""
+
+    head: str
+    format: str = "text"
+
+
+def declare(meaning: str, head: str | None = None, format: str = "text") -> msgspec.Meta:  # noqa: A002
+    """Return the declaration of a field: its meaning with the unit in brackets, and its column in tables, if any."""
+    return msgspec.Meta(description=meaning, extra=None if head is None else {"shown": Shown(head, format)})
+
+
+class Record(msgspec.Struct, frozen=True, kw_only=True):
+    """Hold one part of a result. Numbers are plain Python numbers; an unknown one is None, never NaN."""
+
+    def __post_init__(self) -> None:
+        """Turn numbers of NumPy into plain ones, and numbers that are not finite into None."""
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            if type(value) not in {str, int, bool, type(None)}:
+                msgspec.structs.force_setattr(self, name, _make_plain(value))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the record as the JSON values that `--json` writes."""
+        return {name: to_json_values(getattr(self, name)) for name in self.__struct_fields__}
+
+
+def list_shown(kind: type[Record]) -> dict[str, Shown]:
+    """Return the fields of a record that tables show, with their columns, in the order of their declaration."""
+    hints = get_type_hints(kind, include_extras=True)
+    declared = {name: getattr(hints[name], "__metadata__", ()) for name in kind.__struct_fields__}
+    return {
+        name: each.extra["shown"]
+        for name, notes in declared.items()
+        for each in notes
+        if isinstance(each, msgspec.Meta) and each.extra and "shown" in each.extra
+    }
+
+
+def make_frame(records: Sequence[Record]) -> pd.DataFrame:
+    """Return records as a DataFrame with one column for each field that holds a number, a text or a truth value."""
+    rows = [each.to_json() for each in records]
+    names = [n for n in (rows[0] if rows else ()) if all(isinstance(row[n], SCALARS) for row in rows)]
+    return pd.DataFrame({name: [row[name] for row in rows] for name in names})
+
+
+def to_json_values(value: Any) -> Any:
+    """Return a result with the values that JSON knows: plain numbers, and None for what is unknown.
+
+    Examples
+    --------
+    >>> to_json_values({"a": np.float64(1.5), "b": [float("nan"), np.int64(2)]})
+    {'a': 1.5, 'b': [None, 2]}
+    """
+    if isinstance(value, Record):
+        return value.to_json()
+    if isinstance(value, Mapping):
+        return {str(key): to_json_values(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [to_json_values(item) for item in value]
+    return _make_plain(value)
+
+
+def _make_plain(value: Any) -> Any:
+    """Return a value of a record with plain numbers, and records and the types of sequences as they are."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, float):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, list | tuple):
+        return type(value)(map(_make_plain, value)) if type(value) in {list, tuple} else tuple(map(_make_plain, value))
+    if isinstance(value, Mapping):
+        return {str(key): _make_plain(item) for key, item in value.items()}
+    return value
