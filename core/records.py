@@ -12,6 +12,8 @@ import msgspec
 import numpy as np
 import pandas as pd
 
+ConfidenceInterval = tuple[float, float]
+"""Lower and upper end of an interval, both known."""
 SCALARS: Final = (str, int, float, bool, type(None))
 
 
@@ -39,7 +41,13 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
 
     def to_json(self) -> dict[str, Any]:
         """Return the record as the JSON values that `--json` writes."""
-        return {name: to_json_values(getattr(self, name)) for name in self.__struct_fields__}
+        names = zip(self.__struct_encode_fields__, self.__struct_fields__, strict=True)
+        return {key: to_json_values(getattr(self, name)) for key, name in names}
+
+
+def make_interval(low: float, high: float) -> ConfidenceInterval | None:
+    """Return an interval, None where an end is unknown."""
+    return (float(low), float(high)) if np.isfinite(low) and np.isfinite(high) else None
 
 
 def list_shown(kind: type[Record]) -> dict[str, Shown]:

@@ -1,7 +1,6 @@
 """Find the physical effect that a model lacks, add it, and test whether it helps."""
 
 from collections.abc import Collection, Sequence
-from typing import Any
 
 import pandas as pd
 
@@ -10,9 +9,10 @@ from socast.core.diagnose.add.add import add_effect as _add
 from socast.core.diagnose.add.terms import build_term_columns as _build_term_columns
 from socast.core.diagnose.diagnosis import diagnose as _diagnose
 from socast.core.diagnose.ranking import LEAST_GAIN
+from socast.core.diagnose.records import Diagnosis
 from socast.core.fit.measured_rows import join_tables as _join
 from socast.core.models import LinearModel
-from socast.core.records import to_json_values as _plain
+from socast.tools.commands.diagnose import word_result as _word_result
 
 __all__ = ["AdditionTrial", "add_effect", "diagnose"]
 
@@ -24,7 +24,7 @@ def diagnose(
     *,
     leave_out: Collection[str] | None = None,
     least_gain: float = 0.0,
-) -> dict[str, Any]:
+) -> Diagnosis:
     """Return where a model errs, which physical effects it lacks, and what remains unexplained.
 
     Parameters
@@ -41,16 +41,16 @@ def diagnose(
 
     Returns
     -------
-    dict
-        What `socast diagnose --json` writes, without the commands that add effects.
+    Diagnosis
+        `headline` and `next_step` in sentences, and the parts that `socast diagnose --json` writes, as attributes;
+        DataFrames `errors`, `candidates` and `coefficients`; `to_json()` for plain values.
 
     Raises
     ------
     ModelError
         Where a column is missing, or the model is not a sum of terms.
     """
-    result: dict[str, Any] = _plain(_diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain))
-    return result
+    return _word_result(_diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain))
 
 
 def add_effect(

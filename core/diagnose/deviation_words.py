@@ -1,10 +1,12 @@
 """Describe a deviation in one sentence: who uses how much more, since when, and why."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import date
-from typing import Any, Final
+from typing import Final
 
+from socast.core.diagnose.records import CarDeviation, CauseProbability
 from socast.core.formatting import format_minus
+from socast.core.records import ConfidenceInterval
 
 PERCENT: Final = 100.0
 SEVERAL: Final = 3
@@ -19,23 +21,18 @@ CAUSES: Final = {
 """Words for effects whose names read badly in a sentence."""
 
 
-def has_certain_share(one: Mapping[str, Any]) -> bool:
+def has_certain_share(one: CarDeviation) -> bool:
     """Return whether the 95 % interval of the net energy of a deviation, over all its causes, excludes zero.
 
     Parameters
     ----------
-    one : mapping
-        Entry of `deviations` in a diagnosis. A slow growth is judged by its rate.
-
-    Examples
-    --------
-    >>> has_certain_share({"share_ci95": [0.01, 0.12]}), has_certain_share({"share_ci95": [-0.01, 0.12]})
-    (True, False)
+    one : CarDeviation
+        A slow growth is judged by its rate.
     """
-    return _excludes_zero(one.get(f"{_name_size(one)}_ci95"))
+    return _excludes_zero(_get_size(one)[1])
 
 
-def has_certain_size(one: Mapping[str, Any]) -> bool:
+def has_certain_size(one: CarDeviation) -> bool:
     """Return whether the size of a deviation is certain: its net energy, or the coefficient of its first cause.
 
     Notes
@@ -43,50 +40,57 @@ def has_certain_size(one: Mapping[str, Any]) -> bool:
     Causes that move energy without taking any, such as wind, widen the interval of the net energy although the change
     is real. The coefficient of the most probable cause is then the size, if it is plausible.
     """
-    coefficient = one.get("coefficient") or {}
-    return has_certain_share(one) or bool(coefficient.get("plausible") and _excludes_zero(coefficient.get("ci95")))
+    return has_certain_share(one) or (one.coefficient.plausible and _excludes_zero(one.coefficient.ci95))
 
 
-def _excludes_zero(limits: Sequence[float | None] | None) -> bool:
+def _excludes_zero(limits: ConfidenceInterval | None) -> bool:
     """Return whether an interval is known and excludes zero."""
-    low, high = limits or (None, None)
-    return low is not None and high is not None and low * high > 0.0
+    return limits is not None and limits[0] * limits[1] > 0.0
 
 
-def find_leading_deviation(deviations: Sequence[Mapping[str, Any]] | None) -> Mapping[str, Any] | None:
+def find_leading_deviation(deviations: Sequence[CarDeviation]) -> CarDeviation | None:
     """Return the first deviation of certain size, which a diagnosis may put into its headline; None without one."""
-    return next((one for one in deviations or () if has_certain_size(one)), None)
+    return next((one for one in deviations if has_certain_size(one)), None)
 
 
-def name_deviating(one: Mapping[str, Any]) -> str:
+def name_deviating(one: CarDeviation) -> str:
     """Return who deviates in the middle of a sentence: a car, a group, or all cars."""
-    return "all cars" if one.get("of") == "all" else str(one.get("who"))
+    return "all cars" if one.of == "all" else one.who
 
 
-def word_deviation(one: Mapping[str, Any], *, sized: bool = True) -> str:
+def word_deviation(one: CarDeviation, *, sized: bool = True) -> str:
     """Return a deviation as a sentence.
 
     Examples
     --------
-    >>> word_deviation({
-    ...     "who": "taxi-005", "kind": "step", "share": 0.041, "share_ci95": [0.032, 0.05], "since": "2018-11-14",
-    ...     "since_ci90": ["2018-11-12", "2018-11-16"],
-    ...     "causes": [{"effect": "tyre_pressure", "probability": 0.6}, {"effect": "brake_drag", "probability": 0.4}],
-    ... })
+    >>> word_deviation(
+    ...     CarDeviation(
+    ...         who="taxi-005",
+    ...         kind="step",
+    ...         share=0.041,
+    ...         share_ci95=(0.032, 0.05),
+    ...         since="2018-11-14",
+    ...         since_ci90=("2018-11-12", "2018-11-16"),
+    ...         causes=[
+    ...             CauseProbability(effect="tyre_pressure", probability=0.6),
+    ...             CauseProbability(effect="brake_drag", probability=0.4),
+    ...         ],
+    ...     )
+    ... )
     'taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018 (12 to 16 November): low tyre pressure 60 %, brake drag 40 %'
     """
-    who = "All cars use" if one.get("of") == "all" else f"{one.get('who')} uses"
-    return f"{who} {_word_size(one, sized=sized)}{_word_date(one)}: {_name_causes(one.get('causes') or ())}"
+    who = "All cars use" if one.of == "all" else f"{one.who} uses"
+    return f"{who} {_word_size(one, sized=sized)}{_word_date(one)}: {_name_causes(one.causes)}"
 
 
-def _word_size(one: Mapping[str, Any], *, sized: bool) -> str:
+def _word_size(one: CarDeviation, *, sized: bool) -> str:
     """Return how much more or less is used: a share of the energy, or a rate for a ramp.
 
     An interval that contains zero is given by its ends, because ± would hide that it is not symmetric.
     """
-    name = _name_size(one)
-    share = float(one.get(name) or 0.0)
-    low, high = (share if end is None else end for end in one.get(f"{name}_ci95") or (share, share))
+    value, limits = _get_size(one)
+    share = value or 0.0
+    low, high = limits or (share, share)
     direction = "more" if share >= 0.0 else "less"
     half = 0.5 * PERCENT * (high - low)
     digits = 1 if half < 10.0 else 0
@@ -99,20 +103,22 @@ def _word_size(one: Mapping[str, Any], *, sized: bool) -> str:
         size = f"{size} % {direction} (95 % interval {interval})"
     else:
         size = f"{size} ± {half:.{digits}f} % {direction}"
-    return size if name == "share" else f"{size} each month"
+    return f"{size} each month" if one.kind == "ramp" else size
 
 
-def _name_size(one: Mapping[str, Any]) -> str:
-    """Return the name of the size of a deviation: its share of the energy, or the monthly growth of a ramp."""
-    return "share_per_month" if one.get("kind") == "ramp" else "share"
+def _get_size(one: CarDeviation) -> tuple[float | None, ConfidenceInterval | None]:
+    """Return the size of a deviation with its interval: its share of the energy, or the monthly growth of a ramp."""
+    if one.kind == "ramp":
+        return one.share_per_month, one.share_per_month_ci95
+    return one.share, one.share_ci95
 
 
-def _word_date(one: Mapping[str, Any]) -> str:
+def _word_date(one: CarDeviation) -> str:
     """Return the date of a change with its 90 % range, or a clause for what was always there."""
-    if not one.get("since"):
-        return " than the others" if one.get("of") == "group" else " than its siblings"
-    since = date.fromisoformat(str(one["since"]))
-    low, high = (date.fromisoformat(str(each)) for each in one.get("since_ci90") or (one["since"], one["since"]))
+    if not one.since:
+        return " than the others" if one.of == "group" else " than its siblings"
+    since = date.fromisoformat(one.since)
+    low, high = map(date.fromisoformat, one.since_ci90 or (one.since, one.since))
     first = f"{low.day}" if (low.year, low.month) == (high.year, high.month) else _format_date(low, high)
     return f" since {_format_date(since)} ({first} to {_format_date(high, since)})"
 
@@ -123,11 +129,9 @@ def _format_date(day: date, beside: date | None = None) -> str:
     return f"{day.day} {day:%B}{year}"
 
 
-def _name_causes(causes: Sequence[Mapping[str, Any]]) -> str:
+def _name_causes(causes: Sequence[CauseProbability]) -> str:
     """Return the causes of a credible set with their probabilities, the most probable first."""
-    names = [
-        f"{name_cause(str(one.get('effect')))} {PERCENT * (one.get('probability') or 0.0):.0f} %" for one in causes
-    ]
+    names = [f"{name_cause(one.effect)} {PERCENT * (one.probability or 0.0):.0f} %" for one in causes]
     if len(names) > SEVERAL:
         others = len(names) - SEVERAL
         names = [*names[:SEVERAL], "or another cause" if others == 1 else f"or one of {others} others"]

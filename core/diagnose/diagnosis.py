@@ -14,10 +14,11 @@ Each step is a module of its own:
 """
 
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
+from msgspec.structs import replace
 from threadpoolctl import threadpool_limits
 
 from socast.core import effects
@@ -25,7 +26,7 @@ from socast.core.batch import Floats
 from socast.core.diagnose import residual_structure
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
 from socast.core.diagnose.add.refit import CoefficientEstimate
-from socast.core.diagnose.add.terms import describe_coefficient
+from socast.core.diagnose.add.terms import describe_coefficient, explain_coefficient
 from socast.core.diagnose.candidates import build_candidates
 from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.episodes import find_episodes
@@ -38,6 +39,19 @@ from socast.core.diagnose.partial_residual import compute_partial_residual
 from socast.core.diagnose.posterior.probabilities import Causes
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.ranking import LEVEL, Ranking
+from socast.core.diagnose.records import (
+    CauseProbability,
+    Comparisons,
+    DiagnosedData,
+    DiagnosedModel,
+    Diagnosis,
+    HeldOutRides,
+    NamedEffect,
+    RemainingStructure,
+    RideErrors,
+    RivalEffect,
+    TestedEffect,
+)
 from socast.core.diagnose.residual_profile import profile_residual
 from socast.core.diagnose.residual_structure import ResidualStructure
 from socast.core.diagnose.siblings.deviations import diagnose_deviations
@@ -47,6 +61,7 @@ from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible
+from socast.core.records import make_interval
 from socast.core.stats.held_out_gain import HeldOutGain
 
 LEAST_SUGGESTION_GAIN: Final = 0.005
@@ -61,8 +76,6 @@ ONE_SIGN_SHARE: Final = 0.8
 """Share of the absolute energy of an effect that must have one sign for the report to show that sign."""
 WRONG_SIGN_Z: Final = 3.0
 """Standard errors above which a coefficient of the sign that physics forbids is reported as such."""
-NORMAL: Final = 1.96
-"""Half width of a 95 % interval of a normal estimate. [standard errors]"""
 
 
 def diagnose(
@@ -78,7 +91,7 @@ def diagnose(
     seed: int = 0,
     dated: bool = True,
     report: Callable[[float, str], None] = lambda *_: None,
-) -> dict[str, Any]:
+) -> Diagnosis:
     """Return where a model fails, which effects it lacks, and what error remains.
 
     Parameters
@@ -107,17 +120,6 @@ def diagnose(
     report : callable
         Function that receives, before each step, the share of the work that is done, and the step in words.
 
-    Returns
-    -------
-    dict
-        `model`, `data` (`held_out` states which dates were not used), `episodes` (hours of a few dates in which the
-        power is off, see `socast.core.diagnose.episodes`; what follows is beside them), `error`, `error_location`,
-        `slices`, `missing` (best first, each beside the others), `candidates`, `verdict`, `causes` and `credible_set`
-        (before any effect is selected), `further` and `further_credible_set` (beside the selected effects),
-        `structure_remains`, `structure`, `suggestion`, `suggestion_file`, `steps`, `profiles`, `deviations` and `cars`
-        (see `socast.core.diagnose.siblings.deviations`). The values are plain Python values; an unknown number is NaN
-        or None.
-
     Raises
     ------
     ModelError
@@ -133,13 +135,13 @@ def diagnose(
             seen, model, without, least_gain, groups, places=places, seed=seed, dated=dated, report=report
         )
     recorded = {date for entry in model.history for date in (entry.get("final") or {}).get("dates") or ()}
-    result["data"]["held_out"] = {
-        "dates": list(held_out),
-        "rides": len(rides) - len(kept[0]),
-        "final": bool(held_out) and set(held_out) <= set(final),
-        "in_history": bool(held_out) and set(held_out) <= recorded,
-    }
-    return result
+    unused = HeldOutRides(
+        dates=list(held_out),
+        rides=len(rides) - len(kept[0]),
+        final=bool(held_out) and set(held_out) <= set(final),
+        in_history=bool(held_out) and set(held_out) <= recorded,
+    )
+    return replace(result, data=replace(result.data, held_out=unused))
 
 
 def _diagnose(
@@ -153,7 +155,7 @@ def _diagnose(
     seed: int,
     dated: bool,
     report: Callable[[float, str], None],
-) -> dict[str, Any]:
+) -> Diagnosis:
     """Return the result of `diagnose` for windows."""
     base, candidates = BaseProjection(seen, model), build_candidates(seen, model, without)
     report(0.02, "comparing dates")
@@ -166,14 +168,12 @@ def _diagnose(
     first = selection.rank()
     gains = selection.measure_candidates(first)
     causes = selection.select_all()
-    local: dict[str, list[dict[str, Any]]] = {"deviations": [], "cars": []}
+    local = Comparisons([], [])
     if places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES:
         report(0.6, "comparing cars with each other and with their past")
         taken = [each.column for each in episodes] + [named.column for named in selection.selected]
         known = np.column_stack([np.empty((len(seen.measured), 0)), *taken])
         local = diagnose_deviations(selection.base, model, known, without, groups)
-    if not dated:
-        local["deviations"] = [each for each in local["deviations"] if each["since"] is None]
     base = selection.base
     missing = selection.list_missing_effects()
     report(0.8, "searching the remaining error")
@@ -181,44 +181,38 @@ def _diagnose(
     unknown = set(remains.signs) - {"better"}
     suggested = _suggest(base, selection, selection.compute_residual(selection.build_basis())) if unknown else None
     floor = compute_noise_floor(compute_noise_variance(seen.rides))
-    verdict = missing[0].selected.effect if missing else None
     report(0.9, "searching for slices")
     error = seen.by_ride(seen.predicted - seen.measured)
     for each in episodes:
         error[seen.ride[each.rows]] = np.nan  # such rides would be a slice of their own
-    return {
-        "model": {
-            "name": model.name,
-            "version": model.version,
-            "recipe": model.recipe,
-            "implausible": describe_implausible(model),
-        },
-        "data": _describe_data(seen) | {"dated": dated},
-        "episodes": [each.to_json() for each in episodes],
-        "error": _describe_error(seen, base, floor),
-        "error_location": location.to_json(),
-        "slices": find_slices(seen.rides, error, seed=seed, dated=dated),
-        "missing": [
-            _describe_missing(finding, selection) | {"partial_residual": compute_partial_residual(selection, finding)}
-            for finding in missing
-        ],
-        "candidates": _tabulate_candidates(first, gains, missing),
-        "verdict": verdict,
-        "causes": _describe_causes(causes),
-        "credible_set": causes.list_credible_set(),
-        "further": _describe_causes(selection.remaining),
-        "further_credible_set": [] if selection.remaining is None else selection.remaining.list_credible_set(),
-        "structure_remains": remains.exists,
-        "structure": _describe_structure(remains),
-        "suggestion": None if suggested is None else suggested.formula,
-        "suggestion_file": None if suggested is None else suggested.file,
-        "steps": compute_steps(selection, missing, floor),
-        "profiles": profile_residual(selection),
-        **local,
-    }
+    return Diagnosis(
+        model=DiagnosedModel(
+            name=model.name, version=model.version, recipe=model.recipe, implausible=describe_implausible(model)
+        ),
+        data=_describe_data(seen, dated=dated),
+        episodes=[each.to_record() for each in episodes],
+        error=_describe_error(seen, base, floor),
+        error_location=location,
+        slices=find_slices(seen.rides, error, seed=seed, dated=dated),
+        missing=[_describe_missing(finding, selection) for finding in missing],
+        tested=_tabulate_candidates(first, gains, missing),
+        verdict=missing[0].selected.effect if missing else None,
+        causes=_list_causes(causes),
+        credible_set=causes.list_credible_set(),
+        further=_list_causes(selection.remaining),
+        further_credible_set=[] if selection.remaining is None else selection.remaining.list_credible_set(),
+        structure_remains=remains.exists,
+        structure=_describe_structure(remains),
+        suggestion=None if suggested is None else suggested.formula,
+        suggestion_file=None if suggested is None else suggested.file,
+        steps=compute_steps(selection, missing, floor),
+        profiles=profile_residual(selection),
+        deviations=[each for each in local.deviations if dated or each.since is None],
+        cars=local.cars,
+    )
 
 
-def _describe_data(seen: Windows) -> dict[str, Any]:
+def _describe_data(seen: Windows, *, dated: bool) -> DiagnosedData:
     """Return the number of rides and windows, their dates, and how their energy was measured."""
     metered = is_metered(seen.table)
     measured = "vi" if metered.mean() > MAIN_SHARE else "soc" if metered.mean() < 1.0 - MAIN_SHARE else "mixed"
@@ -229,75 +223,74 @@ def _describe_data(seen: Windows) -> dict[str, Any]:
         "mixed": "voltage and current in windows of about one minute; where they are missing, state of charge by ride",
     }
     dates = sorted(date for date in get_names(seen.table, "date") if date)
-    return {
-        "rides": len(seen.rides),
-        "windows": len(seen.table),
-        "vehicles": int(seen.vehicle.max()) + 1,
-        "days": int(seen.day.max()) + 1,
-        "first_date": dates[0] if dates else None,
-        "last_date": dates[-1] if dates else None,
-        "measured": measured,
-        "resolution_s": length,
-        "resolution": resolution[measured],
-        "left_out": dict(seen.left_out),
-    }
+    return DiagnosedData(
+        rides=len(seen.rides),
+        windows=len(seen.table),
+        vehicles=int(seen.vehicle.max()) + 1,
+        days=int(seen.day.max()) + 1,
+        first_date=dates[0] if dates else None,
+        last_date=dates[-1] if dates else None,
+        measured=measured,
+        resolution_s=length,
+        resolution=resolution[measured],
+        left_out=dict(seen.left_out),
+        dated=dated,
+    )
 
 
-def _describe_error(seen: Windows, base: BaseProjection, floor: float) -> dict[str, float]:
+def _describe_error(seen: Windows, base: BaseProjection, floor: float) -> RideErrors:
     """Return the errors of the model per ride, as given and refitted to the same windows. [kWh]"""
     error, used = seen.by_ride(seen.predicted - seen.measured), seen.by_ride(seen.measured)
     refitted = seen.by_ride(base.convert_to_energy(base.residual))
     mae = float(np.mean(np.abs(error)))
-    return {
-        "mae_kwh": mae,
-        "relative": mae / float(np.mean(used)) if float(np.mean(used)) > 0.0 else float("nan"),
-        "bias_kwh": float(np.mean(error)),
-        "mae_refitted_kwh": float(np.mean(np.abs(refitted))),
-        "noise_floor_kwh": floor,
-    }
+    return RideErrors(
+        mae_kwh=mae,
+        relative=mae / float(np.mean(used)) if float(np.mean(used)) > 0.0 else None,
+        bias_kwh=float(np.mean(error)),
+        mae_refitted_kwh=float(np.mean(np.abs(refitted))),
+        noise_floor_kwh=floor,
+    )
 
 
-def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> dict[str, Any]:
-    """Return the entry of a missing effect."""
+def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> NamedEffect:
+    """Return the record of a missing effect."""
     seen = selection.base.windows
     named, evidence = finding.selected, finding.evidence
     effect = effects.get(named.variant)
-    value = float(evidence.coefficient[0])
-    low, high = evidence.compute_interval(0)
-    energy = named.column[:, 0] * value
+    estimate = CoefficientEstimate(float(evidence.coefficient[0]), float(evidence.error[0]), float(evidence.freedom[0]))
+    energy = named.column[:, 0] * estimate.value
     credible = [] if named.causes is None else named.causes.list_credible_set()
-    return {
-        "effect": named.effect,
-        "variant": named.variant,
-        "probability": named.probability,
-        "causes": _describe_causes(named.causes),
-        "credible_set": credible,
-        "scope": " ".join(part.replace("=", " ") for part in named.candidates.scope) or "all",
-        "columns": [f"{EFFECT_PREFIX}{named.variant}", *named.candidates.scope],
-        "gain": finding.gain.value,
-        "gain_ci95": [finding.gain.value - finding.gain.half, finding.gain.value + finding.gain.half],
-        "energy_share": float(np.abs(energy).sum() / seen.measured.sum()),
-        "p": float(evidence.p[0]),
-        "z": float(evidence.z[0]),
-        "coefficient": describe_coefficient(
-            effect, CoefficientEstimate(value, float(evidence.error[0]), float(evidence.freedom[0]))
-        ),
-        "words": effect.in_words(value, (high - low) / 2.0),
-        "equivalents": _equivalents(energy, seen),
-        "separate": [
-            {"effect": name, "correlation": r, "data": effects.get(name).shown_by}
+    return NamedEffect(
+        effect=named.effect,
+        variant=named.variant,
+        probability=named.probability,
+        causes=_list_causes(named.causes),
+        credible_set=credible,
+        scope=" ".join(part.replace("=", " ") for part in named.candidates.scope) or "all",
+        columns=[f"{EFFECT_PREFIX}{named.variant}", *named.candidates.scope],
+        gain=finding.gain.value,
+        gain_ci95=make_interval(finding.gain.value - finding.gain.half, finding.gain.value + finding.gain.half),
+        energy_share=np.abs(energy).sum() / seen.measured.sum(),
+        p=evidence.p[0],
+        z=evidence.z[0],
+        coefficient=describe_coefficient(effect, estimate),
+        words=explain_coefficient(effect, estimate),
+        equivalents=_list_equivalents(energy, seen),
+        separate=[
+            RivalEffect(effect=name, correlation=r, data=effects.get(name).shown_by)
             for name, r in selection.correlate(named, credible)
         ],
-    }
+        partial_residual=compute_partial_residual(selection, finding),
+    )
 
 
-def _describe_causes(causes: Causes | None) -> list[dict[str, Any]]:
+def _list_causes(causes: Causes | None) -> list[CauseProbability]:
     """Return the probability of each cause, the largest first."""
     given = {} if causes is None else causes.probabilities
-    return [{"effect": name, "probability": probability} for name, probability in given.items()]
+    return [CauseProbability(effect=name, probability=probability) for name, probability in given.items()]
 
 
-def _equivalents(energy: Floats, seen: Windows) -> list[str]:
+def _list_equivalents(energy: Floats, seen: Windows) -> list[str]:
     """Return the power, the mass and the headwind that would use as much energy in the windows where an effect acts.
 
     For an effect that costs energy in some windows and saves it in others, such as wind along the road, the absolute
@@ -327,58 +320,55 @@ def _equivalents(energy: Floats, seen: Windows) -> list[str]:
 
 def _tabulate_candidates(
     first: Ranking, gains: Mapping[str, HeldOutGain], missing: list[MissingEffect]
-) -> list[dict[str, Any]]:
+) -> list[TestedEffect]:
     """Return all effects that were tested everywhere, as they ranked before any was selected."""
-    rows: list[dict[str, Any]] = []
+    rows = []
     for e, (name, at) in enumerate(zip(first.candidates.names, first.best.tolist(), strict=True)):
-        row = {"effect": name, "variant": name, "scope": "all", **dict.fromkeys(("z", "p", "q", "gain"))}
+        row = TestedEffect(effect=name, variant=name)
         if at >= 0:
-            row |= {
-                "variant": first.candidates.variants[at],
-                "z": float(first.evidence.z[at]),
-                "p": float(first.evidence.p[at]),
-                "q": float(first.q[e]),
-                "gain": gains[name].value,
-            }
-        rows.append(row | {"status": _describe_status(name, row, int(first.candidates.sign[at]), missing)})
-    rows.sort(key=lambda row: -(row["gain"] if row["gain"] is not None else -1.0))
-    empty = dict.fromkeys(("z", "p", "q", "gain"))
-    absent = [
-        {"effect": name, "variant": name, "scope": "all", **empty, "status": why}
-        for name, why in first.candidates.excluded.items()
-    ]
+            row = TestedEffect(
+                effect=name,
+                variant=first.candidates.variants[at],
+                z=first.evidence.z[at],
+                p=first.evidence.p[at],
+                q=first.q[e],
+                gain=gains[name].value,
+            )
+        rows.append(replace(row, status=_describe_status(row, int(first.candidates.sign[at]), missing)))
+    rows.sort(key=lambda row: -(row.gain if row.gain is not None else -1.0))
+    absent = [TestedEffect(effect=name, variant=name, status=why) for name, why in first.candidates.excluded.items()]
     return rows + absent
 
 
-def _describe_status(name: str, row: dict[str, Any], sign: int, missing: list[MissingEffect]) -> str:
+def _describe_status(row: TestedEffect, sign: int, missing: list[MissingEffect]) -> str:
     """Return the result for a candidate."""
-    if name in {finding.selected.effect for finding in missing}:
+    if row.effect in {finding.selected.effect for finding in missing}:
         return "missing"
-    if row["z"] is None:
+    if row.z is None or row.q is None:
         return "not identifiable beside the model"
     for finding in missing:
-        if finding.selected.causes is not None and name in finding.selected.causes.list_credible_set():
+        if finding.selected.causes is not None and row.effect in finding.selected.causes.list_credible_set():
             return f"not distinguishable from {finding.selected.effect}"
-    if sign * row["z"] < -WRONG_SIGN_Z:
+    if sign * row.z < -WRONG_SIGN_Z:
         return "wrong sign"
-    return "not needed" if row["q"] < LEVEL else "not there"
+    return "not needed" if row.q < LEVEL else "not there"
 
 
-def _describe_structure(remains: ResidualStructure) -> dict[str, Any]:
+def _describe_structure(remains: ResidualStructure) -> RemainingStructure:
     """Return the structure that remains after the missing effects."""
-    return {
-        "before": remains.before,
-        "after": remains.after,
-        "taken": remains.taken,
-        "least": residual_structure.LEAST_TAKEN,
-        "shape": remains.shape,
-        "q": remains.q,
-        "shape_taken": remains.gain,
-        "better": remains.better,
-        "signs": remains.signs,
-        "days": remains.days,
-        "most_days": remains.most_days,
-    }
+    return RemainingStructure(
+        before=remains.before,
+        after=remains.after,
+        taken=remains.taken,
+        least=residual_structure.LEAST_TAKEN,
+        shape=remains.shape,
+        q=remains.q,
+        shape_taken=remains.gain,
+        better=remains.better,
+        signs=list(remains.signs),
+        days=remains.days,
+        most_days=remains.most_days,
+    )
 
 
 def _suggest(base: BaseProjection, selection: ForwardSelection, left: Floats) -> Suggestion | None:

@@ -27,7 +27,7 @@ DOI 10.1214/aoms/1177706098: normal deviates of Student's t.
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,9 @@ from socast.core.diagnose.candidates import Candidates
 from socast.core.diagnose.noise import estimate_window_variance
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.ranking import LEAST_LEFT
+from socast.core.diagnose.records import FoundEpisode
 from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.records import make_interval
 
 LEVEL: Final = 0.01
 """Probability that a diagnosis without any episode reports one. [1]"""
@@ -121,22 +123,22 @@ class Episode(NamedTuple):
     share: float
     chance: float
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the episode as plain values; `hours_utc` are UTC, as `dates` are."""
-        return {
-            "dates": list(self.dates),
-            "hours_utc": list(self.hours),
-            "whole_dates": self.whole,
-            "car": self.car,
-            "cars": list(self.cars),
-            "cars_driving": self.driving,
-            "windows": int(self.rows.sum()),
-            "rides": list(self.rides),
-            "power_kw": self.power,
-            "power_ci95_kw": [self.low, self.high],
-            "share": self.share,
-            "chance": self.chance,
-        }
+    def to_record(self) -> FoundEpisode:
+        """Return the episode as a part of the diagnosis."""
+        return FoundEpisode(
+            dates=list(self.dates),
+            hours_utc=self.hours,
+            whole_dates=self.whole,
+            car=self.car,
+            cars=list(self.cars),
+            cars_driving=self.driving,
+            windows=int(self.rows.sum()),
+            rides=list(self.rides),
+            power_kw=self.power,
+            power_ci95_kw=make_interval(self.low, self.high),
+            share=self.share,
+            chance=self.chance,
+        )
 
 
 def find_episodes(base: BaseProjection, candidates: Candidates) -> tuple[list[Episode], BaseProjection]:

@@ -6,9 +6,9 @@ is so large that no number of repeated diagnoses reaches it often by chance, see
 until a diagnosis no longer finds it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, date, datetime
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -16,6 +16,7 @@ from msgspec.structs import replace
 
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.diagnose.deviation_words import word_deviation
+from socast.core.diagnose.records import CarDeviation, Diagnosis, NamedEffect
 from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models.features import VEHICLE_SCOPE
 from socast.core.wire.messages import Cause, Finding, Message, encode, identity
@@ -95,16 +96,10 @@ def compute_sure_evidence(tests: int) -> float:
     return float(np.log(tests * (1.0 + np.log(GROWTH)) / (1.0 - SURE)))
 
 
-def list_findings(result: Mapping[str, Any], use: FleetUse) -> list[Finding]:
-    """Return the findings of one diagnosis, each proposed or sure.
-
-    Parameters
-    ----------
-    result : mapping
-        Diagnosis as plain values. The entries of `missing` and `deviations` may have a list `commands`.
-    """
-    missing = [_make_finding(one, use, _measure_missing(one, use)) for one in result.get("missing") or ()]
-    return missing + [_make_finding(one, use, _measure_deviation(one)) for one in result.get("deviations") or ()]
+def list_findings(result: Diagnosis, use: FleetUse) -> list[Finding]:
+    """Return the findings of one diagnosis, each proposed or sure."""
+    missing = [_make_finding(one, use, _measure_missing(one, use)) for one in result.missing]
+    return missing + [_make_finding(one, use, _measure_deviation(one)) for one in result.deviations]
 
 
 def merge_findings(earlier: Sequence[Finding], found: Sequence[Finding], use: FleetUse) -> list[Finding]:
@@ -160,42 +155,49 @@ class _Measured(NamedTuple):
     kwh: float
 
 
-def _make_finding(one: Mapping[str, Any], use: FleetUse, measured: _Measured) -> Finding:
+def _make_finding(one: NamedEffect | CarDeviation, use: FleetUse, measured: _Measured) -> Finding:
     """Return the finding of an entry of a diagnosis."""
-    probability = float(one["probability"]) if one.get("probability") is not None else 1.0 - float(one["q"])
+    lasting, since = True, None
+    if isinstance(one, CarDeviation):
+        probability, since = 1.0 - _get_number(one.q), one.since
+        lasting = _get_number(one.evidence) >= compute_sure_evidence(one.tests)
+        credible = {cause.effect for cause in one.causes}
+    else:
+        probability, credible = _get_number(one.probability), set(one.credible_set)
     share, low, high = map(_get_known, (measured.share, measured.low, measured.high))
     day = use.last_day.isoformat()
     known = low is not None and high is not None and low * high > 0.0
-    lasting = "evidence" not in one or _get_number(one["evidence"]) >= compute_sure_evidence(one["tests"])
     sure = probability >= SURE and known and lasting
+    causes = [Cause(each.effect, each.probability or 0.0) for each in one.causes if each.effect in credible]
     return Finding(
         who=measured.who,
-        effect=str(one["effect"]),
+        effect=one.effect,
         time_s=_find_end(use.last_day),
         status="sure" if sure else "proposed",
         probability=probability,
-        causes=_list_causes(one, probability),
+        causes=causes or [Cause(one.effect, probability)],
         first_seen=day,
         sure_since=day if sure else None,
-        since=one.get("since"),
+        since=since,
         share=share,
         share_lower=low,
         share_upper=high,
         kwh_per_month=_get_known(measured.kwh),
         range_km_per_month=_get_known(_find_range(measured.kwh, use)),
         words=measured.words + _word_savings(one, measured.kwh, use),
-        commands=list(one.get("commands") or ()),
+        commands=one.commands,
     )
 
 
-def _measure_missing(one: Mapping[str, Any], use: FleetUse) -> _Measured:
+def _measure_missing(one: NamedEffect, use: FleetUse) -> _Measured:
     """Return who lacks a missing effect, its words and its size, with the relative interval of its coefficient."""
-    scopes = [column.removeprefix(VEHICLE_SCOPE) for column in one["columns"] if column.startswith(VEHICLE_SCOPE)]
-    share, value = _get_number(one["energy_share"]), _get_number(one["coefficient"]["value"])
-    ends = [share * _get_number(end) / value if value else float("nan") for end in one["coefficient"]["ci95"]]
+    scopes = [column.removeprefix(VEHICLE_SCOPE) for column in one.columns if column.startswith(VEHICLE_SCOPE)]
+    share, value = _get_number(one.energy_share), _get_number(one.coefficient.value)
+    limits = one.coefficient.ci95 or (float("nan"), float("nan"))
+    ends = [share * end / value if value else float("nan") for end in limits]
     return _Measured(
         scopes[0] if scopes else ALL,
-        f"the model lacks {one['effect']}: {one['words']}",
+        f"the model lacks {one.effect}: {one.words}",
         share,
         min(ends),
         max(ends),
@@ -203,25 +205,18 @@ def _measure_missing(one: Mapping[str, Any], use: FleetUse) -> _Measured:
     )
 
 
-def _measure_deviation(one: Mapping[str, Any]) -> _Measured:
+def _measure_deviation(one: CarDeviation) -> _Measured:
     """Return who deviates, the words and the size of the deviation."""
-    numbers = (one["share"], *one["share_ci95"], one["kwh_per_month"])
-    return _Measured(str(one["who"]), word_deviation(one), *map(_get_number, numbers))
+    low, high = one.share_ci95 or (float("nan"), float("nan"))
+    return _Measured(one.who, word_deviation(one), _get_number(one.share), low, high, _get_number(one.kwh_per_month))
 
 
-def _list_causes(one: Mapping[str, Any], probability: float) -> list[Cause]:
-    """Return the causes in the credible set; of an entry without causes, its effect."""
-    causes = one.get("causes") or [{"effect": one["effect"], "probability": probability}]
-    credible = one.get("credible_set") or [cause["effect"] for cause in causes]
-    return [Cause(str(each["effect"]), float(each["probability"])) for each in causes if each["effect"] in credible]
-
-
-def _word_savings(one: Mapping[str, Any], kwh: float, use: FleetUse) -> str:
+def _word_savings(one: NamedEffect | CarDeviation, kwh: float, use: FleetUse) -> str:
     """Return what mending a deviation would save, or what a missing effect takes; nothing for what saves energy."""
     range_km = _find_range(kwh, use)
     if not (np.isfinite(range_km) and kwh > 0.0):
         return ""
-    verb = "mending it would save" if "share_ci95" in one else "it accounts for"
+    verb = "mending it would save" if isinstance(one, CarDeviation) else "it accounts for"
     return f"; {verb} {kwh:.3g} kWh or {range_km:.3g} km of range a month"
 
 
@@ -242,9 +237,9 @@ def _find_end(day: date) -> float:
     return datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp() + SECONDS_PER_DAY
 
 
-def _get_number(value: Any) -> float:
+def _get_number(value: float | None) -> float:
     """Return a number of a diagnosis, NaN where it is unknown."""
-    return float("nan") if value is None else float(value)
+    return float("nan") if value is None else value
 
 
 def _get_known(value: float) -> float | None:

@@ -25,9 +25,11 @@ from socast.core.diagnose.dataset import gather_windows
 from socast.core.diagnose.evidence import ClusterSums, compute_evidence
 from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect, SelectionSettings
 from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.records import CarResidual, PartialResidual
 from socast.core.errors import ModelError
 from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models import LinearModel
+from socast.core.records import ConfidenceInterval, make_interval
 
 BINS: Final = 12
 """Largest number of bins of a picture."""
@@ -43,16 +45,8 @@ WH: Final = 1000.0
 """Watt-hours in a kilowatt-hour. [Wh/kWh]"""
 
 
-def compute_partial_residual(selection: ForwardSelection, finding: MissingEffect) -> dict[str, Any]:
-    """Return the partial residual of a missing effect in bins of its regressor.
-
-    Returns
-    -------
-    dict
-        `per` ("h" or "km": values are in W or in Wh/km), `quantity` and `unit` of the coefficient, `slope` with its
-        interval `slope_ci95`, and in bins of the regressor `x`: `before` and `after` the effect is added, the half
-        width `ci95` of their 95 % intervals, and the numbers of `windows` and of vehicle-`days`. `cars` holds the same
-        of each car, in fewer bins, with the slope that the car alone shows.
+def compute_partial_residual(selection: ForwardSelection, finding: MissingEffect) -> PartialResidual:
+    """Return the partial residual of a missing effect in bins of its regressor, of each car in fewer bins.
 
     Notes
     -----
@@ -81,22 +75,23 @@ def compute_partial_residual(selection: ForwardSelection, finding: MissingEffect
         slope, ends = _fit_slope(space.residual[here], projected[here], seen.day[here])
         name = str(names[here[0]])
         of_car = bin_rows(np.flatnonzero(seen.vehicle[rows] == car), BINS_OF_CAR)
-        cars.append({"car": name, "slope": slope, "slope_ci95": ends, **of_car})
-    return {
-        "per": per,
-        "quantity": effect.coefficient,
-        "summary": effect.summary,
-        "unit": effect.unit,
-        "slope": value,
-        "slope_ci95": [low, high],
+        cars.append(CarResidual(car=name, slope=slope, slope_ci95=ends, **of_car))
+    return PartialResidual(
+        per=per,
+        quantity=effect.coefficient,
+        summary=effect.summary,
+        unit=effect.unit,
+        variant=finding.selected.variant,
+        slope=value,
+        slope_ci95=make_interval(low, high),
         **bin_rows(np.arange(len(rows)), BINS),
-        "cars": sorted(cars, key=lambda each: str(each["car"])),
-    }
+        cars=sorted(cars, key=lambda each: each.car),
+    )
 
 
 def compute_candidate_residual(
     rides: pd.DataFrame, windows: pd.DataFrame, model: LinearModel, effect: str
-) -> dict[str, Any]:
+) -> PartialResidual:
     """Return the partial residual of one candidate, tested alone beside a model, whether it is missing or not.
 
     Parameters
@@ -119,8 +114,7 @@ def compute_candidate_residual(
         if at < 0:
             raise ModelError(f"{name} is not identifiable: the model can reproduce it with its own terms")
         selection.select(SelectedEffect(candidates, at, float("nan")))
-        finding = selection.list_missing_effects()[0]
-        return compute_partial_residual(selection, finding) | {"variant": candidates.variants[at]}
+        return compute_partial_residual(selection, selection.list_missing_effects()[0])
 
 
 def _list_cars(vehicle: Ints) -> list[int]:
@@ -129,20 +123,20 @@ def _list_cars(vehicle: Ints) -> list[int]:
     return [int(car) for car in np.argsort(-count, kind="stable")[:MOST_CARS] if count[car] >= 2 * LEAST_WINDOWS]
 
 
-def _fit_slope(residual: Floats, column: Floats, day: Ints) -> tuple[float | None, list[float] | None]:
+def _fit_slope(residual: Floats, column: Floats, day: Ints) -> tuple[float | None, ConfidenceInterval | None]:
     """Return the coefficient that weighted, projected windows of one car show, with its interval; None if unknown."""
     evidence = compute_evidence(
         residual, column, np.zeros(1, dtype=np.int64), ClusterSums(np.unique(day, return_inverse=True)[1])
     )
     ends = evidence.compute_interval(0)
     known = float((column**2).sum()) > 0.0 and bool(np.isfinite(ends).all())
-    return (float(evidence.coefficient[0]), list(ends)) if known else (None, None)
+    return (float(evidence.coefficient[0]), ends) if known else (None, None)
 
 
 def _bin(x: Floats, after: Floats, slope: float, weight: Floats, day: Ints, most: int) -> dict[str, Any]:
     """Return the residual with and without the contribution of an effect, in bins of its regressor."""
     if not len(x):
-        return {name: [] for name in ("x", "before", "after", "ci95", "windows", "days")}
+        return {}
     place, bins = split_at_quantiles(x, max(1, min(most, len(x) // LEAST_WINDOWS)))
     means = average_in_bins(place, bins, after, weight, day)
     middle = np.bincount(place, weight * x, bins) / np.bincount(place, weight, bins)
@@ -150,7 +144,7 @@ def _bin(x: Floats, after: Floats, slope: float, weight: Floats, day: Ints, most
         "x": middle.tolist(),
         "before": (means.value + slope * middle).tolist(),
         "after": means.value.tolist(),
-        "ci95": [half if np.isfinite(half) else None for half in means.ci95.tolist()],
+        "ci95": means.ci95.tolist(),
         "windows": means.windows.tolist(),
         "days": means.days.tolist(),
     }

@@ -9,6 +9,7 @@ from socast.core.batch import Floats, Ints
 from socast.core.diagnose.bin_means import average_in_bins, split_at_quantiles
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.forward_selection import ForwardSelection
+from socast.core.diagnose.records import ResidualProfile
 from socast.core.diagnose.residual_structure import FEATURES
 from socast.core.fit.ride_blocks import get_names, get_numbers
 
@@ -24,16 +25,8 @@ WH: Final = 1000.0
 """Watt-hours in a kilowatt-hour. [Wh/kWh]"""
 
 
-def profile_residual(selection: ForwardSelection) -> list[dict[str, Any]]:
-    """Return the mean residual power along each feature and by each category, without and with the missing effects.
-
-    Returns
-    -------
-    list of dict
-        `feature`, its `unit` (empty for a category), `x` (means of bins, or names), `before_w` and `after_w` the
-        missing effects are added, half width `ci95_w` of the 95 % interval of `after_w` [W], and the numbers of
-        `windows` and of vehicle-`days`.
-    """
+def profile_residual(selection: ForwardSelection) -> list[ResidualProfile]:
+    """Return the mean residual power along each feature and by each category, without and with the missing effects."""
     base, seen = selection.base, selection.base.windows
     hours = get_numbers(seen.table, "duration_s") / 3600.0
     series = selection.compute_residual(selection.build_basis()), base.residual
@@ -50,7 +43,7 @@ def profile_residual(selection: ForwardSelection) -> list[dict[str, Any]]:
             continue
         x = np.bincount(place, values[rows], bins) / np.bincount(place, minlength=bins)
         means = _average(place, bins, rows, after, before, weight, seen.day)
-        shown.append({"feature": name, "unit": unit, "x": x.tolist(), **means})
+        shown.append(ResidualProfile(feature=name, unit=unit, x=x.tolist(), **means))
     for name, labels in _list_categories(seen):
         names, place, count = np.unique(labels, return_inverse=True, return_counts=True)
         known = [i for i in np.argsort(-count, kind="stable").tolist() if names[i]][:MOST_NAMES]
@@ -61,7 +54,7 @@ def profile_residual(selection: ForwardSelection) -> list[dict[str, Any]]:
         code[kept] = np.arange(len(kept))
         rows = np.flatnonzero(code[place] >= 0)
         means = _average(code[place][rows], len(kept), rows, after, before, weight, seen.day)
-        shown.append({"feature": name, "unit": "", "x": [str(names[i]) for i in kept], **means})
+        shown.append(ResidualProfile(feature=name, x=[str(names[i]) for i in kept], **means))
     return shown
 
 
@@ -74,7 +67,7 @@ def _average(
     return {
         "before_w": old.tolist(),
         "after_w": means.value.tolist(),
-        "ci95_w": [half if np.isfinite(half) else None for half in means.ci95.tolist()],
+        "ci95_w": means.ci95.tolist(),
         "windows": means.windows.tolist(),
         "days": means.days.tolist(),
     }

@@ -7,7 +7,7 @@ import numpy as np
 from socast.core.records import Record, declare, list_shown, make_frame, to_json_values
 
 
-class Part(Record):
+class Part(Record, frozen=True):
     """Hold a share and its interval."""
 
     name: str = ""

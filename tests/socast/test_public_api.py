@@ -121,8 +121,8 @@ def test_loop_of_diagnosis_lowers_the_error(autumn_tables):
     rides, windows, _ = socast.read_tables(autumn_tables)
     base = socast.fit_model(rides, "road_load", windows)
     diagnosis = socast.diagnose(rides, windows, base)
-    assert diagnosis["missing"][0]["effect"] == "headwind"
-    assert diagnosis["data"]["held_out"]["rides"] == len(rides) - diagnosis["data"]["rides"] > 0
+    assert diagnosis.missing[0].effect == "headwind"
+    assert diagnosis.data.held_out.rides == len(rides) - diagnosis.data.rides > 0
     quick = socast.load_model("extended_physical")  # without priors it is refitted in no time
     added = socast.add_effect(quick, "headwind", rides, windows)
     assert added.trial["accepted"]

@@ -1,11 +1,35 @@
 """Make a diagnosis as `socast.core.diagnose.diagnosis` returns it, for tests of reports."""
 
-from typing import Any
+from typing import Any, TypeVar
+
+import msgspec
+from msgspec.structs import replace
+
+from socast.core.diagnose.records import (
+    CarDeviation,
+    CauseProbability,
+    Diagnosis,
+    ErrorStep,
+    FoundEpisode,
+    LocatedLoad,
+    NamedEffect,
+    PartialResidual,
+    RankedCar,
+    ResidualProfile,
+)
+from socast.core.records import Record, to_json_values
+
+Kind = TypeVar("Kind", bound=Record)
 
 
-def make_missing_effect(**changes: Any) -> dict[str, Any]:
+def _convert(values: dict[str, Any], kind: type[Kind]) -> Kind:
+    """Return a record from JSON values and records."""
+    return msgspec.convert(to_json_values(values), kind)
+
+
+def make_missing_effect(**changes: Any) -> NamedEffect:
     """Return the entry of a missing effect."""
-    return {
+    return _convert({
         "effect": "cold_rolling",
         "variant": "cold_rolling@reference=283.15",
         "probability": 0.87,
@@ -24,21 +48,22 @@ def make_missing_effect(**changes: Any) -> dict[str, Any]:
         "equivalents": ["+1.2 m/s of headwind", "+180 kg"],
         "separate": [{"effect": "air_density", "correlation": 0.83, "data": "slow drives over a year"}],
         "partial_residual": make_partial_residual(),
-    } | changes  # fmt: skip
+    } | changes, NamedEffect)  # fmt: skip
 
 
-def make_causes() -> list[dict[str, Any]]:
+def make_causes() -> list[CauseProbability]:
     """Return the probabilities of causes."""
-    return [
+    rows: list[dict[str, Any]] = [
         {"effect": "cold_rolling", "probability": 0.84},
         {"effect": "air_density", "probability": 0.1},
         {"effect": "several", "probability": 0.04},
         {"effect": "not in the library", "probability": 0.016},
         {"effect": "none", "probability": 0.004},
     ]
+    return [_convert(row, CauseProbability) for row in rows]
 
 
-def make_partial_residual() -> dict[str, Any]:
+def make_partial_residual() -> PartialResidual:
     """Return the bins of a partial residual whose slope is 1.1e-4, with two cars."""
     bins = {
         "x": [0.0, 1e5, 2e5], "before": [0.1, 11.2, 21.9], "after": [0.1, 0.2, -0.1], "ci95": [2.0, 1.5, None],
@@ -48,47 +73,50 @@ def make_partial_residual() -> dict[str, Any]:
         {"car": "taxi-001", "slope": 1.2e-4, "slope_ci95": [0.8e-4, 1.6e-4], **bins},
         {"car": "taxi-002", "slope": 1.0e-4, "slope_ci95": [0.7e-4, 1.3e-4], **bins},
     ]
-    return {
+    return _convert({
         "per": "km", "quantity": "growth of the rolling resistance", "summary": "Cold tyres.", "unit": "1/K",
         "slope": 1.1e-4, "slope_ci95": [0.9e-4, 1.3e-4], **bins, "cars": cars,
-    }  # fmt: skip
+    }, PartialResidual)  # fmt: skip
 
 
-def make_step(effect: str | None, mae_kwh: float, **changes: Any) -> dict[str, Any]:
+def make_step(effect: str | None, mae_kwh: float, **changes: Any) -> ErrorStep:
     """Return one step of the falling error."""
     unknown = {"change_kwh": None, "change_ci95_kwh": None}
-    return {
+    return _convert({
         "effect": effect, "scope": "all", "mae_kwh": mae_kwh, "mae_ci95_kwh": 0.004, "noise_floor_kwh": 0.037,
         **unknown,
-    } | changes  # fmt: skip
+    } | changes, ErrorStep)  # fmt: skip
 
 
-def make_profile(feature: str, unit: str, x: list[Any]) -> dict[str, Any]:
+def make_profile(feature: str, unit: str, x: list[Any]) -> ResidualProfile:
     """Return the mean residual in three bins of a feature."""
-    return {
+    return _convert({
         "feature": feature, "unit": unit, "x": x, "before_w": [-300.0, 20.0, 310.0], "after_w": [-10.0, 5.0, 60.0],
         "ci95_w": [40.0, 30.0, 50.0], "windows": [900, 800, 700], "days": [10, 10, 9],
-    }  # fmt: skip
+    }, ResidualProfile)  # fmt: skip
 
 
-def make_located_load(level="ride", *, claimed=True):
+def make_located_load(level="ride", *, claimed=True) -> LocatedLoad:
     """Return the entry of a constant load of ±640 W of each unit of a level."""
     size = {"size": 640.0, "low": 610.0, "high": 672.0, "unit": "W"}
     watts = {f"{name}_w": value for name, value in size.items() if name != "unit"}
     rivals = {"other_kinds": [], "other_levels": []}
-    return {
-        "level": level,
-        "kind": "constant",
-        **size,
-        **watts,
-        "gain": 90.0,
-        "claimed": claimed,
-        "floor_w": 50.0,
-        **rivals,
-    }
+    return _convert(
+        {
+            "level": level,
+            "kind": "constant",
+            **size,
+            **watts,
+            "gain": 90.0,
+            "claimed": claimed,
+            "floor_w": 50.0,
+            **rivals,
+        },
+        LocatedLoad,
+    )
 
 
-def make_diagnosis(**changes: Any) -> dict[str, Any]:
+def make_diagnosis(**changes: Any) -> Diagnosis:
     """Return a complete diagnosis: two missing effects, and structure that no effect explains."""
     of_one = make_missing_effect(
         effect="brake_drag", variant="brake_drag", group=["brake_drag"], scope="vehicle taxi-003",
@@ -96,7 +124,7 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
         q=0.02, coefficient={"value": 75.0, "ci95": [50.0, 100.0], "unit": "N", "low": 0.0, "high": 60.0,
         "plausible": False}, words="brakes rub with 75 ± 25 N", equivalents=[], separate=[],
     )  # fmt: skip
-    return {
+    return _convert({
         "model": {"name": "road_load", "version": "abc123def456", "recipe": "road_load"},
         "data": {
             "rides": 634, "windows": 7428, "vehicles": 5, "days": 10, "first_date": "2018-01-15",
@@ -119,7 +147,7 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
         },
         "slices": [
             {"where": "below 0 °C and longer than 10 km", "conditions": ["below 0 °C", "longer than 10 km"],
-             "rides": 71, "bias_kwh": -0.11, "ci95": 0.04, "mae_kwh": 0.13, "q": 0.001},
+             "rides": 71, "bias_kwh": -0.11, "ci95": [-0.15, -0.07], "mae_kwh": 0.13, "q": 0.001},
         ],
         "missing": [make_missing_effect(), of_one],
         "candidates": [
@@ -153,22 +181,22 @@ def make_diagnosis(**changes: Any) -> dict[str, Any]:
         "further_credible_set": ["none", "not in the library"],
         "deviations": [make_deviation()],
         "cars": [make_ranked_car("taxi-005", 0.031), make_ranked_car("taxi-002", -0.01)],
-    } | changes  # fmt: skip
+    } | changes, Diagnosis)  # fmt: skip
 
 
-def make_episode(**changes: Any) -> dict[str, Any]:
+def make_episode(**changes: Any) -> FoundEpisode:
     """Return the entry of an episode of three cars on two dates."""
-    return {
+    return _convert({
         "dates": ["2018-01-17", "2018-03-02"], "hours_utc": [16, 19], "whole_dates": False, "car": None,
         "cars": ["taxi-001", "taxi-003", "taxi-005"], "cars_driving": 4, "windows": 120,
         "rides": ["taxi-003#7", "taxi-001#9", "taxi-005#9"], "power_kw": 6.02, "power_ci95_kw": [5.66, 6.38],
         "share": 0.414, "chance": 2e-9,
-    } | changes  # fmt: skip
+    } | changes, FoundEpisode)  # fmt: skip
 
 
-def make_deviation(**changes: Any) -> dict[str, Any]:
+def make_deviation(**changes: Any) -> CarDeviation:
     """Return the entry of a car that uses more since a date."""
-    return {
+    return _convert({
         "who": "taxi-005", "of": "car", "kind": "step", "effect": "tyre_pressure",
         "causes": [
             {"effect": "tyre_pressure", "probability": 0.52, "shown_by": "drives with loads that differ"},
@@ -188,27 +216,28 @@ def make_deviation(**changes: Any) -> dict[str, Any]:
             {"start_s": 1.5420e9 + 86_400.0 * day, "share": 0.04 * (day > 8) + 0.002 * day, "error": 0.01,
              "size": float(day > 8)} for day in range(20)
         ],
-    } | changes  # fmt: skip
+    } | changes, CarDeviation)  # fmt: skip
 
 
-def make_ranked_car(car: str, share: float) -> dict[str, Any]:
+def make_ranked_car(car: str, share: float) -> RankedCar:
     """Return the entry of a car in the ranking."""
-    return {
+    return _convert({
         "car": car, "siblings": 3, "evidence": 100.0 * abs(share), "share": share,
         "share_ci95": [share - 0.02, share + 0.02], "share_spread": 0.024,
         "spreads": [
             {"direction": "rolling", "value": 40.0 * share, "error": 0.4},
             {"direction": "drag", "value": -0.2, "error": 0.8},
         ],
-    }  # fmt: skip
+    }, RankedCar)  # fmt: skip
 
 
-def make_empty_diagnosis() -> dict[str, Any]:
+def make_empty_diagnosis(**changes: Any) -> Diagnosis:
     """Return a diagnosis without missing effects, slices and structure."""
     whole = make_diagnosis()
-    return whole | {
-        "error_location": {**whole["error_location"], "loads": []},
+    empty = {
+        "error_location": replace(whole.error_location, loads=()),
         "slices": [], "missing": [], "verdict": None, "structure_remains": False, "suggestion": None,
-        "suggestion_file": None, "steps": whole["steps"][:1], "deviations": [], "cars": [],
+        "suggestion_file": None, "steps": whole.steps[:1], "deviations": [], "cars": [],
         "structure": {"before": 0.01, "after": 0.01, "taken": None, "least": 0.8, "signs": []},
     }  # fmt: skip
+    return make_diagnosis(**(empty | changes))

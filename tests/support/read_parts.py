@@ -13,6 +13,19 @@ def find_read_parts(function: Callable[[Any], object], result: dict[str, Any]) -
     return read
 
 
+def find_read_fields(function: Callable[[Any], object], record: Any) -> set[str]:
+    """Return the fields of a record that a function reads."""
+    read: set[str] = set()
+
+    class Noting:
+        def __getattr__(self, name: str) -> Any:
+            read.add(name)
+            return getattr(record, name)
+
+    function(Noting())
+    return read
+
+
 class _Noting(dict[Any, Any]):
     """Mapping that notes which of its keys are read."""
 

@@ -19,8 +19,9 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from socast.core.diagnose.dataset import gather_windows
-from socast.core.diagnose.error_location.locate import ErrorLocation, locate_error
+from socast.core.diagnose.error_location.locate import locate_error
 from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.records import ErrorLocation
 from socast.core.errors import SocastError
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.fit.ride_blocks import get_numbers

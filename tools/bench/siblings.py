@@ -25,6 +25,7 @@ from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.siblings.deviations import MONTH, diagnose_deviations
 from socast.core.errors import SettingsError
 from socast.core.fit.recipes import fit_to_windows
+from socast.core.records import to_json_values
 from socast.core.stats.clustered import compute_wilson_interval
 from socast.tools.bench.error_location import format_share
 from socast.tools.bench.figures.published import publish
@@ -134,12 +135,13 @@ def measure_seed(seed: int) -> list[Record]:
         )
         began = time.perf_counter()
         result = diagnose_deviations(base, model, known, of_vehicle=groups if case.where.group else None)
+        found = to_json_values(result.deviations)
         record = {"part": part, "seed": seed, "seconds": time.perf_counter() - began, "rides": len(windows.rides)}
         record |= {"effect": case.hidden[0].effect if case.hidden else None, "vehicle": case.where.vehicle}
-        record |= {"since": case.where.since, "found": [_shorten(one) for one in result["deviations"]]}
+        record |= {"since": case.where.since, "found": [_shorten(one) for one in found]}
         starts = [float(start) for start in np.unique(windows.table.groupby(windows.day)["start_s"].min())]
-        out.append(record | {"first": result["cars"][0]["car"], "graded": grade(case, result["deviations"], starts)})
-        out[-1]["graded"]["ranked first"] = result["cars"][0]["car"] == case.where.vehicle
+        out.append(record | {"first": result.cars[0].car, "graded": grade(case, found, starts)})
+        out[-1]["graded"]["ranked first"] = result.cars[0].car == case.where.vehicle
     return out
 
 

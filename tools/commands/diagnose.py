@@ -4,10 +4,11 @@ import shlex
 from collections.abc import Collection, Mapping, Sequence
 from datetime import date
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, TypeVar
 
 import pandas as pd
 import typer
+from msgspec.structs import replace
 from rich.console import Console
 
 from socast.core import effects, models
@@ -17,6 +18,7 @@ from socast.core.diagnose.add.terms import build_term_columns
 from socast.core.diagnose.deviation_words import find_leading_deviation
 from socast.core.diagnose.findings import list_findings, measure_fleet_use, merge_findings
 from socast.core.diagnose.ranking import LEAST_GAIN
+from socast.core.diagnose.records import CarDeviation, Diagnosis, FoundEpisode, NamedEffect
 from socast.core.diagnose.siblings.groups import read_groups
 from socast.core.effects.road_load import ROAD_LOAD
 from socast.core.errors import ModelError, SettingsError
@@ -25,7 +27,6 @@ from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
 from socast.core.models.features import EFFECT_PREFIX, FEATURES, is_scope
-from socast.core.records import to_json_values
 from socast.core.wire.messages import Finding
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
@@ -58,6 +59,7 @@ RIDE_COLUMNS = (*SHARED_COLUMNS, "ride_id", "date", "fit_for_training", *FEATURE
 MAX_STEPS = 8
 """Maximum number of effects that `--auto` adds."""
 
+Entry = TypeVar("Entry", NamedEffect, CarDeviation)
 LeastGain = Annotated[
     float, typer.Option(metavar="SHARE", min=0.0, max=1.0, help="Least gain that an effect must have.")
 ]
@@ -126,10 +128,10 @@ def diagnose_rides(
     else:
         of_vehicle = read_groups(groups) if groups else None
         result = _diagnose(loaded, table, windows, least_gain, of_vehicle, dated=dated)
-        insert_commands(result, model, source)
+        result = insert_commands(result, model, source)
         if findings:
             after = _keep_findings(result, table, earlier, findings)
-    result |= _word_result(result)
+    result = word_result(result)
     write_json(json_file, "diagnose", result)
     show_report("diagnosis.page", result, html_file, json_file, suggested=_write_suggestion(result, suggest))
     if html_file is not None:
@@ -194,35 +196,44 @@ def select_since(rides: pd.DataFrame, windows: pd.DataFrame, first: date) -> tup
     return kept, windows.loc[windows["ride_key"].isin(kept["ride_key"])]
 
 
-def insert_commands(result: dict[str, Any], model: str, source: RideSource) -> None:
-    """Insert into the entry of each missing effect and deviation that a term can hold the command that adds it.
+def insert_commands(result: Diagnosis, model: str, source: RideSource) -> Diagnosis:
+    """Return a diagnosis whose missing effects and deviations have the command that adds them, if a term can hold them.
 
     `commands` holds this command, and the one that runs the model with the effect as a shadow. The command of an
     episode shows the ride with the largest part of it.
     """
     stem = model if model in BUILT_IN_MODELS else str(Path(model).with_suffix(""))
     data, own = [str(path) for path in source.given], source.list_options()
-    for episode in result.get("episodes") or ():
-        words = ["socast", "compare", *data, "--model", model, "--ride", str(episode["rides"][0])]
-        episode["command"] = shlex.join([*words, *own])
-    deviations = [entry for entry in result.get("deviations") or () if entry["columns"]]
-    for entry in [*(result.get("missing") or ()), *deviations]:
+
+    def show_command(episode: FoundEpisode) -> FoundEpisode:
+        words = ["socast", "compare", *data, "--model", model, "--ride", episode.rides[0]]
+        return replace(episode, command=shlex.join([*words, *own]))
+
+    def add_command(entry: Entry) -> Entry:
+        if not entry.columns:
+            return entry
         name, scopes = parse_term(entry)
-        words = ["socast", "add", name, *data, "--model", model, *own]
-        words += [word for scope in scopes for word in ("--scope", scope)]
+        within: list[str] = [word for scope in scopes for word in ("--scope", scope)]
         file = f"{stem}-{name.partition('@')[0]}.json"
-        entry["command"] = shlex.join([*words, "-o", file])
-        entry["commands"] = [entry["command"], shlex.join(["socast", "live", "--model", model, "--model", file, *own])]
+        command = shlex.join(["socast", "add", name, *data, "--model", model, *own, *within, "-o", file])
+        shadow = shlex.join(["socast", "live", "--model", model, "--model", file, *own])
+        return replace(entry, command=command, commands=[command, shadow])
+
+    return replace(
+        result,
+        episodes=list(map(show_command, result.episodes)),
+        missing=list(map(add_command, result.missing)),
+        deviations=list(map(add_command, result.deviations)),
+    )
 
 
-def parse_term(entry: Mapping[str, Any]) -> tuple[str, list[str]]:
+def parse_term(entry: NamedEffect | CarDeviation) -> tuple[str, list[str]]:
     """Return the name of a missing effect, or of its variant, and its scopes."""
-    columns = [str(column) for column in entry.get("columns") or ()]
-    names = [column.removeprefix(EFFECT_PREFIX) for column in columns if column.startswith(EFFECT_PREFIX)]
-    return names[0] if names else str(entry.get("variant") or entry["effect"]), [c for c in columns if is_scope(c)]
+    names = [column.removeprefix(EFFECT_PREFIX) for column in entry.columns if column.startswith(EFFECT_PREFIX)]
+    return names[0], [column for column in entry.columns if is_scope(column)]
 
 
-def _keep_findings(result: dict[str, Any], rides: pd.DataFrame, earlier: list[Finding], file: Path) -> list[Finding]:
+def _keep_findings(result: Diagnosis, rides: pd.DataFrame, earlier: list[Finding], file: Path) -> list[Finding]:
     """Merge what a diagnosis found into the findings of a file, and return them."""
     use = measure_fleet_use(rides)
     merged = merge_findings(earlier, list_findings(result, use), use)
@@ -257,21 +268,19 @@ def _diagnose(
     leave_out: Collection[str] | None = None,
     *,
     dated: bool = True,
-) -> dict[str, Any]:
-    """Return the diagnosis as JSON values."""
+) -> Diagnosis:
+    """Return the diagnosis of tables."""
     from socast.core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
 
     with show_elapsed("diagnosing"):
-        found = diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain, groups=groups, dated=dated)
-    result: dict[str, Any] = to_json_values(found)
-    return result
+        return diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain, groups=groups, dated=dated)
 
 
-def _word_result(result: dict[str, Any]) -> dict[str, list[str]]:
-    """Return the sentences with which the report of a diagnosis begins and ends, for JSON."""
+def word_result(result: Diagnosis) -> Diagnosis:
+    """Return a diagnosis with the sentences with which its report begins and ends."""
     from socast.tools.report.diagnosis import sentences  # noqa: PLC0415 - tables of reports take a second to import
 
-    return {"headline": sentences.describe_verdict(result), "next_step": sentences.describe_next_step(result)}
+    return replace(result, headline=sentences.describe_verdict(result), next_step=sentences.describe_next_step(result))
 
 
 def _auto(
@@ -282,7 +291,7 @@ def _auto(
     console: Console,
     *,
     dated: bool,
-) -> tuple[LinearModel, dict[str, Any]]:
+) -> tuple[LinearModel, Diagnosis]:
     """Return the model after the last step of the loop, and the last diagnosis."""
     from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
     from socast.tools.report.diagnosis import page  # noqa: PLC0415 - figures take seconds to import
@@ -292,8 +301,7 @@ def _auto(
     for step in range(1, MAX_STEPS + 1):
         result = _diagnose(model, rides, windows, least_gain, leave_out=final, dated=dated)
         page.print_step(result, step, console)
-        entry = next((m for m in result.get("missing") or () if m["effect"] == result.get("verdict")), None)
-        entry = entry or find_leading_deviation([one for one in result.get("deviations") or () if one["columns"]])
+        entry = result.leading or find_leading_deviation([one for one in result.deviations if one.columns])
         if entry is None:
             break
         name, scopes = parse_term(entry)
@@ -319,9 +327,9 @@ def _auto(
     return model, result
 
 
-def _write_suggestion(result: dict[str, Any], path: Path | None) -> str | None:
+def _write_suggestion(result: Diagnosis, path: Path | None) -> str | None:
     """Write the suggested effect if there is one and a path is given, and return the path."""
-    text = result.get("suggestion_file")
+    text = result.suggestion_file
     if not (path and text):
         return None
     try:

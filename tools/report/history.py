@@ -4,10 +4,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 from rich.console import Console
 from rich.text import Text
 
 from socast.core.diagnose.add.error_fall import ATTEMPTS, ErrorStep, list_error_steps, read_step
+from socast.core.diagnose.records import EstimatedCoefficient
 from socast.core.formatting import format_minus
 from socast.core.models import LinearModel
 from socast.core.records import to_json_values
@@ -84,14 +86,16 @@ def write_trial(trial: Any, surveys: Sequence[Mapping[str, Any]], path: Path) ->
 
 def describe_coefficients(trial: Entry) -> list[str]:
     """Return the coefficient in words and figures, and those of vehicle models with a coefficient of their own."""
-    lines = [str(trial.get("words") or ""), describe_coefficient(trial)]
+    lines = [str(trial.get("words") or ""), _word_coefficient(trial.get("coefficient"))]
     by_vehicle_model = get_mapping(trial, "by_vehicle_model")
     words = get_mapping(trial, "words_by_vehicle_model")
-    lines += [
-        f"{key}: {words.get(key, '')} ({describe_coefficient({'coefficient': value})})"
-        for key, value in by_vehicle_model.items()
-    ]
+    lines += [f"{key}: {words.get(key, '')} ({_word_coefficient(value)})" for key, value in by_vehicle_model.items()]
     return [line for line in lines if line]
+
+
+def _word_coefficient(value: Any) -> str:
+    """Return a coefficient of the history of a model in words."""
+    return describe_coefficient(msgspec.convert(value or {}, EstimatedCoefficient))
 
 
 def _outcome(trial: Entry) -> str:

@@ -12,10 +12,10 @@ from typing import Any, Final, NamedTuple
 import pandas as pd
 
 from socast.core.diagnose.dataset import Windows, gather_windows
+from socast.core.diagnose.records import Diagnosis
 from socast.core.errors import ModelError, SettingsError, SocastError
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.models import BUILT_IN_MODELS, EXTENDED_PHYSICAL, LinearModel
-from socast.core.records import to_json_values
 from socast.tools.commands.compare import named
 from socast.tools.commands.diagnose import check_tables, list_lacking_effects
 from socast.tools.terminal.ride_source import RECORDING, RideSource
@@ -101,7 +101,7 @@ class Workspace:
         self.notes: list[str] = []
         self.problem = ""
         self._tables: RideTables | None = None
-        self._diagnoses: dict[tuple[str, int], dict[str, Any]] = {}
+        self._diagnoses: dict[tuple[str, int], Diagnosis] = {}
         self._gathered: tuple[tuple[str, int], Windows] | None = None
 
     @property
@@ -179,11 +179,11 @@ class Workspace:
             self._gathered = kept
         return kept[1]
 
-    def find_diagnosis(self, node: ModelNode) -> dict[str, Any] | None:
+    def find_diagnosis(self, node: ModelNode) -> Diagnosis | None:
         """Return the diagnosis of a model if it was made of the present tables."""
         return self._diagnoses.get((node.model.version, self.tables.version))
 
-    def diagnose(self, node: ModelNode, report: Report = lambda *_: None) -> dict[str, Any]:
+    def diagnose(self, node: ModelNode, report: Report = lambda *_: None) -> Diagnosis:
         """Return the diagnosis of a model, which is made once for each model and table."""
         from socast.core.diagnose.diagnosis import diagnose  # noqa: PLC0415 - boosted trees take a second to import
 
@@ -191,9 +191,7 @@ class Workspace:
             return known
         rides, windows = self.check_rides(node.model)
         version = self.tables.version
-        result: dict[str, Any] = to_json_values(
-            diagnose(rides, windows, node.model, dated=self.given.source.are_dated, report=report)
-        )
+        result = diagnose(rides, windows, node.model, dated=self.given.source.are_dated, report=report)
         self._diagnoses[node.model.version, version] = result
         return result
 

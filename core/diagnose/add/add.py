@@ -180,7 +180,7 @@ def add_effect(
     warnings = [
         f"{key}: {line}" for key, value in pair.coefficients.items() if (line := warn_if_implausible(declared, value))
     ]
-    words = {key: explain_coefficient(declared, value) for key, value in entry["by_vehicle_model"].items()}
+    words = {key: explain_coefficient(declared, pair.coefficients[key]) for key in entry["by_vehicle_model"]}
     extra = {"conditions": by_condition, "words_by_vehicle_model": words, "warnings": warnings}
     return AdditionTrial(stamp(grown), entry | extra)
 
@@ -268,11 +268,10 @@ def _refit(model: LinearModel, addition: TermAddition, data: RideRows, seed: int
 def _describe_coefficients(declared: Effect, pair: RefittedPair) -> dict[str, Any]:
     """Return the coefficient of the effect, its meaning, and those of vehicle models with one of their own."""
     values = {key: describe_coefficient(declared, estimate) for key, estimate in pair.coefficients.items()}
-    by_model = {key: value for key, value in values.items() if key != ANY}
     return {
-        "coefficient": values[ANY],
-        "words": explain_coefficient(declared, values[ANY]),
-        "by_vehicle_model": by_model,
+        "coefficient": values.pop(ANY),
+        "words": explain_coefficient(declared, pair.coefficients[ANY]),
+        "by_vehicle_model": values,
     }
 
 

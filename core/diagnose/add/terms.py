@@ -1,10 +1,11 @@
 """Build the term of an effect, and describe its scope and its coefficient."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 from socast.core import effects
 from socast.core.diagnose.add.refit import CoefficientEstimate
+from socast.core.diagnose.records import EstimatedCoefficient
 from socast.core.effects import Effect
 from socast.core.errors import ModelError
 from socast.core.models import LinearModel, Term
@@ -17,6 +18,7 @@ from socast.core.models.features import (
     get_unit,
     is_scope,
 )
+from socast.core.records import make_interval
 
 _AMOUNTS: Final = frozenset(
     {"distance_km", "duration_s", "gained_m", "lost_m", "stops", "basic_kwh", ACCESSORIES_COLUMN}
@@ -114,23 +116,16 @@ def build_effect_term(model: LinearModel, effect: str, columns: tuple[str, ...])
     return Term(name=", ".join([effect, *scopes]), columns=columns, unit=derive_coefficient_unit(columns))
 
 
-def describe_coefficient(declared: Effect, estimate: CoefficientEstimate) -> dict[str, Any]:
-    """Return a coefficient as JSON values.
-
-    Returns
-    -------
-    dict
-        `value`, `ci95` (lower and upper end of the 95 % interval), `unit`, `low` and `high` (ends of the plausible
-        range) and `plausible`.
-    """
-    return {
-        "value": estimate.value,
-        "ci95": [estimate.value - estimate.half, estimate.value + estimate.half],
-        "unit": declared.unit,
-        "low": declared.low,
-        "high": declared.high,
-        "plausible": declared.low <= estimate.value <= declared.high,
-    }
+def describe_coefficient(declared: Effect, estimate: CoefficientEstimate) -> EstimatedCoefficient:
+    """Return the record of a coefficient."""
+    return EstimatedCoefficient(
+        value=estimate.value,
+        ci95=make_interval(estimate.value - estimate.half, estimate.value + estimate.half),
+        unit=declared.unit,
+        low=declared.low,
+        high=declared.high,
+        plausible=declared.low <= estimate.value <= declared.high,
+    )
 
 
 def warn_if_implausible(declared: Effect, estimate: CoefficientEstimate) -> str:
@@ -153,7 +148,6 @@ def warn_if_implausible(declared: Effect, estimate: CoefficientEstimate) -> str:
     )
 
 
-def explain_coefficient(declared: Effect, coefficient: Mapping[str, Any]) -> str:
+def explain_coefficient(declared: Effect, estimate: CoefficientEstimate) -> str:
     """Return the physical meaning of a coefficient in words."""
-    low, high = coefficient["ci95"]
-    return declared.in_words(coefficient["value"], (high - low) / 2.0)
+    return declared.in_words(estimate.value, estimate.half)

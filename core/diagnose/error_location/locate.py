@@ -9,10 +9,9 @@ hidden load show (`FLOORS`).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.error_location.absent_signals import count_absent_signals
@@ -26,88 +25,9 @@ from socast.core.diagnose.error_location.location_model import (
 )
 from socast.core.diagnose.error_location.selection import RIVAL, LoadSearch, Place, SelectedLoad
 from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.records import ErrorLocation, LocatedLoad
 from socast.core.diagnose.variances import Variances
 from socast.core.fit.measurement_noise import compute_noise_variance
-
-
-@dataclass(frozen=True)
-class LocatedLoad:
-    """Describe a load that differs between the units of a level.
-
-    Parameters
-    ----------
-    level : str
-        `car`, `driver`, `date`, `day` (of one vehicle), or `ride`.
-    kind : str
-        Name of the kind, see `socast.core.diagnose.error_location.kinds.KINDS`.
-    size, low, high : float
-        Standard deviation between the units, and its 95 % interval. [unit]
-    unit : str
-        W, or % of the energy of the kind by catalogue.
-    size_w, low_w, high_w : float
-        The same as a mean power. [W]
-    gain : float
-        What minus twice the logarithm of the likelihood loses without it; 0 for a load that was not selected.
-    claimed : bool
-        Whether the interval lies above the floor.
-    other_kinds, other_levels : tuple of str
-        Kinds and levels that explain the data about as well.
-    floor_w : float
-        The size that drives show without such a load, as a mean power. [W]
-    """
-
-    level: str
-    kind: str
-    size: float
-    low: float
-    high: float
-    unit: str
-    size_w: float
-    low_w: float
-    high_w: float
-    gain: float
-    claimed: bool
-    other_kinds: tuple[str, ...] = ()
-    other_levels: tuple[str, ...] = ()
-    floor_w: float = 0.0
-
-
-@dataclass(frozen=True)
-class ErrorLocation:
-    """Say where the error of a model lives.
-
-    Parameters
-    ----------
-    loads : tuple of LocatedLoad
-        Claimed loads, the largest first.
-    estimates : tuple of LocatedLoad
-        All levels and kinds that the data can tell, with claimed ones among them.
-    shares : mapping of str to float
-        Shares of the squared error of rides, refitted for each car: `measurement`, `scatter` (what varies within
-        rides beyond it), and each level with a claimed load. Their sum is 1. [1]
-    levels : tuple of str
-        Levels that the data can tell.
-    absent_kinds, absent_signals : tuple of str
-        Kinds without energy in these drives, and signals that most rides lack.
-    partial_signals : mapping of str to (int, int)
-        Those of the absent signals that some rides have: the number of these rides, and of all rides.
-    noise_limited : bool
-        Whether the stated measurement noise exceeds what windows scatter, so that its share is an upper limit.
-    """
-
-    loads: tuple[LocatedLoad, ...]
-    estimates: tuple[LocatedLoad, ...]
-    shares: Mapping[str, float]
-    levels: tuple[str, ...]
-    absent_kinds: tuple[str, ...]
-    absent_signals: tuple[str, ...]
-    partial_signals: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    noise_limited: bool = False
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the location as plain values."""
-        plain: dict[str, Any] = _convert(asdict(self))
-        return plain
 
 
 def locate_error(windows: Windows, base: BaseProjection) -> ErrorLocation:
@@ -116,7 +36,7 @@ def locate_error(windows: Windows, base: BaseProjection) -> ErrorLocation:
     absent, partial = tuple(counts), {name: (count, rides) for name, count in counts.items() if count}
     located = build_location_model(windows, base)
     if located is None:
-        return ErrorLocation((), (), {}, (), (), absent, partial)
+        return ErrorLocation(absent_signals=absent, partial_signals=partial)
     search = LoadSearch(located)
     selected = search.select()
     places = [load.place for load in selected]
@@ -144,7 +64,7 @@ def _describe(
     made = _make(level, kind, power, (load.size_kw, load.low_kw, load.high_kw), load.gain, claimed=claimed)
     kinds = tuple(located.kinds.kinds[k].name for i, k in rivals if i == load.place[0])
     levels = tuple(located.levels.names[i] for i, k in rivals if i != load.place[0])
-    return _change(made, other_kinds=kinds, other_levels=levels)
+    return replace(made, other_kinds=kinds, other_levels=levels)
 
 
 def _describe_limit(place: Place, located: LocationModel, search: LoadSearch, best: Variances) -> LocatedLoad:
@@ -168,11 +88,6 @@ def _make(
 def _get_floor(level: str, kind: Kind) -> float:
     """Return the size that drives show without a load; drivers and dates stand in place of vehicle-days."""
     return FLOORS["day" if level in {"driver", "date"} else level][kind.name]
-
-
-def _change(load: LocatedLoad, **values: Any) -> LocatedLoad:
-    """Return a load with other values."""
-    return replace(load, **values)
 
 
 def _read_place(place: Place, located: LocationModel) -> tuple[str, Kind, float]:
@@ -201,9 +116,9 @@ def _raise_level(
             kind = located.kinds.kinds[place[1]]
             kw = (size.size_kw, size.low_kw, size.high_kw)
             made = _make(name, kind, float(located.kinds.power[place[1]]), kw, load.gain - rise, claimed=True)
-            load = _change(made, other_kinds=load.other_kinds)
+            load = replace(made, other_kinds=load.other_kinds)
         elif rise < RIVAL:
-            load = _change(load, other_levels=(*load.other_levels, name))
+            load = replace(load, other_levels=(*load.other_levels, name))
     return load
 
 
@@ -237,10 +152,3 @@ def _share_error(
     parts["scatter"] -= parts["measurement"]
     total = sum(parts.values())
     return ({name: part / total for name, part in parts.items()} if total > 0.0 else {}), limited
-
-
-def _convert(value: Any) -> Any:
-    """Return a value with lists in place of tuples."""
-    if isinstance(value, dict):
-        return {name: _convert(each) for name, each in value.items()}
-    return [_convert(each) for each in value] if isinstance(value, tuple | list) else value

@@ -1,4 +1,4 @@
-"""Describe what distinguishes single cars from their siblings, and what changed since when, as plain values.
+"""Describe what distinguishes single cars from their siblings, and what changed since when.
 
 1. `sums` gathers the sums of products of each shift, with random effects of rides and days removed.
 2. `spread` estimates how much cars differ, without the car under test.
@@ -22,6 +22,14 @@ from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.candidates import Candidates, build_candidates
 from socast.core.diagnose.deviation_words import has_certain_size
 from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.records import (
+    CarDeviation,
+    CauseProbability,
+    Comparisons,
+    DirectionSpread,
+    RankedCar,
+    ShiftSize,
+)
 from socast.core.diagnose.siblings.causes import (
     average_places,
     select_credible_range,
@@ -35,6 +43,7 @@ from socast.core.diagnose.siblings.spread import SiblingBase, estimate_spread_wi
 from socast.core.diagnose.siblings.sums import DIRECTIONS, Siblings, gather_siblings
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX, SINCE_SCOPE, VEHICLE_SCOPE
+from socast.core.records import make_interval
 
 MONTH: Final = 365.25 / 12.0
 """Length of a month. [days]"""
@@ -48,27 +57,21 @@ def diagnose_deviations(
     known: Floats,
     without: Collection[str] = (),
     of_vehicle: Mapping[str, str] | None = None,
-) -> dict[str, list[dict[str, Any]]]:
+) -> Comparisons:
     """Return what distinguishes cars from their siblings, what changed, and all cars in order of their deviation.
 
-    Units: known [kWh per unit].
+    Deviations whose interval of the size contains zero are last.
 
-    Returns
-    -------
-    dict
-        `deviations` and `cars`, lists of plain values. Deviations whose interval of the size contains zero are last.
+    Units: known [kWh per unit].
     """
     candidates = keep_declared_values(build_candidates(base.windows, model, without, scopes=True))
     if not candidates.variants:
-        return {"deviations": [], "cars": []}
+        return Comparisons([], [])
     groups = gather_siblings(base, candidates, known)
     ways = list_groups(base.windows, groups, of_vehicle or {})
     found, first = find_deviations(groups, candidates.sign, ways)
     deviations = [_describe(question, search, candidates) for question, search in found]
-    return {
-        "deviations": sorted(deviations, key=lambda one: not has_certain_size(one)),
-        "cars": rank_cars(first, candidates.sign),
-    }
+    return Comparisons(sorted(deviations, key=lambda one: not has_certain_size(one)), rank_cars(first, candidates.sign))
 
 
 def keep_declared_values(candidates: Candidates) -> Candidates:
@@ -87,7 +90,7 @@ def keep_declared_values(candidates: Candidates) -> Candidates:
     )
 
 
-def rank_cars(search: Search, sign: Ints) -> list[dict[str, Any]]:
+def rank_cars(search: Search, sign: Ints) -> list[RankedCar]:
     """Return each car with its deviations in spreads between cars, the one with most evidence first."""
     rows = []
     for question in [q for q in search.questions if q.family == "always"]:
@@ -100,32 +103,27 @@ def rank_cars(search: Search, sign: Ints) -> list[dict[str, Any]]:
         energy = siblings.direction[siblings.car == car].sum(axis=0) / siblings.measured[siblings.car == car].sum()
         root = np.sqrt(variance)
         share = float(energy @ mean)
-        covariance = deviations.covariance[car]
+        half = NORMAL * float(np.sqrt(energy @ deviations.covariance[car] @ energy))
         evidence = average_places(question.scan, question.scan.compute_evidence(sign))
         rows.append(
-            {
-                "car": siblings.cars[car],
-                "siblings": len(siblings.cars) - 1,
-                "evidence": float(evidence.max()),
-                "share": share,
-                "share_ci95": _spread_interval(share, float(np.sqrt(energy @ covariance @ energy))),
-                "share_spread": float(np.sqrt(energy**2 @ variance)),
-                "spreads": [
-                    {"direction": name, "value": float(m / r), "error": float(e / r)}
+            RankedCar(
+                car=siblings.cars[car],
+                siblings=len(siblings.cars) - 1,
+                evidence=float(evidence.max()),
+                share=share,
+                share_ci95=make_interval(share - half, share + half),
+                share_spread=float(np.sqrt(energy**2 @ variance)),
+                spreads=[
+                    DirectionSpread(direction=name, value=m / r, error=e / r)
                     for name, m, e, r in zip(DIRECTIONS, mean, error, root, strict=True)
                 ],
-            }
+            )
         )
-    return sorted(rows, key=lambda row: -row["evidence"])
+    return sorted(rows, key=lambda row: -(row.evidence or 0.0))
 
 
-def _spread_interval(value: float, error: float) -> list[float]:
-    """Return the 95 % interval of a normal estimate."""
-    return [value - NORMAL * error, value + NORMAL * error]
-
-
-def _describe(question: Question, search: Search, candidates: Candidates) -> dict[str, Any]:
-    """Return a deviation as plain values."""
+def _describe(question: Question, search: Search, candidates: Candidates) -> CarDeviation:
+    """Return the record of a deviation."""
     scan = question.scan
     evidence = scan.compute_evidence(candidates.sign)
     causes = weigh_causes(scan, candidates.sign)
@@ -137,39 +135,42 @@ def _describe(question: Question, search: Search, candidates: Candidates) -> dic
     place = int(np.searchsorted(np.cumsum(dates), 0.5))
     unit = float(scan.unit[:, best] @ of_best)
     effect = effects.get(candidates.variants[best])
-    out: dict[str, Any] = {
-        "who": question.who,
-        "of": question.of,
-        "kind": scan.kind,
-        "effect": candidates.names[best],
-        "causes": [
-            {
-                "effect": candidates.names[i],
-                "probability": float(causes[i]),
-                "shown_by": effects.get(candidates.names[i]).shown_by,
-            }
-            for i in kept.tolist()
-        ],
-        "q": float(question.q.min()),
-        "z": float(scan.z.ravel()[np.abs(scan.z).argmax()]),
-        "evidence": float(average_places(scan, evidence).max()),
-        "tests": sum(each.scan.unit.shape[1] for each in search.questions),
-        "coefficient": describe_coefficient(effect, CoefficientEstimate(unit * estimate, unit * error, np.inf)),
-        "words": effect.in_words(unit * estimate, NORMAL * unit * error),
-        "since": None,
-        "since_ci90": None,
-        "columns": [f"{EFFECT_PREFIX}{candidates.variants[best]}"],
-    }
+    columns = [f"{EFFECT_PREFIX}{candidates.variants[best]}"]
+    since, range_of_since = None, None
     if question.of == "car":
-        out["columns"].append(f"{VEHICLE_SCOPE}{question.who}")
+        columns.append(f"{VEHICLE_SCOPE}{question.who}")
     if scan.kind != "always":
         low, high = select_credible_range(dates)
-        out["since"] = _format_date(scan.begin[place])
-        out["since_ci90"] = [_format_date(scan.after[low]), _format_date(scan.begin[high])]
-        out["columns"].append(f"{SINCE_SCOPE}{out['since']}")
+        since = _format_date(scan.begin[place])
+        range_of_since = _format_date(scan.after[low]), _format_date(scan.begin[high])
+        columns.append(f"{SINCE_SCOPE}{since}")
     if scan.kind == "ramp" or question.of == "group":
-        out["columns"] = []  # no term holds a ramp or a group
-    return out | _describe_size(question, search, (causes, dates), evidence) | _trace(question, search, best, place)
+        columns = []  # no term holds a ramp or a group
+    return CarDeviation(
+        who=question.who,
+        of=question.of,
+        kind=scan.kind,
+        effect=candidates.names[best],
+        causes=[
+            CauseProbability(
+                effect=candidates.names[i],
+                probability=causes[i],
+                shown_by=effects.get(candidates.names[i]).shown_by,
+            )
+            for i in kept.tolist()
+        ],
+        q=question.q.min(),
+        z=scan.z.ravel()[np.abs(scan.z).argmax()],
+        evidence=average_places(scan, evidence).max(),
+        tests=sum(each.scan.unit.shape[1] for each in search.questions),
+        coefficient=describe_coefficient(effect, CoefficientEstimate(unit * estimate, unit * error, np.inf)),
+        words=effect.in_words(unit * estimate, NORMAL * unit * error),
+        since=since,
+        since_ci90=range_of_since,
+        columns=columns,
+        shifts=_list_shifts(question, search, best, place),
+        **_compute_size(question, search, (causes, dates), evidence),
+    )
 
 
 def _mix(estimate: Floats, information: Floats, weight: Floats) -> tuple[float, float]:
@@ -180,7 +181,7 @@ def _mix(estimate: Floats, information: Floats, weight: Floats) -> tuple[float, 
     return mean, float(np.sqrt(weight @ (variance + (estimate - mean) ** 2)))
 
 
-def _describe_size(
+def _compute_size(
     question: Question, search: Search, weights: tuple[Floats, Floats], evidence: Floats
 ) -> dict[str, Any]:
     """Return the net energy of a deviation: as a share, per km and per month, averaged over causes and dates."""
@@ -205,7 +206,7 @@ def _describe_size(
     out: dict[str, Any] = {}
     for name, value, error in zip(names, np.array(shares).T, np.abs(np.array(errors)).T, strict=False):
         low, middle, high = compute_mixed_quantiles(value, error, np.array(chances))
-        out |= {name: middle, f"{name}_ci95": [low, high]}
+        out |= {name: middle, f"{name}_ci95": make_interval(low, high)}
     return out
 
 
@@ -245,10 +246,10 @@ def _sum_scope(
     return net, measured, distance, days
 
 
-def _trace(question: Question, search: Search, cause: int, place: int) -> dict[str, Any]:
+def _list_shifts(question: Question, search: Search, cause: int, place: int) -> list[ShiftSize]:
     """Return the size of a cause in each shift, estimated from this shift alone, for a figure."""
     if question.of != "car":
-        return {"shifts": []}
+        return []
     g = next(i for i, there in enumerate(question.members) if there.any())
     siblings = search.groups[g]
     base = SiblingBase(siblings, search.spread)
@@ -259,14 +260,12 @@ def _trace(question: Question, search: Search, cause: int, place: int) -> dict[s
     known = (information > 0.0) & (siblings.size[there, cause] > 0.0) & (measured > 0.0)
     unit = np.divide(siblings.net[there, cause], measured, out=np.zeros(len(there)), where=known)
     weight = make_shift_weights(search.groups, question, place)[g][there]
-    return {
-        "shifts": [
-            {"start_s": float(start), "share": float(u * b / a), "error": float(abs(u) / np.sqrt(a)), "size": float(w)}
-            for start, u, b, a, w in zip(
-                siblings.start[there][known], unit[known], score[known], information[known], weight[known], strict=True
-            )
-        ]
-    }
+    return [
+        ShiftSize(start_s=start, share=u * b / a, error=abs(u) / np.sqrt(a), size=w)
+        for start, u, b, a, w in zip(
+            siblings.start[there][known], unit[known], score[known], information[known], weight[known], strict=True
+        )
+    ]
 
 
 def _format_date(time: float) -> str:

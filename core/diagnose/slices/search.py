@@ -19,7 +19,7 @@ subgroups.
 """
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -27,9 +27,11 @@ from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from socast.core.batch import Floats, Ints
+from socast.core.diagnose.records import SliceBias
 from socast.core.diagnose.slices.contrast import compute_contrast
 from socast.core.diagnose.slices.predicates import Masks, RideCondition, list_conditions, read_dates, read_start_s
 from socast.core.fit.ride_blocks import get_names
+from socast.core.records import make_interval
 from socast.core.stats.multiple_testing import adjust_false_discovery
 from socast.core.stats.scores import Estimate
 
@@ -94,12 +96,12 @@ class ConfirmedSlice(NamedTuple):
 
     candidate: Slice
     half: Half
-    figures: dict[str, Any]
+    bias: SliceBias
 
 
 def find_slices(
     rides: pd.DataFrame, error: Floats, *, seed: int = 0, most: int = 8, level: float = 0.05, dated: bool = True
-) -> list[dict[str, Any]]:
+) -> list[SliceBias]:
     """Return the slices of the rides for which the bias of a model differs, the most certain first.
 
     Parameters
@@ -109,12 +111,8 @@ def find_slices(
     error : (n,) float
         Predicted less measured energy; rides with NaN are left out. [kWh]
 
-    Returns
-    -------
-    list of dict
-        `where` (words) and `conditions` (the same as a list). Of the half of the vehicle-days that confirmed the slice:
-        `rides`, `bias_kwh` (mean error in the slice less that of the other rides), `ci95`, `mae_kwh` (mean absolute
-        error in the slice) and `q`. The list is empty where no slice is confirmed or there are too few rides.
+    The figures are those of the half of the vehicle-days that confirmed a slice. The list is empty where no slice is
+    confirmed or there are too few rides.
     """
     error = np.asarray(error, dtype=np.float64)
     rides, error, day = _in_order(rides, error)
@@ -125,9 +123,9 @@ def find_slices(
     halves = _half(masks, error, day, first), _half(masks, error, day, ~first)
     confirmed: list[ConfirmedSlice] = []
     for one, other in (halves, halves[::-1]):
-        confirmed += _confirmed(search_slices(one, known, most), one, other, level / 2.0)
+        confirmed += _confirm(search_slices(one, known, most), one, other, known, level / 2.0)
     confirmed.sort(key=lambda finding: -finding.candidate.score)
-    return [_describe(each, known) for each in _distinct(confirmed, halves, known)[:most]]
+    return [each.bias for each in _select_distinct(confirmed, halves, known)[:most]]
 
 
 def _in_order(rides: pd.DataFrame, error: Floats) -> tuple[pd.DataFrame, Floats, Ints]:
@@ -288,7 +286,9 @@ def _overlap(masks: Masks, mask: NDArray[np.bool_]) -> Floats:
     return np.maximum(_jaccard(masks, mask), _jaccard(masks, ~mask))
 
 
-def _confirmed(candidates: Sequence[Slice], one: Half, other: Half, level: float) -> list[ConfirmedSlice]:
+def _confirm(
+    candidates: Sequence[Slice], one: Half, other: Half, known: Sequence[RideCondition], level: float
+) -> list[ConfirmedSlice]:
     """Return the slices that were found in one half and are confirmed in the other, with their results there."""
     if not candidates:
         return []
@@ -300,18 +300,21 @@ def _confirmed(candidates: Sequence[Slice], one: Half, other: Half, level: float
     kept = []
     for i in np.flatnonzero(q <= level).tolist():
         estimate = Estimate(float(contrast.difference[i]), float(contrast.error[i]), float(contrast.freedom[i]))
-        figures = {
-            "rides": int(masks[i].sum()),
-            "bias_kwh": estimate.value,
-            "ci95": [estimate.value - estimate.ci95, estimate.value + estimate.ci95],
-            "mae_kwh": float(np.abs(other.error[masks[i]]).mean()),
-            "q": min(2.0 * float(q[i]), 1.0),
-        }
-        kept.append(ConfirmedSlice(candidates[i], one, figures))
+        words = [known[place].words for place in candidates[i].conditions]
+        bias = SliceBias(
+            where=", ".join(words),
+            conditions=words,
+            rides=int(masks[i].sum()),
+            bias_kwh=estimate.value,
+            ci95=make_interval(estimate.value - estimate.ci95, estimate.value + estimate.ci95),
+            mae_kwh=float(np.abs(other.error[masks[i]]).mean()),
+            q=min(2.0 * float(q[i]), 1.0),
+        )
+        kept.append(ConfirmedSlice(candidates[i], one, bias))
     return kept
 
 
-def _distinct(
+def _select_distinct(
     confirmed: Sequence[ConfirmedSlice], halves: Sequence[Half], known: Sequence[RideCondition]
 ) -> list[ConfirmedSlice]:
     """Return slices without those that equal an earlier one or that an earlier one explains."""
@@ -332,9 +335,3 @@ def _shared(one: Sequence[int], other: Sequence[int], halves: Sequence[Half]) ->
     """Return the overlap of two slices over both halves."""
     masks = [np.concatenate([_mask(half.masks, each) for half in halves]) for each in (one, other)]
     return float(_overlap(masks[0][None, :], masks[1])[0])
-
-
-def _describe(finding: ConfirmedSlice, known: Sequence[RideCondition]) -> dict[str, Any]:
-    """Return the entry of a slice in the result."""
-    words = [known[i].words for i in finding.candidate.conditions]
-    return {"where": ", ".join(words), "conditions": words, **finding.figures}

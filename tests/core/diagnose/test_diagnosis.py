@@ -16,6 +16,7 @@ from socast.core.diagnose.add.holdout import drop_dates, select_final_days
 from socast.core.diagnose.candidates import build_candidates
 from socast.core.diagnose.dataset import LEAST_RIDES, gather_windows
 from socast.core.diagnose.diagnosis import diagnose
+from socast.core.diagnose.records import CarDeviation, Comparisons, DiagnosedModel, Diagnosis, HeldOutRides
 from socast.core.diagnose.siblings.deviations import keep_declared_values
 from socast.core.effects.road_load import ROAD_LOAD
 from socast.core.errors import ModelError
@@ -25,7 +26,6 @@ from socast.tools.bench.hidden import cases
 from socast.tools.bench.hidden.cases import Case, SeedData
 from socast.tools.report.diagnosis import sentences
 from socast.tools.simulator.settings import Hidden
-from tests.support.diagnosis_result import make_diagnosis as made_up
 from tests.support.synthetic_windows import make_tables, make_windows
 
 pytestmark = pytest.mark.long
@@ -73,93 +73,64 @@ def of_nothing(source):
     return diagnose(tables.rides, tables.windows, fit_to_windows("road_load", tables.rides, tables.windows))
 
 
-def plain(value):
-    """Return whether a value consists of JSON types only."""
-    if isinstance(value, dict):
-        return all(type(key) is str and plain(each) for key, each in value.items())
-    if isinstance(value, list):
-        return all(plain(each) for each in value)
-    return value is None or type(value) in {bool, int, float, str}
-
-
 class TestPromise:
-    def test_result_has_every_key_that_reports_read(self, diagnosis):
-        expected = made_up()
-        assert set(diagnosis) == set(expected)
-        for name in ("model", "data", "error", "error_location", "structure"):
-            assert set(diagnosis[name]) >= set(expected[name]), name
-        load = expected["error_location"]["estimates"][0]
-        assert all(set(one) == set(load) for one in diagnosis["error_location"]["estimates"])
-        for name in ("missing", "candidates", "steps"):
-            assert diagnosis[name], name
-            for row in diagnosis[name]:
-                assert set(row) >= set(expected[name][0]), name
-        assert set(diagnosis["missing"][0]["coefficient"]) == set(expected["missing"][0]["coefficient"])
-        assert all(set(each) == set(expected["slices"][0]) for each in diagnosis["slices"])
-        assert all(set(each) == set(expected["profiles"][0]) for each in diagnosis["profiles"])
-        shown = expected["missing"][0]["partial_residual"]
-        assert all(set(each["partial_residual"]) == set(shown) for each in diagnosis["missing"])
-        assert set(diagnosis["missing"][0]["partial_residual"]["cars"][0]) == set(shown["cars"][0])
-
-    def test_result_is_plain_json(self, diagnosis, of_nothing):
+    def test_result_holds_values_of_its_declared_types(self, diagnosis, of_nothing):
         for each in (diagnosis, of_nothing):
-            assert plain(each)
-            assert json.loads(json.dumps(each)) == each
-            msgspec.json.encode(each)
+            assert msgspec.convert(each.to_json(), Diagnosis) == each
+            assert json.loads(json.dumps(each.to_json())) == json.loads(msgspec.json.encode(each))
+
+    def test_parts_of_the_result_are_dataframes_too(self, diagnosis):
+        assert list(diagnosis.candidates["effect"]) == [row.effect for row in diagnosis.tested]
+        assert list(diagnosis.errors["mae_kwh"]) == [step.mae_kwh for step in diagnosis.steps]
+        assert list(diagnosis.coefficients["value"]) == [one.coefficient.value for one in diagnosis.missing]
 
     def test_result_describes_given_data_and_model(self, diagnosis, used, model):
         seen = gather_windows(*used, model)
-        data = diagnosis["data"]
-        assert (data["rides"], data["windows"]) == (len(seen.rides), len(seen.table))
-        assert (data["vehicles"], data["measured"]) == (4, "vi")
-        assert data["days"] == len(set(zip(seen.table["vehicle_id"], seen.table["date"], strict=True)))
-        assert data["first_date"] == min(seen.table["date"])
-        assert data["last_date"] == max(seen.table["date"])
-        assert 50.0 < data["resolution_s"] < 70.0
+        data = diagnosis.data
+        assert (data.rides, data.windows) == (len(seen.rides), len(seen.table))
+        assert (data.vehicles, data.measured) == (4, "vi")
+        assert data.days == len(set(zip(seen.table["vehicle_id"], seen.table["date"], strict=True)))
+        assert data.first_date == min(seen.table["date"])
+        assert data.last_date == max(seen.table["date"])
+        assert 50.0 < data.resolution_s < 70.0
         rides, windows = used
         fit = windows["ride_key"].isin(rides.loc[rides["unfit_reason"].isna(), "ride_key"])
         silent = int((windows.loc[fit, "energy_source"] != "vi").sum())
         assert silent > 0
         left_out = Counter(rides["unfit_reason"].dropna()) + Counter({"windows without voltage and current": silent})
-        assert Counter(data["left_out"]) == left_out
-        assert diagnosis["model"] == {
-            "name": model.name,
-            "version": model.version,
-            "recipe": "road_load",
-            "implausible": [],
-        }
+        assert Counter(data.left_out) == left_out
+        assert diagnosis.model == DiagnosedModel(name=model.name, version=model.version, recipe="road_load")
 
     def test_dates_of_the_caller_are_left_out(self, recorded, model, monkeypatch):
-        monkeypatch.setattr(diagnosing, "_diagnose", lambda seen, *_, **__: {"data": {}, "rides": seen.rides})
+        used = []
+        monkeypatch.setattr(diagnosing, "_diagnose", lambda seen, *_, **__: used.append(seen) or Diagnosis())
         first, *_ = sorted(set(recorded[0]["date"]))
         result = diagnose(*recorded, model, leave_out=[first, "1999-01-01"])
-        assert first not in set(result["rides"]["date"])
-        assert result["data"]["held_out"] == {
-            "dates": [first], "rides": (recorded[0]["date"] == first).sum(), "final": False, "in_history": False,
-        }  # fmt: skip
-        assert diagnose(*recorded, model, leave_out=())["data"]["held_out"]["rides"] == 0
+        assert first not in set(used[0].rides["date"])
+        assert result.data.held_out == HeldOutRides(dates=[first], rides=int((recorded[0]["date"] == first).sum()))
+        assert diagnose(*recorded, model, leave_out=()).data.held_out.rides == 0
 
     def test_errors_are_per_ride_and_above_noise_floor(self, diagnosis, used, model):
-        seen, error = gather_windows(*used, model), diagnosis["error"]
+        seen, error = gather_windows(*used, model), diagnosis.error
         off = np.bincount(seen.ride, seen.predicted - seen.measured)
-        assert error["mae_kwh"] == pytest.approx(np.mean(np.abs(off)))
-        assert error["bias_kwh"] == pytest.approx(np.mean(off))
-        assert error["relative"] == pytest.approx(error["mae_kwh"] / np.mean(np.bincount(seen.ride, seen.measured)))
+        assert error.mae_kwh == pytest.approx(np.mean(np.abs(off)))
+        assert error.bias_kwh == pytest.approx(np.mean(off))
+        assert error.relative == pytest.approx(error.mae_kwh / np.mean(np.bincount(seen.ride, seen.measured)))
         # both are estimates of few rides, and the power that no sample shows is as uncertain as that of a real car
-        assert 0.0 < error["noise_floor_kwh"] < 1.1 * error["mae_refitted_kwh"]
-        assert error["mae_refitted_kwh"] <= error["mae_kwh"]
+        assert 0.0 < error.noise_floor_kwh < 1.1 * error.mae_refitted_kwh
+        assert error.mae_refitted_kwh <= error.mae_kwh
 
     def test_every_effect_of_library_is_listed_once(self, diagnosis):
-        names = [row["effect"] for row in diagnosis["candidates"]]
+        names = [row.effect for row in diagnosis.tested]
         assert len(names) == len(set(names))
         assert set(names) == set(effects.get_library()) - {effect.name for effect in ROAD_LOAD}
-        for row in diagnosis["candidates"]:
-            candidates = row["gain"] is not None
-            assert candidates == (row["status"] in {"missing", "not needed", "not there", "wrong sign"}), row
+        for row in diagnosis.tested:
+            candidates = row.gain is not None
+            assert candidates == (row.status in {"missing", "not needed", "not there", "wrong sign"}), row
             if candidates:
-                assert 0.0 <= row["p"] <= 1.0
-                assert 0.0 <= row["q"] <= 1.0
-        gains = [row["gain"] for row in diagnosis["candidates"] if row["gain"] is not None]
+                assert 0.0 <= row.p <= 1.0
+                assert 0.0 <= row.q <= 1.0
+        gains = [row.gain for row in diagnosis.tested if row.gain is not None]
         assert gains == sorted(gains, reverse=True)
 
     def test_result_is_reproducible(self, recorded, model, diagnosis):
@@ -168,68 +139,68 @@ class TestPromise:
     def test_result_does_not_depend_on_row_order(self, recorded, model, diagnosis):
         rides, windows = (table.sample(frac=1.0, random_state=5) for table in recorded)
         other = diagnose(rides, windows, model, places=False)
-        assert other["verdict"] == diagnosis["verdict"]
-        assert other["error"] == pytest.approx(diagnosis["error"])
-        coefficient = diagnosis["missing"][0]["coefficient"]["value"]
-        assert other["missing"][0]["coefficient"]["value"] == pytest.approx(coefficient)
+        assert other.verdict == diagnosis.verdict
+        assert other.error.to_json() == pytest.approx(diagnosis.error.to_json())
+        coefficient = diagnosis.missing[0].coefficient.value
+        assert other.missing[0].coefficient.value == pytest.approx(coefficient)
 
 
 class TestHiddenEffect:
     def test_is_named_first(self, diagnosis):
-        assert diagnosis["verdict"] == HIDDEN
-        first = diagnosis["missing"][0]
-        assert first["effect"] == HIDDEN
-        assert first["credible_set"][0] == HIDDEN
-        assert first["causes"] == diagnosis["causes"]
-        assert diagnosis["causes"][0]["effect"] == HIDDEN
-        assert sum(cause["probability"] for cause in diagnosis["causes"]) == pytest.approx(1.0)
-        assert first["scope"] == "all"
-        assert first["columns"] == [f"effect_{first['variant']}"]
-        assert list_raw_columns(first["columns"][0])
-        assert first["probability"] > 0.8
-        (row,) = (row for row in diagnosis["candidates"] if row["effect"] == HIDDEN)
-        assert row["status"] == "missing"
-        assert row is diagnosis["candidates"][0] or row["gain"] > 0.0
+        assert diagnosis.verdict == HIDDEN
+        first = diagnosis.missing[0]
+        assert first.effect == HIDDEN
+        assert first.credible_set[0] == HIDDEN
+        assert first.causes == diagnosis.causes
+        assert diagnosis.causes[0].effect == HIDDEN
+        assert sum(cause.probability for cause in diagnosis.causes) == pytest.approx(1.0)
+        assert first.scope == "all"
+        assert first.columns == [f"effect_{first.variant}"]
+        assert list_raw_columns(first.columns[0])
+        assert first.probability > 0.8
+        (row,) = (row for row in diagnosis.tested if row.effect == HIDDEN)
+        assert row.status == "missing"
+        assert row is diagnosis.tested[0] or row.gain > 0.0
 
     def test_has_plausible_coefficient_and_interval(self, diagnosis):
-        first = diagnosis["missing"][0]
-        coefficient, effect = first["coefficient"], effects.get(first["variant"])
-        assert coefficient["unit"] == effect.unit
-        assert (coefficient["low"], coefficient["high"]) == (effect.low, effect.high)
-        low, high = coefficient["ci95"]
-        assert low < coefficient["value"] < high
+        first = diagnosis.missing[0]
+        coefficient, effect = first.coefficient, effects.get(first.variant)
+        assert coefficient.unit == effect.unit
+        assert (coefficient.low, coefficient.high) == (effect.low, effect.high)
+        low, high = coefficient.ci95
+        assert low < coefficient.value < high
         assert low > 0.0
-        assert coefficient["plausible"] == (effect.low <= coefficient["value"] <= effect.high)
-        low, high = first["gain_ci95"]
-        assert low < first["gain"] < high
-        assert math.isfinite(first["energy_share"])
-        assert first["words"]
-        assert len(first["equivalents"]) == 3
+        assert coefficient.plausible == (effect.low <= coefficient.value <= effect.high)
+        low, high = first.gain_ci95
+        assert low < first.gain < high
+        assert math.isfinite(first.energy_share)
+        assert first.words
+        assert len(first.equivalents) == 3
 
     def test_lowers_the_error_of_held_out_days(self, diagnosis):
-        steps = diagnosis["steps"]
-        assert [step["effect"] for step in steps] == [None, *(each["effect"] for each in diagnosis["missing"])]
-        assert steps[1]["mae_kwh"] < steps[0]["mae_kwh"]
-        assert {step["noise_floor_kwh"] for step in steps} == {diagnosis["error"]["noise_floor_kwh"]}
-        assert steps[0]["mae_kwh"] == pytest.approx(diagnosis["error"]["mae_refitted_kwh"])
+        steps = diagnosis.steps
+        assert [step.effect for step in steps] == [None, *(each.effect for each in diagnosis.missing)]
+        assert steps[1].mae_kwh < steps[0].mae_kwh
+        assert {step.noise_floor_kwh for step in steps} == {diagnosis.error.noise_floor_kwh}
+        assert steps[0].mae_kwh == pytest.approx(diagnosis.error.mae_refitted_kwh)
 
     def test_leaves_no_structure_and_no_suggestion(self, diagnosis):
-        assert not diagnosis["structure_remains"]
-        assert diagnosis["suggestion"] is diagnosis["suggestion_file"] is None
+        assert not diagnosis.structure_remains
+        assert diagnosis.suggestion is diagnosis.suggestion_file is None
 
     def test_is_not_reported_if_excluded(self, recorded, model):
         without = diagnose(*recorded, model, without=(HIDDEN,), places=False)
-        assert HIDDEN not in {row["effect"] for row in without["missing"]}
-        assert HIDDEN not in {row["effect"] for row in without["candidates"]}
+        assert HIDDEN not in {row.effect for row in without.missing}
+        assert HIDDEN not in {row.effect for row in without.tested}
 
 
 def test_nothing_is_reported_without_hidden_effect(of_nothing):
-    assert of_nothing["verdict"] is None
-    assert of_nothing["missing"] == []
-    assert not of_nothing["structure_remains"]
-    assert of_nothing["suggestion"] is of_nothing["suggestion_file"] is None
-    assert len(of_nothing["steps"]) == 1
-    assert "missing" not in {row["status"] for row in of_nothing["candidates"]}
+    assert of_nothing.verdict is None
+    assert of_nothing.missing == []
+    assert not of_nothing.structure_remains
+    assert of_nothing.suggestion is of_nothing.suggestion_file is None
+    assert len(of_nothing.steps) == 1
+    assert "missing" not in {row.status for row in of_nothing.tested}
 
 
 @pytest.fixture(scope="module")
@@ -241,13 +212,13 @@ def small():
 
 @pytest.mark.parametrize("dated", [True, False])
 def test_nothing_is_said_of_what_began_at_an_invented_date(small, monkeypatch, dated):
-    found = [{"since": None, "columns": ["always"]}, {"since": "2020-06-22", "columns": ["later"]}]
-    monkeypatch.setattr(diagnosing, "diagnose_deviations", lambda *_: {"deviations": list(found), "cars": []})
+    found = [CarDeviation(who="a"), CarDeviation(who="b", since="2020-06-22")]
+    monkeypatch.setattr(diagnosing, "diagnose_deviations", lambda *_: Comparisons(found, []))
     monkeypatch.setattr(diagnosing, "LEAST_DAYS_FOR_SCOPES", 1)
     tables, model = small
     result = diagnose(*tables, model, dated=dated)
-    assert result["deviations"] == (found if dated else found[:1])
-    assert result["data"]["dated"] == dated
+    assert result.deviations == (found if dated else found[:1])
+    assert result.data.dated == dated
     said = any("dates are invented" in line for line in sentences.describe_data(result))
     assert said == (not dated)
 
@@ -297,8 +268,8 @@ class TestInsufficientData:
         (rides, windows), model = small
         rides = rides[rides["ride_key"].isin([f"taxi-{car}#{n}" for car in (0, 1) for n in range(10)])]
         diagnosis = diagnose(rides, windows[windows["ride_key"].isin(rides["ride_key"])], model)
-        assert diagnosis["data"]["rides"] == LEAST_RIDES
-        assert plain(diagnosis)
+        assert diagnosis.data.rides == LEAST_RIDES
+        assert msgspec.convert(diagnosis.to_json(), Diagnosis) == diagnosis
 
 
 def test_declared_variants_are_kept_for_scopes(small):
@@ -320,7 +291,7 @@ def test_rides_are_diagnosed_by_state_of_charge_without_meter():
     )
     model = fit_to_windows("road_load", rides, windows, covariance=False)
     diagnosis = diagnose(rides, windows, model, places=False)
-    assert diagnosis["data"]["measured"] == "soc"
-    assert diagnosis["data"]["windows"] == diagnosis["data"]["rides"] == len(rides)
-    assert plain(diagnosis)
-    assert isinstance(pd.Series(diagnosis["error"]).min(), float)
+    assert diagnosis.data.measured == "soc"
+    assert diagnosis.data.windows == diagnosis.data.rides == len(rides)
+    assert msgspec.convert(diagnosis.to_json(), Diagnosis) == diagnosis
+    assert isinstance(pd.Series(diagnosis.error.to_json()).min(), float)

@@ -58,7 +58,7 @@ def test_missing_effect_is_sure_from_ninety_percent_on(probability, status):
     assert finding.status == status
 
 
-@pytest.mark.parametrize("interval", [[-0.01, 0.09], [None, None]])
+@pytest.mark.parametrize("interval", [[-0.01, 0.09], None])
 def test_deviation_that_may_be_zero_is_only_proposed(interval):
     (finding,) = find(make_deviation(share_ci95=interval))
     assert (finding.status, finding.sure_since) == ("proposed", None)
@@ -106,7 +106,7 @@ def test_repeated_looks_at_cars_without_a_change_make_fewer_sure_findings_than_s
 
 
 def test_unknown_numbers_of_a_diagnosis_stay_unknown():
-    (finding,) = find(make_deviation(kwh_per_month=None, share_ci95=[None, None]))
+    (finding,) = find(make_deviation(kwh_per_month=None, share_ci95=None))
     assert (finding.kwh_per_month, finding.range_km_per_month, finding.share_lower) == (None, None, None)
     assert "mending" not in finding.words
 

@@ -29,60 +29,62 @@ def picture(selection):
 
 
 def test_points_before_lie_on_line_of_planted_coefficient(picture):
-    x, before, half = (np.array(picture[name]) for name in ("x", "before", "ci95"))
+    x, before, half = map(np.array, (picture.x, picture.before, picture.ci95))
     assert len(x) == BINS
     assert (np.diff(x) > 0.0).all()
-    inside = np.abs(before - picture["slope"] * x) < 1.5 * half
+    inside = np.abs(before - picture.slope * x) < 1.5 * half
     assert inside.mean() >= 0.8
-    assert np.polyfit(x, before, 1)[0] == pytest.approx(picture["slope"], rel=0.1)
-    assert max(abs(before)) > 5.0 * max(abs(np.array(picture["after"])))
-    assert np.array(picture["after"]) == pytest.approx(before - picture["slope"] * x)
+    assert np.polyfit(x, before, 1)[0] == pytest.approx(picture.slope, rel=0.1)
+    assert max(abs(before)) > 5.0 * max(abs(np.array(picture.after)))
+    assert np.array(picture.after) == pytest.approx(before - picture.slope * x)
 
 
 def test_counts_cover_all_moving_windows(selection, picture):
     seen = selection.base.windows
-    assert sum(picture["windows"]) == len(seen.table)
-    assert sum(sum(car["windows"]) for car in picture["cars"]) == len(seen.table)
-    assert all(1 <= days <= windows for days, windows in zip(picture["days"], picture["windows"], strict=True))
+    assert sum(picture.windows) == len(seen.table)
+    assert sum(sum(car.windows) for car in picture.cars) == len(seen.table)
+    assert all(1 <= days <= windows for days, windows in zip(picture.days, picture.windows, strict=True))
 
 
 def test_every_car_shows_the_coefficient_alone(picture):
-    assert [car["car"] for car in picture["cars"]] == sorted(car["car"] for car in picture["cars"])
-    assert len(picture["cars"]) == 4
-    for car in picture["cars"]:
-        low, high = car["slope_ci95"]
-        assert low - 0.5 * (high - low) < picture["slope"] < high + 0.5 * (high - low)
-        assert len(car["x"]) <= BINS_OF_CAR
-    low, high = picture["slope_ci95"]
-    assert low < picture["slope"] < high
+    assert [car.car for car in picture.cars] == sorted(car.car for car in picture.cars)
+    assert len(picture.cars) == 4
+    for car in picture.cars:
+        low, high = car.slope_ci95
+        assert low - 0.5 * (high - low) < picture.slope < high + 0.5 * (high - low)
+        assert len(car.x) <= BINS_OF_CAR
+    low, high = picture.slope_ci95
+    assert low < picture.slope < high
 
 
 def test_effect_of_time_is_shown_as_power():
     found = start_selection(make_tables(make_windows(), {"solar_load": 0.05}), "solar_load")
     (finding,) = found.list_missing_effects()
     shown = compute_partial_residual(found, finding)
-    assert (shown["per"], shown["unit"]) == ("h", effects.get("solar_load").unit)
-    assert shown["x"][0] == 0.0  # the night has a bin of its own
+    assert (shown.per, shown.unit) == ("h", effects.get("solar_load").unit)
+    assert shown.x[0] == 0.0  # the night has a bin of its own
 
 
 def test_profile_shows_unknown_cause_along_its_feature():
     found = start_selection(make_tables(make_windows(), unknown=outside("crowded")))
-    parts = {each["feature"]: each for each in profile_residual(found)}
+    parts = {each.feature: each for each in profile_residual(found)}
     assert {"ambient_c", "occupants", "average_speed_kmh", "vehicle_id", "hour"} <= set(parts)
     for each in parts.values():
-        assert len({len(each[name]) for name in ("x", "before_w", "after_w", "ci95_w", "windows", "days")}) == 1
-        assert len(each["x"]) >= 2
-        assert list(each["x"]) == sorted(each["x"])
+        assert (
+            len({len(getattr(each, name)) for name in ("x", "before_w", "after_w", "ci95_w", "windows", "days")}) == 1
+        )
+        assert len(each.x) >= 2
+        assert list(each.x) == sorted(each.x)
     crowd = parts["occupants"]
-    assert crowd["after_w"] == crowd["before_w"]
-    assert crowd["after_w"][-1] - crowd["ci95_w"][-1] > 0.0 > crowd["after_w"][0] + crowd["ci95_w"][0]
+    assert crowd.after_w == crowd.before_w
+    assert crowd.after_w[-1] - crowd.ci95_w[-1] > 0.0 > crowd.after_w[0] + crowd.ci95_w[0]
 
 
 def test_profile_is_flat_once_the_cause_is_selected(selection):
-    (wind,) = (each for each in profile_residual(selection) if each["feature"] == "wind_speed_kmh")
-    spread = [half for half in wind["ci95_w"] if half is not None]
-    assert len(spread) == len(wind["x"])
-    assert np.mean(np.abs(wind["after_w"]) < np.array(spread)) >= 0.75
+    (wind,) = (each for each in profile_residual(selection) if each.feature == "wind_speed_kmh")
+    spread = [half for half in wind.ci95_w if half is not None]
+    assert len(spread) == len(wind.x)
+    assert np.mean(np.abs(wind.after_w) < np.array(spread)) >= 0.75
 
 
 def test_steps_have_intervals_and_restore_the_selection(selection):
@@ -90,9 +92,9 @@ def test_steps_have_intervals_and_restore_the_selection(selection):
     missing = selection.list_missing_effects()
     first, then = compute_steps(selection, missing, 0.01)
     assert selection.selected == chosen
-    assert (first["effect"], first["change_kwh"], then["effect"]) == (None, None, "headwind")
-    assert then["change_kwh"] == pytest.approx(then["mae_kwh"] - first["mae_kwh"])
-    assert then["change_kwh"] + then["change_ci95_kwh"] < 0.0 < first["mae_ci95_kwh"] < first["mae_kwh"]
+    assert (first.effect, first.change_kwh, then.effect) == (None, None, "headwind")
+    assert then.change_kwh == pytest.approx(then.mae_kwh - first.mae_kwh)
+    assert then.change_kwh + then.change_ci95_kwh < 0.0 < first.mae_ci95_kwh < first.mae_kwh
 
 
 def test_interval_of_bin_mean_has_its_coverage():

@@ -79,9 +79,9 @@ def diagnose_car(car: str) -> DiagnosedCar:
     blind, seeing = (tables(each, settings or Settings()) for each in (withheld, drives))
     model = fit_to_windows(RECIPE, *blind)
     diagnosis = diagnose(*blind, model)
-    probable = next(cause["effect"] for cause in diagnosis["causes"] if cause["effect"] in effects.get_library())
-    best = next(row for row in diagnosis["candidates"] if row["effect"] == probable)
-    return DiagnosedCar(blind, seeing, model, diagnosis, best["variant"])
+    probable = next(cause.effect for cause in diagnosis.causes if cause.effect in effects.get_library())
+    best = next(row for row in diagnosis.tested if row.effect == probable)
+    return DiagnosedCar(blind, seeing, model, diagnosis, best.variant)
 
 
 def tables(drives, settings: Settings) -> Tables:
@@ -150,9 +150,9 @@ def test_diagnosis_does_not_use_measured_climate_power(car):
 
 def test_diagnosis_of_leaf_ranks_cabin_heating_first():
     diagnosis = diagnose_car("ved").diagnosis
-    assert diagnosis["verdict"] == diagnosis["missing"][0]["effect"] == "cabin_heating"
-    assert diagnosis["missing"][0]["coefficient"]["plausible"]
-    assert diagnosis["missing"][0]["probability"] > 0.5
+    assert diagnosis.verdict == diagnosis.missing[0].effect == "cabin_heating"
+    assert diagnosis.missing[0].coefficient.plausible
+    assert diagnosis.missing[0].probability > 0.5
 
 
 def test_diagnosis_of_i3_ranks_cabin_heat_first():
@@ -163,14 +163,14 @@ def test_diagnosis_of_i3_ranks_cabin_heat_first():
     dates of one car, the effects that heat the cabin are hardly distinguishable.
     """
     diagnosis = diagnose_car("bmw-i3").diagnosis
-    best = sorted((row for row in diagnosis["candidates"] if row["gain"]), key=lambda row: -row["gain"])[:3]
-    assert {row["effect"] for row in best} == CABIN
-    assert all(row["p"] < 0.02 for row in best)
-    assert min(row["p"] for row in best) < 0.002
-    probable = [cause["effect"] for cause in diagnosis["causes"] if cause["effect"] in effects.get_library()]
+    best = sorted((row for row in diagnosis.tested if row.gain), key=lambda row: -row.gain)[:3]
+    assert {row.effect for row in best} == CABIN
+    assert all(row.p < 0.02 for row in best)
+    assert min(row.p for row in best) < 0.002
+    probable = [cause.effect for cause in diagnosis.causes if cause.effect in effects.get_library()]
     assert set(probable[:2]) <= CABIN
-    assert diagnosis["verdict"] in CABIN
-    assert diagnosis["missing"][0]["coefficient"]["plausible"]
+    assert diagnosis.verdict in CABIN
+    assert diagnosis.missing[0].coefficient.plausible
 
 
 def test_error_of_held_out_rides_falls_for_leaf():
@@ -213,19 +213,19 @@ def test_error_of_leaf_is_a_constant_load_of_each_ride():
 
     With the climate power subtracted, 0.29 kW remain, in sum 0.48 kW.
     """
-    (load,) = diagnose_car("ved").diagnosis["error_location"]["loads"]
-    assert (load["level"], load["kind"], load["unit"]) == ("ride", "constant", "W")
-    assert load["low"] < 420.0 < load["high"]
-    assert load["low"] > 300.0
+    (load,) = diagnose_car("ved").diagnosis.error_location.loads
+    assert (load.level, load.kind, load.unit) == ("ride", "constant", "W")
+    assert load.low < 420.0 < load.high
+    assert load.low > 300.0
 
 
 def test_error_of_i3_is_a_load_at_the_beginning_of_rides():
-    first, *_ = diagnose_car("bmw-i3").diagnosis["error_location"]["loads"]
-    assert first["kind"] == "beginning"
-    assert first["low"] < 3900.0 < first["high"]
+    first, *_ = diagnose_car("bmw-i3").diagnosis.error_location.loads
+    assert first.kind == "beginning"
+    assert first.low < 3900.0 < first.high
 
 
 def test_error_location_lists_what_real_drives_lack():
-    leaf = diagnose_car("ved").diagnosis["error_location"]
-    assert {"elevation", "wind", "climate power"} <= set(leaf["absent_signals"])
-    assert leaf["absent_kinds"] == ["climbing"]
+    leaf = diagnose_car("ved").diagnosis.error_location
+    assert {"elevation", "wind", "climate power"} <= set(leaf.absent_signals)
+    assert leaf.absent_kinds == ("climbing",)

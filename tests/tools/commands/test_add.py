@@ -319,7 +319,7 @@ def test_diagnosis_does_not_use_final_hold_out_days(here, capsys, monkeypatch):
 def test_suggestion_is_written_to_given_file(made_up, here, capsys):
     made_up += [make_diagnosis(), make_empty_diagnosis()]
     done("diagnose", here / "tables", "--model", here / "base.json", "--suggest", here / "mine.py")
-    assert (here / "mine.py").read_text() == make_diagnosis()["suggestion_file"]
+    assert (here / "mine.py").read_text() == make_diagnosis().suggestion_file
     assert f"socasteffectscheck{here / 'mine.py'}" in "".join(capsys.readouterr().out.split())
     done("diagnose", here / "tables", "--model", here / "base.json", "--suggest", here / "none.py")
     assert not (here / "none.py").exists()

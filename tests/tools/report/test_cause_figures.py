@@ -2,15 +2,16 @@
 
 import pytest
 
+from socast.core.diagnose.records import CauseProbability
 from socast.tools.report.diagnosis.cause_figures import MOST, draw_causes
 from tests.support.html_pages import assert_axes_are_titled
 
 CAUSES = [
-    {"effect": "none", "probability": 0.05},
-    {"effect": "headwind", "probability": 0.6},
-    {"effect": "not in the library", "probability": 0.1},
-    {"effect": "crosswind_yaw", "probability": 0.25},
-    {"effect": "unknown", "probability": None},
+    CauseProbability(effect="none", probability=0.05),
+    CauseProbability(effect="headwind", probability=0.6),
+    CauseProbability(effect="not in the library", probability=0.1),
+    CauseProbability(effect="crosswind_yaw", probability=0.25),
+    CauseProbability(effect="unknown", probability=None),
 ]
 
 
@@ -24,7 +25,7 @@ def test_bars_are_sorted_with_effects_first():
 
 
 def test_many_causes_share_the_last_bar():
-    [one] = draw_causes([{"effect": f"cause {i}", "probability": 0.05} for i in range(20)])
+    [one] = draw_causes([CauseProbability(effect=f"cause {i}", probability=0.05) for i in range(20)])
     assert len(one.figure.data[0].y) == MOST
     assert one.figure.data[0].y[-1] == f"{20 - MOST + 1} others"
     assert sum(one.figure.data[0].x) == pytest.approx(100.0)
@@ -32,18 +33,20 @@ def test_many_causes_share_the_last_bar():
 
 def test_improbable_effects_share_one_row():
     causes = [
-        {"effect": "headwind", "probability": 0.95},
-        *({"effect": f"cause {i}", "probability": 0.004} for i in range(10)),
-        {"effect": "none", "probability": 0.01},
+        CauseProbability(effect="headwind", probability=0.95),
+        *(CauseProbability(effect=f"cause {i}", probability=0.004) for i in range(10)),
+        CauseProbability(effect="none", probability=0.01),
     ]
     [one] = draw_causes(causes)
     named, apart = one.figure.data
     assert list(named.y) == ["headwind", "10 others"]
     assert list(named.x) == pytest.approx([95.0, 4.0])
     assert list(apart.text) == ["1 %"]
-    [small] = draw_causes([*causes[:1], {"effect": "a", "probability": 1e-9}, {"effect": "b", "probability": 1e-9}])
+    [small] = draw_causes(
+        [*causes[:1], CauseProbability(effect="a", probability=1e-9), CauseProbability(effect="b", probability=1e-9)]
+    )
     assert list(small.figure.data[0].text) == ["95 %", "< 0.5 %"]
 
 
 def test_nothing_is_drawn_without_probabilities():
-    assert draw_causes([]) == draw_causes([{"effect": "headwind", "probability": None}]) == []
+    assert draw_causes([]) == draw_causes([CauseProbability(effect="headwind", probability=None)]) == []

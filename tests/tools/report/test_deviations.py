@@ -38,19 +38,18 @@ def test_less_energy_of_all_cars_is_called_less():
 
 def make_change(**changes):
     """Return a diagnosis that finds no effect but a change."""
-    return make_empty_diagnosis() | {"structure_remains": True, "deviations": [make_deviation(**changes)]}
+    return make_empty_diagnosis(structure_remains=True, deviations=[make_deviation(**changes)])
 
 
 def test_change_is_the_headline_and_its_command_the_next_step():
-    result = make_change()
-    insert_commands(result, "base.json", RideSource([Path("tables")]))
+    result = insert_commands(make_change(), "base.json", RideSource([Path("tables")]))
     first, sure, common = describe_verdict(result)[:3]
     assert first.startswith("Finding: taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018")
     assert "probability of more than 99.9 %" in sure
     assert common.startswith("Effects in all cars at all times: ")
     advice, command = describe_next_step(result)
     assert advice.endswith("add tyre_pressure in taxi-005 since 2018-11-14.")
-    assert command == result["deviations"][0]["command"]
+    assert command == result.deviations[0].command
 
 
 def test_change_follows_the_effect_that_is_missing_everywhere():
@@ -112,11 +111,11 @@ def test_nothing_found_is_said():
 
 def test_command_adds_a_step_and_not_a_ramp():
     result = make_diagnosis(deviations=[make_deviation(), make_deviation(kind="ramp", columns=[])])
-    insert_commands(result, "base.json", RideSource())
-    step, ramp = result["deviations"]
-    assert "socast add tyre_pressure" in step["command"]
-    assert "--scope vehicle=taxi-005 --scope since=2018-11-14" in step["command"]
-    assert "command" not in ramp
+    result = insert_commands(result, "base.json", RideSource())
+    step, ramp = result.deviations
+    assert "socast add tyre_pressure" in step.command
+    assert "--scope vehicle=taxi-005 --scope since=2018-11-14" in step.command
+    assert ramp.command is None
 
 
 def test_figures_show_cars_and_the_change_with_their_intervals():

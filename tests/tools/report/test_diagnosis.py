@@ -4,10 +4,13 @@ from functools import partial
 from io import StringIO
 from pathlib import Path
 
+import msgspec
 import pytest
+from msgspec.structs import replace
 from rich.console import Console
 
 from socast.core.diagnose.posterior.probabilities import UNKNOWN
+from socast.core.diagnose.records import Diagnosis, TestedEffect
 from socast.tools.commands.diagnose import insert_commands, parse_term
 from socast.tools.report.diagnosis import page as report
 from socast.tools.report.diagnosis import sentences
@@ -21,7 +24,7 @@ from socast.tools.report.diagnosis.figures import (
 from socast.tools.terminal.ride_source import RideSource
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_missing_effect
 from tests.support.html_pages import assert_axes_are_titled, read_page
-from tests.support.read_parts import find_read_parts
+from tests.support.read_parts import find_read_fields
 
 pytestmark = pytest.mark.long
 
@@ -87,7 +90,7 @@ def test_diagnosis_without_missing_effect_states_it():
     assert "No effect of the library is probable enough to be named." in output
     assert "No group of rides by weather, time, speed or vehicle differs from the others" in output
     assert "These rides show no missing effect." in output
-    assert "Write an effect of your own" in printed(make_empty_diagnosis() | {"structure_remains": True})
+    assert "Write an effect of your own" in printed(make_empty_diagnosis(structure_remains=True))
 
 
 @pytest.mark.parametrize(
@@ -109,26 +112,26 @@ def test_remaining_error_is_compared_with_noise_floor(mae, structure, stated):
 )
 def test_advice_agrees_with_the_probable_cause(first, structure, advice):
     causes = [{"effect": first, "probability": 0.58}, {"effect": "snow", "probability": 0.42}]
-    empty = make_empty_diagnosis() | {"causes": causes, "credible_set": [first, "snow"], "structure_remains": structure}
+    empty = make_empty_diagnosis(causes=causes, credible_set=[first, "snow"], structure_remains=structure)
     assert advice in printed(empty)
 
 
 def test_doubtful_effect_is_not_recommended():
     result = make_diagnosis()
-    assert sentences.find_recommended(result) == result["verdict"]
-    first = next(one for one in result["missing"] if one["effect"] == result["verdict"])
-    first["coefficient"]["plausible"] = False
-    first["gain_ci95"] = [-0.1, 0.3]
+    assert sentences.find_recommended(result) == result.verdict
+    coefficient = replace(result.leading.coefficient, plausible=False)
+    first = replace(result.leading, coefficient=coefficient, gain_ci95=(-0.1, 0.3))
+    result = replace(result, missing=[first])
     assert sentences.find_recommended(result) is None
     text = printed(result)
-    assert f"Do not rely on {first['effect']} yet: its coefficient is not plausible and its gain" in text
-    assert f"Add {first['effect']}," not in text
+    assert f"Do not rely on {first.effect} yet: its coefficient is not plausible and its gain" in text
+    assert f"Add {first.effect}," not in text
 
 
 def test_effects_without_a_signal_are_listed():
     result = make_diagnosis()
-    lacking = {**result["candidates"][-1], "effect": "demisting", "status": "not in the data"}
-    result["candidates"] = [*result["candidates"], lacking]
+    lacking = TestedEffect(effect="demisting", status="not in the data")
+    result = replace(result, tested=[*result.tested, lacking])
     sentence = printed(result).split("Not tested, because the tables have no values of them: ")[1].split(".")[0]
     assert sentence.endswith("demisting")
 
@@ -148,8 +151,7 @@ def test_effect_outside_the_credible_set_is_explained():
 
 
 def test_noise_above_the_error_is_called_overestimated():
-    result = make_diagnosis(structure_remains=False)
-    result["error"] |= {"mae_kwh": 0.0596, "noise_floor_kwh": 0.113}
+    result = make_diagnosis(structure_remains=False, error={"mae_kwh": 0.0596, "noise_floor_kwh": 0.113})
     assert "is 0.113 kWh, more than the error: it is overestimated" in sentences.describe_error(result)[-1]
     assert "100 %" not in printed(result)
     assert "does not exceed measurement noise" not in printed(result)
@@ -157,36 +159,34 @@ def test_noise_above_the_error_is_called_overestimated():
 
 def test_many_held_out_dates_are_counted():
     held_out = {"rides": 269, "dates": [f"2018-03-{day:02d}" for day in range(3, 12)], "final": True}
-    result = make_diagnosis()
-    result["data"]["held_out"] = held_out
+    result = make_diagnosis(data={"held_out": held_out})
     sentence = "Not used: 269 rides of 9 dates from 2018-03-03 to 2018-03-11, the final hold-out dates on which"
     assert sentence in printed(result)
 
 
 def test_error_without_missing_effect_is_not_called_held_out():
     steps = [{"effect": None, "mae_kwh": 0.0206, "noise_floor_kwh": 0.0233}]
-    line, *_ = sentences.describe_remainder(make_empty_diagnosis() | {"steps": steps})
+    line, *_ = sentences.describe_remainder(make_empty_diagnosis(steps=steps))
     assert "refitted to these rides for each car (in sample): 0.0206 kWh per ride" in line
     assert "held-out" not in line
 
 
 def test_next_command_can_be_copied(tmp_path):
-    result = make_diagnosis()
-    insert_commands(
-        result, "models/base.json", RideSource([Path("tables one"), Path("b")], effect_files=[Path("my.py")])
+    result = insert_commands(
+        make_diagnosis(), "models/base.json", RideSource([Path("tables one"), Path("b")], effect_files=[Path("my.py")])
     )
-    command = result["missing"][0]["command"]
+    command = result.missing[0].command
     assert command == (
         "socast add cold_rolling@reference=283.15 'tables one' b --model models/base.json "
         "--effects my.py -o models/base-cold_rolling.json"
     )
-    assert "--scope vehicle=taxi-003" in result["missing"][1]["command"]
+    assert "--scope vehicle=taxi-003" in result.missing[1].command
     console = Console(width=40, file=StringIO(), color_system=None)
     report.show(result, console)
     assert command in console.file.getvalue().splitlines()
     assert {"class": "command"} in [attrs for tag, attrs in page(result, tmp_path).tags if tag == "p"]
     assert command in " ".join(page(result, tmp_path).text)
-    assert parse_term({"effect": "snow"}) == ("snow", [])
+    assert parse_term(result.missing[1]) == ("brake_drag", ["vehicle=taxi-003"])
 
 
 @pytest.mark.parametrize("result", [make_diagnosis(), make_empty_diagnosis()], ids=["some", "none"])
@@ -257,26 +257,42 @@ def test_intervals_of_figures_are_those_of_the_diagnosis():
     assert drawn.figure.data[0].x[0] == pytest.approx(1.1e-4)
     assert drawn.figure.layout.xaxis.title.text == "Growth of the rolling resistance [1/K]"
     assert (drawn.figure.layout.shapes[0].x0, drawn.figure.layout.shapes[0].x1) == (2e-5, 3e-4)
-    [outside] = draw_coefficients([make_diagnosis()["missing"][1]])
+    [outside] = draw_coefficients([make_diagnosis().missing[1]])
     low, high = outside.figure.layout.xaxis.range
     assert low < outside.figure.layout.shapes[0].x1 < outside.figure.data[0].x[0] < high
     bias = draw_slices(make_diagnosis(slices=[{"where": "x", "bias_kwh": 0.1, "ci95": [0.05, 0.2]}]))[0].figure.data[0]
     assert (bias.error_x.array[0], bias.error_x.arrayminus[0]) == pytest.approx((0.1, 0.05))
 
 
-def keys(value, path=()):
-    """Yield the path of every value in a result."""
-    if isinstance(value, dict):
-        for key, item in value.items():
-            yield (*path, key)
-            yield from keys(item, (*path, key))
-    elif isinstance(value, list) and value and isinstance(value[0], dict):
-        yield from keys(value[0], (*path, 0))
-
-
 def make_result():
     """Return a diagnosis with one missing effect."""
     return make_diagnosis(missing=[make_missing_effect()])
+
+
+def list_paths(value, path=()):
+    """Yield the path of every value in JSON values."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield (*path, key)
+            yield from list_paths(item, (*path, key))
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        yield from list_paths(value[0], (*path, 0))
+
+
+def forget(path):
+    """Return a diagnosis without the value at a path; None where the value is always known."""
+    values = make_result().to_json()
+    part = values
+    for key in path[:-1]:
+        part = part[key]
+    part[path[-1]] = None
+    try:
+        return msgspec.convert(values, Diagnosis)
+    except msgspec.ValidationError:
+        return None
+
+
+UNKNOWN_VALUES = {path: made for path in list_paths(make_result().to_json()) if (made := forget(path)) is not None}
 
 
 PRINTERS = ("print_heading", "print_lines", "print_section")
@@ -309,43 +325,36 @@ def print_changes(result, known):
 
 @pytest.fixture(scope="module")
 def readers():
-    """Return the functions that draw each part of a result; no other figure can depend on the part."""
+    """Return the functions that draw each field of a result; no other figure can depend on the field."""
     found = {}
     for draw in report.DRAWN.values():
-        for path in find_read_parts(draw, make_result()):
-            found.setdefault(path, []).append(draw)
+        for name in find_read_fields(draw, make_result()):
+            found.setdefault(name, []).append(draw)
     return found
 
 
 def test_every_part_with_a_figure_has_a_reader(readers):
-    parts = {path[0] for path in readers}
-    assert {"causes", "error", "steps", "slices", "error_location", "missing", "structure", "profiles"} <= parts
-    assert {"deviations", "cars"} <= parts
+    assert {"causes", "error", "steps", "slices", "error_location", "missing", "structure", "profiles"} <= set(readers)
+    assert {"deviations", "cars"} <= set(readers)
 
 
-@pytest.mark.parametrize("path", list(keys(make_result())), ids=lambda path: ".".join(map(str, path)))
-def test_missing_result_values_are_tolerated(path, readers, known, tmp_path):
-    result = make_result()
-    part = result
-    for key in path[:-1]:
-        part = part[key]
-    part[path[-1]] = None
+@pytest.mark.parametrize("path", UNKNOWN_VALUES, ids=lambda path: ".".join(map(str, path)))
+def test_unknown_values_are_tolerated(path, readers, known, tmp_path):
+    result = UNKNOWN_VALUES[path]
     print_changes(result, known)
-    for draw in readers.get(path, ()):
+    for draw in readers.get(path[0], ()):
         draw(result)
     report.build_sections(result)
     if path[0] == "model":
         report.write(result, tmp_path / "page.html")
-    del part[path[-1]]
-    print_changes(result, known)
 
 
 def test_odd_names_are_escaped(tmp_path):
     result = make_diagnosis(
         missing=[make_missing_effect(effect=ODD, variant=ODD, words=ODD, scope=f"vehicle {ODD}", group=[ODD, ODD])]
     )
-    result["model"]["name"] = ODD
-    result["slices"][0]["where"] = ODD
+    first, *others = result.slices
+    result = replace(result, model=replace(result.model, name=ODD), slices=[replace(first, where=ODD), *others])
     assert "[red]model[/red]" in printed(result)
     reader = page(result, tmp_path)
     assert "alert(1)" in "".join(reader.text)

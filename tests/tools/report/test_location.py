@@ -1,9 +1,11 @@
 """Test the sentences and the figure of the location of the error."""
 
+import msgspec
 import pytest
 
 from socast.core.diagnose.error_location.absent_signals import SIGNALS
 from socast.core.diagnose.error_location.kinds import KINDS
+from socast.core.diagnose.records import Diagnosis
 from socast.tools.report.diagnosis.location_figure import draw_location
 from socast.tools.report.diagnosis.location_sentences import (
     CAUSES,
@@ -22,14 +24,15 @@ def make_load(level="ride", kind="constant", size=640.0, claimed=True, **more):
     unit = "W" if kind in {"constant", "beginning"} else "%"
     load = {"level": level, "kind": kind, "size": size, "low": 0.95 * size, "high": 1.06 * size, "unit": unit}
     load |= {"size_w": size, "low_w": 0.95 * size, "high_w": 1.06 * size, "gain": 50.0, "claimed": claimed}
-    return load | {"other_kinds": [], "other_levels": []} | more
+    return load | more
 
 
 def make_result(*loads, shares=None, absent=("climate power",), **more):
     shares = shares or {"measurement": 0.34, "scatter": 0.02, "ride": 0.64}
     quiet = [make_load("day", kind.name, 12.0, claimed=False) for kind in KINDS]
     location = {"loads": list(loads), "estimates": [*loads, *quiet], "shares": shares, "levels": ["ride", "day"]}
-    return {"error_location": location | {"absent_kinds": [], "absent_signals": list(absent)} | more}
+    location |= {"absent_signals": list(absent)}
+    return msgspec.convert({"error_location": location | more}, Diagnosis)
 
 
 def test_load_is_described_in_a_persons_words():
@@ -86,7 +89,7 @@ def test_diagnosis_without_load_says_so():
     shares, line = describe_location(make_result(shares={"measurement": 1.0, "scatter": 0.0}, absent=()))
     assert shares.endswith(", 100 % is measurement noise.")
     assert line.startswith("No load differs")
-    assert describe_location({}) == []
+    assert describe_location(Diagnosis()) == []
 
 
 def test_figure_has_a_panel_for_each_level_and_a_point_with_interval_for_each_kind():
@@ -99,13 +102,13 @@ def test_figure_has_a_panel_for_each_level_and_a_point_with_interval_for_each_ki
     first, second = drawn.figure.select_xaxes()
     assert first.matches == "x2" or second.matches == "x"
     assert_axes_are_titled(drawn.figure)
-    assert draw_location({}) == []
+    assert draw_location(Diagnosis()) == []
 
 
 def test_figure_marks_what_sampling_alone_causes():
     (drawn,) = draw_location(make_result(make_load(floor_w=50.0)))
-    (ticks,) = (trace for trace in drawn.figure.data if trace.name == "limit of sampling")
-    assert (list(ticks.x), list(ticks.y)) == ([50.0], ["per second"])
+    ticks = [trace for trace in drawn.figure.data if trace.name == "limit of sampling"]
+    assert (50.0, "per second") in [row for trace in ticks for row in zip(trace.x, trace.y, strict=True)]
 
 
 def test_page_has_a_section_for_the_location():

@@ -1,11 +1,11 @@
 """Draw the probabilities of the causes of an error."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
+from socast.core.diagnose.records import CauseProbability
 from socast.tools.report.diagnosis.sentences import LEAST_PROBABILITY
 from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.result import get_number
 from socast.tools.report.figure_style import draw_bars, escape_label, get_style, make_figure
 
 PERCENT: Final = 100.0
@@ -18,10 +18,10 @@ APART: Final = ("several", "not in the library", "none")
 
 
 def draw_causes(
-    causes: Sequence[Mapping[str, Any]], *, key: str = "causes", title: str = "Probable causes"
+    causes: Sequence[CauseProbability], *, key: str = "causes", title: str = "Probable causes"
 ) -> list[Illustration]:
     """Draw the probability of each cause as a bar: effects first, then `several`, `not in the library` and `none`."""
-    known = [(str(one.get("effect")), get_number(one.get("probability"))) for one in causes]
+    known = [(one.effect, one.probability) for one in causes]
     rows = sorted(((name, p) for name, p in known if p is not None), key=lambda row: -row[1])
     named = [row for row in rows if row[0] not in APART]
     apart = [row for row in rows if row[0] in APART]

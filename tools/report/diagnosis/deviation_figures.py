@@ -1,16 +1,14 @@
 """Draw cars against the spread between them, and changes of single cars over time."""
 
-from collections.abc import Mapping
 from datetime import UTC, date, datetime
-from typing import Any, Final
+from typing import Final
 
 import plotly.graph_objects as go
 
 from socast.core.diagnose.deviation_words import PERCENT
-from socast.tools.report.diagnosis import sentences
+from socast.core.diagnose.records import CarDeviation, Diagnosis
 from socast.tools.report.diagnosis.deviations import describe_deviation
 from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.result import Result, get_number
 from socast.tools.report.figure_style import add_reference_line, escape_label, get_style, make_figure
 
 ROW: Final = 26
@@ -21,25 +19,21 @@ MONTH_S: Final = 365.25 / 12.0 * 86_400.0
 """Length of a month. [s]"""
 
 
-def draw_deviations(result: Result) -> list[Illustration]:
+def draw_deviations(result: Diagnosis) -> list[Illustration]:
     """Return the figures of cars and changes."""
-    changes = [one for one in result.get("deviations") or () if one.get("shifts") and one.get("since")]
-    return [*_draw_cars(result), *(_draw_change(place, one) for place, one in enumerate(changes))]
+    changes = [(one, one.since) for one in result.deviations if one.shifts and one.since]
+    return [*_draw_cars(result), *(_draw_change(place, one, since) for place, (one, since) in enumerate(changes))]
 
 
-def _draw_cars(result: Result) -> list[Illustration]:
+def _draw_cars(result: Diagnosis) -> list[Illustration]:
     """Draw the energy of each car beyond that of its siblings with its interval, over the spread between cars."""
-    cars = [
-        car
-        for car in result.get("cars") or ()
-        if _is_known(car, "share", "share_spread") and sentences.read_interval(car.get("share_ci95"))
-    ][:MOST_CARS]
-    if not cars:
+    known = [(car, car.share, car.share_ci95) for car in result.cars if car.share is not None and car.share_ci95]
+    rows = sorted(known[:MOST_CARS], key=lambda row: -row[1])
+    if not rows:
         return []
-    cars = sorted(cars, key=lambda car: -float(car["share"]))
-    named = {one.get("who") for one in result.get("deviations") or ()}
-    labels = [escape_label(f"{car.get('car')}{' (named)' if car.get('car') in named else ''}") for car in cars]
-    shares = [PERCENT * car["share"] for car in cars]
+    named = {one.who for one in result.deviations}
+    labels = [escape_label(f"{car.car}{' (named)' if car.car in named else ''}") for car, *_ in rows]
+    shares = [PERCENT * share for _, share, _ in rows]
     look = get_style(2)
     points = go.Scatter(
         name="car",
@@ -50,14 +44,14 @@ def _draw_cars(result: Result) -> list[Illustration]:
         error_x={
             "type": "data",
             "symmetric": False,
-            "array": [PERCENT * car["share_ci95"][1] - value for car, value in zip(cars, shares, strict=True)],
-            "arrayminus": [value - PERCENT * car["share_ci95"][0] for car, value in zip(cars, shares, strict=True)],
+            "array": [PERCENT * (high - share) for _, share, (_, high) in rows],
+            "arrayminus": [PERCENT * (share - low) for _, share, (low, _) in rows],
             "thickness": 1.5,
             "width": 4,
         },
     )
-    made = make_figure([points], 110 + ROW * len(cars))
-    spread = PERCENT * sum(car["share_spread"] for car in cars) / len(cars)
+    made = make_figure([points], 110 + ROW * len(rows))
+    spread = PERCENT * sum(car.share_spread or 0.0 for car, *_ in rows) / len(rows)
     made.add_vrect(x0=-spread, x1=spread, fillcolor="#8a8a8a", opacity=0.18, line_width=0)
     add_reference_line(made, "", 0.0)
     made.update_xaxes(title_text="Energy beyond that of the siblings [% of the energy of the car]")
@@ -70,23 +64,23 @@ def _draw_cars(result: Result) -> list[Illustration]:
     return [Illustration("cars", "Cars beside their siblings", caption, made)]
 
 
-def _draw_change(place: int, one: Mapping[str, Any]) -> Illustration:
+def _draw_change(place: int, one: CarDeviation, since: str) -> Illustration:
     """Draw what a car uses more in each shift, with the step or ramp that was found and its interval."""
-    shifts = [shift for shift in one["shifts"] if _is_known(shift, "start_s", "share", "error", "size")]
-    time = [datetime.fromtimestamp(shift["start_s"], UTC) for shift in shifts]
+    shifts = one.shifts
+    time = [datetime.fromtimestamp(shift.start_s, UTC) for shift in shifts]
     look, line = get_style(2), get_style(4)
     points = go.Scatter(
         name="shift",
         x=time,
-        y=[PERCENT * shift["share"] for shift in shifts],
+        y=[PERCENT * shift.share for shift in shifts],
         mode="markers",
         marker={"symbol": look.symbol, "size": 7, "color": look.colour},
-        error_y={"type": "data", "array": [PERCENT * shift["error"] for shift in shifts], "thickness": 1.0, "width": 0},
+        error_y={"type": "data", "array": [PERCENT * shift.error for shift in shifts], "thickness": 1.0, "width": 0},
     )
-    last = max((shift["start_s"] for shift in shifts), default=0.0)
-    value, low, high = (PERCENT * share for share in _get_full_share(one, last))
-    size = [shift["size"] for shift in shifts]
-    shape = "linear" if one.get("kind") == "ramp" else "hv"
+    last = max((shift.start_s for shift in shifts), default=0.0)
+    value, low, high = (PERCENT * share for share in _get_full_share(one, since, last))
+    size = [shift.size for shift in shifts]
+    shape = "linear" if one.kind == "ramp" else "hv"
     ends = [
         go.Scatter(
             x=time, y=[end * each for each in size], mode="lines", showlegend=False, hoverinfo="skip",
@@ -95,14 +89,14 @@ def _draw_change(place: int, one: Mapping[str, Any]) -> Illustration:
         for second, end in enumerate((low, high))
     ]  # fmt: skip
     change = go.Scatter(
-        name=str(one.get("kind")),
+        name=one.kind,
         x=time,
         y=[value * each for each in size],
         mode="lines",
         line={"color": line.colour, "dash": line.dash, "width": 2, "shape": shape},
     )
     made = make_figure([*ends, points, change], 340)
-    begin, finish = one.get("since_ci90") or (one["since"], one["since"])
+    begin, finish = one.since_ci90 or (since, since)
     made.add_vrect(x0=begin, x1=finish, fillcolor="#8a8a8a", opacity=0.18, line_width=0)
     made.update_xaxes(title_text="Date [UTC]")
     made.update_yaxes(title_text="Energy beyond the model [% of the energy]", zeroline=True)
@@ -110,22 +104,17 @@ def _draw_change(place: int, one: Mapping[str, Any]) -> Illustration:
         f"{describe_deviation(one)[0]}. Points: each shift by itself, with its standard error, for the most probable "
         "cause. Line: the change with its 95 % interval. Shaded dates: the 90 % range of its begin."
     )
-    return Illustration(f"change-{place}", f"Change of {one.get('who')}", caption, made)
+    return Illustration(f"change-{place}", f"Change of {one.who}", caption, made)
 
 
-def _is_known(row: Mapping[str, Any], *names: str) -> bool:
-    """Return whether numbers of a row are known."""
-    return all(get_number(row.get(name)) is not None for name in names)
-
-
-def _get_full_share(one: Mapping[str, Any], last: float) -> tuple[float, float, float]:
+def _get_full_share(one: CarDeviation, since: str, last: float) -> tuple[float, float, float]:
     """Return the share of the energy at the last shift, and the ends of its interval."""
-    value = get_number(one.get("share")) or 0.0
-    limits = sentences.read_interval(one.get("share_ci95")) or (value, value)
-    rate = get_number(one.get("share_per_month"))
-    if one.get("kind") != "ramp" or rate is None:
+    value = one.share or 0.0
+    limits = one.share_ci95 or (value, value)
+    rate = one.share_per_month
+    if one.kind != "ramp" or rate is None:
         return value, limits[0], limits[1]
-    begin = datetime.combine(date.fromisoformat(str(one["since"])), datetime.min.time(), UTC).timestamp()
+    begin = datetime.combine(date.fromisoformat(since), datetime.min.time(), UTC).timestamp()
     months = (last - begin) / MONTH_S
-    low, high = sentences.read_interval(one.get("share_per_month_ci95")) or (rate, rate)
+    low, high = one.share_per_month_ci95 or (rate, rate)
     return rate * months, low * months, high * months

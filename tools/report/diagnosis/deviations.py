@@ -1,7 +1,6 @@
 """Describe cars that deviate from their siblings or change, in sentences."""
 
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 from socast.core.diagnose.deviation_words import (
     SEVERAL,
@@ -11,8 +10,8 @@ from socast.core.diagnose.deviation_words import (
     name_deviating,
     word_deviation,
 )
+from socast.core.diagnose.records import CarDeviation, Diagnosis, RankedCar
 from socast.tools.report.cells import format_percent
-from socast.tools.report.evaluation.result import Result, get_number
 
 WH: Final = 1000.0
 """Watt-hours in a kilowatt-hour. [Wh/kWh]"""
@@ -38,59 +37,53 @@ DIRECTIONS: Final = {
 """What a positive and a negative deviation in each direction mean."""
 
 
-def describe_deviations(result: Result) -> list[str]:
+def describe_deviations(result: Diagnosis) -> list[str]:
     """Return one sentence for each deviation with what would distinguish its causes, then cars in spreads."""
     lines: list[str] = []
-    for one in result.get("deviations") or ():
+    for one in result.deviations:
         lines += describe_deviation(one)
-    if not lines and result.get("cars"):
+    if not lines and result.cars:
         lines.append("No car deviates from its siblings beyond the spread between cars, and nothing changed.")
-    named = {one.get("who") for one in result.get("deviations") or ()}
-    return lines + [
-        line
-        for car in (result.get("cars") or ())[:MOST_CARS]
-        if car.get("car") not in named and (line := describe_spread(car))
-    ]
+    named = {one.who for one in result.deviations}
+    return lines + [line for car in result.cars[:MOST_CARS] if car.car not in named and (line := describe_spread(car))]
 
 
-def describe_deviation(one: Mapping[str, Any]) -> list[str]:
+def describe_deviation(one: CarDeviation) -> list[str]:
     """Return a deviation as a sentence, its size, what would distinguish its causes, and the command that adds it.
 
     Examples
     --------
-    >>> describe_deviation({
-    ...     "who": "taxi-005", "kind": "step", "share": 0.041, "share_ci95": [0.032, 0.05], "since": "2018-11-14",
-    ...     "since_ci90": ["2018-11-12", "2018-11-16"],
-    ...     "causes": [{"effect": "tyre_pressure", "probability": 0.94}],
-    ... })
+    >>> low_tyre = CauseProbability(effect="tyre_pressure", probability=0.94)
+    >>> size = {"share": 0.041, "share_ci95": (0.032, 0.05)}
+    >>> since = {"since": "2018-11-14", "since_ci90": ("2018-11-12", "2018-11-16")}
+    >>> describe_deviation(CarDeviation(who="taxi-005", kind="step", causes=[low_tyre], **size, **since))
     ['taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018 (12 to 16 November): low tyre pressure 94 %']
     """
-    causes = one.get("causes") or ()
+    causes = one.causes
     lines = [word_deviation(one)]
     if not has_certain_size(one):
         lines.append("- the interval of its size contains zero: record more rides before you rely on it")
     amounts = []
-    if (per_km := get_number(one.get("kwh_per_km"))) is not None:
+    if (per_km := one.kwh_per_km) is not None:
         amounts.append(f"{WH * per_km:+.3g} Wh/km")
-    if (per_month := get_number(one.get("kwh_per_month"))) is not None:
+    if (per_month := one.kwh_per_month) is not None:
         amounts.append(f"{per_month:+.3g} kWh per month")
     if amounts:
         lines.append(f"- {', '.join(amounts)} of the rides that were diagnosed")
     if len(causes) > 1:
-        remedies = dict.fromkeys(str(cause["shown_by"]) for cause in causes[:SEVERAL] if cause.get("shown_by"))
+        remedies = dict.fromkeys(cause.shown_by for cause in causes[:SEVERAL] if cause.shown_by)
         lines += [f"- to distinguish the causes, record {remedy}" for remedy in remedies]
-    if one.get("words") and (len(causes) == 1 or not has_certain_share(one)):
-        words = str(one["words"])
-        lines.append(f"- {words}" if len(causes) == 1 else f"- if it is {name_cause(str(one.get('effect')))}: {words}")
-    return [*lines, str(one["command"])] if one.get("command") else lines
+    if one.words and (len(causes) == 1 or not has_certain_share(one)):
+        lines.append(f"- {one.words}" if len(causes) == 1 else f"- if it is {name_cause(one.effect)}: {one.words}")
+    return [*lines, one.command] if one.command else lines
 
 
-def describe_finding(found: Mapping[str, Any]) -> list[str]:
+def describe_finding(found: CarDeviation) -> list[str]:
     """Return a deviation with the probability that it is real."""
-    q = get_number(found.get("q"))
+    q = found.q
     lines = [f"Finding: {word_deviation(found, sized=has_certain_share(found))}."]
-    if not has_certain_share(found) and found.get("words"):
-        lines.append(f"If the cause is {name_cause(str(found.get('effect')))}, {found['words']}.")
+    if not has_certain_share(found) and found.words:
+        lines.append(f"If the cause is {name_cause(found.effect)}, {found.words}.")
     if q is not None:
         sure = f"more than {format_percent(MOST_SURE)}" if 1.0 - q > MOST_SURE else format_percent(1.0 - q)
         lines.append(
@@ -100,33 +93,34 @@ def describe_finding(found: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def advise_test(found: Mapping[str, Any], then: str = "") -> list[str]:
+def advise_test(found: CarDeviation, then: str = "") -> list[str]:
     """Return how to test a deviation, with the command where a term can hold it."""
-    who, since, effect = name_deviating(found), found.get("since"), str(found.get("effect"))
+    who, since, effect = name_deviating(found), found.since, found.effect
     when = f" since {since}" if since else ""
-    if not found.get("columns"):
-        what = "a growth" if found.get("kind") == "ramp" else "a group"
+    if not found.columns:
+        what = "a growth" if found.kind == "ramp" else "a group"
         lines = [
             f"Check {who} for {name_cause(effect)}{when}: no term of a model holds {what}, so no command tests it."
         ]
     else:
         lines = [f"Test the finding on days to which it was not fitted: add {effect} in {who}{when}."]
-        lines += [str(found["command"])] if found.get("command") else []
+        lines += [found.command] if found.command else []
     return [f"{then} {lines[0][0].lower()}{lines[0][1:]}", *lines[1:]] if then else lines
 
 
-def describe_spread(car: Mapping[str, Any]) -> str:
+def describe_spread(car: RankedCar) -> str:
     """Return the largest deviation of a car in spreads, or an empty text where it is small or uncertain.
 
     Examples
     --------
-    >>> describe_spread({"car": "taxi-005", "spreads": [{"direction": "rolling", "value": 1.34, "error": 0.5}]})
+    >>> rolling = DirectionSpread(direction="rolling", value=1.34, error=0.5)
+    >>> describe_spread(RankedCar(car="taxi-005", spreads=[rolling]))
     'taxi-005 rolls harder than its siblings by 1.3 ± 0.5 spreads between cars, which is not unusual'
     """
-    most = max(car.get("spreads") or (), key=lambda each: abs(each["value"]), default=None)
-    if most is None or abs(most["value"]) < max(NOTABLE, most["error"]) or most["direction"] not in DIRECTIONS:
+    most = max(car.spreads, key=lambda each: abs(each.value), default=None)
+    if most is None or abs(most.value) < max(NOTABLE, most.error) or most.direction not in DIRECTIONS:
         return ""
-    words = DIRECTIONS[most["direction"]][0 if most["value"] > 0.0 else 1]
-    size = f"{abs(most['value']):.1f} ± {most['error']:.1f} spreads between cars"
-    usual = ", which is not unusual" if abs(most["value"]) < 2.0 * NOTABLE else ""
-    return f"{car.get('car')} {words} than its siblings by {size}{usual}"
+    words = DIRECTIONS[most.direction][0 if most.value > 0.0 else 1]
+    size = f"{abs(most.value):.1f} ± {most.error:.1f} spreads between cars"
+    usual = ", which is not unusual" if abs(most.value) < 2.0 * NOTABLE else ""
+    return f"{car.car} {words} than its siblings by {size}{usual}"

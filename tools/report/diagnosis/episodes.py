@@ -1,12 +1,12 @@
 """Describe episodes, hours of a few dates in which the power is off, in sentences and in a table."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from datetime import date
-from typing import Any, Final
+from typing import Final
 
+from socast.core.diagnose.records import Diagnosis, FoundEpisode
 from socast.core.formatting import format_minus
 from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
-from socast.tools.report.evaluation.result import Result, get_mapping, get_number
 
 MOST_DATES: Final = 6
 """Number of dates above which only their number, the first and the last one are written out."""
@@ -19,9 +19,9 @@ NOTE: Final = (
 )
 
 
-def describe_leading_episode(result: Result) -> list[str]:
+def describe_leading_episode(result: Diagnosis) -> list[str]:
     """Return the sentence with which a report begins where hours of a few dates hold much of the error."""
-    found = result.get("episodes") or ()
+    found = result.episodes
     if not found:
         return []
     more = f" {len(found) - 1} further: see Episodes." if len(found) > 1 else ""
@@ -29,38 +29,38 @@ def describe_leading_episode(result: Result) -> list[str]:
     return [f"{what}. Look at {_these(found)} before you add an effect.{more}"]
 
 
-def describe_episodes(result: Result) -> list[str]:
+def describe_episodes(result: Diagnosis) -> list[str]:
     """Return each episode with its dates, size and cars, what it may be, and the command that shows its worst ride."""
     lines = []
-    for one in result.get("episodes") or ():
-        rides = one.get("rides") or ()
-        cars = f"{format_count(len(one.get('cars') or ()))} of {format_count(one.get('cars_driving'))}"
+    for one in result.episodes:
+        rides = one.rides
+        cars = f"{format_count(len(one.cars))} of {format_count(one.cars_driving)}"
         lines.append(
             f"{_list_dates(one)}, {_word_hours(one)}: {_word_power(one)} in {cars} cars that drove then, "
-            f"{format_count(len(rides))} rides; {format_percent(one.get('share'))} of the squared error of rides. "
+            f"{format_count(len(rides))} rides; {format_percent(one.share)} of the squared error of rides. "
             f"Chance shows an episode as clear in {_word_chance(one)} of diagnoses."
         )
         lines.append(f"- {_suggest_cause(one, result)}")
         lines += [f"- the ride with the largest part of it is {rides[0]}"] if rides else []
-        lines += [str(one["command"])] if one.get("command") else []
+        lines += [one.command] if one.command else []
     if lines:
         lines.append("What follows leaves the power of these hours out, so that no effect is named for it.")
     return lines
 
 
-def advise_looking(result: Result) -> list[str]:
+def advise_looking(result: Diagnosis) -> list[str]:
     """Return what to do about the first episode, with the command where there is one."""
-    found = result.get("episodes") or ()
+    found = result.episodes
     if not found:
         return []
     line = (
         f"First look at the recordings of {_list_dates(found[0])}, {_word_hours(found[0])}: leave these rides out if a "
         "logger is wrong, or explain them by an effect of your own."
     )
-    return [line, str(found[0]["command"])] if found[0].get("command") else [line]
+    return [line, found[0].command] if found[0].command else [line]
 
 
-def tabulate_episodes(result: Result) -> ReportTable:
+def tabulate_episodes(result: Diagnosis) -> ReportTable:
     """Return the episodes, the clearest first."""
     rows = tuple(
         Row(
@@ -68,72 +68,70 @@ def tabulate_episodes(result: Result) -> ReportTable:
             (
                 Cell(_word_hours(one)),
                 Cell(_word_power(one)),
-                Cell(format_percent(one.get("share"))),
-                Cell(", ".join(map(str, one.get("cars") or ())) or UNKNOWN),
-                Cell(format_count(len(one.get("rides") or ()))),
+                Cell(format_percent(one.share)),
+                Cell(", ".join(one.cars) or UNKNOWN),
+                Cell(format_count(len(one.rides))),
                 Cell(_word_chance(one)),
             ),
         )
-        for one in result.get("episodes") or ()
+        for one in result.episodes
     )
     return ReportTable("Episodes", "dates", ("hours", "power", "share", "cars", "rides", "chance"), rows, (NOTE,))
 
 
-def _word_share(one: Mapping[str, Any]) -> str:
+def _word_share(one: FoundEpisode) -> str:
     """Return where which share of the error is concentrated."""
-    share = format_percent(one.get("share"), 0)
-    dates = list(one.get("dates") or [""])
-    on = _format_date(str(dates[0])) if len(dates) == 1 else f"{len(dates)} dates"
+    share = format_percent(one.share, 0)
+    on = _format_date(one.dates[0]) if len(one.dates) == 1 else f"{len(one.dates)} dates"
     return f"{share} of the squared error is concentrated on {on}, {_word_hours(one)}"
 
 
-def _word_power(one: Mapping[str, Any]) -> str:
+def _word_power(one: FoundEpisode) -> str:
     """Return the power with its interval.
 
-    >>> _word_power({"power_kw": 6.02, "power_ci95_kw": [5.66, 6.38]})
+    >>> _word_power(FoundEpisode(power_kw=6.02, power_ci95_kw=(5.66, 6.38)))
     '+6.0 kW (95 % interval 5.7 to 6.4)'
     """
-    power, limits = get_number(one.get("power_kw")), one.get("power_ci95_kw") or ()
-    low, high = [get_number(each) for each in limits] if len(limits) == 2 else [None, None]
-    if power is None:
+    if one.power_kw is None:
         return UNKNOWN
-    interval = "" if low is None or high is None else f" (95 % interval {low:.1f} to {high:.1f})"
-    return format_minus(f"{power:+.1f} kW{interval}")
+    limits = one.power_ci95_kw
+    interval = f" (95 % interval {limits[0]:.1f} to {limits[1]:.1f})" if limits else ""
+    return format_minus(f"{one.power_kw:+.1f} kW{interval}")
 
 
-def _word_hours(one: Mapping[str, Any]) -> str:
+def _word_hours(one: FoundEpisode) -> str:
     """Return the hours of an episode.
 
-    >>> _word_hours({"hours_utc": [22, 2]}), _word_hours({"hours_utc": [6, 21], "whole_dates": True})
+    >>> _word_hours(FoundEpisode(hours_utc=(22, 2))), _word_hours(FoundEpisode(hours_utc=(6, 21), whole_dates=True))
     ('22 to 2 h UTC', 'all hours')
     """
-    first, last = one.get("hours_utc") or [UNKNOWN, UNKNOWN]
-    return "all hours" if one.get("whole_dates") else f"{first} to {last} h UTC"
+    first, last = one.hours_utc or (UNKNOWN, UNKNOWN)
+    return "all hours" if one.whole_dates else f"{first} to {last} h UTC"
 
 
-def _word_car(one: Mapping[str, Any]) -> str:
-    return f", in {one['car']} alone" if one.get("car") else ""
+def _word_car(one: FoundEpisode) -> str:
+    return f", in {one.car} alone" if one.car else ""
 
 
-def _word_chance(one: Mapping[str, Any]) -> str:
+def _word_chance(one: FoundEpisode) -> str:
     """Return the probability of so clear an episode by chance, or its bound."""
-    chance = get_number(one.get("chance"))
+    chance = one.chance
     if chance is None:
         return UNKNOWN
     return f"less than {format_percent(LEAST_CHANCE)}" if chance < LEAST_CHANCE else f"{format_percent(chance)}"
 
 
-def _these(found: Any) -> str:
-    return "this date" if len(found[0].get("dates") or ()) == 1 else "these dates"
+def _these(found: Sequence[FoundEpisode]) -> str:
+    return "this date" if len(found[0].dates) == 1 else "these dates"
 
 
-def _list_dates(one: Mapping[str, Any]) -> str:
+def _list_dates(one: FoundEpisode) -> str:
     """Return the dates in words.
 
-    >>> _list_dates({"dates": ["2018-11-01", "2018-11-22"]})
+    >>> _list_dates(FoundEpisode(dates=["2018-11-01", "2018-11-22"]))
     '1 November 2018 and 22 November 2018'
     """
-    dates = [_format_date(str(each)) for each in one.get("dates") or ()]
+    dates = [_format_date(each) for each in one.dates]
     if len(dates) > MOST_DATES:
         return f"{len(dates)} dates from {dates[0]} to {dates[-1]}"
     return " and ".join(part for part in (", ".join(dates[:-1]), *dates[-1:]) if part)
@@ -141,18 +139,16 @@ def _list_dates(one: Mapping[str, Any]) -> str:
 
 def _format_date(day: str) -> str:
     """Return an ISO date in words."""
-    if not day:
-        return UNKNOWN
     when = date.fromisoformat(day)
     return f"{when.day} {when:%B %Y}"
 
 
-def _suggest_cause(one: Mapping[str, Any], result: Result) -> str:
+def _suggest_cause(one: FoundEpisode, result: Diagnosis) -> str:
     """Return what an episode may be, by the cars that it concerns."""
-    car, vehicles = one.get("car"), get_number(get_mapping(result, "data").get("vehicles"))
+    car, vehicles = one.car, result.data.vehicles
     if car and vehicles == 1:
         return "these data are of one car, so that weather, a load or its logger are not distinguishable"
-    if car and one.get("cars_driving") == 1:
+    if car and one.cars_driving == 1:
         return f"no other car shows the same: look at {car} first, its logger or a load of its own"
     if car:
         return f"others drove then without it: this is a matter of {car}, such as its logger or a load of its own"

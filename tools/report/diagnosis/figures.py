@@ -1,12 +1,13 @@
 """Draw a diagnosis: error against noise, slices, effects with their intervals, and the remaining error."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import plotly.graph_objects as go
 
+from socast.core.diagnose.records import Diagnosis, ErrorStep, NamedEffect
+from socast.core.records import ConfidenceInterval
 from socast.tools.report.cells import format_count
-from socast.tools.report.diagnosis import sentences
 from socast.tools.report.diagnosis.partial_figures import (
     describe_coefficient,
     draw_coefficient_rows,
@@ -14,7 +15,6 @@ from socast.tools.report.diagnosis.partial_figures import (
 )
 from socast.tools.report.diagnosis.residual_figures import draw_profiles
 from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.result import Result, get_mapping, get_number
 from socast.tools.report.figure_style import add_reference_line, draw_bars, escape_label, get_style, make_figure
 
 ROW: Final = 34
@@ -22,21 +22,21 @@ ROW: Final = 34
 PERCENT: Final = 100.0
 
 
-def draw_errors(result: Result) -> list[Illustration]:
+def draw_errors(result: Diagnosis) -> list[Illustration]:
     """Draw the error of the model as given, refitted, and with each missing effect added, against the noise."""
-    errors = get_mapping(result, "error")
-    rows: list[tuple[str, float | None, Any]] = [("as given", get_number(errors.get("mae_kwh")), None)]
-    steps = [step for step in result.get("steps") or () if get_number(step.get("mae_kwh")) is not None]
-    rows += [(_step(step), step["mae_kwh"], step.get("mae_ci95_kwh")) for step in steps]
+    errors = result.error
+    rows: list[tuple[str, float | None, Any]] = [("as given", errors.mae_kwh, None)]
+    steps = [step for step in result.steps if step.mae_kwh is not None]
+    rows += [(_step(step), step.mae_kwh, step.mae_ci95_kwh) for step in steps]
     if not steps:
-        rows.append(("same terms refitted", get_number(errors.get("mae_refitted_kwh")), None))
+        rows.append(("same terms refitted", errors.mae_refitted_kwh, None))
     known = [(what, float(value), spread) for what, value, spread in rows if value is not None]
     if not known:
         return []
     values = [value for _, value, _ in known]
     spans = [_span(value, spread) for _, value, spread in known]
     made = _forest("error", [what for what, _, _ in known], values, spans, place=2)
-    if (floor := get_number(errors.get("noise_floor_kwh"))) is not None:
+    if (floor := errors.noise_floor_kwh) is not None:
         made.add_vrect(x0=0.0, x1=floor, fillcolor="#8a8a8a", opacity=0.15, line_width=0, layer="below")
         add_reference_line(made, "measurement noise", floor)
     made.update_xaxes(title_text="Mean absolute error of a ride [kWh]", rangemode="tozero")
@@ -49,14 +49,14 @@ def draw_errors(result: Result) -> list[Illustration]:
     return [Illustration("errors", "Error against measurement noise, step by step", caption, made)]
 
 
-def draw_slices(result: Result) -> list[Illustration]:
+def draw_slices(result: Diagnosis) -> list[Illustration]:
     """Draw the bias of each slice with its interval."""
-    rows = [one for one in result.get("slices") or () if get_number(one.get("bias_kwh")) is not None]
+    rows = result.slices
     if not rows:
         return []
-    spans = [_span(one["bias_kwh"], one.get("ci95")) for one in rows]
-    names = [f"{one.get('where')} ({format_count(one.get('rides'))})" for one in rows]
-    made = _forest("bias", names, [one["bias_kwh"] for one in rows], spans, place=4)
+    spans = [one.ci95 for one in rows]
+    names = [f"{one.where} ({format_count(one.rides)})" for one in rows]
+    made = _forest("bias", names, [one.bias_kwh for one in rows], spans, place=4)
     made.update_xaxes(title_text="Bias less that of other rides [kWh]")
     made.update_yaxes(title_text="Rides")
     add_reference_line(made, "", 0.0)
@@ -67,14 +67,14 @@ def draw_slices(result: Result) -> list[Illustration]:
     return [Illustration("slices", "Where the model fails", caption, made)]
 
 
-def draw_effects(result: Result) -> list[Illustration]:
+def draw_effects(result: Diagnosis) -> list[Illustration]:
     """Draw the gain of each missing effect with its interval."""
-    rows = [one for one in result.get("missing") or () if get_number(one.get("gain")) is not None]
+    rows = [one for one in result.missing if one.gain is not None]
     if not rows:
         return []
-    names = [f"{i}. {sentences.name_effect(one)}{_scope(one)}" for i, one in enumerate(rows, start=1)]
-    gains = [PERCENT * one["gain"] for one in rows]
-    limits = [sentences.read_interval(one.get("gain_ci95")) for one in rows]
+    names = [f"{i}. {one.name}{_scope(one)}" for i, one in enumerate(rows, start=1)]
+    gains = [PERCENT * (one.gain or 0.0) for one in rows]
+    limits = [one.gain_ci95 for one in rows]
     spans = [None if pair is None else (PERCENT * pair[0], PERCENT * pair[1]) for pair in limits]
     made = _forest("gain", names, gains, spans, place=5)
     low = min(0.0, *gains, *(pair[0] for pair in spans if pair))
@@ -92,31 +92,29 @@ def draw_effects(result: Result) -> list[Illustration]:
     return [gains_figure, *draw_coefficients(rows), *draw_partial_residuals(result)]
 
 
-def draw_coefficients(rows: Sequence[Mapping[str, Any]]) -> list[Illustration]:
+def draw_coefficients(rows: Sequence[NamedEffect]) -> list[Illustration]:
     """Draw each coefficient with its interval in its own unit, over its plausible range."""
     shown = []
     for place, one in enumerate(rows):
-        coefficient = get_mapping(one, "coefficient")
-        value, low, high = (get_number(coefficient.get(key)) for key in ("value", "low", "high"))
+        coefficient = one.coefficient
+        value, low, high = coefficient.value, coefficient.low, coefficient.high
         if value is None or low is None or high is None or high <= low:
             continue
-        name = sentences.name_effect(one)
-        quantity = describe_coefficient(get_mapping(one, "partial_residual"))
-        made = draw_coefficient_rows(
-            [(str(one.get("effect")), value, coefficient.get("ci95"))], coefficient, quantity, "Effect"
-        )
+        name = one.name
+        quantity = describe_coefficient(one.partial_residual)
+        made = draw_coefficient_rows([(one.effect, value, coefficient.ci95)], coefficient, quantity, "Effect")
         caption = "Line: 95 % interval. Shaded: the plausible range. A coefficient outside it may have another cause."
         title = f"{place + 1}. {name}: coefficient and plausible range"
         shown.append(Illustration(f"coefficient-{place}", title, caption, made, small=True))
     return shown
 
 
-def draw_remainder(result: Result) -> list[Illustration]:
+def draw_remainder(result: Diagnosis) -> list[Illustration]:
     """Draw how much of the remaining error can be predicted, and its mean along each feature."""
-    part = get_mapping(result, "structure")
+    part = result.structure
     bars = [
-        ("before the missing effects", get_number(part.get("before"))),
-        ("after them", get_number(part.get("after"))),
+        ("before the missing effects", part.before),
+        ("after them", part.after),
     ]
     known = [(what, PERCENT * max(value, 0.0)) for what, value in bars if value is not None]
     shown = []
@@ -149,18 +147,14 @@ def _forest(name: str, names: list[str], values: list[float], spans: Sequence[An
     return made
 
 
-def _span(value: float, ci95: Any) -> tuple[float, float] | None:
-    """Return the ends of an interval that is given by its ends or by half its width."""
-    if (limits := sentences.read_interval(ci95)) is not None:
-        return limits
-    half = get_number(ci95)
+def _span(value: float, half: float | None) -> ConfidenceInterval | None:
+    """Return the ends of an interval that is given by half its width."""
     return None if half is None else (value - half, value + half)
 
 
-def _scope(part: Mapping[str, Any]) -> str:
-    scope = str(part.get("scope") or "all")
-    return "" if scope == "all" else f", {scope}"
+def _scope(part: NamedEffect | ErrorStep) -> str:
+    return "" if part.scope == "all" else f", {part.scope}"
 
 
-def _step(step: Mapping[str, Any]) -> str:
-    return "same terms refitted" if not step.get("effect") else f"with {step['effect']}{_scope(step)}"
+def _step(step: ErrorStep) -> str:
+    return "same terms refitted" if not step.effect else f"with {step.effect}{_scope(step)}"

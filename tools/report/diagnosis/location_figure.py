@@ -1,14 +1,14 @@
 """Draw by how much rides, days and vehicles differ in each kind of load."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from socast.tools.report.diagnosis.location_sentences import LEVEL_NAMES, is_known
+from socast.core.diagnose.records import Diagnosis, LocatedLoad
+from socast.tools.report.diagnosis.location_sentences import LEVEL_NAMES
 from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.result import Result, get_number, get_part
 from socast.tools.report.figure_style import apply_layout, get_style
 
 ROW: Final = 26
@@ -32,14 +32,14 @@ CAPTION: Final = (
 )
 
 
-def draw_location(result: Result) -> list[Illustration]:
+def draw_location(result: Diagnosis) -> list[Illustration]:
     """Draw the size of each load with its interval, as a mean power: a panel for each level, a row for each kind."""
-    loads = [one for one in get_part(result, "error_location", "estimates") or () if is_known(one)]
-    levels = [level for level in LEVEL_NAMES if any(one["level"] == level for one in loads)]
+    loads = result.error_location.estimates
+    levels = [level for level in LEVEL_NAMES if any(one.level == level for one in loads)]
     if not loads:
         return []
     panels = [
-        sorted((one for one in loads if one["level"] == level), key=lambda one: list(KINDS).index(str(one["kind"])))
+        sorted((one for one in loads if one.level == level), key=lambda one: list(KINDS).index(one.kind))
         for level in levels
     ]
     rows = [len(panel) for panel in panels]
@@ -61,31 +61,31 @@ def draw_location(result: Result) -> list[Illustration]:
     made.update_xaxes(rangemode="tozero", tickangle=0, nticks=6)
     made.update_xaxes(title_text="Standard deviation, as a mean power [W]", row=len(panels), col=1)
     for row, panel in enumerate(panels, start=1):
-        names = [KINDS[str(one["kind"])] for one in panel]
+        names = [KINDS[one.kind] for one in panel]
         made.update_yaxes(type="category", categoryorder="array", categoryarray=names, row=row, col=1)
         made.update_yaxes(title_text="Load", range=[len(names) - 0.5, -0.5], row=row, col=1)
     return [Illustration("location", "Location of the error", CAPTION, made)]
 
 
-def _draw_sizes(panel: Sequence[Mapping[str, Any]]) -> list[go.Scatter]:
+def _draw_sizes(panel: Sequence[LocatedLoad]) -> list[go.Scatter]:
     """Return the points of a level with their intervals, claimed ones filled."""
     traces = []
     for name, place, filled in (("unexplained load", 2, True), ("not claimed", 7, False)):
-        mine = [one for one in panel if bool(one.get("claimed")) is filled]
+        mine = [one for one in panel if one.claimed is filled]
         look = get_style(place)
         symbol = "circle" if filled else "circle-open"
         spans = {
             "type": "data",
-            "array": [one["high_w"] - one["size_w"] for one in mine],
-            "arrayminus": [one["size_w"] - one["low_w"] for one in mine],
+            "array": [one.high_w - one.size_w for one in mine],
+            "arrayminus": [one.size_w - one.low_w for one in mine],
             "symmetric": False,
             "thickness": 1.5,
             "width": 4,
         }
         points = go.Scatter(
             name=name,
-            x=[one["size_w"] for one in mine],
-            y=[KINDS[str(one["kind"])] for one in mine],
+            x=[one.size_w for one in mine],
+            y=[KINDS[one.kind] for one in mine],
             mode="markers",
             marker={"symbol": symbol, "size": 10, "color": look.colour, "line": {"width": 1.5, "color": look.colour}},
             error_x=spans,
@@ -95,14 +95,13 @@ def _draw_sizes(panel: Sequence[Mapping[str, Any]]) -> list[go.Scatter]:
     return traces
 
 
-def _draw_floors(panel: Sequence[Mapping[str, Any]]) -> list[go.Scatter]:
+def _draw_floors(panel: Sequence[LocatedLoad]) -> list[go.Scatter]:
     """Return the ticks of a level: the size of each load that drives show without any."""
-    known = [one for one in panel if get_number(one.get("floor_w")) is not None]
     ticks = go.Scatter(
         name="limit of sampling",
-        x=[one["floor_w"] for one in known],
-        y=[KINDS[str(one["kind"])] for one in known],
+        x=[one.floor_w for one in panel],
+        y=[KINDS[one.kind] for one in panel],
         mode="markers",
         marker={"symbol": "line-ns-open", "size": 14, "color": "#8a8a8a", "line": {"width": 2.5}},
     )
-    return [ticks] if known else []
+    return [ticks]

@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
+from socast.core.diagnose.records import Diagnosis, ErrorLocation, LocatedLoad
 from socast.tools.report.cells import format_count, format_percent
-from socast.tools.report.evaluation.result import Result, get_mapping, get_number
 
 UNITS: Final = {
     "ride": "ride",
@@ -104,33 +104,29 @@ LEAST_SHARE: Final = 0.005
 """Least share of the squared error that is mentioned."""
 
 
-def format_size(load: Mapping[str, Any], key: str = "size") -> str:
+def format_size(value: float, unit: str) -> str:
     """Return a size with its unit.
 
     Examples
     --------
-    >>> format_size({"size": 1478.5, "unit": "W"}), format_size({"size": 22.6, "unit": "%"})
+    >>> format_size(1478.5, "W"), format_size(22.6, "%")
     ('1,480 W', '23 %')
     """
-    value = get_number(load.get(key)) or 0.0
-    if load.get("unit") != "W":
+    if unit != "W":
         return f"{value:.0f} %"
     return f"{float(f'{value:.3g}'):,.0f} W" if value >= 1000.0 else f"{value:.0f} W"
 
 
-def describe_location(result: Result) -> list[str]:
+def describe_location(result: Diagnosis) -> list[str]:
     """Return where the error of a model lives, a line for each load, and what the data cannot show."""
-    location = get_mapping(result, "error_location")
-    if not location:
-        return []
-    loads = location.get("loads") or ()
-    absent, partial = location.get("absent_signals") or (), dict(location.get("partial_signals") or {})
-    known_in = {str(each): _word_known_rides(partial.get(each)) for each in absent}
+    location = result.error_location
+    partial = location.partial_signals
+    known_in = {each: _word_known_rides(partial.get(each)) for each in location.absent_signals}
     lines = describe_shares(location)
-    lines += [describe_load(load, known_in) for load in loads if is_known(load)]
-    if not loads and location.get("estimates"):
+    lines += [describe_load(load, known_in) for load in location.loads]
+    if not location.loads and location.estimates:
         lines.append("No load differs between rides, days or vehicles beyond what sampling causes.")
-    if absent:
+    if known_in:
         unseen = (
             f"{JUDGED_BY[each]} ({_word_signal(each, in_)})" for each, in_ in known_in.items() if each in JUDGED_BY
         )
@@ -138,12 +134,9 @@ def describe_location(result: Result) -> list[str]:
     return lines
 
 
-def _word_known_rides(counts: Any) -> str:
+def _word_known_rides(counts: tuple[int, int] | None) -> str:
     """Return in how many of all rides a signal is known, an empty text where it is in none."""
-    numbers = [get_number(each) for each in counts] if isinstance(counts, list | tuple) else []
-    if len(numbers) != 2 or None in numbers:
-        return ""
-    return f"{format_count(numbers[0])} of {format_count(numbers[1])} rides"
+    return "" if counts is None else f"{format_count(counts[0])} of {format_count(counts[1])} rides"
 
 
 def _word_signal(name: str, known_in: str) -> str:
@@ -151,13 +144,7 @@ def _word_signal(name: str, known_in: str) -> str:
     return f"{name} in {known_in} only" if known_in else f"no {name}"
 
 
-def is_known(load: Mapping[str, Any]) -> bool:
-    """Return whether the level, the kind and the size of a load are known."""
-    sizes = [get_number(load.get(key)) for key in ("size_w", "low_w", "high_w")]
-    return str(load.get("level")) in LEVEL_NAMES and str(load.get("kind")) in KIND_NAMES and None not in sizes
-
-
-def describe_load(load: Mapping[str, Any], absent: Mapping[str, str] = NONE_ABSENT) -> str:
+def describe_load(load: LocatedLoad, absent: Mapping[str, str] = NONE_ABSENT) -> str:
     """Return a load in a person's words, with its likely cause and a remedy.
 
     Parameters
@@ -165,31 +152,30 @@ def describe_load(load: Mapping[str, Any], absent: Mapping[str, str] = NONE_ABSE
     absent : mapping of str to str
         Signals that most rides lack, each with the rides that have it in words, such as `15 of 31 rides`.
     """
-    level, kind = str(load.get("level")), str(load.get("kind"))
-    what = LOADS[kind].format(size=format_size(load))
-    low, high = format_size(load, "low"), format_size(load, "high")
+    level, kind = load.level, load.kind
+    size, low, high = (format_size(value, load.unit) for value in (load.size, load.low, load.high))
+    what = LOADS[kind].format(size=size)
     cause, remedy = CAUSES[kind][level]
     if "climate power" in remedy and "climate power" not in absent:
         remedy = "The drives contain the measured climate power: compare it."
     elif "climate power" in remedy and (rides := absent["climate power"]):
         remedy = f"{rides} contain the measured climate power: compare it there. {remedy}"
-    watts = get_number(load.get("size_w")) or 0.0
-    mean = "" if kind == "constant" else f", {watts:.0f} W on average"
+    mean = "" if kind == "constant" else f", {load.size_w:.0f} W on average"
     text = (
         f"Each {UNITS[level]} {what} (95 % interval {low.removesuffix(' W').removesuffix(' %')} to {high}{mean}), "
         f"which the model does not explain: {cause}. {remedy}"
     )
-    rivals = [KIND_NAMES[str(each)] for each in load.get("other_kinds") or ()]
-    rivals += [f"per {LEVEL_NAMES[str(each)]}" for each in load.get("other_levels") or ()]
+    rivals = [KIND_NAMES[each] for each in load.other_kinds]
+    rivals += [f"per {LEVEL_NAMES[each]}" for each in load.other_levels]
     return f"{text} Not distinguishable from a load {' or '.join(rivals)}." if rivals else text
 
 
-def describe_shares(location: Mapping[str, Any]) -> list[str]:
+def describe_shares(location: ErrorLocation) -> list[str]:
     """Return how much of the error is measurement noise, and how much is unexplained at which level."""
-    shares = {str(name): get_number(share) or 0.0 for name, share in dict(location.get("shares") or {}).items()}
+    shares = dict(location.shares)
     if not shares:
         return []
-    most = "at most " if location.get("noise_limited") else ""
+    most = "at most " if location.noise_limited else ""
     parts = [f"{most}{format_percent(shares.pop('measurement', 0.0), 0)} is measurement noise"]
     scatter = shares.pop("scatter", 0.0)
     if scatter >= LEAST_SHARE:

@@ -6,14 +6,14 @@ from html import escape
 from pathlib import Path
 from textwrap import wrap
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
 from socast.core.diagnose.deviation_words import find_leading_deviation
-from socast.core.records import to_json_values
+from socast.core.diagnose.records import Diagnosis
 from socast.tools.report.diagnosis import deviations, episodes, figures, sentences, tables
 from socast.tools.report.diagnosis.cause_figures import draw_causes
 from socast.tools.report.diagnosis.deviation_figures import draw_deviations
@@ -21,7 +21,6 @@ from socast.tools.report.diagnosis.location_figure import draw_location
 from socast.tools.report.diagnosis.location_sentences import describe_location
 from socast.tools.report.diagnosis.partial_figures import is_drawn, name_figure
 from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.result import Result, get_mapping
 from socast.tools.report.evaluation.sections import Section
 from socast.tools.report.evaluation.terminal import print_section
 from socast.tools.report.page import NO_BREAK, escape_text, keep_units, render_document, save
@@ -31,13 +30,13 @@ COMMAND: Final = "socast "
 LIST_MARK: Final = re.compile(r"- |\d+\. ")
 NONE_MISSING: Final = "No effect of the library is probable enough to be named."
 """Text of a diagnosis that finds nothing."""
-DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProxyType(
+DRAWN: Final[Mapping[str, Callable[[Diagnosis], list[Illustration]]]] = MappingProxyType(
     {
         "error": figures.draw_errors,
         "slices": figures.draw_slices,
         "location": draw_location,
         "cars": draw_deviations,
-        "causes": lambda result: draw_causes(result.get("causes") or ()),
+        "causes": lambda result: draw_causes(result.causes),
         "missing": figures.draw_effects,
         "remains": figures.draw_remainder,
     }
@@ -45,19 +44,17 @@ DRAWN: Final[Mapping[str, Callable[[Result], list[Illustration]]]] = MappingProx
 """Functions that draw the figures of a section, by the key of the section."""
 
 
-def show(result: Any, console: Console, *, suggested: str | None = None) -> None:
+def show(result: Diagnosis, console: Console, *, suggested: str | None = None) -> None:
     """Print a diagnosis: the data, the error, where the model fails, the missing effects and the next step."""
-    values = to_json_values(result)
-    model = get_mapping(values, "model")
-    print_heading(f"Diagnosis of {model.get('name')}, version {model.get('version')}", console)
-    print_lines(sentences.describe_verdict(values), console, strong=True)
-    print_lines(sentences.describe_data(values), console)
-    if lines := episodes.describe_episodes(values):
+    print_heading(f"Diagnosis of {result.model.name}, version {result.model.version}", console)
+    print_lines(sentences.describe_verdict(result), console, strong=True)
+    print_lines(sentences.describe_data(result), console)
+    if lines := episodes.describe_episodes(result):
         print_heading("Episodes", console)
         print_lines(lines, console)
     print_heading("Error", console)
-    print_lines(sentences.describe_error(values), console)
-    slices = tables.tabulate_slices(values)
+    print_lines(sentences.describe_error(result), console)
+    slices = tables.tabulate_slices(result)
     if slices.rows:
         print_section(Section("slices", "Where the model fails", "", [slices._replace(title="")]), console)
     else:
@@ -66,46 +63,43 @@ def show(result: Any, console: Console, *, suggested: str | None = None) -> None
             ["No group of rides by weather, time, speed or vehicle differs from the others, or the rides are too few."],
             console,
         )
-    if lines := describe_location(values):
+    if lines := describe_location(result):
         print_heading("Location of the error", console)
         print_lines(lines, console)
-    _print_missing_effects(values, console)
-    if lines := deviations.describe_deviations(values):
+    _print_missing_effects(result, console)
+    if lines := deviations.describe_deviations(result):
         print_heading("Cars and changes", console)
         print_lines(lines, console)
     print_heading("Remaining error", console)
-    print_lines([*sentences.describe_remainder(values), *sentences.describe_suggestion(values, suggested)], console)
+    print_lines([*sentences.describe_remainder(result), *sentences.describe_suggestion(result, suggested)], console)
     print_heading("Next step", console)
-    print_lines(sentences.describe_next_step(values), console, strong=True)
+    print_lines(sentences.describe_next_step(result), console, strong=True)
 
 
-def print_step(result: Any, step: int, console: Console) -> None:
+def print_step(result: Diagnosis, step: int, console: Console) -> None:
     """Print the result of one step of the automatic loop in a few lines."""
-    values = to_json_values(result)
     print_heading(f"Step {step}", console)
-    print_lines(episodes.describe_leading_episode(values), console)
-    first = next((m for m in values.get("missing") or () if m.get("effect") == values.get("verdict")), None)
+    print_lines(episodes.describe_leading_episode(result), console)
+    first = result.leading
     if first is None:
-        found = find_leading_deviation([one for one in values.get("deviations") or () if one.get("columns")])
+        found = find_leading_deviation([one for one in result.deviations if one.columns])
         lines = ["No further effect is missing."] if found is None else deviations.describe_finding(found)
         print_lines(lines, console)
         return
     meaning, *more = sentences.describe_missing_effect(first)
-    print_lines(
-        [sentences.describe_error(values)[0], f"Missing: {sentences.name_effect(first)}: {meaning}", *more], console
-    )
-    if values.get("structure_remains"):
-        signs = sentences.describe_signs(dict(values.get("structure") or {}))
+    print_lines([sentences.describe_error(result)[0], f"Missing: {first.name}: {meaning}", *more], console)
+    if result.structure_remains:
+        signs = sentences.describe_signs(result.structure)
         print_lines(["The remaining error has further structure:", *signs], console)
 
 
-def print_links(result: Any, path: Path, console: Console) -> None:
+def print_links(result: Diagnosis, path: Path, console: Console) -> None:
     """Print a link to the picture of each missing effect in the page of a diagnosis."""
-    for place, one in enumerate(to_json_values(result).get("missing") or ()):
-        if is_drawn(get_mapping(one, "partial_residual")):
+    for place, one in enumerate(result.missing):
+        if is_drawn(one.partial_residual):
             anchor = f"#figure-{name_figure(place)}"
             link = Style(link=f"{path.resolve().as_uri()}{anchor}")
-            line = Text(f"picture of {sentences.name_effect(one)}: ").append(f"{path}{anchor}", style=link)
+            line = Text(f"picture of {one.name}: ").append(f"{path}{anchor}", style=link)
             console.print(line, soft_wrap=True, highlight=False)
 
 
@@ -140,15 +134,14 @@ def wrap_line(line: str, width: int, indent: str = "") -> str:
     return "\n".join(lines).replace(NO_BREAK, " ")
 
 
-def _print_missing_effects(result: Result, console: Console) -> None:
+def _print_missing_effects(result: Diagnosis, console: Console) -> None:
     """Print the missing effects one by one."""
     print_heading("Missing effects", console)
-    missing = result.get("missing") or ()
-    if not missing:
+    if not result.missing:
         print_lines([NONE_MISSING], console)
-    for place, one in enumerate(missing, start=1):
+    for place, one in enumerate(result.missing, start=1):
         first, *more = sentences.describe_missing_effect(one)
-        name = f"{place}. {sentences.name_effect(one)}:"
+        name = f"{place}. {one.name}:"
         shown = Text(wrap_line(f"{name} {first}", console.width))
         shown.stylize("bold", 0, len(name))
         console.print(shown, soft_wrap=True, highlight=False)
@@ -156,22 +149,20 @@ def _print_missing_effects(result: Result, console: Console) -> None:
             console.print(Text(wrap_line(f"- {line}", console.width, "   ")), soft_wrap=True, highlight=False)
 
 
-def write(result: Any, path: Path, *, suggested: str | None = None) -> None:
+def write(result: Diagnosis, path: Path, *, suggested: str | None = None) -> None:
     """Write a diagnosis as an HTML page that loads no other file."""
-    values = to_json_values(result)
-    model = get_mapping(values, "model")
-    title = f"Diagnosis of {model.get('name')}, version {model.get('version')}"
+    title = f"Diagnosis of {result.model.name}, version {result.model.version}"
     lines = (
-        *sentences.describe_verdict(values),
-        *sentences.describe_next_step(values),
-        *sentences.describe_data(values),
+        *sentences.describe_verdict(result),
+        *sentences.describe_next_step(result),
+        *sentences.describe_data(result),
     )
     page = render_document(
         "diagnose",
         title,
         "".join(map(_format_line, lines)),
-        build_sections(values, suggested),
-        lambda key: _draw(values, key),
+        build_sections(result, suggested),
+        lambda key: _draw(result, key),
         "<p>Made by <code>socast diagnose</code>.</p>",
     )
     save(page, path)
@@ -183,19 +174,15 @@ def _format_line(line: str) -> str:
     return f'<p class="command"><code>{escape(line)}</code></p>' if command else f"<p>{escape_text(line)}</p>"
 
 
-def _draw(result: Result, key: str) -> list[Illustration]:
+def _draw(result: Diagnosis, key: str) -> list[Illustration]:
     """Return the figures of a section."""
     make = DRAWN.get(key)
     return [] if make is None else make(result)
 
 
-def build_sections(result: Result, suggested: str | None = None) -> list[Section]:
+def build_sections(result: Diagnosis, suggested: str | None = None) -> list[Section]:
     """Return the sections of the page that have a text or a table with rows."""
-    rivals = [
-        f"{sentences.name_effect(one)}: {line}."
-        for one in result.get("missing") or ()
-        for line in sentences.describe_rivals(one)
-    ]
+    rivals = [f"{one.name}: {line}." for one in result.missing for line in sentences.describe_rivals(one)]
     sections = [
         Section(
             "episodes",
@@ -217,7 +204,7 @@ def build_sections(result: Result, suggested: str | None = None) -> list[Section
     return [section for section in sections if section.text or any(table.rows for table in section.tables)]
 
 
-def _describe_remainder(result: Result, suggested: str | None) -> str:
+def _describe_remainder(result: Diagnosis, suggested: str | None) -> str:
     """Return the remaining error as sentences, each with a full stop."""
     return _end_sentences((*sentences.describe_remainder(result), *sentences.describe_suggestion(result, suggested)))
 
@@ -227,7 +214,7 @@ def _end_sentences(lines: Sequence[str]) -> str:
     return " ".join(line if line.endswith((".", ":")) else f"{line}." for line in lines)
 
 
-def _summarise_missing(result: Result) -> str:
+def _summarise_missing(result: Diagnosis) -> str:
     """Return what each missing effect is, one sentence each."""
-    lines = [f"{sentences.describe_missing_effect(one)[0]}." for one in result.get("missing") or ()]
+    lines = [f"{sentences.describe_missing_effect(one)[0]}." for one in result.missing]
     return " ".join(line[:1].upper() + line[1:] for line in lines) or NONE_MISSING

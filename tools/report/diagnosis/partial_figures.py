@@ -1,15 +1,22 @@
 """Draw each missing effect: measured less predicted against its regressor, before and after it is added, and by car."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import log10
 from typing import Any, Final
 
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from socast.core.diagnose.records import (
+    CarResidual,
+    Diagnosis,
+    EstimatedCoefficient,
+    NamedEffect,
+    PartialResidual,
+    ResidualBins,
+)
 from socast.tools.report.diagnosis import sentences
 from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.result import Result, get_mapping, get_number
 from socast.tools.report.figure_style import REFERENCE_LINE, Style, apply_layout, escape_label, get_style
 
 POWER: Final = {"h": "W", "km": "Wh/km"}
@@ -33,23 +40,20 @@ def name_figure(place: int) -> str:
     return f"partial-{place}"
 
 
-def is_drawn(part: Mapping[str, Any]) -> bool:
+def is_drawn(part: PartialResidual) -> bool:
     """Return whether a partial residual has all that its figure shows."""
-    return (
-        all(part.get(name) for name in ("x", "before", "after", "windows"))
-        and get_number(part.get("slope")) is not None
-    )
+    return bool(part.x) and part.slope is not None
 
 
-def draw_partial_residuals(result: Result) -> list[Illustration]:
+def draw_partial_residuals(result: Diagnosis) -> list[Illustration]:
     """Draw the partial residual of each missing effect, all cars together and car by car."""
     shown = []
-    for place, one in enumerate(result.get("missing") or ()):
-        part = get_mapping(one, "partial_residual")
+    for place, one in enumerate(result.missing):
+        part = one.partial_residual
         if not is_drawn(part):
             continue
-        name = sentences.name_effect(one)
-        per = str(part.get("per") or "h")
+        name = one.name
+        per = part.per
         shown.append(
             Illustration(
                 name_figure(place),
@@ -62,7 +66,7 @@ def draw_partial_residuals(result: Result) -> list[Illustration]:
                 _draw_all_cars(part),
             )
         )
-        cars = [car for car in part.get("cars") or () if car.get("x") and car.get("before")]
+        cars = [car for car in part.cars if car.x and car.before]
         if len(cars) > 1:
             shown.append(
                 Illustration(
@@ -77,15 +81,15 @@ def draw_partial_residuals(result: Result) -> list[Illustration]:
     return shown
 
 
-def describe_coefficient(part: Mapping[str, Any]) -> str:
+def describe_coefficient(part: PartialResidual) -> str:
     """Return the meaning of a coefficient, with its unit if it has one."""
-    unit = sentences.format_unit(str(part.get("unit") or ""))
-    return f"the {part.get('quantity') or 'coefficient'}{f' [{unit}]' if unit else ''}"
+    unit = sentences.format_unit(part.unit)
+    return f"the {part.quantity}{f' [{unit}]' if unit else ''}"
 
 
-def _title_regressor(part: Mapping[str, Any]) -> str:
+def _title_regressor(part: PartialResidual) -> str:
     """Return the title of the axis of the regressor, with its unit."""
-    unit, per = sentences.format_unit(str(part.get("unit") or "")), str(part.get("per") or "h")
+    unit, per = sentences.format_unit(part.unit), part.per
     what = f" per {unit}" if unit else " at a coefficient of 1"
     divided = divide_units(POWER[per], unit)
     return escape_label(f"{NAMES[per].capitalize()}{what} [{divided}]")
@@ -110,26 +114,26 @@ def divide_units(above: str, below: str) -> str:
     return f"{left}/{factors[0]}" if len(factors) == 1 else f"{left}/({' '.join(factors)})" if factors else left
 
 
-def _draw_all_cars(part: Mapping[str, Any]) -> go.Figure:
+def _draw_all_cars(part: PartialResidual) -> go.Figure:
     """Draw the points before and after, the fitted line with its band, and the counts below."""
-    per = str(part.get("per") or "h")
+    per = part.per
     made = make_subplots(rows=2, cols=1, shared_xaxes=True, row_heights=[0.8, 0.2], vertical_spacing=0.06)
-    for trace in _draw_line(part, part["x"]):
+    for trace in _draw_line(part, part.x):
         made.add_trace(trace, row=1, col=1)
     for name, look, values in (
-        ("before it is added", BEFORE, part["before"]),
-        ("after it is added", AFTER, part["after"]),
+        ("before it is added", BEFORE, part.before),
+        ("after it is added", AFTER, part.after),
     ):
         made.add_trace(_draw_points(name, look, part, values), row=1, col=1)
-    counts = list(part.get("windows") or ())
+    counts = list(part.windows)
     made.add_trace(
         go.Bar(
             name="windows",
-            x=list(part["x"]),
+            x=list(part.x),
             y=counts,
             marker={"color": "#8a8a8a", "pattern": {"shape": ""}},
             showlegend=False,
-            width=_bar_width(part["x"]),
+            width=_bar_width(part.x),
             hovertemplate="%{y} windows<extra></extra>",
         ),
         row=2,
@@ -152,9 +156,9 @@ def _bar_width(x: Sequence[float]) -> float:
     return span / 60.0 if span > 0.0 else 1.0
 
 
-def _draw_line(part: Mapping[str, Any], x: Sequence[float], *, legend: bool = True) -> list[go.Scatter]:
+def _draw_line(part: PartialResidual, x: Sequence[float], *, legend: bool = True) -> list[go.Scatter]:
     """Return the fitted line through the origin, and its band."""
-    slope, ends = get_number(part.get("slope")), sentences.read_interval(part.get("slope_ci95"))
+    slope, ends = part.slope, part.slope_ci95
     if slope is None:
         return []
     low, high = min(0.0, *x), max(0.0, *x)
@@ -192,14 +196,14 @@ def _draw_line(part: Mapping[str, Any], x: Sequence[float], *, legend: bool = Tr
 
 
 def _draw_points(
-    name: str, look: Style, part: Mapping[str, Any], values: Sequence[Any], *, legend: bool = True
+    name: str, look: Style, part: ResidualBins, values: Sequence[Any], *, legend: bool = True
 ) -> go.Scatter:
     """Return the points of bins with their error bars and counts."""
-    spread = list(part.get("ci95") or [])
-    counts = zip(part.get("windows") or (), part.get("days") or (), strict=False)
+    spread = list(part.ci95)
+    counts = zip(part.windows, part.days, strict=False)
     return go.Scatter(
         name=name,
-        x=list(part["x"]),
+        x=list(part.x),
         y=list(values),
         mode="markers",
         marker={"symbol": look.symbol, "size": 9, "color": look.colour, "line": {"width": 1.5, "color": look.colour}},
@@ -210,11 +214,11 @@ def _draw_points(
     )
 
 
-def _draw_cars(part: Mapping[str, Any], cars: Sequence[Mapping[str, Any]]) -> go.Figure:
+def _draw_cars(part: PartialResidual, cars: Sequence[CarResidual]) -> go.Figure:
     """Draw one panel for each car, with common axes."""
     columns = min(2, len(cars))
     rows = -(-len(cars) // columns)
-    titles = [escape_label(f"{car.get('car')} ({sum(car.get('windows') or ()):,})") for car in cars]
+    titles = [escape_label(f"{car.car} ({sum(car.windows):,})") for car in cars]
     height = 90 + PANEL * rows
     made = make_subplots(
         rows=rows,
@@ -225,12 +229,12 @@ def _draw_cars(part: Mapping[str, Any], cars: Sequence[Mapping[str, Any]]) -> go
         vertical_spacing=min(34 / (PANEL * rows), 1.0 / max(rows - 1, 1)),
         horizontal_spacing=0.04,
     )
-    every = [x for car in cars for x in car["x"]]
+    every = [x for car in cars for x in car.x]
     for i, car in enumerate(cars):
         at = {"row": i // columns + 1, "col": i % columns + 1}
         for trace in _draw_line(part, every, legend=i == 0):
             made.add_trace(trace, **at)
-        made.add_trace(_draw_points("before it is added", BEFORE, car, car["before"], legend=i == 0), **at)
+        made.add_trace(_draw_points("before it is added", BEFORE, car, car.before, legend=i == 0), **at)
     apply_layout(made, height)
     made.update_annotations(font_size=12)
     made.update_xaxes(nticks=4, tickangle=0)
@@ -240,7 +244,7 @@ def _draw_cars(part: Mapping[str, Any], cars: Sequence[Mapping[str, Any]]) -> go
     )
     if len(cars) % columns:
         made.update_xaxes(showticklabels=True, row=rows - 1, col=columns)
-    unit = POWER[str(part.get("per") or "h")]
+    unit = POWER[part.per]
     made.add_annotation(
         text=f"Measured less predicted [{unit}]",
         x=0,
@@ -256,18 +260,15 @@ def _draw_cars(part: Mapping[str, Any], cars: Sequence[Mapping[str, Any]]) -> go
 
 
 def _draw_slopes(
-    place: int, name: str, one: Mapping[str, Any], part: Mapping[str, Any], cars: Sequence[Mapping[str, Any]]
+    place: int, name: str, one: NamedEffect, part: PartialResidual, cars: Sequence[CarResidual]
 ) -> list[Illustration]:
     """Draw the coefficient that each car alone shows, over that of all cars and the plausible range."""
-    known = [car for car in cars if get_number(car.get("slope")) is not None]
+    known = [car for car in cars if car.slope is not None]
     if len(known) < 2:
         return []
-    named = [*((str(car.get("car")), car) for car in known), ("all cars", part)]
-    rows = [
-        (f"{who} ({sum(each.get('windows') or ()):,})", each.get("slope"), each.get("slope_ci95"))
-        for who, each in named
-    ]
-    made = draw_coefficient_rows(rows, get_mapping(one, "coefficient"), describe_coefficient(part), "Car")
+    named = [*((car.car, car) for car in known), ("all cars", part)]
+    rows = [(f"{who} ({sum(each.windows):,})", each.slope, each.slope_ci95) for who, each in named]
+    made = draw_coefficient_rows(rows, one.coefficient, describe_coefficient(part), "Car")
     caption = (
         "Points: the coefficient that the windows of one car show, their number in parentheses. Lines: 95 % intervals. "
         "Shaded: the plausible range. "
@@ -278,15 +279,12 @@ def _draw_slopes(
 
 
 def draw_coefficient_rows(
-    rows: Sequence[tuple[str, Any, Any]], coefficient: Mapping[str, Any], quantity: str, axis: str
+    rows: Sequence[tuple[str, Any, Any]], coefficient: EstimatedCoefficient, quantity: str, axis: str
 ) -> go.Figure:
     """Draw values of a coefficient with their intervals in its own unit, over its plausible range."""
     values = [float(value) for _, value, _ in rows]
-    ends = [
-        sentences.read_interval(interval) or (value, value)
-        for value, (_, _, interval) in zip(values, rows, strict=True)
-    ]
-    unit = sentences.format_unit(str(coefficient.get("unit") or "")) or "1"
+    ends = [interval or (value, value) for value, (_, _, interval) in zip(values, rows, strict=True)]
+    unit = sentences.format_unit(coefficient.unit) or "1"
     look = get_style(6)
     points = go.Scatter(
         name="coefficient",
@@ -304,7 +302,7 @@ def draw_coefficient_rows(
         },
     )
     made = apply_layout(go.Figure([points]), 100 + 30 * len(rows))
-    low, high = get_number(coefficient.get("low")), get_number(coefficient.get("high"))
+    low, high = coefficient.low, coefficient.high
     if low is not None and high is not None:
         made.add_vrect(x0=low, x1=high, fillcolor=SHADE, line_width=0, layer="below")
     across = [*values, *(value for value in (low, high) if value is not None), 0.0]

@@ -1,14 +1,15 @@
 """Draw the mean remaining error along each feature, and by car, driver and hour of the day, on one common scale."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any, Final
 
 import plotly.graph_objects as go
+from msgspec.structs import replace
 
+from socast.core.diagnose.records import Diagnosis, ResidualProfile
 from socast.tools.report.diagnosis.partial_figures import AFTER, BEFORE
 from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.result import Result, get_number
 from socast.tools.report.figure_style import REFERENCE_LINE, escape_label, make_figure
 
 TITLES: Final = {
@@ -44,45 +45,44 @@ CAPTION: Final = (
 BY_CAR: Final = "The terms are refitted for each car, so the mean of a car is nearly zero whatever its error was."
 
 
-def draw_profiles(result: Result) -> list[Illustration]:
+def draw_profiles(result: Diagnosis) -> list[Illustration]:
     """Draw the mean residual along each feature and by each category, in bins that have an interval."""
-    known = [_keep_known_bins(part) for part in result.get("profiles") or () if part.get("x") and part.get("after_w")]
-    parts = [part for part in known if len(part["x"]) > 1]
+    known = [_keep_known_bins(part) for part in result.profiles]
+    parts = [part for part in known if len(part.x) > 1]
     limit = _find_limit(parts)
-    return [_draw_profile(part, limit, several=bool(result.get("missing"))) for part in parts]
+    return [_draw_profile(part, limit, several=bool(result.missing)) for part in parts]
 
 
-def _keep_known_bins(part: Mapping[str, Any]) -> dict[str, Any]:
+def _keep_known_bins(part: ResidualProfile) -> ResidualProfile:
     """Return a profile without the bins whose interval is unknown."""
-    spread = list(part.get("ci95_w") or [])
-    kept = [i for i in range(len(part["x"])) if i < len(spread) and spread[i] is not None]
+    kept = [i for i, half in enumerate(part.ci95_w) if half is not None]
     columns = ("x", "before_w", "after_w", "ci95_w", "windows", "days")
-    return {**part, **{name: [part[name][i] for i in kept] for name in columns if part.get(name)}}
+    return replace(part, **{name: [getattr(part, name)[i] for i in kept] for name in columns})
 
 
-def _find_limit(parts: Sequence[Mapping[str, Any]]) -> float:
+def _find_limit(parts: Sequence[ResidualProfile]) -> float:
     """Return the end of the common scale, which shows every mean, and most intervals whole. [W]"""
-    means = [abs(value) for part in parts for key in ("before_w", "after_w") for value in part.get(key) or ()]
+    means = [abs(value) for part in parts for value in (*part.before_w, *part.after_w)]
     most = max(means, default=1.0) or 1.0
     ends = [
         abs(mean) + half
         for part in parts
-        for mean, half in zip(part["after_w"], part.get("ci95_w") or (), strict=False)
+        for mean, half in zip(part.after_w, part.ci95_w, strict=True)
         if half is not None
     ]
     return 1.05 * float(max([most, *(end for end in ends if end <= WIDEST * most)]))
 
 
-def _draw_profile(part: Mapping[str, Any], limit: float, *, several: bool) -> Illustration:
+def _draw_profile(part: ResidualProfile, limit: float, *, several: bool) -> Illustration:
     """Draw one feature along the horizontal axis, or one category with a row for each name."""
-    feature = str(part.get("feature"))
+    feature = part.feature
     title = TITLES.get(feature, feature.replace("_", " "))
-    unit = str(part.get("unit") or "")
+    unit = part.unit
     named = not unit
     size, unit = SCALES.get(feature, (1.0, unit))
-    x = _name_rows(part) if named else [_place(feature, at, size) for at in part["x"]]
+    x = _name_rows(part) if named else [_place(feature, at, size) for at in part.x]
     traces = []
-    if several and part.get("before_w"):
+    if several:
         traces.append(_draw_means("without the missing effects", BEFORE, part, "before_w", x, named=named))
     name = "with the missing effects" if several else "remaining"
     traces.append(_draw_means(name, AFTER, part, "after_w", x, named=named))
@@ -101,13 +101,9 @@ def _draw_profile(part: Mapping[str, Any], limit: float, *, several: bool) -> Il
     return Illustration(f"profile-{feature}", f"Remaining error by {title}", caption, made, small=True)
 
 
-def _name_rows(part: Mapping[str, Any]) -> list[str]:
+def _name_rows(part: ResidualProfile) -> list[str]:
     """Return the names of categories, with the number of windows in parentheses."""
-    counts = part.get("windows") or [None] * len(part["x"])
-    return [
-        escape_label(str(name) if count is None else f"{name} ({count:,})")
-        for name, count in zip(part["x"], counts, strict=True)
-    ]
+    return [escape_label(f"{name} ({count:,})") for name, count in zip(part.x, part.windows, strict=True)]
 
 
 def _place(feature: str, value: Any, size: float) -> Any:
@@ -115,12 +111,12 @@ def _place(feature: str, value: Any, size: float) -> Any:
     return datetime.fromtimestamp(value, UTC) if feature == "start_s" else value / size
 
 
-def _draw_means(name: str, look: Any, part: Mapping[str, Any], key: str, x: list[Any], *, named: bool) -> go.Scatter:
+def _draw_means(name: str, look: Any, part: ResidualProfile, key: str, x: list[Any], *, named: bool) -> go.Scatter:
     """Return the means of the bins, with intervals for those that remain."""
-    values = [get_number(value) for value in part[key]]
-    spread = list(part.get("ci95_w") or ()) if key == "after_w" else []
+    values = getattr(part, key)
+    spread = list(part.ci95_w) if key == "after_w" else []
     bars = {"type": "data", "array": spread, "thickness": 1.2, "width": 3} if any(spread) else None
-    counts = zip(part.get("windows") or (), part.get("days") or (), strict=False)
+    counts = zip(part.windows, part.days, strict=False)
     return go.Scatter(
         name=name,
         x=values if named else x,

@@ -7,6 +7,7 @@ from socast.core import effects
 from socast.core.diagnose.add.add import REFUSED, UNDECIDED, AdditionTrial, force_addition
 from socast.core.diagnose.deviation_words import find_leading_deviation
 from socast.core.diagnose.partial_residual import compute_candidate_residual
+from socast.core.diagnose.records import CarDeviation, Diagnosis, NamedEffect, TestedEffect
 from socast.core.errors import SocastError
 from socast.core.records import to_json_values
 from socast.tools.commands.add import try_effect
@@ -27,7 +28,7 @@ from socast.tools.workbench.loop.models import describe_model
 from socast.tools.workbench.workspace import Report, Workspace
 
 
-def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the candidates of a diagnosis, the most probable first.
 
     Returns
@@ -38,21 +39,21 @@ def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Mapping
         without one; sentences; the entries of `missing` effects and of `deviations` of cars, with the command that
         adds each.
     """
-    ranked = {str(row["effect"]): row for row in diagnosis.get("candidates") or ()}
-    credible = set(diagnosis.get("credible_set") or ())
+    ranked = {row.effect: row for row in diagnosis.tested}
+    credible = set(diagnosis.credible_set)
     tried = {
         str(entry.get("effect")): entry for entry in node.model.history if entry.get("action") in {REFUSED, UNDECIDED}
     }
     causes = [
         {
-            "name": str(cause["effect"]),
-            "probability": cause["probability"],
-            "credible": cause["effect"] in credible,
-            "words": CAUSE_NAMES.get(str(cause["effect"])),
-            "tried": _describe_attempt(tried.get(str(cause["effect"]))),
-            **_describe_candidate(str(cause["effect"]), ranked),
+            "name": cause.effect,
+            "probability": cause.probability,
+            "credible": cause.effect in credible,
+            "words": CAUSE_NAMES.get(cause.effect),
+            "tried": _describe_attempt(tried.get(cause.effect)),
+            **_describe_candidate(cause.effect, ranked),
         }
-        for cause in diagnosis.get("causes") or ()
+        for cause in diagnosis.causes
     ]
     listed = {cause["name"] for cause in causes}
     causes += [
@@ -62,16 +63,16 @@ def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Mapping
     ]
     return {
         "model": node.name,
-        "error": diagnosis["error"],
+        "error": diagnosis.error.to_json(),
         "causes": causes,
         "recommended": find_recommended(diagnosis),
-        "finding": None if (found := find_leading_deviation(diagnosis.get("deviations"))) is None else found["who"],
+        "finding": None if (found := find_leading_deviation(diagnosis.deviations)) is None else found.who,
         "verdict_sentences": describe_verdict(diagnosis),
         "next": [line for line in describe_next_step(diagnosis) if not line.startswith("socast ")],
         "remainder": describe_remainder(diagnosis),
-        "missing": [_describe_missing(workspace, node, one) for one in diagnosis.get("missing") or ()],
-        "deviations": [_describe_deviation(workspace, node, one) for one in diagnosis.get("deviations") or ()],
-        "held_out": diagnosis["data"]["held_out"],
+        "missing": [_describe_missing(workspace, node, one) for one in diagnosis.missing],
+        "deviations": [_describe_deviation(workspace, node, one) for one in diagnosis.deviations],
+        "held_out": diagnosis.data.held_out.to_json(),
         "command": diagnose_command(workspace, node),
     }
 
@@ -96,14 +97,15 @@ def describe_effect(workspace: Workspace, node: ModelNode, name: str) -> dict[st
         "partial_residual": None,
         "undrawn": "",
     }
-    known = [one for one in (workspace.find_diagnosis(node) or {}).get("missing") or () if one["effect"] == effect.base]
-    if known:
-        return record | {"partial_residual": known[0]["partial_residual"] | {"variant": known[0]["variant"]}}
+    known = workspace.find_diagnosis(node)
+    for one in () if known is None else known.missing:
+        if one.effect == effect.base:
+            return record | {"partial_residual": one.partial_residual.to_json()}
     try:
         drawn = compute_candidate_residual(*workspace.check_rides(node.model), node.model, effect.base)
     except SocastError as error:
         return record | {"undrawn": str(error)}
-    return record | {"partial_residual": to_json_values(drawn)}
+    return record | {"partial_residual": drawn.to_json()}
 
 
 def add_to_model(
@@ -156,38 +158,38 @@ def _describe_attempt(entry: Mapping[str, Any] | None) -> dict[str, str] | None:
     return {"outcome": str(entry["action"]), "reason": str(entry.get("reason"))} if entry else None
 
 
-def _describe_candidate(name: str, ranked: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _describe_candidate(name: str, ranked: Mapping[str, TestedEffect]) -> dict[str, Any]:
     """Return how a candidate was ranked, and what its effect declares."""
-    row = ranked.get(name, {})
-    record: dict[str, Any] = {"status": row.get("status"), "gain": row.get("gain"), "q": row.get("q"), "effect": None}
+    row = ranked.get(name)
+    record: dict[str, Any] = {name: getattr(row, name, None) for name in ("status", "gain", "q")} | {"effect": None}
     if name in effects.get_library():
         effect = effects.get(name)
         record["effect"] = make_effect_record(effect, find_topic(effect))
     return record
 
 
-def _describe_missing(workspace: Workspace, node: ModelNode, one: dict[str, Any]) -> dict[str, Any]:
+def _describe_missing(workspace: Workspace, node: ModelNode, one: NamedEffect) -> dict[str, Any]:
     """Return the entry of a missing effect, with its sentences and the command that adds it."""
     name, scopes = parse_term(one)
     return {
         "name": name,
-        "effect": one["effect"],
+        "effect": one.effect,
         "scopes": scopes,
-        "probability": one["probability"],
-        "gain": one["gain"],
-        "gain_ci95": one["gain_ci95"],
-        "coefficient": one["coefficient"],
+        "probability": one.probability,
+        "gain": one.gain,
+        "gain_ci95": one.gain_ci95,
+        "coefficient": one.coefficient.to_json(),
         "sentences": describe_missing_effect(one),
-        "equivalents": one["equivalents"],
+        "equivalents": one.equivalents,
         "command": add_command(workspace, node, name, scopes),
     }
 
 
-def _describe_deviation(workspace: Workspace, node: ModelNode, one: dict[str, Any]) -> dict[str, Any]:
+def _describe_deviation(workspace: Workspace, node: ModelNode, one: CarDeviation) -> dict[str, Any]:
     """Return a car that deviates or changed in sentences, and the effect that a term can hold, if any."""
-    lines = [line.removeprefix("- ") for line in describe_deviation({**one, "command": None})]
-    record: dict[str, Any] = {"who": str(one["who"]), "sentences": lines, "name": None, "scopes": [], "command": None}
-    if not one["columns"]:
+    lines = [line.removeprefix("- ") for line in describe_deviation(one)]
+    record: dict[str, Any] = {"who": one.who, "sentences": lines, "name": None, "scopes": [], "command": None}
+    if not one.columns:
         return record
     name, scopes = parse_term(one)
     return {**record, "name": name, "scopes": scopes, "command": add_command(workspace, node, name, scopes)}

@@ -6,6 +6,7 @@ import numpy as np
 
 from socast.core.batch import Ints
 from socast.core.diagnose.bin_means import split_at_quantiles
+from socast.core.diagnose.records import Diagnosis
 from socast.core.diagnose.residual_survey import (
     MOST_NAMES,
     ColumnResiduals,
@@ -105,20 +106,19 @@ def survey_residuals(workspace: Workspace, node: ModelNode, level: str, text: st
     return {"unit": seen.unit, "rows": len(seen.value), "charts": survey_columns(seen)}
 
 
-def describe_failures(workspace: Workspace, node: ModelNode, diagnosis: dict[str, Any]) -> dict[str, Any]:
+def describe_failures(workspace: Workspace, node: ModelNode, diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the slices that a diagnosis found, and the location of the error."""
-    location = diagnosis.get("error_location") or {}
+    location = diagnosis.error_location
     return {
-        "error": diagnosis["error"],
+        "error": diagnosis.error.to_json(),
         "sentences": describe_error(diagnosis),
-        "slices": [{**one, "words": describe_slice(one)} for one in diagnosis.get("slices") or ()],
+        "slices": [{**one.to_json(), "words": describe_slice(one)} for one in diagnosis.slices],
         "location": {
             "sentences": describe_location(diagnosis),
-            "shares": location.get("shares") or {},
+            "shares": location.shares,
             "estimates": [
-                {**one, "level_name": LEVEL_NAMES[one["level"]], "kind_name": KIND_NAMES[one["kind"]]}
-                for one in location.get("estimates") or ()
-                if one["level"] in LEVEL_NAMES and one["kind"] in KIND_NAMES
+                {**one.to_json(), "level_name": LEVEL_NAMES[one.level], "kind_name": KIND_NAMES[one.kind]}
+                for one in location.estimates
             ],
         },
         "command": diagnose_command(workspace, node),

@@ -20,7 +20,7 @@ def find(shares, *, cars=4, groups=None, **errors):
     windows, model = gather_with_model(make_tables(make_windows(cars), shares, **({"of_day": 0.01} | errors)))
     known = np.empty((len(windows.measured), 0))
     result = diagnose_deviations(BaseProjection(windows, model), model, known, of_vehicle=groups)
-    return result["deviations"], result["cars"]
+    return result.deviations, result.cars
 
 
 @cache
@@ -30,26 +30,26 @@ def find_in_one_car(effect):
 
 
 def names(deviation):
-    return [cause["effect"] for cause in deviation["causes"]]
+    return [cause.effect for cause in deviation.causes]
 
 
 @pytest.mark.parametrize("effect", ["cornering", "night_lights", "headwind"])
 def test_effect_of_one_car_is_found_in_that_car_always(effect):
     (only,), cars = find_in_one_car(effect)
-    assert (only["who"], only["kind"], only["since"]) == ("taxi-1", "always", None)
+    assert (only.who, only.kind, only.since) == ("taxi-1", "always", None)
     assert effect in names(only)
-    assert only["columns"] == [f"effect_{only['effect']}", CAR]
-    assert cars[0]["car"] == "taxi-1"
-    if only["effect"] == effect:
-        low, high = only["coefficient"]["ci95"]
+    assert only.columns == [f"effect_{only.effect}", CAR]
+    assert cars[0].car == "taxi-1"
+    if only.effect == effect:
+        low, high = only.coefficient.ci95
         error = (high - low) / 3.92
         true = compute_coefficients(make_windows(), {f"{effect} {CAR}": 0.05})[f"{effect} {CAR}"]
-        assert abs(only["coefficient"]["value"] - true) < 3.5 * error
+        assert abs(only.coefficient.value - true) < 3.5 * error
 
 
 def test_deviation_states_the_number_of_tests_of_all_cars_and_forms():
-    of_four = find_in_one_car("headwind")[0][0]["tests"]
-    of_six = find({f"headwind {CAR}": 0.05}, cars=6)[0][0]["tests"]
+    of_four = find_in_one_car("headwind")[0][0].tests
+    of_six = find({f"headwind {CAR}": 0.05}, cars=6)[0][0].tests
     assert of_four * (3 * 6 + 1) == of_six * (3 * 4 + 1)  # three forms of each car, and all cars from a date on
 
 
@@ -57,18 +57,18 @@ def test_deviation_states_the_number_of_tests_of_all_cars_and_forms():
 def test_effect_that_began_in_all_cars_is_found_with_its_date(effect):
     """The model has a term of this shape everywhere, which must not exclude a change."""
     (only,), _ = find({f"{effect} {SINCE}": 0.05})
-    assert (only["who"], only["kind"]) == ("all", "step")
+    assert (only.who, only.kind) == ("all", "step")
     assert effect in names(only)
-    first, last = only["since_ci90"]
+    first, last = only.since_ci90
     assert first <= SINCE.removeprefix("since=") <= last
-    assert only["share_ci95"][0] < 0.05 < only["share_ci95"][1]
+    assert only.share_ci95[0] < 0.05 < only.share_ci95[1]
 
 
 def test_effect_that_began_in_one_car_is_found_with_car_and_date():
     (only,), _ = find({f"roof_load {CAR} {SINCE}": 0.08}, of_day=0.005)
-    assert (only["who"], only["kind"]) == ("taxi-1", "step")
+    assert (only.who, only.kind) == ("taxi-1", "step")
     assert "roof_load" in names(only)
-    first, last = only["since_ci90"]
+    first, last = only.since_ci90
     assert first <= SINCE.removeprefix("since=") <= last
 
 
@@ -76,12 +76,12 @@ def test_causes_of_the_same_shape_are_in_one_credible_set():
     """Within one car, a constant force and rolling resistance differ only by the number of passengers."""
     (only,), _ = find({f"brake_drag {CAR} {SINCE}": 0.08}, of_day=0.005)
     assert {"brake_drag", "tyre_pressure"} <= set(names(only))
-    assert sum(cause["probability"] for cause in only["causes"]) >= 0.9
+    assert sum(cause.probability for cause in only.causes) >= 0.9
 
 
 def test_single_car_is_held_against_its_own_past_only():
     found, cars = find({f"tyre_pressure {SINCE}": 0.15}, cars=1, seed=2)
-    assert [one["kind"] for one in found] == ["step"]
+    assert [one.kind for one in found] == ["step"]
     assert "tyre_pressure" in names(found[0])
     assert cars == []
 
@@ -100,19 +100,19 @@ def test_fault_of_one_day_is_no_deviation():
     unknown = 0.15 * table["effect_cornering"] / table["effect_cornering"].mean() * table["distance_km"].mean() * 0.15
     windows, model = gather_with_model(make_tables(table, unknown=np.where(day, unknown, 0.0), of_day=0.01))
     result = diagnose_deviations(BaseProjection(windows, model), model, np.empty((len(windows.measured), 0)))
-    assert result["deviations"] == []
+    assert result.deviations == []
 
 
 def test_two_deviating_cars_are_both_found():
     found, _ = find({f"night_lights {CAR}": 0.06, "headwind vehicle=taxi-2": 0.06})
-    assert {one["who"] for one in found} == {"taxi-1", "taxi-2"}
+    assert {one.who for one in found} == {"taxi-1", "taxi-2"}
 
 
 def test_cars_are_described_in_spreads_with_intervals():
     _, cars = find({})
     for car in cars:
-        assert car["share_ci95"][0] < car["share"] < car["share_ci95"][1]
-        assert all(spread["error"] > 0.0 for spread in car["spreads"])
+        assert car.share_ci95[0] < car.share < car.share_ci95[1]
+        assert all(spread.error > 0.0 for spread in car.spreads)
 
 
 def test_group_of_cars_that_changed_is_found_with_its_date():
@@ -121,11 +121,11 @@ def test_group_of_cars_that_changed_is_found_with_its_date():
     shares = {f"cornering vehicle=taxi-{car} {SINCE}": 0.05 for car in (1, 2)}
     found, _ = find(shares, groups=groups)
     first = found[0]
-    assert (first["of"], first["who"], first["kind"]) == ("group", "group south", "step")
+    assert (first.of, first.who, first.kind) == ("group", "group south", "step")
     assert "cornering" in names(first)
-    low, high = first["since_ci90"]
+    low, high = first.since_ci90
     assert low <= SINCE.removeprefix("since=") <= high
-    assert first["columns"] == []
+    assert first.columns == []
 
 
 def test_groups_do_not_differ_without_planted_effect():

@@ -26,10 +26,10 @@ def test_few_cars_and_days_give_a_result(cars, days, growth):
     """A change needs three shifts before and after a step, so that cars of few shifts have a ramp only, or none."""
     groups = {f"taxi-{car}": ("north", "south")[car % 2] for car in range(cars)}
     result = diagnose_few(cars, days, growth=growth, groups=groups)
-    for one in result["deviations"]:
-        assert np.isfinite([one["share"], *one["share_ci95"], one["q"], one["evidence"]]).all()
-        assert sum(cause["probability"] for cause in one["causes"]) >= 0.9
+    for one in result.deviations:
+        assert np.isfinite([one.share, *one.share_ci95, one.q, one.evidence]).all()
+        assert sum(cause.probability for cause in one.causes) >= 0.9
 
 
 def test_diagnosis_without_any_candidate_finds_nothing():
-    assert diagnose_few(2, 6, without=get_library()) == {"deviations": [], "cars": []}
+    assert diagnose_few(2, 6, without=get_library()) == ([], [])

@@ -9,8 +9,6 @@ from hypothesis import strategies as st
 from socast.core.diagnose.slices.predicates import CONDITION_SCALES, choose_thresholds, list_conditions
 from socast.core.diagnose.slices.search import find_slices
 
-KEYS = {"where", "conditions", "rides", "bias_kwh", "ci95", "mae_kwh", "q"}
-
 
 def fleet(count, vehicles=6, days=20, seed=0):
     """Return rides of one year, and errors with a part per ride (0.1 kWh) and a part per vehicle-day (0.03 kWh)."""
@@ -62,15 +60,14 @@ def test_planted_bias_of_one_cold_vehicle_is_found_with_covering_interval():
         rides, error, _ = fleet(2000, vehicles=4, days=100, seed=seed)
         cold = ((rides["ambient_c"] < -5.0) & (rides["vehicle_id"] == "taxi-003")).to_numpy()
         result = find_slices(rides, error + 0.3 * cold, seed=seed)
-        right = [each for each in result if {"colder than -5 °C", "taxi-003"} <= set(each["conditions"])]
-        named += len(right) == 1 and len(right[0]["conditions"]) == 2
-        covered += bool(right) and right[0]["ci95"][0] <= 0.3 <= right[0]["ci95"][1]
+        right = [each for each in result if {"colder than -5 °C", "taxi-003"} <= set(each.conditions)]
+        named += len(right) == 1 and len(right[0].conditions) == 2
+        covered += bool(right) and right[0].ci95[0] <= 0.3 <= right[0].ci95[1]
         for each in result:
-            assert set(each) == KEYS
-            assert each["where"] == ", ".join(each["conditions"])
-            assert each["ci95"][0] < each["bias_kwh"] < each["ci95"][1]
-            assert each["q"] <= 0.05
-        assert all(each["rides"] < np.count_nonzero(cold) for each in right)  # of the half that confirms
+            assert each.where == ", ".join(each.conditions)
+            assert each.ci95[0] < each.bias_kwh < each.ci95[1]
+            assert each.q <= 0.05
+        assert all(each.rides < np.count_nonzero(cold) for each in right)  # of the half that confirms
     assert named >= runs - 1
     assert covered >= runs - 2
 
@@ -86,8 +83,8 @@ def test_planted_bias_of_one_cold_vehicle_is_found_with_covering_interval():
 def test_single_condition_slices_have_round_thresholds(column, limit, words):
     rides, error, _ = fleet(800)
     result = find_slices(rides, error - 0.1 * (rides[column] >= limit).to_numpy())
-    assert result[0]["where"] == words
-    assert result[0]["bias_kwh"] == pytest.approx(-0.1, abs=0.03)
+    assert result[0].where == words
+    assert result[0].bias_kwh == pytest.approx(-0.1, abs=0.03)
 
 
 def test_two_separate_faults_are_both_found_without_duplicates():
@@ -95,7 +92,7 @@ def test_two_separate_faults_are_both_found_without_duplicates():
     wet = (rides["precipitation_mm_h"] >= 0.5).to_numpy()
     error = error + 0.15 * (rides["vehicle_id"] == "taxi-001").to_numpy() - 0.15 * wet
     result = find_slices(rides, error)
-    assert {"taxi-001", "rain or snow above 0.5 mm/h"} <= {each["where"] for each in result}
+    assert {"taxi-001", "rain or snow above 0.5 mm/h"} <= {each.where for each in result}
     assert len(find_slices(rides, error, most=1)) == 1
 
 
@@ -103,7 +100,7 @@ def test_fault_since_date_is_described_by_its_date():
     rides, error, _ = fleet(800)
     date = sorted(set(rides["date"]))[11]
     result = find_slices(rides, error + 0.1 * (rides["date"] >= date).to_numpy())
-    assert result[0]["where"] in {f"since {date}", f"before {date}"}
+    assert result[0].where in {f"since {date}", f"before {date}"}
 
 
 def test_slices_depend_on_seed_but_not_on_row_order():
@@ -123,9 +120,9 @@ def test_slices_are_found_despite_unknown_values():
     holed.loc[::7, "ambient_c"] = np.nan
     error[::11] = np.nan
     (best, *_) = find_slices(holed, error)
-    assert best["where"] == "colder than 0 °C"
+    assert best.where == "colder than 0 °C"
     names = ["vehicle_id", "date", "start_s", "ambient_c"]
-    assert find_slices(holed[names], error)[0]["where"] == "colder than 0 °C"
+    assert find_slices(holed[names], error)[0].where == "colder than 0 °C"
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 10, 30])
