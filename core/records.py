@@ -18,15 +18,26 @@ SCALARS: Final = (str, int, float, bool, type(None))
 
 
 class Shown(NamedTuple):
-    """Declare that tables show a field: the head of its column, and the name of its format in reports."""
+    """Declare that tables show a field.
+
+    Parameters
+    ----------
+    head : str
+        Head of its column, with the unit.
+    format : str
+        Name of its format in `socast.tools.report.record_table`.
+    interval : str
+        Field that holds its 95 % interval, if any.
+    """
 
     head: str
     format: str = "text"
+    interval: str = ""
 
 
-def declare(meaning: str, head: str | None = None, format: str = "text") -> msgspec.Meta:  # noqa: A002
+def declare(meaning: str, head: str = "", format: str = "text", interval: str = "") -> msgspec.Meta:  # noqa: A002
     """Return the declaration of a field: its meaning with the unit in brackets, and its column in tables, if any."""
-    return msgspec.Meta(description=meaning, extra=None if head is None else {"shown": Shown(head, format)})
+    return msgspec.Meta(description=meaning, extra={"shown": Shown(head, format, interval)} if head else None)
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True):
@@ -51,9 +62,13 @@ def make_interval(low: float, high: float) -> ConfidenceInterval | None:
 
 
 def list_shown(kind: type[Record]) -> dict[str, Shown]:
-    """Return the fields of a record that tables show, with their columns, in the order of their declaration."""
+    """Return the fields and then the properties of a record that tables show, in the order of their declaration."""
     hints = get_type_hints(kind, include_extras=True)
-    declared = {name: getattr(hints[name], "__metadata__", ()) for name in kind.__struct_fields__}
+    types = {name: hints[name] for name in kind.__struct_fields__}
+    for name, value in vars(kind).items():
+        if isinstance(value, property) and value.fget is not None:
+            types[name] = get_type_hints(value.fget, include_extras=True).get("return")
+    declared = {name: getattr(each, "__metadata__", ()) for name, each in types.items()}
     return {
         name: each.extra["shown"]
         for name, notes in declared.items()

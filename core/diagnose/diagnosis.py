@@ -45,10 +45,10 @@ from socast.core.diagnose.records import (
     DiagnosedData,
     DiagnosedModel,
     Diagnosis,
+    ErrorSummary,
     HeldOutRides,
     NamedEffect,
     RemainingStructure,
-    RideErrors,
     RivalEffect,
     TestedEffect,
 )
@@ -238,12 +238,12 @@ def _describe_data(seen: Windows, *, dated: bool) -> DiagnosedData:
     )
 
 
-def _describe_error(seen: Windows, base: BaseProjection, floor: float) -> RideErrors:
+def _describe_error(seen: Windows, base: BaseProjection, floor: float) -> ErrorSummary:
     """Return the errors of the model per ride, as given and refitted to the same windows. [kWh]"""
     error, used = seen.by_ride(seen.predicted - seen.measured), seen.by_ride(seen.measured)
     refitted = seen.by_ride(base.convert_to_energy(base.residual))
     mae = float(np.mean(np.abs(error)))
-    return RideErrors(
+    return ErrorSummary(
         mae_kwh=mae,
         relative=mae / float(np.mean(used)) if float(np.mean(used)) > 0.0 else None,
         bias_kwh=float(np.mean(error)),

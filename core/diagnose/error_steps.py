@@ -6,11 +6,13 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect
-from socast.core.diagnose.records import ErrorStep
+from socast.core.diagnose.records import ErrorAfterEffect
 from socast.core.stats.clustered import compute_clustered_mean
 
 
-def compute_steps(selection: ForwardSelection, missing: Sequence[MissingEffect], floor: float) -> list[ErrorStep]:
+def compute_steps(
+    selection: ForwardSelection, missing: Sequence[MissingEffect], floor: float
+) -> list[ErrorAfterEffect]:
     """Return the error per ride as effects are added one by one, each fitted to other vehicle-days.
 
     The terms of the model are refitted to all windows of each car, also to those of the held-out days.
@@ -21,7 +23,7 @@ def compute_steps(selection: ForwardSelection, missing: Sequence[MissingEffect],
     """
     days = selection.base.windows.day_of_ride
     named, selection.selected = selection.selected, []
-    rows: list[ErrorStep] = []
+    rows: list[ErrorAfterEffect] = []
     before = np.empty(0)
     for finding in (None, *missing):
         if finding is not None:
@@ -31,7 +33,7 @@ def compute_steps(selection: ForwardSelection, missing: Sequence[MissingEffect],
         change = compute_clustered_mean(error - before, days) if len(before) else None
         scope = () if finding is None else finding.selected.candidates.scope
         rows.append(
-            ErrorStep(
+            ErrorAfterEffect(
                 effect=None if finding is None else finding.selected.effect,
                 scope=" ".join(scope).replace("=", " ") or "all",
                 mae_kwh=mean.value,

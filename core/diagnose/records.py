@@ -23,7 +23,7 @@ class CauseProbability(Record, frozen=True):
     """Hold a cause of an error: an effect, `several`, `not in the library` or `none`."""
 
     effect: Annotated[str, declare("Name of the cause.", "cause")]
-    probability: Annotated[float | None, declare("Probability. [1]", "probability", "percent")] = None
+    probability: Annotated[float | None, declare("Probability. [1]", "probability", "whole percent")] = None
     shown_by: Annotated[str, declare("Data that would distinguish the cause from others.")] = ""
 
 
@@ -69,18 +69,27 @@ class NamedEffect(Record, frozen=True):
     """Hold a missing effect, beside those named before it."""
 
     effect: str
-    variant: Annotated[str, declare("Variant of the effect that fits best.")] = ""
-    probability: Annotated[float | None, declare("Probability that it is the largest missing effect. [1]")] = None
+    variant: Annotated[str, declare("Variant of the effect that fits best.", "effect")] = ""
+    scope: Annotated[str, declare("Vehicles and dates for which it is missing, or `all`.", "for")] = "all"
+    gain: Annotated[
+        float | None, declare("Reduction of the squared error of rides on held-out days. [1]", "gain", "percent")
+    ] = None
+    gain_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of the gain. [1]")] = None
+    energy_share: Annotated[
+        float | None, declare("Its absolute energy over the measured energy. [1]", "of energy", "percent")
+    ] = None
+    coefficient: Annotated[EstimatedCoefficient, declare("Coefficient.", "coefficient", "coefficient")] = (
+        EstimatedCoefficient()
+    )
+    probability: Annotated[
+        float | None,
+        declare("Probability that it is the largest missing effect. [1]", "probability", "whole percent"),
+    ] = None
     causes: Annotated[list[CauseProbability], declare("Causes with their probabilities, largest first.")] = []
     credible_set: Annotated[list[str], declare("Causes among which the largest one is in nine cases of ten.")] = []
-    scope: Annotated[str, declare("Vehicles and dates for which it is missing, or `all`.")] = "all"
     columns: Annotated[list[str], declare("Columns whose product is its energy per unit of the coefficient.")] = []
-    gain: Annotated[float | None, declare("Reduction of the squared error of rides on held-out days. [1]")] = None
-    gain_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of the gain. [1]")] = None
-    energy_share: Annotated[float | None, declare("Its absolute energy over the measured energy. [1]")] = None
     p: Annotated[float | None, declare("p-value of the coefficient. [1]")] = None
     z: Annotated[float | None, declare("Coefficient in standard errors. [1]")] = None
-    coefficient: EstimatedCoefficient = EstimatedCoefficient()
     words: Annotated[str, declare("Physical meaning of the coefficient.")] = ""
     equivalents: Annotated[list[str], declare("Power, mass and headwind of the same energy.")] = []
     separate: Annotated[list[RivalEffect], declare("Effects that the data do not distinguish from it.")] = []
@@ -93,6 +102,11 @@ class NamedEffect(Record, frozen=True):
         """Name of the effect, or of the variant of it that fits best."""
         return self.variant or self.effect
 
+    @property
+    def others(self) -> Annotated[list[str], declare("Other causes of the credible set.", "or else", "names")]:
+        """Other causes among which the largest one is in nine cases of ten."""
+        return [name for name in self.credible_set if name != self.effect]
+
 
 class TestedEffect(Record, frozen=True):
     """Hold how an effect ranked before any was selected."""
@@ -102,10 +116,10 @@ class TestedEffect(Record, frozen=True):
     effect: str
     variant: Annotated[str, declare("Variant that fits best.", "effect")] = ""
     scope: Annotated[str, declare("Where it was tested.", "for")] = "all"
-    z: Annotated[float | None, declare("Coefficient in standard errors. [1]", "z", "one decimal")] = None
+    z: Annotated[float | None, declare("Coefficient in standard errors. [1]", "z", "score")] = None
     p: Annotated[float | None, declare("p-value. [1]")] = None
     q: Annotated[float | None, declare("Rate of false effects up to this one. [1]", "q", "two digits")] = None
-    gain: Annotated[float | None, declare("Held-out gain of it alone. [1]", "gain", "percent, two decimals")] = None
+    gain: Annotated[float | None, declare("Held-out gain of it alone. [1]", "gain", "fine percent")] = None
     status: Annotated[str, declare("Result of the test.", "result")] = ""
 
 
@@ -115,13 +129,22 @@ class SliceBias(Record, frozen=True):
     where: Annotated[str, declare("Conditions in words.", "rides")]
     conditions: list[str] = []
     rides: Annotated[int, declare("Number of rides that confirmed it.", "rides", "count")] = 0
-    bias_kwh: Annotated[float, declare("Mean error less that of all other rides. [kWh]")] = 0.0
+    bias_kwh: Annotated[
+        float, declare("Mean error less that of all other rides. [kWh]", "bias, kWh", "signed", "ci95")
+    ] = 0.0
     ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of the bias. [kWh]")] = None
-    mae_kwh: Annotated[float | None, declare("Mean absolute error of these rides. [kWh]")] = None
-    q: Annotated[float | None, declare("Rate of false slices up to this one. [1]")] = None
+    mae_kwh: Annotated[
+        float | None, declare("Mean absolute error of these rides. [kWh]", "error, kWh", "three digits")
+    ] = None
+    q: Annotated[float | None, declare("Rate of false slices up to this one. [1]", "q", "two digits")] = None
+
+    @property
+    def words(self) -> Annotated[str, declare("How the predictions compare with those for other rides.", "predicts")]:
+        """How the predictions for these rides compare with those for all other rides."""
+        return f"{abs(self.bias_kwh):.3g} kWh {'more' if self.bias_kwh > 0.0 else 'less'} than for other rides"
 
 
-class ErrorStep(Record, frozen=True):
+class ErrorAfterEffect(Record, frozen=True):
     """Hold the error of rides with the missing effects up to one."""
 
     effect: Annotated[str | None, declare("Effect that this step adds; None for none.")] = None
@@ -314,7 +337,7 @@ class DiagnosedData(Record, frozen=True):
     held_out: HeldOutRides = HeldOutRides()
 
 
-class RideErrors(Record, frozen=True):
+class ErrorSummary(Record, frozen=True):
     """Hold the error of a model per ride."""
 
     mae_kwh: Annotated[float | None, declare("Mean absolute error. [kWh]")] = None
@@ -339,7 +362,7 @@ class Diagnosis(Record, frozen=True):
     model: DiagnosedModel = DiagnosedModel()
     data: DiagnosedData = DiagnosedData()
     episodes: Annotated[list[FoundEpisode], declare("Hours of a few dates, the clearest first.")] = []
-    error: RideErrors = RideErrors()
+    error: ErrorSummary = ErrorSummary()
     error_location: ErrorLocation = ErrorLocation()
     slices: Annotated[list[SliceBias], declare("Groups of rides with another bias, the most certain first.")] = []
     missing: Annotated[list[NamedEffect], declare("Missing effects, best first, each beside those before.")] = []
@@ -355,7 +378,7 @@ class Diagnosis(Record, frozen=True):
     structure: RemainingStructure = RemainingStructure()
     suggestion: Annotated[str | None, declare("Formula of a free-form term that fits the remaining error.")] = None
     suggestion_file: Annotated[str | None, declare("Source of an effect with this formula.")] = None
-    steps: Annotated[list[ErrorStep], declare("How the error falls, effect by effect.")] = []
+    steps: Annotated[list[ErrorAfterEffect], declare("How the error falls, effect by effect.")] = []
     profiles: Annotated[list[ResidualProfile], declare("Mean residual along each feature.")] = []
     deviations: Annotated[list[CarDeviation], declare("Cars and groups that deviate or changed.")] = []
     cars: Annotated[list[RankedCar], declare("All cars, the one with most evidence first.")] = []

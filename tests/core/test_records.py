@@ -32,7 +32,7 @@ def test_json_values_of_records_have_all_fields():
 
 
 def test_declared_columns_and_frames_follow_the_order_of_the_fields():
-    assert {name: tuple(shown) for name, shown in list_shown(Part).items()} == {"share": ("share", "percent")}
+    assert {name: tuple(shown) for name, shown in list_shown(Part).items()} == {"share": ("share", "percent", "")}
     frame = make_frame([Part(name="a", share=1.0), Part(name="b")])
     assert list(make_frame([Part(name="a", ci95=(0.0, 1.0))])) == ["name", "share"]
     assert list(frame)[:2] == ["name", "share"]

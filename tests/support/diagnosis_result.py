@@ -9,7 +9,7 @@ from socast.core.diagnose.records import (
     CarDeviation,
     CauseProbability,
     Diagnosis,
-    ErrorStep,
+    ErrorAfterEffect,
     FoundEpisode,
     LocatedLoad,
     NamedEffect,
@@ -79,13 +79,13 @@ def make_partial_residual() -> PartialResidual:
     }, PartialResidual)  # fmt: skip
 
 
-def make_step(effect: str | None, mae_kwh: float, **changes: Any) -> ErrorStep:
+def make_step(effect: str | None, mae_kwh: float, **changes: Any) -> ErrorAfterEffect:
     """Return one step of the falling error."""
     unknown = {"change_kwh": None, "change_ci95_kwh": None}
     return _convert({
         "effect": effect, "scope": "all", "mae_kwh": mae_kwh, "mae_ci95_kwh": 0.004, "noise_floor_kwh": 0.037,
         **unknown,
-    } | changes, ErrorStep)  # fmt: skip
+    } | changes, ErrorAfterEffect)  # fmt: skip
 
 
 def make_profile(feature: str, unit: str, x: list[Any]) -> ResidualProfile:

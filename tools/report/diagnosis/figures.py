@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
-from socast.core.diagnose.records import Diagnosis, ErrorStep, NamedEffect
+from socast.core.diagnose.records import Diagnosis, ErrorAfterEffect, NamedEffect
 from socast.core.records import ConfidenceInterval
 from socast.tools.report.cells import format_count
 from socast.tools.report.diagnosis.partial_figures import (
@@ -152,9 +152,9 @@ def _span(value: float, half: float | None) -> ConfidenceInterval | None:
     return None if half is None else (value - half, value + half)
 
 
-def _scope(part: NamedEffect | ErrorStep) -> str:
+def _scope(part: NamedEffect | ErrorAfterEffect) -> str:
     return "" if part.scope == "all" else f", {part.scope}"
 
 
-def _step(step: ErrorStep) -> str:
+def _step(step: ErrorAfterEffect) -> str:
     return "same terms refitted" if not step.effect else f"with {step.effect}{_scope(step)}"

@@ -12,7 +12,6 @@ from socast.core.diagnose.records import (
     HeldOutRides,
     NamedEffect,
     RemainingStructure,
-    SliceBias,
 )
 from socast.tools.report.cells import format_count, format_percent
 from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
@@ -133,11 +132,6 @@ def _describe_bias(bias: float | None) -> str:
         return ""
     direction = "too much" if bias > 0.0 else "too little"
     return f"; on average the model predicts {format_energy(abs(bias))} {direction}"
-
-
-def describe_slice(one: SliceBias) -> str:
-    """Return how predictions for a group of rides compare with those for all other rides."""
-    return f"{format_energy(abs(one.bias_kwh))} {'more' if one.bias_kwh > 0.0 else 'less'} than for other rides"
 
 
 def describe_scope(one: NamedEffect) -> str:

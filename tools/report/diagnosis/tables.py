@@ -2,10 +2,11 @@
 
 from typing import Final
 
-from socast.core.diagnose.records import Diagnosis, EstimatedCoefficient, SliceBias
+from socast.core.diagnose.records import Diagnosis, EstimatedCoefficient, NamedEffect, SliceBias, TestedEffect
 from socast.core.formatting import format_minus
-from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent, format_signed
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_percent
 from socast.tools.report.diagnosis import sentences
+from socast.tools.report.record_table import FORMATS, format_digits, tabulate_records
 
 BIAS_NOTE: Final = (
     "Bias: mean of predicted less measured energy, less that of all other rides. Slices are found on one half of the "
@@ -27,61 +28,31 @@ CANDIDATES_NOTE: Final = (
 
 def tabulate_slices(result: Diagnosis) -> ReportTable:
     """Return the slices of the rides on which the bias of the model differs."""
-    rows = tuple(
-        Row(
-            one.where,
-            (
-                Cell(format_count(one.rides)),
-                Cell(_format_bias(one)),
-                Cell(sentences.describe_slice(one)),
-                Cell(_format_digits(one.mae_kwh)),
-                Cell(_format_digits(one.q, 2)),
-            ),
-        )
-        for one in result.slices
-    )
-    heads = ("rides", "bias, kWh", "predicts", "error, kWh", "q")
-    return ReportTable("Where the model fails", "rides", heads, rows, (BIAS_NOTE,))
+    return tabulate_records("Where the model fails", result.slices, SliceBias, notes=(BIAS_NOTE,))
 
 
 def tabulate_missing_effects(result: Diagnosis) -> ReportTable:
     """Return the missing effects, the best first."""
-    rows = tuple(
-        Row(
-            f"{place}. {one.name}",
-            (
-                Cell(one.scope),
-                Cell(format_percent(one.gain), strong=place == 1),
-                Cell(format_percent(one.energy_share)),
-                Cell(_format_coefficient(one.coefficient)),
-                Cell("yes" if one.coefficient.plausible else "NO"),
-                Cell(format_percent(one.probability, 0), strong=place == 1),
-                Cell(", ".join(e for e in one.credible_set if e != one.effect) or "–"),
-            ),
-        )
-        for place, one in enumerate(result.missing, start=1)
+    return tabulate_records(
+        "Missing effects",
+        result.missing,
+        NamedEffect,
+        notes=(MISSING_NOTE,),
+        strong=lambda name, place, _: place == 1 and name in {"gain", "probability"},
+        numbered=True,
+        formats={**FORMATS, "coefficient": _format_coefficient},
     )
-    heads = ("for", "gain", "of energy", "coefficient", "plausible", "probability", "or else")
-    return ReportTable("Missing effects", "effect", heads, rows, (MISSING_NOTE,))
 
 
 def tabulate_candidates(result: Diagnosis) -> ReportTable:
     """Return all candidate effects, as they rank before any is added."""
-    rows = tuple(
-        Row(
-            one.variant,
-            (
-                Cell(one.scope),
-                Cell(format_signed(one.z, 1)),
-                Cell(_format_digits(one.q, 2)),
-                Cell(format_percent(one.gain, 2)),
-                Cell(one.status, strong=one.status == "missing"),
-            ),
-        )
-        for one in result.tested
+    return tabulate_records(
+        "All candidates",
+        result.tested,
+        TestedEffect,
+        notes=(CANDIDATES_NOTE,),
+        strong=lambda name, _, value: name == "status" and value == "missing",
     )
-    heads = ("for", "z", "q", "gain", "result")
-    return ReportTable("All candidates", "effect", heads, rows, (CANDIDATES_NOTE,))
 
 
 def tabulate_errors(result: Diagnosis) -> ReportTable:
@@ -96,7 +67,7 @@ def tabulate_errors(result: Diagnosis) -> ReportTable:
         ),
         (f"measurement noise alone{excessive}", part.noise_floor_kwh),
     )
-    rows = tuple(Row(what, (Cell(_format_digits(value)),)) for what, value in values if value is not None)
+    rows = tuple(Row(what, (Cell(format_digits(value)),)) for what, value in values if value is not None)
     return ReportTable("Mean absolute error of a ride", "model", ("kWh",), rows)
 
 
@@ -125,14 +96,5 @@ def _format_coefficient(coefficient: EstimatedCoefficient) -> str:
         return UNKNOWN
     unit = f" {sentences.format_unit(coefficient.unit)}".rstrip()
     half = f" ± {(limits[1] - limits[0]) / 2.0:.2g}" if limits else ""
-    return format_minus(f"{value:.3g}{half}{unit}")
-
-
-def _format_bias(one: SliceBias) -> str:
-    """Return a bias with half the width of its interval."""
-    half = f" ± {(one.ci95[1] - one.ci95[0]) / 2.0:.2g}" if one.ci95 else ""
-    return f"{format_signed(one.bias_kwh)}{half}"
-
-
-def _format_digits(value: float | None, digits: int = 3) -> str:
-    return UNKNOWN if value is None else format_minus(f"{value:.{digits}g}")
+    doubt = "" if coefficient.plausible else ", NOT plausible"
+    return format_minus(f"{value:.3g}{half}{unit}{doubt}")

@@ -17,7 +17,7 @@ from socast.core.diagnose.residual_survey import (
 from socast.core.diagnose.shown_columns import ShownColumn, describe_column, list_columns
 from socast.core.errors import SettingsError
 from socast.tools.report.diagnosis.location_sentences import KIND_NAMES, LEVEL_NAMES, describe_location
-from socast.tools.report.diagnosis.sentences import describe_error, describe_slice
+from socast.tools.report.diagnosis.sentences import describe_error
 from socast.tools.workbench.loop.command_lines import diagnose_command
 from socast.tools.workbench.loop.model_tree import ModelNode
 from socast.tools.workbench.loop.ride_columns import select_by_filter
@@ -112,7 +112,7 @@ def describe_failures(workspace: Workspace, node: ModelNode, diagnosis: Diagnosi
     return {
         "error": diagnosis.error.to_json(),
         "sentences": describe_error(diagnosis),
-        "slices": [{**one.to_json(), "words": describe_slice(one)} for one in diagnosis.slices],
+        "slices": [{**one.to_json(), "words": one.words} for one in diagnosis.slices],
         "location": {
             "sentences": describe_location(diagnosis),
             "shares": location.shares,

@@ -1,0 +1,78 @@
+"""Make a table of records: its columns, their heads and their formats follow from the declared fields."""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final
+
+from socast.core.formatting import format_minus
+from socast.core.records import Record, Shown, list_shown
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent, format_signed
+
+
+def format_digits(value: float | None, digits: int = 3) -> str:
+    """Return a number with significant digits.
+
+    Examples
+    --------
+    >>> format_digits(0.06234), format_digits(-1.0), format_digits(None)
+    ('0.0623', '−1', '–')
+    """
+    return UNKNOWN if value is None else format_minus(f"{value:.{digits}g}")
+
+
+FORMATS: Final[Mapping[str, Callable[[Any], str]]] = MappingProxyType(
+    {
+        "text": lambda value: UNKNOWN if value in {None, ""} else str(value),
+        "names": lambda value: ", ".join(value) or UNKNOWN,
+        "number of": lambda value: format_count(len(value)),
+        "count": format_count,
+        "percent": format_percent,
+        "whole percent": lambda value: format_percent(value, 0),
+        "fine percent": lambda value: format_percent(value, 2),
+        "signed": format_signed,
+        "score": lambda value: format_signed(value, 1),
+        "three digits": format_digits,
+        "two digits": lambda value: format_digits(value, 2),
+    }
+)
+"""Formats that a field can declare, see `socast.core.records.declare`."""
+
+
+def tabulate_records(
+    title: str,
+    records: Sequence[Record],
+    kind: type[Record],
+    *,
+    notes: tuple[str, ...] = (),
+    strong: Callable[[str, int, Any], bool] = lambda *_: False,
+    numbered: bool = False,
+    formats: Mapping[str, Callable[[Any], str]] = FORMATS,
+) -> ReportTable:
+    """Return a table with a row for each record and a column for each field that declares a head.
+
+    Parameters
+    ----------
+    kind : type of Record
+        Kind of the records. The first field with a head names the rows.
+    strong : callable
+        Function of the field, the place of the record and its value that returns whether a cell is emphasised.
+    numbered : bool
+        Whether the names of the rows begin with their place, from 1.
+    """
+    (first, corner), *columns = list_shown(kind).items()
+
+    def make_cell(name: str, shown: Shown, place: int, record: Record) -> Cell:
+        value = getattr(record, name)
+        text = formats[shown.format](value)
+        limits = getattr(record, shown.interval, None) if shown.interval else None
+        half = f" ± {(limits[1] - limits[0]) / 2.0:.2g}" if limits else ""
+        return Cell(f"{text}{half}", strong=strong(name, place, value))
+
+    rows = tuple(
+        Row(
+            f"{f'{place}. ' if numbered else ''}{getattr(record, first)}",
+            tuple(make_cell(name, shown, place, record) for name, shown in columns),
+        )
+        for place, record in enumerate(records, start=1)
+    )
+    return ReportTable(title, corner.head, tuple(shown.head for _, shown in columns), rows, notes)
