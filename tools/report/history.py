@@ -8,7 +8,7 @@ import msgspec
 from rich.console import Console
 from rich.text import Text
 
-from socast.core.diagnose.add.error_fall import ATTEMPTS, ErrorAfterEffect, list_error_steps, read_step
+from socast.core.diagnose.add.error_fall import ATTEMPTS, ErrorStep, list_error_steps, read_step
 from socast.core.diagnose.records import EstimatedCoefficient
 from socast.core.formatting import format_minus
 from socast.core.models import LinearModel
@@ -288,7 +288,7 @@ def draw_errors(model: LinearModel) -> list[Drawing]:
     return _draw_steps(list_error_steps(model.history))
 
 
-def _draw_steps(steps: Sequence[ErrorAfterEffect]) -> list[Drawing]:
+def _draw_steps(steps: Sequence[ErrorStep]) -> list[Drawing]:
     """Return the picture of the error before and after steps, in a list that is empty without one."""
     svg = draw_error_fall(steps)
     return [Drawing("falling", "Error before and after each step", CAPTION, svg)] if svg else []
