@@ -3,9 +3,10 @@
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
+from scipy.special import stdtr
 
 from socast.core.batch import Floats, Ints
+from socast.core.stats.scores import compute_half_widths
 
 LEAST_FREEDOM: Final = 2.0
 """Degrees of freedom below which a bin holds too few vehicle-days for an interval."""
@@ -65,7 +66,7 @@ def average_in_bins(place: Ints, bins: int, values: Floats, weight: Floats, day:
     freedom = 1.0 / np.bincount(bin_of_pair, share**2, bins) - 1.0
     enough = freedom >= LEAST_FREEDOM
     freedom = np.maximum(freedom, LEAST_FREEDOM)
-    half = np.where(enough, stdtrit(freedom, 0.975) * error, np.nan)
+    half = np.where(enough, compute_half_widths(error, freedom), np.nan)
     apart = np.divide(np.abs(mean), error, out=np.where(mean == 0.0, 0.0, np.inf), where=error > 0.0)
     p = np.where(enough, 2.0 * stdtr(freedom, -apart), np.nan)
     windows = np.bincount(place, minlength=bins).astype(np.int64)

@@ -24,7 +24,6 @@ from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.diagnose import residual_structure
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
-from socast.core.diagnose.add.refit import CoefficientEstimate
 from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.candidates import build_candidates
 from socast.core.diagnose.dataset import Windows, gather_windows
@@ -47,7 +46,7 @@ from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible
-from socast.core.stats.held_out_gain import HeldOutGain
+from socast.core.stats.scores import Estimate
 
 LEAST_SUGGESTION_GAIN: Final = 0.005
 """Share of the squared error that a free-form term must explain to be suggested."""
@@ -61,8 +60,6 @@ ONE_SIGN_SHARE: Final = 0.8
 """Share of the absolute energy of an effect that must have one sign for the report to show that sign."""
 WRONG_SIGN_Z: Final = 3.0
 """Standard errors above which a coefficient of the sign that physics forbids is reported as such."""
-NORMAL: Final = 1.96
-"""Half width of a 95 % interval of a normal estimate. [standard errors]"""
 
 
 def diagnose(
@@ -262,8 +259,8 @@ def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> di
     seen = selection.base.windows
     named, evidence = finding.selected, finding.evidence
     effect = effects.get(named.variant)
-    value = float(evidence.coefficient[0])
-    low, high = evidence.compute_interval(0)
+    coefficient = evidence.get_estimate(0)
+    value = coefficient.value
     energy = named.column[:, 0] * value
     credible = [] if named.causes is None else named.causes.list_credible_set()
     return {
@@ -275,14 +272,12 @@ def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> di
         "scope": " ".join(part.replace("=", " ") for part in named.candidates.scope) or "all",
         "columns": [f"{EFFECT_PREFIX}{named.variant}", *named.candidates.scope],
         "gain": finding.gain.value,
-        "gain_ci95": [finding.gain.value - finding.gain.half, finding.gain.value + finding.gain.half],
+        "gain_ci95": list(finding.gain.interval),
         "energy_share": float(np.abs(energy).sum() / seen.measured.sum()),
         "p": float(evidence.p[0]),
         "z": float(evidence.z[0]),
-        "coefficient": describe_coefficient(
-            effect, CoefficientEstimate(value, float(evidence.error[0]), float(evidence.freedom[0]))
-        ),
-        "words": effect.in_words(value, (high - low) / 2.0),
+        "coefficient": describe_coefficient(effect, coefficient),
+        "words": effect.in_words(value, coefficient.ci95),
         "equivalents": _equivalents(energy, seen),
         "separate": [
             {"effect": name, "correlation": r, "data": effects.get(name).shown_by}
@@ -326,7 +321,7 @@ def _equivalents(energy: Floats, seen: Windows) -> list[str]:
 
 
 def _tabulate_candidates(
-    first: Ranking, gains: Mapping[str, HeldOutGain], missing: list[MissingEffect]
+    first: Ranking, gains: Mapping[str, Estimate], missing: list[MissingEffect]
 ) -> list[dict[str, Any]]:
     """Return all effects that were tested everywhere, as they ranked before any was selected."""
     rows: list[dict[str, Any]] = []

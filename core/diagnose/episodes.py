@@ -40,6 +40,7 @@ from socast.core.diagnose.noise import estimate_window_variance
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.ranking import LEAST_LEFT
 from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.stats.scores import Estimate
 
 LEVEL: Final = 0.01
 """Probability that a diagnosis without any episode reports one. [1]"""
@@ -68,8 +69,6 @@ LEAST_RIDES: Final = 3
 """Number of rides that an episode holds at least; a single ride is no property of a date."""
 NORMAL_MEDIAN: Final = 0.6745
 """Median of the absolute value of a normal deviate."""
-NORMAL: Final = 1.96
-"""Half width of a 95 % interval of a normal estimate. [standard errors]"""
 HOURS: Final = 24
 CELLS: Final = 2_000_000
 """Number of rides times spans that are evaluated at once."""
@@ -451,6 +450,7 @@ def _describe(
     worst = np.argsort(-of_ride, kind="stable")[: len(np.unique(windows.ride[rows]))]
     first, last = int(hours.hour[rows].min()), int(hours.hour[rows].max()) + 1  # the span may reach beyond the drives
     start = HOURS * hours.days[np.sort(best.dates)] + hours.begin + first
+    low, high = Estimate(power, error, np.inf).interval
     others = np.isin(hours.window_date, best.dates) & (np.isin(windows.vehicle, driving))
     return Episode(
         rows=rows,
@@ -463,8 +463,8 @@ def _describe(
         driving=len(driving),
         rides=tuple(np.array(get_names(windows.rides, "ride_key"), dtype=object)[worst].tolist()),
         power=power,
-        low=power - NORMAL * error,
-        high=power + NORMAL * error,
+        low=low,
+        high=high,
         share=share,
         chance=float(np.exp(best.log_chance)),
     )

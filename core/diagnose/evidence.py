@@ -21,9 +21,10 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
+from scipy.special import stdtr
 
 from socast.core.batch import Floats, Ints
+from socast.core.stats.scores import Estimate, compute_half_widths
 
 FOLDS: Final = 10
 """Number of folds to which clusters are assigned."""
@@ -88,10 +89,9 @@ class Evidence(NamedTuple):
         """
         return self._replace(error=np.hypot(self.error, largest / MAX_DISTORTION_SD))
 
-    def compute_interval(self, at: int, level: float = 0.95) -> tuple[float, float]:
-        """Return the confidence interval of the coefficient of one candidate. [unit of the coefficient]"""
-        half = float(stdtrit(self.freedom[at], 0.5 + level / 2.0) * self.error[at])
-        return float(self.coefficient[at]) - half, float(self.coefficient[at]) + half
+    def get_estimate(self, at: int) -> Estimate:
+        """Return the coefficient of one candidate. [unit of the coefficient]"""
+        return Estimate(float(self.coefficient[at]), float(self.error[at]), float(self.freedom[at]))
 
 
 def compute_worst_case_evidence(
@@ -106,7 +106,7 @@ def compute_worst_case_evidence(
     """
     results = [compute_evidence(residual, columns, sign, each, least) for each in clusters]
     worst = np.argmax([each.p for each in results], axis=0)
-    widest = np.argmax([each.error * stdtrit(each.freedom, 0.975) for each in results], axis=0)
+    widest = np.argmax([compute_half_widths(each.error, each.freedom) for each in results], axis=0)
     error, freedom = (np.choose(widest, [getattr(each, name) for each in results]) for name in ("error", "freedom"))
     z, p = (np.choose(worst, [getattr(each, name) for each in results]) for name in ("z", "p"))
     return Evidence(results[0].coefficient, error, freedom, z, p)

@@ -67,7 +67,7 @@ def compute_partial_residual(selection: ForwardSelection, finding: MissingEffect
     rows = np.flatnonzero(amount > (LEAST_KM if per == "km" else 0.0))
     regressor, after = (WH * energy[rows] / amount[rows] for energy in (column, left))
     weight = base.weight[rows] * amount[rows] ** 2
-    low, high = finding.evidence.compute_interval(0)
+    low, high = finding.evidence.get_estimate(0).interval
 
     def bin_rows(at: Ints, most: int) -> dict[str, Any]:
         return _bin(regressor[at], after[at], value, weight[at], seen.day[rows][at], most)
@@ -134,9 +134,9 @@ def _fit_slope(residual: Floats, column: Floats, day: Ints) -> tuple[float | Non
     evidence = compute_evidence(
         residual, column, np.zeros(1, dtype=np.int64), ClusterSums(np.unique(day, return_inverse=True)[1])
     )
-    ends = evidence.compute_interval(0)
-    known = float((column**2).sum()) > 0.0 and bool(np.isfinite(ends).all())
-    return (float(evidence.coefficient[0]), list(ends)) if known else (None, None)
+    slope = evidence.get_estimate(0)
+    known = float((column**2).sum()) > 0.0 and bool(np.isfinite(slope.interval).all())
+    return (slope.value, list(slope.interval)) if known else (None, None)
 
 
 def _bin(x: Floats, after: Floats, slope: float, weight: Floats, day: Ints, most: int) -> dict[str, Any]:

@@ -10,8 +10,9 @@ from socast.core.batch import Floats, Ints
 from socast.core.diagnose.candidates import Candidates
 from socast.core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.stats.held_out_gain import HeldOutGain, cross_fit, measure_gain
+from socast.core.stats.held_out_gain import cross_fit, measure_gain
 from socast.core.stats.multiple_testing import adjust_false_discovery
+from socast.core.stats.scores import Estimate
 
 LEAST_LEFT: Final = 0.03
 """Share of a candidate's size that the model must be unable to explain for the candidate to be identifiable."""
@@ -112,7 +113,7 @@ def rank_candidates(
 
 def compute_held_out_gain(
     base: BaseProjection, column: Floats, residual: Floats, limits: tuple[float, float], days: ClusterSums, seed: int
-) -> HeldOutGain:
+) -> Estimate:
     """Return the gain of a candidate on rides of vehicle-days to which it was not fitted.
 
     Parameters
@@ -175,10 +176,3 @@ def compute_correlation(one: Floats, other: Floats) -> float:
     """Return the correlation of two projected candidates, 0 where one of them is zero. [1]"""
     size = float(np.sqrt((one @ one) * (other @ other)))
     return float(one @ other) / size if size > 0.0 else 0.0
-
-
-def sum_over_clusters(values: Floats) -> tuple[float, float]:
-    """Return the sum of values over independent clusters and its standard error."""
-    count = len(values)
-    spread = float(((values - values.mean()) ** 2).sum()) * count / max(count - 1, 1)
-    return float(values.sum()), float(np.sqrt(spread))

@@ -1,26 +1,10 @@
 """The gain of a coefficient: the share of a squared error that falls on data to which it was not fitted."""
 
-from typing import NamedTuple
-
 import numpy as np
-from scipy.special import stdtrit
 
 from socast.core.batch import Floats, Ints
-
-
-class HeldOutGain(NamedTuple):
-    """Hold a gain with its uncertainty.
-
-    Parameters
-    ----------
-    value : float
-        Fall of the squared error, as a share of that before. [1]
-    half : float
-        Half the width of its 95 % interval, by Student's t over independent clusters; NaN with fewer than two. [1]
-    """
-
-    value: float
-    half: float
+from socast.core.stats.clustered import sum_over_clusters
+from socast.core.stats.scores import Estimate
 
 
 def cross_fit(column: Floats, residual: Floats, fold: Ints, limits: tuple[float, float]) -> Floats:
@@ -31,7 +15,7 @@ def cross_fit(column: Floats, residual: Floats, fold: Ints, limits: tuple[float,
     return np.asarray(np.clip(fitted, *limits)[fold])
 
 
-def measure_gain(before: Floats, after: Floats, cluster: Ints) -> HeldOutGain:
+def measure_gain(before: Floats, after: Floats, cluster: Ints) -> Estimate:
     """Return the gain from errors before and after.
 
     Parameters
@@ -44,9 +28,6 @@ def measure_gain(before: Floats, after: Floats, cluster: Ints) -> HeldOutGain:
     Examples
     --------
     >>> measure_gain(np.array([2.0, 2.0, 2.0]), np.array([1.0, 1.0, 1.0]), np.array([0, 1, 2]))
-    HeldOutGain(value=0.75, half=0.0)
+    Estimate(value=0.75, error=0.0, freedom=2)
     """
-    fall = np.bincount(cluster, before**2 - after**2) / max(float(before @ before), 1e-300)
-    count = len(fall)
-    spread = float(((fall - fall.mean()) ** 2).sum()) * count / max(count - 1, 1)
-    return HeldOutGain(float(fall.sum()), float(stdtrit(count - 1, 0.975) * np.sqrt(spread)))
+    return sum_over_clusters(np.bincount(cluster, before**2 - after**2) / max(float(before @ before), 1e-300))

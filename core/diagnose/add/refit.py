@@ -20,7 +20,6 @@ import msgspec
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.candidates import compute_least_coefficients
@@ -36,7 +35,7 @@ from socast.core.fit.window_fit import fit_rows
 from socast.core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
 from socast.core.models.features import Columns
 from socast.core.stats.clustered import assign_vehicle_days
-from socast.core.stats.held_out_gain import HeldOutGain
+from socast.core.stats.scores import Estimate
 
 LEAST_LEFT: Final = 1e-5
 """Share of a column that must remain off the terms of the model for the column to have a coefficient."""
@@ -47,27 +46,6 @@ REFITTED: Final = "diagnosed"
 """Name of the recipe of a model that is refitted to test a term."""
 
 Rows = NDArray[np.int64]
-
-
-class CoefficientEstimate(NamedTuple):
-    """Hold a coefficient and its standard error.
-
-    Parameters
-    ----------
-    value, error : float
-        Coefficient and standard error. [unit of the coefficient]
-    freedom : float
-        Degrees of freedom of the standard error. [1]
-    """
-
-    value: float
-    error: float
-    freedom: float
-
-    @property
-    def half(self) -> float:
-        """Half the width of the 95 % interval. [unit of the coefficient]"""
-        return float(stdtrit(max(self.freedom, 1.0), 0.975) * self.error)
 
 
 class TermAddition(NamedTuple):
@@ -99,13 +77,13 @@ class RefittedPair(NamedTuple):
     ----------
     before, after : LinearModel
         The model without and with the term.
-    coefficients : dict of str to CoefficientEstimate
+    coefficients : dict of str to Estimate
         Coefficients of the added term by vehicle model, `*` for all.
     """
 
     before: LinearModel
     after: LinearModel
-    coefficients: dict[str, CoefficientEstimate]
+    coefficients: dict[str, Estimate]
 
 
 def refit(change: TermAddition, rows: pd.DataFrame, *, covariance: bool = False) -> LinearModel:
@@ -171,7 +149,7 @@ def _around(
     change: TermAddition,
     added: tuple[Term, ...],
     rows: pd.DataFrame,
-    estimates: Sequence[Mapping[str, CoefficientEstimate]],
+    estimates: Sequence[Mapping[str, Estimate]],
     *,
     covariance: bool,
 ) -> LinearModel:
@@ -206,7 +184,7 @@ def _less(rows: pd.DataFrame, energy: Floats) -> pd.DataFrame:
 
 def _estimates(
     base: BaseProjection, terms: tuple[Term, ...], within: NDArray[np.bool_] | None = None
-) -> list[dict[str, CoefficientEstimate]]:
+) -> list[dict[str, Estimate]]:
     """Return the coefficients of terms beside each other, each by vehicle model (`*` for all), fitted to some rows."""
     rows = base.windows.table
     at = np.flatnonzero(np.ones(len(rows), np.bool_) if within is None else within)
@@ -215,18 +193,16 @@ def _estimates(
     return [_estimate(base, left, place, float(size[place]), at) for place in range(len(terms))]
 
 
-def _estimate(
-    base: BaseProjection, left: Floats, place: int, size: float, rows: Rows
-) -> dict[str, CoefficientEstimate]:
+def _estimate(base: BaseProjection, left: Floats, place: int, size: float, rows: Rows) -> dict[str, Estimate]:
     """Return the coefficient of one of several columns by vehicle model."""
     common = _alone(base, left, place, rows)
     if common is None or float((left[:, place] ** 2).sum()) <= LEAST_LEFT * size:
-        return {ANY: CoefficientEstimate(0.0, nan, 0.0)}
+        return {ANY: Estimate(0.0, nan, 0.0)}
     by_kind = {kind: _alone(base, left, place, np.intersect1d(at, rows)) for kind, at in base.kinds.items()}
     return _pooled(common, {key: each for key, each in by_kind.items() if each and each.freedom >= LEAST_FREEDOM})
 
 
-def _alone(base: BaseProjection, left: Floats, place: int, at: Rows) -> CoefficientEstimate | None:
+def _alone(base: BaseProjection, left: Floats, place: int, at: Rows) -> Estimate | None:
     """Return the coefficient of a column beside the others from some rows, None where it is not identifiable."""
     if not len(at):
         return None
@@ -236,9 +212,9 @@ def _alone(base: BaseProjection, left: Floats, place: int, at: Rows) -> Coeffici
         return None
     clusters = [_renumbered(code[at]) for code in (base.windows.day, base.windows.date)]
     evidence = compute_worst_case_evidence(residual, column[:, np.newaxis], np.zeros(1, dtype=np.int64), clusters)
-    value = float(evidence.coefficient[0])
-    alone = sqrt(float(np.mean((residual - value * column) ** 2)) / size)  # the error, were windows independent
-    return CoefficientEstimate(value, max(float(evidence.error[0]), alone), float(evidence.freedom[0]))
+    found = evidence.get_estimate(0)
+    alone = sqrt(float(np.mean((residual - found.value * column) ** 2)) / size)  # the error, were windows independent
+    return found._replace(error=max(found.error, alone))
 
 
 def _renumbered(code: Ints) -> ClusterSums:
@@ -295,12 +271,12 @@ class AdditionEvidence(NamedTuple):
     ----------
     p : float
         Probability of this evidence or more without the term, with the sign that physics demands. [1]
-    gain : HeldOutGain
+    gain : Estimate
         On rides of vehicle-days to which the coefficient was not fitted; its interval is NaN where there are none.
     """
 
     p: float
-    gain: HeldOutGain
+    gain: Estimate
 
 
 def assess_addition(
@@ -323,14 +299,14 @@ def assess_addition(
         column, residual = _off(left[:, :-1], left[:, -1], base.residual)
     clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
     if clusters[0].count < 2 or not column.any():
-        return AdditionEvidence(1.0, HeldOutGain(0.0, nan))
+        return AdditionEvidence(1.0, Estimate(0.0, nan, 0.0))
     worth = compute_least_coefficients(columns[:, -1:], windows.measured)
     evidence = compute_worst_case_evidence(residual, column[:, np.newaxis], np.array([sign]), clusters, worth)
     gain = compute_held_out_gain(base, column, residual, limits, clusters[0], seed)
     return AdditionEvidence(float(evidence.p[0]), gain)
 
 
-def _pooled(common: CoefficientEstimate, by_kind: dict[str, CoefficientEstimate]) -> dict[str, CoefficientEstimate]:
+def _pooled(common: Estimate, by_kind: dict[str, Estimate]) -> dict[str, Estimate]:
     """Return the common coefficient, and for vehicle models that differ by more than chance their own, shrunk to it."""
     if len(by_kind) < 2:
         return {ANY: common}
@@ -344,18 +320,14 @@ def _pooled(common: CoefficientEstimate, by_kind: dict[str, CoefficientEstimate]
     weight = 1.0 / (variance + between)
     mean = float(weight @ value / weight.sum())
     freedom = min(e.freedom for e in by_kind.values())
-    pooled = {ANY: CoefficientEstimate(mean, float(1.0 / np.sqrt(weight.sum())), max(len(by_kind) - 1.0, freedom))}
+    pooled = {ANY: Estimate(mean, float(1.0 / np.sqrt(weight.sum())), max(len(by_kind) - 1.0, freedom))}
     for kind, each in by_kind.items():
         share = between / (between + each.error**2)
-        pooled[kind] = CoefficientEstimate(
-            mean + share * (each.value - mean), float(np.sqrt(share)) * each.error, each.freedom
-        )
+        pooled[kind] = Estimate(mean + share * (each.value - mean), float(np.sqrt(share)) * each.error, each.freedom)
     return pooled
 
 
-def _with(
-    terms: tuple[Term, ...], fit: Fit, added: Sequence[CoefficientEstimate], rows: pd.DataFrame, columns: Floats
-) -> Fit:
+def _with(terms: tuple[Term, ...], fit: Fit, added: Sequence[Estimate], rows: pd.DataFrame, columns: Floats) -> Fit:
     """Return a fit extended by the coefficients that were subtracted from its energy, with its covariance."""
     covariance: Any = None
     if fit.covariance is not None:

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from socast.core import effects
-from socast.core.diagnose.add.refit import CoefficientEstimate
 from socast.core.effects import Effect
 from socast.core.errors import ModelError
 from socast.core.models import LinearModel, Term
@@ -17,6 +16,7 @@ from socast.core.models.features import (
     get_unit,
     is_scope,
 )
+from socast.core.stats.scores import Estimate
 
 _AMOUNTS: Final = frozenset(
     {"distance_km", "duration_s", "gained_m", "lost_m", "stops", "basic_kwh", ACCESSORIES_COLUMN}
@@ -114,7 +114,7 @@ def build_effect_term(model: LinearModel, effect: str, columns: tuple[str, ...])
     return Term(name=", ".join([effect, *scopes]), columns=columns, unit=derive_coefficient_unit(columns))
 
 
-def describe_coefficient(declared: Effect, estimate: CoefficientEstimate) -> dict[str, Any]:
+def describe_coefficient(declared: Effect, estimate: Estimate) -> dict[str, Any]:
     """Return a coefficient as JSON values.
 
     Returns
@@ -125,7 +125,7 @@ def describe_coefficient(declared: Effect, estimate: CoefficientEstimate) -> dic
     """
     return {
         "value": estimate.value,
-        "ci95": [estimate.value - estimate.half, estimate.value + estimate.half],
+        "ci95": list(estimate.interval),
         "unit": declared.unit,
         "low": declared.low,
         "high": declared.high,
@@ -133,7 +133,7 @@ def describe_coefficient(declared: Effect, estimate: CoefficientEstimate) -> dic
     }
 
 
-def warn_if_implausible(declared: Effect, estimate: CoefficientEstimate) -> str:
+def warn_if_implausible(declared: Effect, estimate: Estimate) -> str:
     """Return what an implausible coefficient may mean, or an empty text where it is plausible."""
     value, low, high = estimate.value, declared.low, declared.high
     if low <= value <= high:
@@ -143,7 +143,8 @@ def warn_if_implausible(declared: Effect, estimate: CoefficientEstimate) -> str:
         problem = f"it would {'save' if declared.sign > 0 else 'cost'} energy, which physics forbids"
     else:
         problem = f"it is too {'small' if abs(value) < min(abs(low), abs(high)) else 'large'}"
-    if value - estimate.half <= high and value + estimate.half >= low:
+    begin, end = estimate.interval
+    if begin <= high and end >= low:
         cause = "its interval overlaps the range, so there may be too few data"
     else:
         others = ", ".join(declared.confused_with[:4])

@@ -17,7 +17,6 @@ from scipy.special import ndtr
 from socast.core import effects
 from socast.core.batch import Floats, Ints
 from socast.core.columns import SECONDS_PER_DAY
-from socast.core.diagnose.add.refit import CoefficientEstimate
 from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.candidates import Candidates, build_candidates
 from socast.core.diagnose.deviation_words import has_certain_size
@@ -35,11 +34,10 @@ from socast.core.diagnose.siblings.spread import SiblingBase, estimate_spread_wi
 from socast.core.diagnose.siblings.sums import DIRECTIONS, Siblings, gather_siblings
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX, SINCE_SCOPE, VEHICLE_SCOPE
+from socast.core.stats.scores import Estimate
 
 MONTH: Final = 365.25 / 12.0
 """Length of a month. [days]"""
-NORMAL: Final = 1.96
-"""Half width of a 95 % interval of a normal estimate. [standard errors]"""
 
 
 def diagnose_deviations(
@@ -108,7 +106,7 @@ def rank_cars(search: Search, sign: Ints) -> list[dict[str, Any]]:
                 "siblings": len(siblings.cars) - 1,
                 "evidence": float(evidence.max()),
                 "share": share,
-                "share_ci95": _spread_interval(share, float(np.sqrt(energy @ covariance @ energy))),
+                "share_ci95": list(Estimate(share, float(np.sqrt(energy @ covariance @ energy)), np.inf).interval),
                 "share_spread": float(np.sqrt(energy**2 @ variance)),
                 "spreads": [
                     {"direction": name, "value": float(m / r), "error": float(e / r)}
@@ -117,11 +115,6 @@ def rank_cars(search: Search, sign: Ints) -> list[dict[str, Any]]:
             }
         )
     return sorted(rows, key=lambda row: -row["evidence"])
-
-
-def _spread_interval(value: float, error: float) -> list[float]:
-    """Return the 95 % interval of a normal estimate."""
-    return [value - NORMAL * error, value + NORMAL * error]
 
 
 def _describe(question: Question, search: Search, candidates: Candidates) -> dict[str, Any]:
@@ -136,6 +129,7 @@ def _describe(question: Question, search: Search, candidates: Candidates) -> dic
     estimate, error = _mix(scan.estimate[:, best], scan.information[:, best], of_best)
     place = int(np.searchsorted(np.cumsum(dates), 0.5))
     unit = float(scan.unit[:, best] @ of_best)
+    coefficient = Estimate(unit * estimate, unit * error, np.inf)
     effect = effects.get(candidates.variants[best])
     out: dict[str, Any] = {
         "who": question.who,
@@ -154,8 +148,8 @@ def _describe(question: Question, search: Search, candidates: Candidates) -> dic
         "z": float(scan.z.ravel()[np.abs(scan.z).argmax()]),
         "evidence": float(average_places(scan, evidence).max()),
         "tests": sum(each.scan.unit.shape[1] for each in search.questions),
-        "coefficient": describe_coefficient(effect, CoefficientEstimate(unit * estimate, unit * error, np.inf)),
-        "words": effect.in_words(unit * estimate, NORMAL * unit * error),
+        "coefficient": describe_coefficient(effect, coefficient),
+        "words": effect.in_words(coefficient.value, coefficient.ci95),
         "since": None,
         "since_ci90": None,
         "columns": [f"{EFFECT_PREFIX}{candidates.variants[best]}"],

@@ -303,7 +303,7 @@ def _confirmed(candidates: Sequence[Slice], one: Half, other: Half, level: float
         figures = {
             "rides": int(masks[i].sum()),
             "bias_kwh": estimate.value,
-            "ci95": [estimate.value - estimate.ci95, estimate.value + estimate.ci95],
+            "ci95": list(estimate.interval),
             "mae_kwh": float(np.abs(other.error[masks[i]]).mean()),
             "q": min(2.0 * float(q[i]), 1.0),
         }
