@@ -25,6 +25,7 @@ from scipy.special import stdtr
 
 from socast.core.batch import Floats, Ints
 from socast.core.stats.scores import Estimate, compute_half_widths
+from socast.core.stats.splits import deal_folds
 
 FOLDS: Final = 10
 """Number of folds to which clusters are assigned."""
@@ -53,7 +54,7 @@ class ClusterSums:
 
     def assign_folds(self, seed: int) -> Ints:
         """Return the fold of each cluster, one of at most `FOLDS`, (count,)."""
-        return np.random.default_rng(seed).permutation(self.count) % min(FOLDS, self.count)
+        return deal_folds(self.count, FOLDS, seed)
 
     def sum_by_cluster(self, values: Floats) -> Floats:
         """Return the sum of values over each cluster, (count, ...)."""

@@ -10,7 +10,7 @@ from socast.core.batch import Floats, Ints
 from socast.core.diagnose.candidates import Candidates
 from socast.core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.stats.held_out_gain import cross_fit, measure_gain
+from socast.core.stats.held_out_gain import cross_fit, fit_other_folds, measure_gain
 from socast.core.stats.multiple_testing import adjust_false_discovery
 from socast.core.stats.scores import Estimate
 
@@ -146,13 +146,10 @@ def compute_window_gains(residual: Floats, columns: Floats, sign: Ints, clusters
     extrapolate to it, and its failure there would be credited to any effect that resembles it. `socast add` refits
     everything without the days on which it evaluates.
     """
-    fold = clusters.assign_folds(seed)
     size = clusters.sum_by_cluster(columns**2)
     cross = clusters.sum_by_cluster(columns * residual[:, np.newaxis])
-    by_fold = np.eye(int(fold.max()) + 1)[fold].T
-    size_rest, cross_rest = size.sum(axis=0) - by_fold @ size, cross.sum(axis=0) - by_fold @ cross
-    coefficient = np.divide(cross_rest, size_rest, out=np.zeros_like(cross_rest), where=size_rest > 0.0)
-    coefficient = np.where(sign * coefficient < 0.0, 0.0, coefficient)[fold]
+    coefficient = fit_other_folds(size, cross, clusters.assign_folds(seed))
+    coefficient = np.where(sign * coefficient < 0.0, 0.0, coefficient)
     return np.asarray((2.0 * coefficient * cross - coefficient**2 * size) / (residual @ residual))
 
 

@@ -274,23 +274,6 @@ def _leave_out_group(left: Floats, basis: Floats, out: Ints) -> Floats:
     return np.asarray(left[out] + own @ np.linalg.lstsq(without, own.T @ left[out], rcond=1e-8)[0])
 
 
-def assign_folds(rows: int, folds: int) -> Ints:
-    """Return the fold of each ride, drawn at random and equal at every call."""
-    return np.random.default_rng(0).permutation(rows) % folds
-
-
-def assign_car_folds(vehicles: Sequence[str], folds: int) -> Ints:
-    """Return the fold of each ride such that all rides of a car share a fold, equal at every call.
-
-    Returns
-    -------
-    (n,) int
-        Fold of each ride, from 0 to `folds` - 1; 0 alone for a single car.
-    """
-    cars, code = np.unique(np.asarray(vehicles, dtype=str), return_inverse=True)
-    return np.asarray(assign_folds(len(cars), folds)[code] if len(cars) > 1 else np.zeros(len(code), dtype=np.int64))
-
-
 def _group_by_model(rides: pd.DataFrame, error: Floats) -> dict[str, HeldOutErrors]:
     """Return errors by vehicle model."""
     kinds = np.array(get_names(rides, VEHICLE_MODEL), dtype=object)

@@ -7,12 +7,22 @@ from socast.core.stats.clustered import sum_over_clusters
 from socast.core.stats.scores import Estimate
 
 
+def fit_other_folds(size: Floats, cross: Floats, fold: Ints) -> Floats:
+    """Return for each unit the coefficients that fit the units of the other folds best, (units, ...).
+
+    Parameters
+    ----------
+    size, cross : (units, ...) float
+        Sums of squares of each column, and of its products with the residual.
+    """
+    by_fold = np.eye(int(fold.max()) + 1)[fold].T
+    size, cross = size.sum(axis=0) - by_fold @ size, cross.sum(axis=0) - by_fold @ cross
+    return np.asarray(np.divide(cross, size, out=np.zeros_like(cross), where=size > 0.0)[fold])
+
+
 def cross_fit(column: Floats, residual: Floats, fold: Ints, limits: tuple[float, float]) -> Floats:
     """Return for each row the coefficient within limits that fits the rows of the other folds best, (n,)."""
-    size, cross = np.bincount(fold, column**2), np.bincount(fold, column * residual)
-    size, cross = size.sum() - size, cross.sum() - cross
-    fitted = np.divide(cross, size, out=np.zeros(len(size)), where=size > 0.0)
-    return np.asarray(np.clip(fitted, *limits)[fold])
+    return np.clip(fit_other_folds(column**2, column * residual, fold), *limits)
 
 
 def measure_gain(before: Floats, after: Floats, cluster: Ints) -> Estimate:

@@ -29,6 +29,7 @@ from socast.core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES, 
 from socast.core.diagnose.free_form.terms import FreeTerm, Modulator, list_modulators
 from socast.core.stats.clustered import compute_clustered_ratio
 from socast.core.stats.scores import Estimate
+from socast.core.stats.splits import deal_folds
 
 PIECES: Final = 10
 """Number of pieces to which the clusters are assigned."""
@@ -210,8 +211,7 @@ def suggest_term(
 def _dealt(cluster: Ints) -> Ints:
     """Return the piece of each row; clusters are assigned at random with a fixed seed."""
     clusters, code = np.unique(cluster, return_inverse=True)
-    piece = np.random.default_rng(0).permutation(len(clusters)) % min(PIECES, len(clusters))
-    return piece.astype(np.int64)[code]
+    return deal_folds(len(clusters), PIECES, 0)[code]
 
 
 def _prepared(residual: Floats, weight: Floats, cluster: Ints, base: Floats) -> _Data:
