@@ -5,11 +5,6 @@ what the terms of the model cannot explain. All vehicle models share one coeffic
 chance. Then each has its own, shrunk towards the common one in proportion to its uncertainty. The other terms are then
 fitted to the energy less that of the effect, with priors where the model had them. The same holds for effects that were
 added before, all beside each other.
-
-References
-----------
-DerSimonian and Laird, Controlled Clinical Trials 7 (1986) 177, DOI 10.1016/0197-2456(86)90046-2: how much estimates
-differ beyond their errors.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -35,6 +30,7 @@ from socast.core.fit.window_fit import fit_rows
 from socast.core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
 from socast.core.models.features import Columns
 from socast.core.stats.clustered import assign_vehicle_days
+from socast.core.stats.random_effects import estimate_variance_between
 from socast.core.stats.scores import Estimate
 
 LEAST_LEFT: Final = 1e-5
@@ -311,10 +307,7 @@ def _pooled(common: Estimate, by_kind: dict[str, Estimate]) -> dict[str, Estimat
     if len(by_kind) < 2:
         return {ANY: common}
     value, variance = np.array([(e.value, e.error**2) for e in by_kind.values()]).T
-    weight = 1.0 / variance
-    mean = float(weight @ value / weight.sum())
-    excess = float(weight @ (value - mean) ** 2) - (len(by_kind) - 1)
-    between = max(0.0, excess / float(weight.sum() - weight @ weight / weight.sum()))
+    between = estimate_variance_between(value, 1.0 / variance)
     if between == 0.0:
         return {ANY: common}
     weight = 1.0 / (variance + between)

@@ -10,10 +10,10 @@ from socast.core.batch import Floats, Ints
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.error_location.kinds import KindColumns, gather_kinds
 from socast.core.diagnose.error_location.window_noise import LAGS, WindowNoise, estimate_window_noise
-from socast.core.diagnose.mixed_model import FixedColumns, MixedModel
 from socast.core.diagnose.projection import BaseProjection, Rows, orthonormalise
-from socast.core.diagnose.variances import Variances, estimate_variances
 from socast.core.fit.ride_blocks import get_names
+from socast.core.stats.mixed_model import FixedColumns, MixedModel
+from socast.core.stats.variances import Variances, estimate_variances
 
 ROUNDS: Final = 2
 """Number of times that the noise of windows is estimated anew beside the loads of rides and days."""

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.candidates import Candidates
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.mixed_model import FixedColumns, MixedModel
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
-from socast.core.diagnose.sweep import sum_ride_products, sum_units, sweep
-from socast.core.diagnose.variances import estimate_variances
 from socast.core.fit.distortions import gather_distortions
 from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.stats.mixed_model import FixedColumns, MixedModel
+from socast.core.stats.random_effects import integrate_out, sum_products, sum_units
+from socast.core.stats.variances import estimate_variances
 
 DIRECTIONS: Final = {
     "rolling": 0.05,
@@ -265,12 +265,11 @@ def _sum_shifts(
 
 def _sweep_car(columns: Floats, weight: Floats, ride: Ints, day: Ints, variance: Floats) -> Floats:
     """Return the sums of each shift of a car after integration over the effects of rides and days."""
-    k = variance.shape[1]
-    at = np.arange(k)
-    rides = sweep(sum_ride_products(columns, weight, ride), at, variance[0]).sums
+    at = slice(0, variance.shape[1])
+    rides = integrate_out(sum_products(columns, weight, ride), at, variance[0]).sums
     first = np.flatnonzero(np.r_[True, np.diff(ride) != 0])
     days = sum_units(rides, _number(day[first]))
-    return sweep(days, at, variance[1]).sums
+    return integrate_out(days, at, variance[1]).sums
 
 
 def _split(codes: Ints) -> Iterator[NDArray[np.int64]]:

@@ -152,8 +152,8 @@ def test_gain_of_an_implausible_coefficient_is_that_of_the_largest_plausible_one
     low, high = selection.candidates.get_limits(0)
     assert (low, high) == (0.0, effects.get("cabin_heating").high)
     residual = 2.0 * high * column
-    capped, _ = selection.compute_gain(column, residual, (low, high))
-    assert capped == pytest.approx(1.0 - 0.5**2)
+    capped = selection.compute_gain(column, residual, (low, high))
+    assert capped.value == pytest.approx(1.0 - 0.5**2)
     assert selection.compute_gain(column, residual, (low, 3.0 * high)).value == pytest.approx(1.0)
     assert selection.compute_gain(column, -residual, (low, high)).value == 0.0
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from socast.core.batch import Floats
-from socast.core.diagnose.mixed_model import Criterion, MixedModel
+from socast.core.stats.mixed_model import Criterion, MixedModel
 from socast.core.stats.scores import NORMAL_95
 
 ROOT_STEPS: Final = 12

@@ -5,13 +5,13 @@ The energy of window w of ride r on day d is
     y_w = x_w'b + z_w'u_r + z_w'u_d + ... + e_w,    e_w ~ N(0, φ / weight_w),    u ~ N(0, φ diag(δ)),
 
 with coefficients b without a prior, and random effects u of each unit of each level on the columns z. δ are relative
-variances. Only sums of products of columns, Q'WQ of each ride, are needed. `sweep` integrates over the random effects
-of a unit, and the sums of its units are those of the level above.
+variances. Only sums of products of columns, Q'WQ of each ride, are needed. `SweepStep` integrates over the random
+effects of a unit, and the sums of its units are those of the level above.
 
 `MixedModel` evaluates the restricted likelihood (REML). Per unit, it holds only the rows of the sums that belong to
 random effects, so that one evaluation with its gradient takes milliseconds for a thousand rides.
 
-`socast.core.diagnose.variances` estimates the variances.
+`socast.core.stats.variances` estimates the variances.
 
 References
 ----------
@@ -27,7 +27,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from socast.core.batch import Floats, Ints
-from socast.core.diagnose.sweep import SweepStep, sum_ride_products, sum_units
+from socast.core.stats.random_effects import SweepStep, sum_products, sum_units
 
 SINGULAR: Final = 1e-10
 """Squared size of a combination of fixed columns, relative to the largest one, below which it counts as zero. [1]"""
@@ -114,7 +114,7 @@ class MixedModel:
         self._p = fixed.coefficients
         self._levels = _nest(levels, fixed.group)
         columns = np.column_stack([effects, fixed.columns, measured])
-        products = sum_ride_products(columns, weight, levels[0])
+        products = sum_products(columns, weight, levels[0])
         energy = np.full((len(fixed.place), 1), self._p)
         self._place = np.column_stack([fixed.place, energy])
         self._grids = [np.ix_(place, place) for place in self._place]
