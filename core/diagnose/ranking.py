@@ -11,7 +11,7 @@ from socast.core.diagnose.candidates import Candidates
 from socast.core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.stats.held_out_gain import cross_fit, fit_other_folds, measure_gain
-from socast.core.stats.multiple_testing import adjust_false_discovery
+from socast.core.stats.multiple_testing import adjust_false_discovery, combine_by_simes
 from socast.core.stats.scores import Estimate
 
 LEAST_LEFT: Final = 0.03
@@ -151,22 +151,6 @@ def compute_window_gains(residual: Floats, columns: Floats, sign: Ints, clusters
     coefficient = fit_other_folds(size, cross, clusters.assign_folds(seed))
     coefficient = np.where(sign * coefficient < 0.0, 0.0, coefficient)
     return np.asarray((2.0 * coefficient * cross - coefficient**2 * size) / (residual @ residual))
-
-
-def combine_by_simes(p: Floats) -> float:
-    """Return the probability that several tests of one effect give their results by chance.
-
-    References
-    ----------
-    Simes, Biometrika 73 (1986) 751, DOI 10.1093/biomet/73.3.751.
-
-    Examples
-    --------
-    >>> combine_by_simes(np.array([0.02, 0.5, 0.03]))
-    0.045
-    """
-    ordered = np.sort(p)
-    return float(np.min(ordered * len(p) / np.arange(1, len(p) + 1)))
 
 
 def compute_correlation(one: Floats, other: Floats) -> float:

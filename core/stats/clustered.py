@@ -19,7 +19,6 @@ from math import inf, nan, sqrt
 from typing import Final
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats
@@ -29,17 +28,6 @@ LEAST_CLUSTERS: Final = 30
 """Number of clusters below which a share is too uncertain to be shown as a figure."""
 SPARSE: Final = 16
 """Largest code over the number of cases above which codes are renumbered before they are counted. [1]"""
-
-
-def assign_vehicle_days(rides: pd.DataFrame, day: str = "date") -> Codes:
-    """Return the cluster of each ride: one code per vehicle and day.
-
-    Returns
-    -------
-    (n,) int64
-        Codes from 0, in the order of first appearance; rows of unknown vehicle or day form clusters, too.
-    """
-    return np.asarray(rides.groupby(["vehicle_id", day], sort=False, dropna=False).ngroup(), dtype=np.int64)
 
 
 def compute_clustered_mean(values: Floats, clusters: Codes) -> Estimate:

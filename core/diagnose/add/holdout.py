@@ -23,9 +23,8 @@ from socast.core.diagnose.add.error_fall import measure_fall
 from socast.core.diagnose.add.refit import TermAddition, hide_vehicle_models, refit_with
 from socast.core.errors import ModelError
 from socast.core.fit.measurement_noise import compute_noise_variance
-from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers
+from socast.core.fit.ride_blocks import ENERGY, assign_vehicle_days, get_names, get_numbers
 from socast.core.models import VEHICLE_MODEL
-from socast.core.stats.clustered import assign_vehicle_days
 from socast.core.stats.splits import deal_names, split_by_vehicle
 
 FOLDS: Final = 5

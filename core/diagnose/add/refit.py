@@ -25,11 +25,10 @@ from socast.core.diagnose.ranking import compute_held_out_gain
 from socast.core.fit.block_sums import build_design, limit_to_one_thread
 from socast.core.fit.fitting import fit_terms
 from socast.core.fit.recipes import LinearRecipe
-from socast.core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers
+from socast.core.fit.ride_blocks import ENERGY, RideFrame, assign_vehicle_days, get_names, get_numbers
 from socast.core.fit.window_fit import fit_rows
 from socast.core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
 from socast.core.models.features import Columns
-from socast.core.stats.clustered import assign_vehicle_days
 from socast.core.stats.random_effects import estimate_variance_between
 from socast.core.stats.scores import Estimate
 

@@ -12,12 +12,12 @@ from socast.core.diagnose.ranking import (
     LEVEL,
     Ranking,
     ResidualSpace,
-    combine_by_simes,
     compute_correlation,
     compute_window_gains,
     rank_candidates,
 )
 from socast.core.stats.clustered import sum_over_clusters
+from socast.core.stats.multiple_testing import combine_by_simes
 from tests.support.synthetic_windows import gather_with_model, keep_only, make_tables, make_windows
 
 EITHER = np.zeros(1, dtype=np.int64)
