@@ -43,14 +43,14 @@ class ClusterSums:
     Parameters
     ----------
     code : (n,) int64
-        Cluster of each window, from 0; every code occurs at least once.
+        Cluster of each window.
     """
 
     def __init__(self, code: Ints) -> None:
-        self.code = code
-        self.count = int(code.max()) + 1
-        self._order = np.argsort(code, kind="stable")
-        self._starts = np.flatnonzero(np.r_[True, np.diff(code[self._order]) > 0])
+        self.code = np.unique(code, return_inverse=True)[1].astype(np.int64)
+        self.count = int(self.code.max()) + 1
+        self._order = np.argsort(self.code, kind="stable")
+        self._starts = np.flatnonzero(np.r_[True, np.diff(self.code[self._order]) > 0])
 
     def assign_folds(self, seed: int) -> Ints:
         """Return the fold of each cluster, one of at most `FOLDS`, (count,)."""

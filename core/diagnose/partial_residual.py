@@ -131,9 +131,7 @@ def _list_cars(vehicle: Ints) -> list[int]:
 
 def _fit_slope(residual: Floats, column: Floats, day: Ints) -> tuple[float | None, list[float] | None]:
     """Return the coefficient that weighted, projected windows of one car show, with its interval; None if unknown."""
-    evidence = compute_evidence(
-        residual, column, np.zeros(1, dtype=np.int64), ClusterSums(np.unique(day, return_inverse=True)[1])
-    )
+    evidence = compute_evidence(residual, column, np.zeros(1, dtype=np.int64), ClusterSums(day))
     slope = evidence.get_estimate(0)
     known = float((column**2).sum()) > 0.0 and bool(np.isfinite(slope.interval).all())
     return (slope.value, list(slope.interval)) if known else (None, None)

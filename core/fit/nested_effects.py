@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from socast.core.batch import Floats, Ints
-from socast.core.stats.random_effects import Integrated, integrate_out, sum_units
+from socast.core.stats.random_effects import Integrated, integrate_out, number_units, sum_units
 
 SHARED: Final = 2
 """Number of columns on which rides and vehicle-days have random effects: rolling energy and time."""
@@ -115,7 +115,7 @@ class RideProducts(NamedTuple):
         chosen[drawn[: max(int(np.searchsorted(count, most)), 1)]] = True
         inside = chosen[self.day]
         return RideProducts(
-            self.sums[inside], self.rows[inside], _renumber(self.day[inside]), _renumber(self.car[chosen])
+            self.sums[inside], self.rows[inside], number_units(self.day[inside]), number_units(self.car[chosen])
         )
 
 
@@ -192,8 +192,3 @@ def pin(prior: Gaussian, at: NDArray[np.bool_], mean: Floats) -> Gaussian:
     covariance[at], covariance[:, at] = 0.0, 0.0
     covariance[at, at] = (PINNED * np.sqrt(np.diag(prior.covariance))[at]) ** 2
     return Gaussian(np.where(at, mean, prior.mean), covariance)
-
-
-def _renumber(code: Ints) -> Ints:
-    """Return ascending codes without gaps."""
-    return np.unique(code, return_inverse=True)[1].astype(np.int64)

@@ -15,7 +15,7 @@ import numpy as np
 from socast.core.batch import Floats
 
 
-def find_conformal_ranks(count: float, levels: Sequence[float]) -> Floats:
+def find_conformal_ranks(count: int, levels: Sequence[float]) -> Floats:
     """Return the rank of each level among `count` ascending errors, from 0; outside of them where these are too few."""
     return (count + 1) * np.array(levels) - 1.0
 
@@ -43,5 +43,5 @@ def compute_counted_quantiles(counts: Floats, errors: Floats, levels: Sequence[f
     """
     number = float(counts.sum())
     at = (np.cumsum(counts) - 0.5 * counts) / number
-    shares = np.clip((find_conformal_ranks(number, levels) + 0.5) / number, 0.0, 1.0)
-    return np.asarray(np.interp(shares, at, errors))
+    wider = np.clip(0.5 + (np.array(levels) - 0.5) * (1.0 + 1.0 / number), 0.0, 1.0)  # the middle of each rank
+    return np.asarray(np.interp(wider, at, errors))

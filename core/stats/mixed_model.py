@@ -27,7 +27,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from socast.core.batch import Floats, Ints
-from socast.core.stats.random_effects import SweepStep, sum_products, sum_units
+from socast.core.stats.random_effects import SweepStep, number_units, sum_products, sum_units
 
 SINGULAR: Final = 1e-10
 """Squared size of a combination of fixed columns, relative to the largest one, below which it counts as zero. [1]"""
@@ -114,7 +114,7 @@ class MixedModel:
         self._p = fixed.coefficients
         self._levels = _nest(levels, fixed.group)
         columns = np.column_stack([effects, fixed.columns, measured])
-        products = sum_products(columns, weight, levels[0])
+        products = sum_products(columns, weight, number_units(levels[0]))
         energy = np.full((len(fixed.place), 1), self._p)
         self._place = np.column_stack([fixed.place, energy])
         self._grids = [np.ix_(place, place) for place in self._place]
@@ -308,7 +308,7 @@ def _diagonal(matrices: Floats) -> Floats:
 
 def _nest(levels: Sequence[Ints], group: Ints) -> list[_Level]:
     """Return the levels with their units numbered; raise ValueError where they are not nested."""
-    codes = [_renumber(level) for level in levels]
+    codes = [number_units(level) for level in levels]
     if np.any(np.diff(codes[0]) < 0):
         raise ValueError("the windows of a unit of the lowest level are not adjacent")
     spans = np.logical_or.accumulate([bool(np.any(group[_find_first(unit)][unit] != group)) for unit in codes]).tolist()
@@ -330,11 +330,3 @@ def _nest(levels: Sequence[Ints], group: Ints) -> list[_Level]:
 def _find_first(unit: Ints) -> Ints:
     """Return the first window of each unit, (units,)."""
     return np.asarray(np.unique(unit, return_index=True)[1], dtype=np.int64)
-
-
-def _renumber(code: Ints) -> Ints:
-    """Return codes 0, 1, ... in the order of first appearance."""
-    _, first, place = np.unique(code, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return np.asarray(rank[place], dtype=np.int64)

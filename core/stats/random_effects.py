@@ -69,6 +69,18 @@ class Integrated(NamedTuple):
         return by_given, by_variance - 0.5 * np.sum(np.swapaxes(own, 1, 2) * self.inverse, axis=(0, 1))
 
 
+def number_units(codes: Ints) -> Ints:
+    """Return codes numbered from 0 in the order of first appearance.
+
+    Examples
+    --------
+    >>> number_units(np.array([7, 7, 2, 7, 3])).tolist()
+    [0, 0, 1, 0, 2]
+    """
+    _, first, place = np.unique(codes, return_index=True, return_inverse=True)
+    return np.asarray(np.argsort(np.argsort(first))[place], dtype=np.int64)
+
+
 def sum_products(columns: Floats, weight: Floats, unit: Ints) -> Floats:
     """Return the weighted sums of products of columns over the rows of each unit, whose codes have no gap."""
     weighted = columns * np.sqrt(weight)[:, np.newaxis]

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats, Ints
+from socast.core.batch import Floats
 from socast.core.diagnose.candidates import compute_least_coefficients
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
@@ -205,16 +205,11 @@ def _alone(base: BaseProjection, left: Floats, place: int, at: Rows) -> Estimate
     size = float(column @ column)
     if size <= LEAST_LEFT * float(left[:, place] @ left[:, place]):
         return None
-    clusters = [_renumbered(code[at]) for code in (base.windows.day, base.windows.date)]
+    clusters = [ClusterSums(code[at]) for code in (base.windows.day, base.windows.date)]
     evidence = compute_worst_case_evidence(residual, column[:, np.newaxis], np.zeros(1, dtype=np.int64), clusters)
     found = evidence.get_estimate(0)
     alone = sqrt(float(np.mean((residual - found.value * column) ** 2)) / size)  # the error, were windows independent
     return found._replace(error=max(found.error, alone))
-
-
-def _renumbered(code: Ints) -> ClusterSums:
-    """Return clusters with codes that leave out those without rows."""
-    return ClusterSums(np.unique(code, return_inverse=True)[1].astype(np.int64))
 
 
 def _off(others: Floats, *columns: Floats) -> list[Floats]:

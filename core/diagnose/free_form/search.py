@@ -361,6 +361,6 @@ def _coefficient(search: _Search, term: FreeTerm) -> Estimate:
     """Return the coefficient on all windows, with clustered errors."""
     data = search.data
     projected = _project_off_base(search.column(term) * data.root, data)
-    clusters = ClusterSums(np.unique(data.cluster, return_inverse=True)[1])
+    clusters = ClusterSums(data.cluster)
     either = np.zeros(1, dtype=np.int64)
     return compute_evidence(data.residual, projected[:, np.newaxis], either, clusters).get_estimate(0)

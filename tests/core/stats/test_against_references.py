@@ -177,7 +177,7 @@ def integration(rng):
     whole = np.diag(1.0 / weight)
     for k in range(2):
         whole += variance[k] * (unit[:, np.newaxis] == unit) * np.outer(columns[:, k], columns[:, k])
-    total = random_effects.sum_units(found.sums, np.zeros(3, np.int64))[0]
+    total = random_effects.sum_units(found.sums, random_effects.number_units(np.full(3, 7)))[0]
     determinant = np.linalg.slogdet(whole)[1] + np.log(weight).sum()
     return (*total.ravel(), found.log_determinant.sum()), (
         *(columns.T @ np.linalg.solve(whole, columns)).ravel(),
@@ -237,7 +237,7 @@ CASES = {
     conformal_quantiles: ["compute_counted_quantiles", "find_conformal_ranks"],
     conformal_quantiles_that_cover: ["compute_conformal_quantiles"],
     variance_between: ["estimate_variance_between"],
-    integration: ["integrate_out", "sum_products", "sum_units"],
+    integration: ["integrate_out", "number_units", "sum_products", "sum_units"],
     errors_of_predictions: [
         *(f"compute_{name}" for name in ("mae", "rmse", "bias", "wmape", "mape", "relative_errors")),
     ],
