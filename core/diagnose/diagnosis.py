@@ -30,7 +30,6 @@ from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.episodes import find_episodes
 from socast.core.diagnose.error_location.locate import locate_error
 from socast.core.diagnose.error_steps import compute_steps
-from socast.core.diagnose.evidence import ClusterSums
 from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectionSettings
 from socast.core.diagnose.free_form.search import Suggestion, suggest_term
 from socast.core.diagnose.partial_residual import compute_partial_residual
@@ -46,6 +45,7 @@ from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible
+from socast.core.stats.evidence import ClusterSums
 from socast.core.stats.scores import Estimate
 
 LEAST_SUGGESTION_GAIN: Final = 0.005

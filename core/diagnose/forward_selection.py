@@ -16,7 +16,6 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.diagnose.candidates import Candidates
-from socast.core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
 from socast.core.diagnose.posterior.causes import SelectedForm, compute_cause_evidence
 from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN, Causes, compute_probabilities
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
@@ -27,6 +26,7 @@ from socast.core.diagnose.ranking import (
     compute_held_out_gain,
     rank_candidates,
 )
+from socast.core.stats.evidence import ClusterSums, Evidence, compute_worst_case_evidence
 from socast.core.stats.scores import Estimate
 
 NEEDED: Final = 0.05

@@ -19,15 +19,15 @@ from threadpoolctl import threadpool_limits
 from socast.core import effects
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
-from socast.core.diagnose.bin_means import average_in_bins, split_at_quantiles
 from socast.core.diagnose.candidates import build_candidates
 from socast.core.diagnose.dataset import gather_windows
-from socast.core.diagnose.evidence import ClusterSums, compute_evidence
 from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect, SelectionSettings
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.errors import ModelError
 from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models import LinearModel
+from socast.core.stats.bin_means import average_in_bins, split_at_quantiles
+from socast.core.stats.evidence import ClusterSums, compute_evidence
 
 BINS: Final = 12
 """Largest number of bins of a picture."""

@@ -19,12 +19,12 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
 from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect
 from socast.core.diagnose.plain_shapes import build_plain_shapes, compute_window_sun_sine
 from socast.core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_window_gains
 from socast.core.fit.ride_blocks import get_numbers
 from socast.core.stats.clustered import sum_over_clusters
+from socast.core.stats.evidence import ClusterSums, compute_worst_case_evidence
 from socast.core.stats.multiple_testing import adjust_false_discovery
 from socast.core.stats.scores import Estimate
 

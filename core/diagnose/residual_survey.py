@@ -12,11 +12,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
-from socast.core.diagnose.bin_means import average_in_bins, split_at_quantiles
 from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.shown_columns import CATEGORIES, NUMBERS, ShownColumn, describe_column, list_columns
 from socast.core.evaluate.compare import ride_wind
 from socast.core.models import LinearModel
+from socast.core.stats.bin_means import average_in_bins, split_at_quantiles
 from socast.core.stats.multiple_testing import adjust_false_discovery
 from socast.core.stats.scores import NORMAL_95
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from socast.core.batch import Floats
 from socast.core.diagnose.candidates import compute_least_coefficients
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
 from socast.core.diagnose.ranking import compute_held_out_gain
 from socast.core.fit.block_sums import build_design, limit_to_one_thread
@@ -29,6 +28,7 @@ from socast.core.fit.ride_blocks import ENERGY, RideFrame, assign_vehicle_days, 
 from socast.core.fit.window_fit import fit_rows
 from socast.core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
 from socast.core.models.features import Columns
+from socast.core.stats.evidence import ClusterSums, compute_worst_case_evidence
 from socast.core.stats.random_effects import estimate_variance_between
 from socast.core.stats.scores import Estimate
 

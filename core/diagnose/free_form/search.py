@@ -23,11 +23,11 @@ import numpy as np
 import pandas as pd
 
 from socast.core.batch import Floats, Ints
-from socast.core.diagnose.evidence import ClusterSums, compute_evidence
 from socast.core.diagnose.free_form import suggestion
 from socast.core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES, Carrier
 from socast.core.diagnose.free_form.terms import FreeTerm, Modulator, list_modulators
 from socast.core.stats.clustered import compute_clustered_ratio
+from socast.core.stats.evidence import ClusterSums, compute_evidence
 from socast.core.stats.scores import Estimate
 from socast.core.stats.splits import deal_folds
 

@@ -8,10 +8,10 @@ import pytest
 
 from socast.core import effects
 from socast.core.diagnose.candidates import Candidates, build_candidates
-from socast.core.diagnose.evidence import ClusterSums
 from socast.core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
 from socast.core.diagnose.posterior.probabilities import SEVERAL, Causes
 from socast.core.diagnose.projection import BaseProjection
+from socast.core.stats.evidence import ClusterSums
 from socast.core.stats.scores import compute_half_widths
 from tests.support.synthetic_windows import (
     compute_coefficients,

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from socast.core.diagnose.candidates import build_candidates
-from socast.core.diagnose.evidence import ClusterSums
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.ranking import (
     LEVEL,
@@ -17,6 +16,7 @@ from socast.core.diagnose.ranking import (
     rank_candidates,
 )
 from socast.core.stats.clustered import sum_over_clusters
+from socast.core.stats.evidence import ClusterSums
 from socast.core.stats.multiple_testing import combine_by_simes
 from tests.support.synthetic_windows import gather_with_model, keep_only, make_tables, make_windows
 

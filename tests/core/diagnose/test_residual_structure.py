@@ -5,7 +5,6 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from socast.core.diagnose.candidates import build_candidates
-from socast.core.diagnose.evidence import ClusterSums
 from socast.core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
 from socast.core.diagnose.residual_structure import (
@@ -18,6 +17,7 @@ from socast.core.diagnose.residual_structure import (
     compute_predictable_share,
     measure_residual_structure,
 )
+from socast.core.stats.evidence import ClusterSums
 from tests.support.synthetic_windows import gather_with_model, make_tables, make_windows
 
 

@@ -11,7 +11,16 @@ from scipy import optimize, stats
 from sklearn import metrics
 
 import socast.core.stats
-from socast.core.stats import clustered, conformal, held_out_gain, multiple_testing, random_effects, scores
+from socast.core.stats import (
+    bin_means,
+    clustered,
+    conformal,
+    evidence,
+    held_out_gain,
+    multiple_testing,
+    random_effects,
+    scores,
+)
 from socast.core.stats.scores import Estimate
 
 ALONE = np.arange(40)
@@ -116,6 +125,27 @@ def widening(rng):
 def sum_of_clusters(rng):
     values = rng.exponential(size=25)
     return state(clustered.sum_over_clusters(values)), 25.0 * np.array(classical(values))
+
+
+def means_in_bins(rng):
+    values, place = rng.normal(0.5, 1.0, 40), np.arange(40) % 4
+    found = bin_means.average_in_bins(place, 4, values, np.ones(40), np.arange(40))
+    ours = np.array([found.value, found.value - found.ci95, found.value + found.ci95, found.p]).T
+    parts = [values[place == code] for code in range(4)]
+    sizes = rng.gamma(2.0, 1.0, 40)
+    codes, _ = bin_means.split_at_quantiles(sizes, 5)
+    reference = [(*classical(part), stats.ttest_1samp(part, 0.0).pvalue) for part in parts]
+    return (*ours.ravel(), *codes), (*np.ravel(reference), *pd.qcut(sizes, 5, labels=False))
+
+
+def evidence_of_a_column(rng):
+    residual, column, cluster = *rng.normal(size=(2, 40)), rng.integers(0, 9, 40)
+    every, codes = column @ residual / (column @ column), np.unique(cluster)
+    moved = [column[cluster != k] @ residual[cluster != k] / np.sum(column[cluster != k] ** 2) - every for k in codes]
+    share = np.array([np.sum(column[cluster == k] ** 2) for k in codes]) / np.sum(column**2)
+    error, freedom = np.sqrt(np.sum(np.square(moved))), 1.0 / np.sum(share**2) - 1.0
+    found = evidence.compute_evidence(residual, column[:, np.newaxis], np.zeros(1), evidence.ClusterSums(cluster))
+    return np.ravel(found), (every, error, freedom, every / error, 2.0 * stats.t.sf(abs(every) / error, freedom))
 
 
 def gain(rng):
@@ -230,6 +260,8 @@ CASES = {
     mean_over_repeats: ["average_over_repeats"],
     widening: ["compute_widening"],
     sum_of_clusters: ["sum_over_clusters"],
+    means_in_bins: ["average_in_bins", "split_at_quantiles"],
+    evidence_of_a_column: ["compute_evidence"],
     gain: ["measure_gain"],
     coefficients_of_other_folds: ["fit_other_folds", "cross_fit"],
     false_discovery: ["adjust_false_discovery", "combine_by_simes"],
@@ -246,6 +278,7 @@ CASES = {
 }
 """What is compared -> the functions that it runs."""
 ELSEWHERE = {
+    "compute_worst_case_evidence": "test_evidence.py",
     "compute_reach": "test_confidence_sequence.py",
     "estimate_variances": "test_mixed_model.py",
     "find_interval": "test_mixed_model.py",

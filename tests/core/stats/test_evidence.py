@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from socast.core.diagnose.evidence import (
+from socast.core.stats.evidence import (
     FOLDS,
     ClusterSums,
     Evidence,

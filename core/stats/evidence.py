@@ -3,9 +3,10 @@
 All quantities are weighted and projected (`socast.core.diagnose.projection`): a residual r and one column c per
 candidate, of which the terms of the model can explain nothing. The coefficient of a candidate is then c'r / c'c.
 
-Errors of windows of one vehicle-day may depend on each other in any way. The variance is therefore the sum of the
-squared sums over vehicle-days, each divided by (1 - h), as if the vehicle-day were left out (CR3). h is the share of
-c'c that the vehicle-day contributes. A candidate that acts on few days only has correspondingly few degrees of freedom.
+Errors of the rows of a cluster, such as a vehicle-day, may depend on each other in any way. The variance is therefore
+the sum of the squared sums over clusters, each divided by (1 - h), as if the cluster were left out (CR3). h is the
+share of c'c that the cluster contributes. A candidate that acts in few clusters has correspondingly few degrees of
+freedom.
 
 Cars that drive on the same date share its weather, including errors of the weather data. The test is therefore repeated
 with dates as clusters, and the less significant of the two results counts.
@@ -38,12 +39,12 @@ MAX_DISTORTION_SD: Final = 3.0
 
 
 class ClusterSums:
-    """Sum columns over clusters of windows: vehicle-days or dates.
+    """Sum columns over clusters of rows, such as vehicle-days or dates.
 
     Parameters
     ----------
     code : (n,) int64
-        Cluster of each window.
+        Cluster of each row.
     """
 
     def __init__(self, code: Ints) -> None:

@@ -1,4 +1,4 @@
-"""Average values in bins, with intervals that let windows of one vehicle-day depend on each other."""
+"""Average values in bins, with intervals that let rows of one cluster depend on each other."""
 
 from typing import Final, NamedTuple
 
@@ -9,7 +9,7 @@ from socast.core.batch import Floats, Ints
 from socast.core.stats.scores import compute_half_widths
 
 LEAST_FREEDOM: Final = 2.0
-"""Degrees of freedom below which a bin holds too few vehicle-days for an interval."""
+"""Degrees of freedom below which a bin holds too few clusters for an interval."""
 
 
 class BinMeans(NamedTuple):
@@ -20,11 +20,11 @@ class BinMeans(NamedTuple):
     value : (b,) float
         Weighted mean.
     ci95 : (b,) float
-        Half width of its 95 % interval; NaN where a bin holds too few vehicle-days.
+        Half width of its 95 % interval; NaN where a bin holds too few clusters.
     p : (b,) float
         Probability of a mean at least as far from zero by chance; NaN where there is no interval. [1]
     windows, days : (b,) int64
-        Number of windows and of vehicle-days.
+        Number of rows and of clusters, such as windows and vehicle-days.
     """
 
     value: Floats
@@ -40,13 +40,13 @@ def average_in_bins(place: Ints, bins: int, values: Floats, weight: Floats, day:
     Parameters
     ----------
     bins : int
-        Number of bins, each with at least one window of positive weight.
+        Number of bins, each with at least one row of positive weight.
 
     Notes
     -----
-    With the share p of a vehicle-day in the weight of its bin, and the sum s of its weighted deviations from the mean,
+    With the share p of a cluster in the weight of its bin, and the sum s of its weighted deviations from the mean,
     the variance is the sum of s^2/(1 - p) over the squared weight, with 1/(sum of p^2) - 1 degrees of freedom, as in
-    `socast.core.diagnose.evidence`.
+    `socast.core.stats.evidence`.
 
     Examples
     --------
@@ -74,9 +74,9 @@ def average_in_bins(place: Ints, bins: int, values: Floats, weight: Floats, day:
 
 
 def split_at_quantiles(values: Floats, most: int) -> tuple[Ints, int]:
-    """Return the bin of each value, of about equal numbers of windows, and the number of bins.
+    """Return the bin of each value, of about equal numbers of rows, and the number of bins.
 
-    A value of zero has a bin of its own where many windows have it, such as hours without rain.
+    A value of zero has a bin of its own where many rows have it, such as hours without rain.
 
     Examples
     --------
