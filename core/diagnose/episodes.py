@@ -36,10 +36,10 @@ from scipy.special import gammaln, log_ndtr, stdtrit
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.candidates import Candidates
-from socast.core.diagnose.noise import estimate_window_variance
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.ranking import LEAST_LEFT
 from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.fit.row_noise import estimate_variance
 from socast.core.stats.scores import Estimate
 
 LEVEL: Final = 0.01
@@ -233,7 +233,7 @@ class _HourlyPower:
         self.days, self.date = np.unique(day, return_inverse=True)
         self.car = windows.vehicle[first]
         self.window_car, self.window_date = windows.vehicle, self.date[windows.ride]
-        variance = estimate_window_variance(windows, energy, base.get_variance_parts())
+        variance = estimate_variance(base.get_variance_parts(), energy)
         precision = _cumulate(windows.ride, self.hour, duration**2 / variance)
         self._precision, self._score = precision, _cumulate(windows.ride, self.hour, duration * energy / variance)
         new = np.r_[True, (np.diff(self.car) != 0) | (np.diff(self.date) != 0)]

@@ -96,19 +96,31 @@ def rank_candidates(
     projected = space.project_out(candidates.columns)
     size = (space.base.apply_weights(candidates.columns) ** 2).sum(axis=0)
     left = np.divide((projected**2).sum(axis=0), size, out=np.zeros(len(size)), where=size > 0.0)
-    evidence = compute_worst_case_evidence(
-        space.residual, projected, candidates.sign, clusters, candidates.least_coefficients
+    evidence, gain = explain_by_columns(
+        space.residual, projected, candidates.sign, clusters, seed, candidates.least_coefficients
     )
-    gains = compute_window_gains(space.residual, projected, candidates.sign, clusters[0], seed)
     identifiable = left > LEAST_LEFT
     count = len(candidates.names)
     best, p = np.full(count, -1, dtype=np.int64), np.full(count, np.nan)
     for e in range(count):
         variants = np.flatnonzero((candidates.effects == e) & identifiable)
         if len(variants):
-            best[e] = variants[np.argmax(gains[:, variants].sum(axis=0))]
+            best[e] = variants[np.argmax(gain[variants])]
             p[e] = combine_by_simes(evidence.p[variants])
     return Ranking(candidates, projected, evidence, left, best, adjust_false_discovery(p))
+
+
+def explain_by_columns(
+    residual: Floats,
+    columns: Floats,
+    sign: Ints,
+    clusters: Sequence[ClusterSums],
+    seed: int,
+    least: Floats | None = None,
+) -> tuple[Evidence, Floats]:
+    """Return the evidence for each of k columns, and its gain on vehicle-days to which it was not fitted, (k,)."""
+    evidence = compute_worst_case_evidence(residual, columns, sign, clusters, least)
+    return evidence, compute_window_gains(residual, columns, sign, clusters[0], seed).sum(axis=0)
 
 
 def compute_held_out_gain(

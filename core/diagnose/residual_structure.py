@@ -21,10 +21,10 @@ from socast.core.batch import Floats, Ints
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect
 from socast.core.diagnose.plain_shapes import build_plain_shapes, compute_window_sun_sine
-from socast.core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_window_gains
+from socast.core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_window_gains, explain_by_columns
 from socast.core.fit.ride_blocks import get_numbers
 from socast.core.stats.clustered import sum_over_clusters
-from socast.core.stats.evidence import ClusterSums, compute_worst_case_evidence
+from socast.core.stats.evidence import ClusterSums
 from socast.core.stats.multiple_testing import adjust_false_discovery
 from socast.core.stats.scores import Estimate
 
@@ -206,10 +206,8 @@ class PlainShapes:
         if not len(free):
             return "", 1.0, 0.0
         either = np.zeros(len(free), dtype=np.int64)
-        q = adjust_false_discovery(compute_worst_case_evidence(left, shapes, either, self.selection.clusters).p)
-        gain = compute_window_gains(left, shapes, either, self.selection.clusters[0], self.selection.settings.seed).sum(
-            axis=0
-        )
+        evidence, gain = explain_by_columns(left, shapes, either, self.selection.clusters, self.selection.settings.seed)
+        q = adjust_false_discovery(evidence.p)
         best = int(np.argmax(np.where(q < LEVEL, gain, -1.0))) if (q < LEVEL).any() else int(np.argmin(q))
         return self.names[free[best]], float(q[best]), float(gain[best])
 

@@ -27,7 +27,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from socast.core.batch import Floats, Ints
-from socast.core.stats.random_effects import SweepStep, number_units, sum_products, sum_units
+from socast.core.stats.random_effects import SweepStep, get_diagonals, number_units, sum_products, sum_units
 
 SINGULAR: Final = 1e-10
 """Squared size of a combination of fixed columns, relative to the largest one, below which it counts as zero. [1]"""
@@ -186,7 +186,7 @@ class MixedModel:
         """Return about the standard errors of the relative variances, each as if estimated alone, (levels, s)."""
         out, own = [], self._own
         for level, variance in zip(self._levels, relative, strict=True):
-            sums = _diagonal(own)
+            sums = get_diagonals(own)
             out.append(1.0 / np.sqrt(0.5 * np.maximum(np.sum((sums / (1.0 + variance * sums)) ** 2, axis=0), 1e-300)))
             if level.parent is not None:
                 own = sum_units(own, level.parent)
@@ -299,11 +299,6 @@ def _invert(products: Floats, null: int) -> tuple[Floats, float]:
     lengths, axes = np.linalg.eigh(products)
     lengths, axes = lengths[null:], axes[:, null:]
     return np.asarray(axes / lengths @ axes.T), float(np.log(lengths).sum())
-
-
-def _diagonal(matrices: Floats) -> Floats:
-    """Return the diagonal of each matrix, (units, s)."""
-    return np.asarray(np.diagonal(matrices, axis1=1, axis2=2))
 
 
 def _nest(levels: Sequence[Ints], group: Ints) -> list[_Level]:

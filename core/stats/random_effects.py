@@ -189,19 +189,19 @@ class SweepStep(NamedTuple):
         """
         kept, turned = self.kept, np.swapaxes(self.kept, 1, 2)
         squares = times @ np.swapaxes(self.beside, 1, 2)  # N G N'
-        by_delta = _diagonal(self.own_left) - _diagonal(kept @ squares @ turned)
+        by_delta = get_diagonals(self.own_left) - get_diagonals(kept @ squares @ turned)
         to_own = self.inner + self.inner @ squares @ self.inner
         to_beside = -2.0 * self.inner @ times
         if by_own is not None and by_beside is not None:
             crossed = kept @ (self.beside @ np.swapaxes(by_beside, 1, 2))  # C N N̄'
-            by_delta = by_delta - _diagonal(crossed @ np.swapaxes(self.own_left, 1, 2))
-            by_delta = by_delta - _diagonal(self.own_left @ by_own @ np.swapaxes(self.own_left, 1, 2))
+            by_delta = by_delta - get_diagonals(crossed @ np.swapaxes(self.own_left, 1, 2))
+            by_delta = by_delta - get_diagonals(self.own_left @ by_own @ np.swapaxes(self.own_left, 1, 2))
             pulled = turned @ (by_beside @ np.swapaxes(self.gain, 1, 2))  # C' N̄ (B N)'
             to_own = to_own + turned @ by_own @ kept - (pulled + np.swapaxes(pulled, 1, 2)) / 2.0
             to_beside = to_beside + turned @ by_beside
         return np.asarray(by_delta.sum(axis=0)), to_own, to_beside
 
 
-def _diagonal(matrices: Floats) -> Floats:
+def get_diagonals(matrices: Floats) -> Floats:
     """Return the diagonal of each matrix, (units, s)."""
     return np.asarray(np.diagonal(matrices, axis1=1, axis2=2))

@@ -209,6 +209,7 @@ def integration(rng):
         whole += variance[k] * (unit[:, np.newaxis] == unit) * np.outer(columns[:, k], columns[:, k])
     total = random_effects.sum_units(found.sums, random_effects.number_units(np.full(3, 7)))[0]
     determinant = np.linalg.slogdet(whole)[1] + np.log(weight).sum()
+    assert random_effects.get_diagonals(found.sums).sum(axis=0) == pytest.approx(np.diag(total))
     return (*total.ravel(), found.log_determinant.sum()), (
         *(columns.T @ np.linalg.solve(whole, columns)).ravel(),
         determinant,
@@ -269,7 +270,7 @@ CASES = {
     conformal_quantiles: ["compute_counted_quantiles", "find_conformal_ranks"],
     conformal_quantiles_that_cover: ["compute_conformal_quantiles"],
     variance_between: ["estimate_variance_between"],
-    integration: ["integrate_out", "number_units", "sum_products", "sum_units"],
+    integration: ["integrate_out", "number_units", "get_diagonals", "sum_products", "sum_units"],
     errors_of_predictions: [
         *(f"compute_{name}" for name in ("mae", "rmse", "bias", "wmape", "mape", "relative_errors")),
     ],
