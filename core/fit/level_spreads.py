@@ -26,7 +26,7 @@ from socast.core.fit.nested_effects import (
     LevelSpreads,
     RideProducts,
     compute_coefficients,
-    without_car_factor,
+    integrate_car_factor,
 )
 from socast.core.stats.random_effects import integrate_out, sum_units
 
@@ -60,11 +60,11 @@ def integrate_car_spread(elimination: Elimination, prior: Gaussian, spreads: Lev
     candidates = [spreads.car * factor for factor in CAR_SPREADS] if spreads.car else [0.0]
     posteriors, logarithms = [], []
     for candidate in candidates:
-        cars, of_cars = without_car_factor(elimination.cars, candidate)
-        posterior, evidence = _solve(prior, cars.sum(axis=0))
+        cars = integrate_car_factor(elimination.cars, candidate)
+        posterior, evidence = _solve(prior, cars.sums.sum(axis=0))
         far = np.log(candidate / EXPECTED_LEVELS.car) / LEVELS_LOG_SD.car if candidate else 0.0
         posteriors.append(posterior)
-        logarithms.append(evidence - 0.5 * (of_cars + far**2))
+        logarithms.append(evidence - 0.5 * (float(cars.log_determinant.sum()) + far**2))
     weight = np.exp(np.array(logarithms) - max(logarithms))
     weight /= weight.sum()
     means = np.array([each.mean for each in posteriors])

@@ -156,14 +156,6 @@ def integrate_car_factor(cars: Floats, spread: float) -> Integrated:
     return integrate_out(cars, slice(last, last + 1), np.array([spread**2]))
 
 
-def without_car_factor(cars: Floats, spread: float) -> tuple[Floats, float]:
-    """Return the sums of cars without their factors, and the logarithm of the determinant that belongs to them."""
-    if spread == 0.0:
-        return cars, 0.0
-    integrated = integrate_car_factor(cars, spread)
-    return integrated.sums, float(integrated.log_determinant.sum())
-
-
 def compute_coefficients(prior: Gaussian, sums: Floats) -> Gaussian:
     """Return the posterior of the coefficients, given sums from which all random effects are eliminated."""
     p = len(prior.mean)
