@@ -223,8 +223,8 @@ def add_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True
         rows = np.flatnonzero(kinds == key)
         own[rows] = _leave_out_each(*_find_residuals(model, key, good, rows, fitted=fitted))
         every[rows] = _leave_out_group(*common, rows)
-    unseen = _group_by_model(good, every) if ANY in model.fits else {}
-    return stamp(msgspec.structs.replace(model, interval=calibrate_interval(_group_by_model(good, own), unseen)))
+    unseen = group_errors(good, every) if ANY in model.fits else {}
+    return stamp(msgspec.structs.replace(model, interval=calibrate_interval(group_errors(good, own), unseen)))
 
 
 def _find_residuals(
@@ -259,7 +259,7 @@ def _leave_out_group(left: Floats, basis: Floats, out: Ints) -> Floats:
     return np.asarray(left[out] + own @ np.linalg.lstsq(without, own.T @ left[out], rcond=1e-8)[0])
 
 
-def _group_by_model(rides: pd.DataFrame, error: Floats) -> dict[str, HeldOutErrors]:
+def group_errors(rides: pd.DataFrame, error: Floats) -> dict[str, HeldOutErrors]:
     """Return errors by vehicle model."""
     kinds = np.array(get_names(rides, VEHICLE_MODEL), dtype=object)
     found: dict[str, Any] = {}

@@ -13,7 +13,7 @@ import pandas as pd
 from socast.core.batch import Floats, Ints
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.fit.block_sums import build_design
-from socast.core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval, collect_errors
+from socast.core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval, group_errors
 from socast.core.fit.distortions import DISTORTIONS
 from socast.core.fit.nested_effects import compute_coefficients, integrate_car_factor
 from socast.core.fit.priors import compute_curve_columns, is_curved
@@ -36,15 +36,13 @@ def add_window_interval(model: LinearModel, groups: dict[str, GroupFit], rides: 
     if any(column not in rides for column in NEEDS):
         return stamp(model)
     kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
-    seen, models = {}, {}
-    for kind in sorted(set(kinds.tolist())):
+    own, every = np.full(len(good), np.nan), np.full(len(good), np.nan)
+    for kind in set(kinds.tolist()):
         rows = np.flatnonzero(kinds == kind)
-        own = _HeldOut(model, groups, kind if kind in groups else ANY, good.iloc[rows])
-        columns = Columns(good, rows=rows)
-        seen[kind or ANY] = collect_errors(own.without_day(), columns)
-        if len(set(kinds.tolist())) > 1:
-            models[kind or ANY] = collect_errors(_leave_out_rows(model, groups, good, rows), columns)
-    interval = calibrate_interval(_list_known(seen), _list_known(models))
+        own[rows] = _HeldOut(model, groups, kind if kind in groups else ANY, good.iloc[rows]).without_day()
+        if len(rows) < len(good):
+            every[rows] = _leave_out_rows(model, groups, good, rows)
+    interval = calibrate_interval(*(_list_known(group_errors(good, error)) for error in (own, every)))
     return stamp(msgspec.structs.replace(model, interval=interval))
 
 

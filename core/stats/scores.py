@@ -72,7 +72,7 @@ class Estimate(NamedTuple):
         """End of the one-sided 95 % confidence interval: the true value is higher in one case of twenty."""
         if self.error == 0.0:
             return self.value
-        return self.value + float(stdtrit(self.freedom, 0.95) * self.error) if self.freedom > 0 else nan
+        return self.value + float(compute_half_widths(self.error, self.freedom, 0.9))
 
     @property
     def p(self) -> float:
