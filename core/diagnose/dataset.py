@@ -11,10 +11,9 @@ from socast.core.batch import Floats, Ints
 from socast.core.errors import ModelError
 from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.measurement_noise import is_metered
-from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
+from socast.core.fit.ride_blocks import ENERGY, assign_vehicle_days, get_names, get_numbers, select_trainable
 from socast.core.models import ANY, LinearModel
 from socast.core.models.features import Columns
-from socast.core.stats.clustered import assign_vehicle_days
 
 LEAST_RIDES: Final = 20
 """Number of rides below which a diagnosis is not possible."""

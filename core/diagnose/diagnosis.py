@@ -25,14 +25,12 @@ from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.diagnose import residual_structure
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
-from socast.core.diagnose.add.refit import CoefficientEstimate
-from socast.core.diagnose.add.terms import describe_coefficient, explain_coefficient
+from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.candidates import build_candidates
 from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.episodes import find_episodes
 from socast.core.diagnose.error_location.locate import locate_error
 from socast.core.diagnose.error_steps import compute_steps
-from socast.core.diagnose.evidence import ClusterSums
 from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectionSettings
 from socast.core.diagnose.free_form.search import Suggestion, suggest_term
 from socast.core.diagnose.partial_residual import compute_partial_residual
@@ -62,7 +60,8 @@ from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible
 from socast.core.records import make_interval
-from socast.core.stats.held_out_gain import HeldOutGain
+from socast.core.stats.evidence import ClusterSums
+from socast.core.stats.scores import Estimate
 
 LEAST_SUGGESTION_GAIN: Final = 0.005
 """Share of the squared error that a free-form term must explain to be suggested."""
@@ -257,8 +256,8 @@ def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> Na
     seen = selection.base.windows
     named, evidence = finding.selected, finding.evidence
     effect = effects.get(named.variant)
-    estimate = CoefficientEstimate(float(evidence.coefficient[0]), float(evidence.error[0]), float(evidence.freedom[0]))
-    energy = named.column[:, 0] * estimate.value
+    coefficient = evidence.get_estimate(0)
+    energy = named.column[:, 0] * coefficient.value
     credible = [] if named.causes is None else named.causes.list_credible_set()
     return NamedEffect(
         effect=named.effect,
@@ -269,12 +268,12 @@ def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> Na
         scope=" ".join(part.replace("=", " ") for part in named.candidates.scope) or "all",
         columns=[f"{EFFECT_PREFIX}{named.variant}", *named.candidates.scope],
         gain=finding.gain.value,
-        gain_ci95=make_interval(finding.gain.value - finding.gain.half, finding.gain.value + finding.gain.half),
+        gain_ci95=make_interval(*finding.gain.interval),
         energy_share=np.abs(energy).sum() / seen.measured.sum(),
         p=evidence.p[0],
         z=evidence.z[0],
-        coefficient=describe_coefficient(effect, estimate),
-        words=explain_coefficient(effect, estimate),
+        coefficient=describe_coefficient(effect, coefficient),
+        words=effect.in_words(coefficient.value, coefficient.ci95),
         equivalents=_list_equivalents(energy, seen),
         separate=[
             RivalEffect(effect=name, correlation=r, data=effects.get(name).shown_by)
@@ -319,7 +318,7 @@ def _list_equivalents(energy: Floats, seen: Windows) -> list[str]:
 
 
 def _tabulate_candidates(
-    first: Ranking, gains: Mapping[str, HeldOutGain], missing: list[MissingEffect]
+    first: Ranking, gains: Mapping[str, Estimate], missing: list[MissingEffect]
 ) -> list[TestedEffect]:
     """Return all effects that were tested everywhere, as they ranked before any was selected."""
     rows = []

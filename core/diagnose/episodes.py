@@ -36,12 +36,13 @@ from scipy.special import gammaln, log_ndtr, stdtrit
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.candidates import Candidates
-from socast.core.diagnose.noise import estimate_window_variance
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.ranking import LEAST_LEFT
 from socast.core.diagnose.records import FoundEpisode
 from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.fit.row_noise import estimate_variance
 from socast.core.records import make_interval
+from socast.core.stats.scores import Estimate
 
 LEVEL: Final = 0.01
 """Probability that a diagnosis without any episode reports one. [1]"""
@@ -70,8 +71,6 @@ LEAST_RIDES: Final = 3
 """Number of rides that an episode holds at least; a single ride is no property of a date."""
 NORMAL_MEDIAN: Final = 0.6745
 """Median of the absolute value of a normal deviate."""
-NORMAL: Final = 1.96
-"""Half width of a 95 % interval of a normal estimate. [standard errors]"""
 HOURS: Final = 24
 CELLS: Final = 2_000_000
 """Number of rides times spans that are evaluated at once."""
@@ -236,7 +235,7 @@ class _HourlyPower:
         self.days, self.date = np.unique(day, return_inverse=True)
         self.car = windows.vehicle[first]
         self.window_car, self.window_date = windows.vehicle, self.date[windows.ride]
-        variance = estimate_window_variance(windows, energy, base.get_variance_parts())
+        variance = estimate_variance(base.get_variance_parts(), energy)
         precision = _cumulate(windows.ride, self.hour, duration**2 / variance)
         self._precision, self._score = precision, _cumulate(windows.ride, self.hour, duration * energy / variance)
         new = np.r_[True, (np.diff(self.car) != 0) | (np.diff(self.date) != 0)]
@@ -453,6 +452,7 @@ def _describe(
     worst = np.argsort(-of_ride, kind="stable")[: len(np.unique(windows.ride[rows]))]
     first, last = int(hours.hour[rows].min()), int(hours.hour[rows].max()) + 1  # the span may reach beyond the drives
     start = HOURS * hours.days[np.sort(best.dates)] + hours.begin + first
+    low, high = Estimate(power, error, np.inf).interval
     others = np.isin(hours.window_date, best.dates) & (np.isin(windows.vehicle, driving))
     return Episode(
         rows=rows,
@@ -465,8 +465,8 @@ def _describe(
         driving=len(driving),
         rides=tuple(np.array(get_names(windows.rides, "ride_key"), dtype=object)[worst].tolist()),
         power=power,
-        low=power - NORMAL * error,
-        high=power + NORMAL * error,
+        low=low,
+        high=high,
         share=share,
         chance=float(np.exp(best.log_chance)),
     )

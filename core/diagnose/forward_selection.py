@@ -16,7 +16,6 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.diagnose.candidates import Candidates
-from socast.core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
 from socast.core.diagnose.posterior.causes import SelectedForm, compute_cause_evidence
 from socast.core.diagnose.posterior.probabilities import NONE, UNKNOWN, Causes, compute_probabilities
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
@@ -27,7 +26,8 @@ from socast.core.diagnose.ranking import (
     compute_held_out_gain,
     rank_candidates,
 )
-from socast.core.stats.held_out_gain import HeldOutGain
+from socast.core.stats.evidence import ClusterSums, Evidence, compute_worst_case_evidence
+from socast.core.stats.scores import Estimate
 
 NEEDED: Final = 0.05
 """Probability above which an effect is dropped again beside the others."""
@@ -80,13 +80,13 @@ class MissingEffect:
         The effect.
     evidence : Evidence
         Its test result.
-    gain : HeldOutGain
+    gain : Estimate
         Of rides, with a coefficient within the plausible range.
     """
 
     selected: SelectedEffect
     evidence: Evidence
-    gain: HeldOutGain
+    gain: Estimate
 
 
 @dataclass(frozen=True)
@@ -240,11 +240,11 @@ class ForwardSelection:
         pairs = [(name, compute_correlation(off[:, 0], off[:, 1 + i])) for i, name in enumerate(names)]
         return sorted(pairs, key=lambda pair: -abs(pair[1]))
 
-    def compute_gain(self, column: Floats, residual: Floats, limits: tuple[float, float]) -> HeldOutGain:
+    def compute_gain(self, column: Floats, residual: Floats, limits: tuple[float, float]) -> Estimate:
         """Return the gain of a column on a residual, see `compute_held_out_gain`."""
         return compute_held_out_gain(self.base, column, residual, limits, self.clusters[0], self.settings.seed)
 
-    def compute_gain_beside(self, effect: SelectedEffect) -> HeldOutGain:
+    def compute_gain_beside(self, effect: SelectedEffect) -> Estimate:
         """Return the gain of an effect beside the other selected ones, with the weights of the model as given.
 
         `socast add` and the list of candidates use these weights too, so that all three state one gain.
@@ -254,7 +254,7 @@ class ForwardSelection:
         _, column, residual = given.compare_with_others(effect)
         return given.compute_gain(column, residual, effect.candidates.get_limits(effect.at))
 
-    def measure_candidates(self, ranking: Ranking) -> dict[str, HeldOutGain]:
+    def measure_candidates(self, ranking: Ranking) -> dict[str, Estimate]:
         """Return the gain of each effect that can be told from the model, each alone beside what is selected."""
         residual = self.compute_residual(self.build_basis())
         best = zip(ranking.candidates.names, ranking.best.tolist(), strict=True)

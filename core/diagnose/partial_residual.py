@@ -19,10 +19,8 @@ from threadpoolctl import threadpool_limits
 from socast.core import effects
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
-from socast.core.diagnose.bin_means import average_in_bins, split_at_quantiles
 from socast.core.diagnose.candidates import build_candidates
 from socast.core.diagnose.dataset import gather_windows
-from socast.core.diagnose.evidence import ClusterSums, compute_evidence
 from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect, SelectionSettings
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.records import CarResidual, PartialResidual
@@ -30,6 +28,8 @@ from socast.core.errors import ModelError
 from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models import LinearModel
 from socast.core.records import ConfidenceInterval, make_interval
+from socast.core.stats.bin_means import average_in_bins, split_at_quantiles
+from socast.core.stats.evidence import ClusterSums, compute_evidence
 
 BINS: Final = 12
 """Largest number of bins of a picture."""
@@ -61,7 +61,7 @@ def compute_partial_residual(selection: ForwardSelection, finding: MissingEffect
     rows = np.flatnonzero(amount > (LEAST_KM if per == "km" else 0.0))
     regressor, after = (WH * energy[rows] / amount[rows] for energy in (column, left))
     weight = base.weight[rows] * amount[rows] ** 2
-    low, high = finding.evidence.compute_interval(0)
+    low, high = finding.evidence.get_estimate(0).interval
 
     def bin_rows(at: Ints, most: int) -> dict[str, Any]:
         return _bin(regressor[at], after[at], value, weight[at], seen.day[rows][at], most)
@@ -125,12 +125,10 @@ def _list_cars(vehicle: Ints) -> list[int]:
 
 def _fit_slope(residual: Floats, column: Floats, day: Ints) -> tuple[float | None, ConfidenceInterval | None]:
     """Return the coefficient that weighted, projected windows of one car show, with its interval; None if unknown."""
-    evidence = compute_evidence(
-        residual, column, np.zeros(1, dtype=np.int64), ClusterSums(np.unique(day, return_inverse=True)[1])
-    )
-    ends = evidence.compute_interval(0)
-    known = float((column**2).sum()) > 0.0 and bool(np.isfinite(ends).all())
-    return (float(evidence.coefficient[0]), ends) if known else (None, None)
+    evidence = compute_evidence(residual, column, np.zeros(1, dtype=np.int64), ClusterSums(day))
+    slope = evidence.get_estimate(0)
+    known = float((column**2).sum()) > 0.0
+    return (slope.value, make_interval(*slope.interval)) if known else (None, None)
 
 
 def _bin(x: Floats, after: Floats, slope: float, weight: Floats, day: Ints, most: int) -> dict[str, Any]:

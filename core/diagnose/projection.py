@@ -27,11 +27,10 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.noise import estimate_window_variance
 from socast.core.fit.block_sums import build_design
 from socast.core.fit.distortions import gather_distortions
 from socast.core.fit.ride_blocks import get_names, get_numbers
-from socast.core.fit.row_noise import build_variance_parts, compute_robust_weights
+from socast.core.fit.row_noise import build_variance_parts, compute_robust_weights, estimate_variance
 from socast.core.models import ANY, LinearModel, Term
 from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX, Columns
 
@@ -99,7 +98,7 @@ class BaseProjection:
             self._project()
             standardised = self._unmixed(self.project_out(energy - self._taken[:, np.newaxis])[:, 0])
             left = standardised / np.sqrt(self.weight)
-            variance = estimate_window_variance(self.windows, left, self._variance_parts)
+            variance = estimate_variance(self._variance_parts, left)
             self.weight = compute_robust_weights(left / np.sqrt(variance)) ** 2 / variance
             self.ride_correlation = self._correlation(left * np.sqrt(self.weight))
         self._project()

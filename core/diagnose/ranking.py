@@ -8,10 +8,11 @@ import numpy as np
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.candidates import Candidates
-from socast.core.diagnose.evidence import ClusterSums, Evidence, compute_worst_case_evidence
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.stats.held_out_gain import HeldOutGain, cross_fit, measure_gain
-from socast.core.stats.multiple_testing import adjust_false_discovery
+from socast.core.stats.evidence import ClusterSums, Evidence, compute_worst_case_evidence
+from socast.core.stats.held_out_gain import cross_fit, fit_other_folds, measure_gain
+from socast.core.stats.multiple_testing import adjust_false_discovery, combine_by_simes
+from socast.core.stats.scores import Estimate
 
 LEAST_LEFT: Final = 0.03
 """Share of a candidate's size that the model must be unable to explain for the candidate to be identifiable."""
@@ -95,24 +96,36 @@ def rank_candidates(
     projected = space.project_out(candidates.columns)
     size = (space.base.apply_weights(candidates.columns) ** 2).sum(axis=0)
     left = np.divide((projected**2).sum(axis=0), size, out=np.zeros(len(size)), where=size > 0.0)
-    evidence = compute_worst_case_evidence(
-        space.residual, projected, candidates.sign, clusters, candidates.least_coefficients
+    evidence, gain = explain_by_columns(
+        space.residual, projected, candidates.sign, clusters, seed, candidates.least_coefficients
     )
-    gains = compute_window_gains(space.residual, projected, candidates.sign, clusters[0], seed)
     identifiable = left > LEAST_LEFT
     count = len(candidates.names)
     best, p = np.full(count, -1, dtype=np.int64), np.full(count, np.nan)
     for e in range(count):
         variants = np.flatnonzero((candidates.effects == e) & identifiable)
         if len(variants):
-            best[e] = variants[np.argmax(gains[:, variants].sum(axis=0))]
+            best[e] = variants[np.argmax(gain[variants])]
             p[e] = combine_by_simes(evidence.p[variants])
     return Ranking(candidates, projected, evidence, left, best, adjust_false_discovery(p))
 
 
+def explain_by_columns(
+    residual: Floats,
+    columns: Floats,
+    sign: Ints,
+    clusters: Sequence[ClusterSums],
+    seed: int,
+    least: Floats | None = None,
+) -> tuple[Evidence, Floats]:
+    """Return the evidence for each of k columns, and its gain on vehicle-days to which it was not fitted, (k,)."""
+    evidence = compute_worst_case_evidence(residual, columns, sign, clusters, least)
+    return evidence, compute_window_gains(residual, columns, sign, clusters[0], seed).sum(axis=0)
+
+
 def compute_held_out_gain(
     base: BaseProjection, column: Floats, residual: Floats, limits: tuple[float, float], days: ClusterSums, seed: int
-) -> HeldOutGain:
+) -> Estimate:
     """Return the gain of a candidate on rides of vehicle-days to which it was not fitted.
 
     Parameters
@@ -145,30 +158,11 @@ def compute_window_gains(residual: Floats, columns: Floats, sign: Ints, clusters
     extrapolate to it, and its failure there would be credited to any effect that resembles it. `socast add` refits
     everything without the days on which it evaluates.
     """
-    fold = clusters.assign_folds(seed)
     size = clusters.sum_by_cluster(columns**2)
     cross = clusters.sum_by_cluster(columns * residual[:, np.newaxis])
-    by_fold = np.eye(int(fold.max()) + 1)[fold].T
-    size_rest, cross_rest = size.sum(axis=0) - by_fold @ size, cross.sum(axis=0) - by_fold @ cross
-    coefficient = np.divide(cross_rest, size_rest, out=np.zeros_like(cross_rest), where=size_rest > 0.0)
-    coefficient = np.where(sign * coefficient < 0.0, 0.0, coefficient)[fold]
+    coefficient = fit_other_folds(size, cross, clusters.assign_folds(seed))
+    coefficient = np.where(sign * coefficient < 0.0, 0.0, coefficient)
     return np.asarray((2.0 * coefficient * cross - coefficient**2 * size) / (residual @ residual))
-
-
-def combine_by_simes(p: Floats) -> float:
-    """Return the probability that several tests of one effect give their results by chance.
-
-    References
-    ----------
-    Simes, Biometrika 73 (1986) 751, DOI 10.1093/biomet/73.3.751.
-
-    Examples
-    --------
-    >>> combine_by_simes(np.array([0.02, 0.5, 0.03]))
-    0.045
-    """
-    ordered = np.sort(p)
-    return float(np.min(ordered * len(p) / np.arange(1, len(p) + 1)))
 
 
 def compute_correlation(one: Floats, other: Floats) -> float:

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
-from socast.core.diagnose.bin_means import average_in_bins, split_at_quantiles
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.forward_selection import ForwardSelection
 from socast.core.diagnose.records import ResidualProfile
 from socast.core.diagnose.residual_structure import FEATURES
 from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.stats.bin_means import average_in_bins, split_at_quantiles
 
 BINS: Final = 12
 """Largest number of bins along a feature."""

@@ -19,13 +19,14 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
 from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect
 from socast.core.diagnose.plain_shapes import build_plain_shapes, compute_window_sun_sine
-from socast.core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_window_gains
+from socast.core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_window_gains, explain_by_columns
 from socast.core.fit.ride_blocks import get_numbers
-from socast.core.stats.held_out_gain import sum_over_clusters
+from socast.core.stats.clustered import sum_over_clusters
+from socast.core.stats.evidence import ClusterSums
 from socast.core.stats.multiple_testing import adjust_false_discovery
+from socast.core.stats.scores import Estimate
 
 LEAST_TAKEN: Final = 0.8
 """Share of what trees can predict that the selected effects must explain for no structure to remain."""
@@ -136,15 +137,13 @@ def measure_residual_structure(selection: ForwardSelection, missing: Sequence[Mi
     before = compute_predictable_share(features, base.residual, clusters[0], selection.settings.seed)
     after = compute_predictable_share(features, left, clusters[0], selection.settings.seed) if missing else before
     shapes = PlainShapes(selection)
-    explained, _ = sum_over_clusters(
-        clusters[0].sum_by_cluster(base.residual**2 - selection.compute_held_out_residual(off) ** 2)
-    )
+    explained = float((base.residual**2 - selection.compute_held_out_residual(off) ** 2).sum())
     share = max(explained / max(float(base.residual @ base.residual), 1e-300), 0.0)
     better = {each.selected.effect: shape for each in missing if (shape := shapes.find_replacement(each.selected))}
     shape, q, gain = shapes.find_strongest(off, left)
     days = compute_day_variance_ratio(selection, left)
     most = max(1.0 + SURE_OF_DAYS * float(np.sqrt(2.0 / clusters[0].count)), UNEVEN)
-    return ResidualStructure(before[0], after[0], after[1], share, shape, q, gain, days, most, better)
+    return ResidualStructure(before.value, after.value, after.error, share, shape, q, gain, days, most, better)
 
 
 def collect_features(windows: Windows) -> Floats:
@@ -154,8 +153,8 @@ def collect_features(windows: Windows) -> Floats:
     return np.column_stack([*columns, compute_window_sun_sine(windows)])
 
 
-def compute_predictable_share(features: Floats, left: Floats, clusters: ClusterSums, seed: int) -> tuple[float, float]:
-    """Return the share of a squared residual that trees predict on held-out days, and its standard error. [1]"""
+def compute_predictable_share(features: Floats, left: Floats, clusters: ClusterSums, seed: int) -> Estimate:
+    """Return the share of a squared residual that trees predict on held-out days. [1]"""
     fold = clusters.assign_folds(seed)[clusters.code] % TREE_FOLDS
     predicted = np.zeros(len(left))
     for k in range(int(fold.max()) + 1):
@@ -207,10 +206,8 @@ class PlainShapes:
         if not len(free):
             return "", 1.0, 0.0
         either = np.zeros(len(free), dtype=np.int64)
-        q = adjust_false_discovery(compute_worst_case_evidence(left, shapes, either, self.selection.clusters).p)
-        gain = compute_window_gains(left, shapes, either, self.selection.clusters[0], self.selection.settings.seed).sum(
-            axis=0
-        )
+        evidence, gain = explain_by_columns(left, shapes, either, self.selection.clusters, self.selection.settings.seed)
+        q = adjust_false_discovery(evidence.p)
         best = int(np.argmax(np.where(q < LEVEL, gain, -1.0))) if (q < LEVEL).any() else int(np.argmin(q))
         return self.names[free[best]], float(q[best]), float(gain[best])
 
@@ -230,7 +227,7 @@ class PlainShapes:
         more = (
             compute_window_gains(left, shapes[:, alike], either, selection.clusters[0], selection.settings.seed) - mine
         )
-        ahead = np.array([value / error if error > 0.0 else 0.0 for value, error in map(sum_over_clusters, more.T)])
+        ahead = np.array([each.value / each.error if each.error else 0.0 for each in map(sum_over_clusters, more.T)])
         best = int(np.argmax(ahead))
         return self.names[free[np.flatnonzero(alike)[best]]] if ahead[best] > CLEARLY else ""
 

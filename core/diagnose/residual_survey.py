@@ -12,19 +12,18 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
-from socast.core.diagnose.bin_means import average_in_bins, split_at_quantiles
 from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.shown_columns import CATEGORIES, NUMBERS, ShownColumn, describe_column, list_columns
 from socast.core.evaluate.compare import ride_wind
 from socast.core.models import LinearModel
+from socast.core.stats.bin_means import average_in_bins, split_at_quantiles
 from socast.core.stats.multiple_testing import adjust_false_discovery
+from socast.core.stats.scores import NORMAL_95
 
 BINS: Final = 12
 """Largest number of bins along a column."""
 MOST_NAMES: Final = 24
 """Largest number of names along a category, and of facets: those with the most rows."""
-NORMAL: Final = 1.96
-"""Half width of a 95 % interval of a normal estimate. [standard errors]"""
 LEAST_ROWS: Final = 5
 """Least mean number of rows in a bin."""
 FLIPS, FLIPS_AT_ONCE = 20, 100
@@ -196,7 +195,7 @@ def _measure_spread(bins: dict[str, Any]) -> float:
     """Return the root mean square of the means of bins, without what their standard errors cause."""
     known = [i for i, half in enumerate(bins["ci95"]) if half is not None]
     mean, half, rows = (np.array([bins[name][i] for i in known], dtype=np.float64) for name in ("mean", "ci95", "rows"))
-    return float(np.sqrt(max(np.average(mean**2 - (half / NORMAL) ** 2, weights=rows), 0.0)))
+    return float(np.sqrt(max(np.average(mean**2 - (half / NORMAL_95) ** 2, weights=rows), 0.0)))
 
 
 def _select_columns(seen: Windows, rows: Ints) -> pd.DataFrame:

@@ -29,6 +29,7 @@ from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_t
 from socast.core.models import ANY, VEHICLE_MODEL, LinearModel, stamp
 from socast.core.models.features import Columns, list_raw_columns
 from socast.core.models.interval import PredictionInterval, compute_scale_terms
+from socast.core.stats.conformal import compute_conformal_quantiles
 
 QUANTILE_LEVELS: Final = (
     0.005,
@@ -116,7 +117,7 @@ def calibrate_interval(
     over = np.concatenate([own.error / (own.terms @ scales[key]) for key, own in seen.items()])
     starts = _find_classes(every.distance)
     kind = np.searchsorted(starts, every.distance, side="right") - 1
-    rows = [_compute_quantiles(over[kind == i]) for i in range(len(starts))]
+    rows = [compute_conformal_quantiles(over[kind == i], QUANTILE_LEVELS) for i in range(len(starts))]
     found = PredictionInterval(
         scales={key: _three(scale) for key, scale in scales.items()} | {ANY: _three(general * _UNSEEN_FACTOR)},
         distances_km=tuple(starts),
@@ -156,22 +157,10 @@ def _find_classes(distance: Floats) -> list[float]:
     return starts
 
 
-def _compute_quantiles(over: Floats) -> Floats:
-    """Return quantiles of errors over their scale that cover one more ride with the nominal probability."""
-    ordered, n, levels = np.sort(over), len(over), np.array(QUANTILE_LEVELS)
-    above = np.ceil((n + 1) * levels) - 1.0
-    below = np.floor((n + 1) * levels) - 1.0
-    rank = np.where(levels > 0.5, above, np.where(levels < 0.5, below, (n - 1) / 2.0))
-    return ordered[np.clip(rank, 0, n - 1).astype(np.int64)]
-
-
 def _widen_for_unseen(interval: PredictionInterval, unseen: HeldOutErrors) -> PredictionInterval:
     """Return the interval with a scale for unseen vehicle models, at least as large as the mean of the others."""
     scale = _fit_scale(unseen)
-    low, high = _compute_bounds(interval, unseen.distance)
-    over = unseen.error / (unseen.terms @ scale)
-    factors = np.where(over > 0.0, over / np.maximum(high, 1e-9), over / np.minimum(low, -1e-9))
-    factor = float(np.quantile(factors, _UNSEEN_LEVEL))
+    factor = float(np.quantile(_find_factors(interval, unseen, scale), _UNSEEN_LEVEL))
     usual = [own for key, own in interval.scales.items() if key != ANY]
     widest = np.maximum(scale * factor, np.mean(usual, axis=0))
     return msgspec.structs.replace(interval, scales=interval.scales | {ANY: _three(widest)})
@@ -193,23 +182,19 @@ def widen_for_unseen_cars(
     """
     if interval is None or sum(len(own.error) for own in held.values()) < LEAST_CALIBRATION_RIDES:
         return interval
-    factors = []
-    for key, own in held.items():
-        low, high = _compute_bounds(interval, own.distance)
-        over = own.error / (own.terms @ np.array(interval.scales.get(key, interval.scales[ANY])))
-        factors.append(np.where(over > 0.0, over / np.maximum(high, 1e-9), over / np.minimum(low, -1e-9)))
+    factors = [
+        _find_factors(interval, own, np.array(interval.scales.get(key, interval.scales[ANY])))
+        for key, own in held.items()
+    ]
     factor = float(np.quantile(np.concatenate(factors), _UNSEEN_LEVEL))
     return msgspec.structs.replace(interval, cars=tuple(sorted(set(cars))), unseen_car=max(factor, 1.0))
 
 
-def _compute_bounds(interval: PredictionInterval, distance: Floats) -> tuple[Floats, Floats]:
-    """Return the quantiles at either end of the interval of `_UNSEEN_LEVEL`, by the length of each ride. [1]"""
-    kind = np.searchsorted(interval.distances_km, distance, side="right") - 1
-    low, high = (
-        np.array([np.interp(at, interval.levels, row) for row in interval.quantiles])[kind]
-        for at in (0.5 - _UNSEEN_LEVEL / 2, 0.5 + _UNSEEN_LEVEL / 2)
-    )
-    return low, high
+def _find_factors(interval: PredictionInterval, rides: HeldOutErrors, scale: Floats) -> Floats:
+    """Return the factor on a scale with which the interval of `_UNSEEN_LEVEL` would end at the error of each ride."""
+    low, high = interval.get_quantiles(rides.distance, _UNSEEN_LEVEL)
+    over = rides.error / (rides.terms @ scale)
+    return np.where(over > 0.0, over / np.maximum(high, 1e-9), over / np.minimum(low, -1e-9))
 
 
 def add_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True) -> LinearModel:
@@ -238,8 +223,8 @@ def add_interval(model: LinearModel, rides: pd.DataFrame, *, fitted: bool = True
         rows = np.flatnonzero(kinds == key)
         own[rows] = _leave_out_each(*_find_residuals(model, key, good, rows, fitted=fitted))
         every[rows] = _leave_out_group(*common, rows)
-    unseen = _group_by_model(good, every) if ANY in model.fits else {}
-    return stamp(msgspec.structs.replace(model, interval=calibrate_interval(_group_by_model(good, own), unseen)))
+    unseen = group_errors(good, every) if ANY in model.fits else {}
+    return stamp(msgspec.structs.replace(model, interval=calibrate_interval(group_errors(good, own), unseen)))
 
 
 def _find_residuals(
@@ -274,24 +259,7 @@ def _leave_out_group(left: Floats, basis: Floats, out: Ints) -> Floats:
     return np.asarray(left[out] + own @ np.linalg.lstsq(without, own.T @ left[out], rcond=1e-8)[0])
 
 
-def assign_folds(rows: int, folds: int) -> Ints:
-    """Return the fold of each ride, drawn at random and equal at every call."""
-    return np.random.default_rng(0).permutation(rows) % folds
-
-
-def assign_car_folds(vehicles: Sequence[str], folds: int) -> Ints:
-    """Return the fold of each ride such that all rides of a car share a fold, equal at every call.
-
-    Returns
-    -------
-    (n,) int
-        Fold of each ride, from 0 to `folds` - 1; 0 alone for a single car.
-    """
-    cars, code = np.unique(np.asarray(vehicles, dtype=str), return_inverse=True)
-    return np.asarray(assign_folds(len(cars), folds)[code] if len(cars) > 1 else np.zeros(len(code), dtype=np.int64))
-
-
-def _group_by_model(rides: pd.DataFrame, error: Floats) -> dict[str, HeldOutErrors]:
+def group_errors(rides: pd.DataFrame, error: Floats) -> dict[str, HeldOutErrors]:
     """Return errors by vehicle model."""
     kinds = np.array(get_names(rides, VEHICLE_MODEL), dtype=object)
     found: dict[str, Any] = {}

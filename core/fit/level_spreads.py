@@ -12,7 +12,7 @@ Rasmussen, Williams, Gaussian Processes for Machine Learning, MIT 2006, eq. (2.3
 """
 
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from scipy.optimize import minimize
@@ -25,11 +25,10 @@ from socast.core.fit.nested_effects import (
     Gaussian,
     LevelSpreads,
     RideProducts,
-    add_groups,
     compute_coefficients,
-    integrate_out,
-    without_car_factor,
+    integrate_car_factor,
 )
+from socast.core.stats.random_effects import integrate_out, sum_units
 
 MOST_RIDES: Final = 500
 """Number of rides that suffices to estimate the standard deviations of the levels."""
@@ -61,11 +60,11 @@ def integrate_car_spread(elimination: Elimination, prior: Gaussian, spreads: Lev
     candidates = [spreads.car * factor for factor in CAR_SPREADS] if spreads.car else [0.0]
     posteriors, logarithms = [], []
     for candidate in candidates:
-        cars, of_cars = without_car_factor(elimination.cars, candidate)
-        posterior, evidence = _solve(prior, cars.sum(axis=0))
+        cars = integrate_car_factor(elimination.cars, candidate)
+        posterior, evidence = _solve(prior, cars.sums.sum(axis=0))
         far = np.log(candidate / EXPECTED_LEVELS.car) / LEVELS_LOG_SD.car if candidate else 0.0
         posteriors.append(posterior)
-        logarithms.append(evidence - 0.5 * (of_cars + far**2))
+        logarithms.append(evidence - 0.5 * (float(cars.log_determinant.sum()) + far**2))
     weight = np.exp(np.array(logarithms) - max(logarithms))
     weight /= weight.sum()
     means = np.array([each.mean for each in posteriors])
@@ -81,71 +80,26 @@ def differentiate_level_evidence(
     p = products.coefficients
     shared = slice(p + 1, p + 1 + SHARED)
     scaled = products.sums / spreads.row**2
-    rides = _Level.of(scaled, shared, (spreads.ride_drive, spreads.ride_power))
-    days = _Level.of(add_groups(rides.left, products.day), shared, (spreads.day_drive, spreads.day_power))
+    of_rides, of_days, of_cars = spreads.variances
+    rides = integrate_out(scaled, shared, of_rides)
+    days = integrate_out(sum_units(rides.sums, products.day), shared, of_days)
     last = scaled.shape[1] - 1
-    cars = _Level.of(add_groups(days.left, products.car), slice(last, last + 1), (spreads.car,))
-    total = cars.left.sum(axis=0)
+    cars = integrate_out(sum_units(days.sums, products.car), slice(last, last + 1), of_cars)
+    total = cars.sums.sum(axis=0)
     posterior, evidence = _solve(prior, total)
     rows = float(products.rows.sum())
-    determinants = rides.log_determinant + days.log_determinant + cars.log_determinant
+    determinants = sum(float(each.log_determinant.sum()) for each in (rides, days, cars))
     evidence -= 0.5 * (2.0 * np.log(spreads.row) * rows + determinants)
     outer = np.append(posterior.mean, -1.0)
     by_total = np.zeros_like(total)
     by_total[: p + 1, : p + 1] = -0.5 * np.outer(outer, outer)
     by_total[:p, :p] -= 0.5 * posterior.covariance
-    by_days, by_car = cars.pass_back(np.broadcast_to(by_total, cars.left.shape))
+    by_days, by_car = cars.pass_back(np.broadcast_to(by_total, cars.sums.shape))
     by_rides, by_day = days.pass_back(by_days[products.car])
     by_rows, by_ride = rides.pass_back(by_rides[products.day])
     by_row = -2.0 * float(np.sum(by_rows * scaled)) - rows
-    return evidence, LevelSpreads(by_row, *by_ride, *by_day, *by_car)
-
-
-class _Level(NamedTuple):
-    """Hold one level of the elimination: what its derivatives need.
-
-    Parameters
-    ----------
-    sums, left : (m, q, q) float
-        Sums with and without the effects.
-    at : slice
-        Columns on which the effects act.
-    variance : (s,) float
-        Variances of the effects.
-    inverse : (m, s, s) float
-        Inverse of the identity plus the variances times the sums of these columns.
-    log_determinant : float
-        Logarithm of the determinant that the effects add.
-    """
-
-    sums: Floats
-    left: Floats
-    at: slice
-    variance: Floats
-    inverse: Floats
-    log_determinant: float
-
-    @staticmethod
-    def of(sums: Floats, at: slice, spreads: tuple[float, ...]) -> "_Level":
-        """Return the level of effects on some columns."""
-        integrated = integrate_out(sums, at, spreads)
-        variance = np.square(np.array(spreads))
-        return _Level(sums, integrated.sums, at, variance, integrated.inverse, integrated.log_determinant)
-
-    def pass_back(self, by_left: Floats) -> tuple[Floats, tuple[float, ...]]:
-        """Return the derivatives of the evidence by the sums and by the logarithms of the standard deviations."""
-        beside, own = np.ascontiguousarray(self.sums[:, :, self.at]), self.sums[:, self.at, self.at]
-        middle = self.inverse * self.variance
-        changed = -beside @ middle
-        changed[:, self.at] += np.eye(len(self.variance))
-        by_sums = by_left.copy()
-        by_sums[:, :, self.at] = by_left @ changed
-        by_sums[:, self.at] = np.swapaxes(changed, 1, 2) @ by_sums
-        by_sums[:, self.at, self.at] -= 0.5 * middle
-        gain = beside @ self.inverse
-        by_variance = -np.einsum("mis,mis->s", gain, by_left @ gain)
-        by_variance -= 0.5 * np.sum(np.swapaxes(own, 1, 2) * self.inverse, axis=(0, 1))
-        return by_sums, tuple((2.0 * self.variance * by_variance).tolist())
+    by_variance = np.concatenate([by_ride, by_day, by_car])
+    return evidence, LevelSpreads(by_row, *(2.0 * np.square(spreads[1:]) * by_variance).tolist())
 
 
 def estimate_spreads(

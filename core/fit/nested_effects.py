@@ -13,21 +13,16 @@ rides, then the vehicle-days, then the cars. Each step needs only sums of produc
 rides therefore give every fit to a part of the rides: without a ride, without a day, without a car.
 
 `socast.core.fit.level_spreads` estimates the standard deviations of the levels.
-
-References
-----------
-Laird, Ware, Biometrics 38 (1982) 963, DOI 10.2307/2529876: random effects.
 """
 
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
-from scipy.sparse import csr_array
 
 from socast.core.batch import Floats, Ints
+from socast.core.stats.random_effects import Integrated, integrate_out, number_units, sum_units
 
 SHARED: Final = 2
 """Number of columns on which rides and vehicle-days have random effects: rolling energy and time."""
@@ -56,6 +51,12 @@ class LevelSpreads(NamedTuple):
     day_drive: float
     day_power: float
     car: float
+
+    @property
+    def variances(self) -> tuple[Floats, Floats, Floats]:
+        """Variances of the random effects of rides, of vehicle-days and of cars."""
+        every = np.square(np.array(self))
+        return every[1:3], every[3:5], every[5:]
 
 
 EXPECTED_LEVELS: Final = LevelSpreads(1.0, 0.05, 0.1, 0.05, 0.1, 0.03)
@@ -114,7 +115,7 @@ class RideProducts(NamedTuple):
         chosen[drawn[: max(int(np.searchsorted(count, most)), 1)]] = True
         inside = chosen[self.day]
         return RideProducts(
-            self.sums[inside], self.rows[inside], _renumber(self.day[inside]), _renumber(self.car[chosen])
+            self.sums[inside], self.rows[inside], number_units(self.day[inside]), number_units(self.car[chosen])
         )
 
 
@@ -137,61 +138,22 @@ class Elimination(NamedTuple):
     day_gain: Floats
 
 
-class Integrated(NamedTuple):
-    """Hold sums of products after integration over the random effects on some of their columns.
-
-    Parameters
-    ----------
-    sums : (m, q, q) float
-        Sums without the effects.
-    gain : (m, s, q) float
-        Expected effects for each column.
-    inverse : (m, s, s) float
-        Inverse of the identity plus the variances of the effects times the sums of their columns.
-    log_determinant : float
-        Logarithm of the determinant that the effects add to the covariance of the errors.
-    """
-
-    sums: Floats
-    gain: Floats
-    inverse: Floats
-    log_determinant: float
-
-
-def sum_products(columns: Floats, weight: Floats, ride: Ints, rides: int) -> Floats:
-    """Return the weighted sums of products of columns over the rows of each ride."""
-    k = columns.shape[1]
-    sums = np.empty((rides, k, k))
-    for i in range(k):
-        weighted = columns[:, i] * weight
-        for j in range(i, k):
-            sums[:, i, j] = sums[:, j, i] = np.bincount(ride, weighted * columns[:, j], rides)
-    return sums
-
-
 def eliminate(products: RideProducts, spreads: LevelSpreads) -> Elimination:
     """Return sums without the random effects of rides and of vehicle-days, level by level."""
     p = products.coefficients
     shared = slice(p + 1, p + 1 + SHARED)
     scaled = products.sums / spreads.row**2
-    rides = integrate_out(scaled, shared, (spreads.ride_drive, spreads.ride_power))
-    days = integrate_out(add_groups(rides.sums, products.day), shared, (spreads.day_drive, spreads.day_power))
-    cars = add_groups(days.sums, products.car)
+    of_rides, of_days, _ = spreads.variances
+    rides = integrate_out(scaled, shared, of_rides)
+    days = integrate_out(sum_units(rides.sums, products.day), shared, of_days)
+    cars = sum_units(days.sums, products.car)
     return Elimination(rides.sums, days.sums, cars, rides.gain, days.gain)
 
 
 def integrate_car_factor(cars: Floats, spread: float) -> Integrated:
     """Return the sums of cars without their factors."""
     last = cars.shape[1] - 1
-    return integrate_out(cars, slice(last, last + 1), (spread,))
-
-
-def without_car_factor(cars: Floats, spread: float) -> tuple[Floats, float]:
-    """Return the sums of cars without their factors, and the logarithm of the determinant that belongs to them."""
-    if spread == 0.0:
-        return cars, 0.0
-    integrated = integrate_car_factor(cars, spread)
-    return integrated.sums, integrated.log_determinant
+    return integrate_out(cars, slice(last, last + 1), np.array([spread**2]))
 
 
 def compute_coefficients(prior: Gaussian, sums: Floats) -> Gaussian:
@@ -222,30 +184,3 @@ def pin(prior: Gaussian, at: NDArray[np.bool_], mean: Floats) -> Gaussian:
     covariance[at], covariance[:, at] = 0.0, 0.0
     covariance[at, at] = (PINNED * np.sqrt(np.diag(prior.covariance))[at]) ** 2
     return Gaussian(np.where(at, mean, prior.mean), covariance)
-
-
-def integrate_out(sums: Floats, at: slice, spreads: Sequence[float]) -> Integrated:
-    """Return sums without random effects on some of their columns."""
-    variance = np.square(np.asarray(spreads, dtype=np.float64))
-    inner = np.eye(len(variance)) + variance[:, np.newaxis] * sums[:, at, at]
-    beside = np.ascontiguousarray(sums[:, :, at])
-    # `solve` takes ten times as long for many right sides of few equations
-    inverse = np.asarray(np.linalg.inv(inner), dtype=np.float64)
-    gain = np.asarray((inverse * variance) @ np.swapaxes(beside, 1, 2), dtype=np.float64)
-    _, logarithm = np.linalg.slogdet(inner)
-    left = beside @ gain
-    np.subtract(sums, left, out=left)
-    return Integrated(left, gain, inverse, float(logarithm.sum()))
-
-
-def add_groups(sums: Floats, code: Ints) -> Floats:
-    """Return the sums of each code, which ascends without a gap."""
-    # a product with a sparse matrix takes a tenth of the time of `np.add.reduceat` along the first axis
-    ends = np.append(np.flatnonzero(np.r_[True, np.diff(code) != 0]), len(code))
-    adding = csr_array((np.ones(len(code)), np.arange(len(code)), ends))
-    return np.asarray(adding @ sums.reshape(len(code), -1)).reshape(-1, *sums.shape[1:])
-
-
-def _renumber(code: Ints) -> Ints:
-    """Return ascending codes without gaps."""
-    return np.unique(code, return_inverse=True)[1].astype(np.int64)

@@ -19,7 +19,6 @@ References
 ----------
 Gelman, Hill, Data Analysis Using Regression and Multilevel/Hierarchical Models, Cambridge 2007, ch. 12 and 13.
 Rasmussen, Williams, Gaussian Processes for Machine Learning, MIT 2006, eqs. (2.8) and (2.30): posterior and evidence.
-DerSimonian, Laird 1986, Controlled Clinical Trials 7:177, DOI 10.1016/0197-2456(86)90046-2: variance between cars.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats
+from socast.core.stats.random_effects import estimate_variance_between
 
 PHYSICS_WEIGHT: Final = 0.03
 """Weight of physics relative to that of all rides, in the mean. [1]
@@ -247,17 +247,8 @@ def estimate_car_factors(
     names, car = np.unique(vehicles.astype(str), return_inverse=True)
     weight = np.maximum(np.bincount(car, predicted**2 / (noise * size), len(names)), 1e-12)
     off = np.bincount(car, predicted * (energy - predicted) / (noise * size), len(names)) / weight
-    between = _between(off, weight)
+    between = estimate_variance_between(off, weight)
     if between <= 0.0:
         return {}
     shrunk = 1.0 + off * between / (between + 1.0 / weight)
     return {str(name): float(factor) for name, factor in zip(names, shrunk, strict=True)}
-
-
-def _between(off: Floats, weight: Floats) -> float:
-    """Return the variance between cars, from deviations with variances 1 / weight; DerSimonian and Laird, eq. (8)."""
-    if len(off) < 2:
-        return 0.0
-    centre = float(weight @ off / weight.sum())
-    excess = float(weight @ (off - centre) ** 2) - (len(off) - 1)
-    return max(excess / float(weight.sum() - (weight**2).sum() / weight.sum()), 0.0)

@@ -22,8 +22,6 @@ from socast.core.errors import ModelError
 from socast.core.fit.block_sums import build_design, limit_to_one_thread
 from socast.core.fit.calibration import (
     HeldOutErrors,
-    assign_car_folds,
-    assign_folds,
     calibrate_interval,
     widen_for_unseen_cars,
 )
@@ -45,6 +43,7 @@ from socast.core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Te
 from socast.core.models.features import Columns, derive_coefficient_unit, list_raw_columns
 from socast.core.models.interval import PredictionInterval, compute_scale_terms
 from socast.core.models.trees import Trees
+from socast.core.stats.splits import deal_folds
 
 SIZE_COLUMN: Final = "size_kwh"
 EFFICIENCY: Final = 1.2
@@ -295,7 +294,7 @@ class PooledRecipe:
 
     def _interval(self, groups: dict[str, _RideGroup], sums: dict[str, NormalEquations]) -> PredictionInterval | None:
         """Return the interval that covers the errors on held-out rides and on held-out vehicle models."""
-        seen = self._held_out(groups, {key: assign_folds(len(group.energy), _FOLDS) for key, group in groups.items()})
+        seen = self._held_out(groups, {key: deal_folds(len(group.energy), _FOLDS, 0) for key, group in groups.items()})
         unseen = {}
         for key, group in groups.items():
             others = [other for name, other in sums.items() if name != key]
@@ -305,7 +304,10 @@ class PooledRecipe:
         interval = calibrate_interval(seen, unseen)
         if not (self.cars or self.trees):
             return interval
-        folds = {key: assign_car_folds(group.vehicles.tolist(), _FOLDS) for key, group in groups.items()}
+        folds = {}
+        for key, group in groups.items():
+            cars, car = np.unique(group.vehicles.astype(str), return_inverse=True)
+            folds[key] = deal_folds(len(cars), _FOLDS, 0)[car]
         held = self._held_out(groups, {key: fold for key, fold in folds.items() if fold.max() > 0})
         return widen_for_unseen_cars(interval, held, [car for group in groups.values() for car in group.vehicles])
 

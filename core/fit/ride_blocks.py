@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats
+from socast.core.batch import Floats, Ints
 from socast.core.errors import ModelError
 from socast.core.formatting import format_count
 from socast.core.models.features import EFFECT_PREFIX
@@ -354,3 +354,14 @@ def convert_to_arrays(block: pd.DataFrame, columns: Sequence[str]) -> dict[str, 
     """Return columns of rides as arrays, which take less time to read than those of a table."""
     numbers = {name: get_numbers(block, name) for name in columns if name not in NAMES}
     return numbers | {name: _read_names(block, name) for name in NAMES if name in block}
+
+
+def assign_vehicle_days(rides: pd.DataFrame, day: str = "date") -> Ints:
+    """Return the cluster of each ride: one code per vehicle and day.
+
+    Returns
+    -------
+    (n,) int64
+        Codes from 0, in the order of first appearance; rows of unknown vehicle or day form clusters, too.
+    """
+    return np.asarray(rides.groupby(["vehicle_id", day], sort=False, dropna=False).ngroup(), dtype=np.int64)

@@ -40,7 +40,14 @@ from socast.core.fit.priors import (
     flatten_curve,
     is_curved,
 )
-from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable, word_too_few_rides
+from socast.core.fit.ride_blocks import (
+    ENERGY,
+    assign_vehicle_days,
+    get_names,
+    get_numbers,
+    select_trainable,
+    word_too_few_rides,
+)
 from socast.core.fit.row_noise import build_variance_parts
 from socast.core.fit.window_problem import GroupRows
 from socast.core.fit.window_solver import GroupFit, solve_group
@@ -174,7 +181,7 @@ def gather_rows(terms: Sequence[Term], rows: pd.DataFrame, fills: Mapping[str, f
     ride, keys = pd.factorize(rows["ride_key"])
     first = np.unique(ride, return_index=True)[1]
     names = rows[VEHICLE].to_numpy(dtype=object)[first]
-    day, _ = pd.factorize(pd.Series(names).astype(str) + "\n" + rows["date"].astype(str).to_numpy()[first])
+    day = assign_vehicle_days(rows.iloc[first])
     car, cars = pd.factorize(names[np.unique(day, return_index=True)[1]])
     return GroupRows(
         columns=np.column_stack(
@@ -182,7 +189,7 @@ def gather_rows(terms: Sequence[Term], rows: pd.DataFrame, fills: Mapping[str, f
         ),
         ambient_c=columns["ambient_c"] if curved else np.zeros(n),
         ride=ride.astype(np.int64),
-        day=day.astype(np.int64),
+        day=day,
         car=car.astype(np.int64),
         rides=tuple(keys),
         cars=tuple(cars),

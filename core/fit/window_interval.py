@@ -13,9 +13,9 @@ import pandas as pd
 from socast.core.batch import Floats, Ints
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.fit.block_sums import build_design
-from socast.core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval, collect_errors
+from socast.core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval, group_errors
 from socast.core.fit.distortions import DISTORTIONS
-from socast.core.fit.nested_effects import compute_coefficients, without_car_factor
+from socast.core.fit.nested_effects import compute_coefficients, integrate_car_factor
 from socast.core.fit.priors import compute_curve_columns, is_curved
 from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
 from socast.core.fit.window_solver import GroupFit
@@ -36,15 +36,13 @@ def add_window_interval(model: LinearModel, groups: dict[str, GroupFit], rides: 
     if any(column not in rides for column in NEEDS):
         return stamp(model)
     kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
-    seen, models = {}, {}
-    for kind in sorted(set(kinds.tolist())):
+    own, every = np.full(len(good), np.nan), np.full(len(good), np.nan)
+    for kind in set(kinds.tolist()):
         rows = np.flatnonzero(kinds == kind)
-        own = _HeldOut(model, groups, kind if kind in groups else ANY, good.iloc[rows])
-        columns = Columns(good, rows=rows)
-        seen[kind or ANY] = collect_errors(own.without_day(), columns)
-        if len(set(kinds.tolist())) > 1:
-            models[kind or ANY] = collect_errors(_leave_out_rows(model, groups, good, rows), columns)
-    interval = calibrate_interval(_list_known(seen), _list_known(models))
+        own[rows] = _HeldOut(model, groups, kind if kind in groups else ANY, good.iloc[rows]).without_day()
+        if len(rows) < len(good):
+            every[rows] = _leave_out_rows(model, groups, good, rows)
+    interval = calibrate_interval(*(_list_known(group_errors(good, error)) for error in (own, every)))
     return stamp(msgspec.structs.replace(model, interval=interval))
 
 
@@ -62,14 +60,14 @@ class _HeldOut:
         self.energy = get_numbers(rides, ENERGY)
         self.day, _ = _find_places(self.fitted, rides)
         spread, sums = self.fitted.spreads.car, self.fitted.elimination.cars
-        self.cars = without_car_factor(sums, spread)[0]
+        self.cars = integrate_car_factor(sums, spread).sums
         self.total = self.cars.sum(axis=0)
 
     def without_day(self) -> Floats:
         """Return the error of each ride under the fit without its vehicle-day, (n,). [kWh]"""
         fitted, car = self.fitted, self.fitted.products.car
         rest = fitted.elimination.cars[car] - fitted.elimination.days
-        changed, _ = without_car_factor(rest, fitted.spreads.car)
+        changed = integrate_car_factor(rest, fitted.spreads.car).sums
         mean = compute_coefficients(fitted.prior, self.total - self.cars[car] + changed).mean
         return self._compute_errors(mean, self.day)
 
@@ -83,7 +81,7 @@ def _leave_out_rows(model: LinearModel, groups: dict[str, GroupFit], rides: pd.D
     """Return the errors of the rides of one vehicle model under the fit `*` without them, (rows,). [kWh]"""
     fitted = groups[ANY]
     _, car = _find_places(fitted, rides)
-    cars, _ = without_car_factor(fitted.elimination.cars, fitted.spreads.car)
+    cars = integrate_car_factor(fitted.elimination.cars, fitted.spreads.car).sums
     kept = np.ones(len(cars), np.bool_)
     kept[car[rows][car[rows] >= 0]] = False
     mean = compute_coefficients(fitted.prior, cars[kept].sum(axis=0)).mean

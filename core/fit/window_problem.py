@@ -14,15 +14,14 @@ from socast.core.fit.nested_effects import (
     SHARED,
     Elimination,
     Gaussian,
-    Integrated,
     LevelSpreads,
     RideProducts,
     eliminate,
     integrate_car_factor,
-    sum_products,
 )
 from socast.core.fit.priors import build_curve, flatten_curve
 from socast.core.fit.softened_curve import compute_softened_power, differentiate_softened_power
+from socast.core.stats.random_effects import Integrated, sum_products
 from socast.core.vehicles import AccessoryCurve
 
 CURVE_NUMBERS: Final = 7
@@ -189,9 +188,9 @@ def sum_windows(group: GroupRows, weight: Floats) -> WindowSums:
     n = len(group.rides)
     rows = np.bincount(group.ride, minlength=n)
     if not group.curved:
-        return WindowSums(sum_products(group.columns, weight, group.ride, n), np.zeros(n), rows)
+        return WindowSums(sum_products(group.columns, weight, group.ride), np.zeros(n), rows)
     time = group.columns[:, group.terms]
-    sums = sum_products(np.column_stack([group.columns, time * group.ambient_c]), weight, group.ride, n)
+    sums = sum_products(np.column_stack([group.columns, time * group.ambient_c]), weight, group.ride)
     own = sums[:, group.terms, group.terms]
     ambient = np.divide(sums[:, group.terms, -1], own, out=np.zeros(len(own)), where=own > 0.0)
     return WindowSums(sums[:, :-1, :-1], ambient, rows)

@@ -21,9 +21,9 @@ from socast.core.fit.nested_effects import (
     RideProducts,
     compute_coefficients,
     eliminate,
+    integrate_car_factor,
     limit,
     pin,
-    without_car_factor,
 )
 from socast.core.fit.row_noise import LEAST_ROWS, USUAL_PARTS, compute_robust_weights, estimate_variance
 from socast.core.fit.softened_curve import compute_softened_power
@@ -104,7 +104,7 @@ def solve_group(group: GroupRows) -> GroupFit:
                 products, shift_prior(group, state), cars=cars, start=spreads, exact=following == 1
             )
     elimination, prior = eliminate(products, spreads), shift_prior(group, state)
-    total = without_car_factor(elimination.cars, spreads.car)[0].sum(axis=0)
+    total = integrate_car_factor(elimination.cars, spreads.car).sums.sum(axis=0)
     posterior = integrate_car_spread(elimination, prior, spreads)
     _, prior = _limited(group, state, total)
     mean = np.zeros(len(prior.mean))

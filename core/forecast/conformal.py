@@ -26,6 +26,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from socast.core.batch import Floats, Ints
+from socast.core.stats.conformal import compute_counted_quantiles
 from socast.core.totals.day_sums import DaySums
 
 BY_PLAN: Final = 0
@@ -173,7 +174,7 @@ def _compute_class_quantiles(counts: Floats, widening: Floats) -> tuple[Floats, 
     """Return the quantiles and the bounds of the classes of a basis."""
     table, bounds = np.empty((*counts.shape[:2], len(LEVELS))), np.empty(counts.shape[:2], BOUND_PAIR)
     for place in np.ndindex(bounds.shape):
-        quantiles = compute_quantiles(counts[place], LEVELS)
+        quantiles = compute_counted_quantiles(counts[place], SCORES, LEVELS)
         low = float(quantiles[LEVELS.index(LOWER_LEVEL)] - widening[place][0])
         high = float(quantiles[LEVELS.index(UPPER_LEVEL)] + widening[place][1])
         bounds[place] = low, max(low, high)
@@ -264,21 +265,3 @@ def clip_to_bounds(table: Floats, lower: float, upper: float) -> Floats:
     out = np.where((at > LOWER_LEVEL) & (at < UPPER_LEVEL), inside, outside)
     out[at == LOWER_LEVEL], out[at == UPPER_LEVEL] = lower, upper
     return np.asarray(out)
-
-
-def compute_quantiles(counts: Floats, levels: Sequence[float]) -> Floats:
-    """Return the quantiles of counted scores.
-
-    The outer quantiles are widened for the finite number of shifts, so that the next score lies inside as often as the
-    levels say.
-
-    Examples
-    --------
-    >>> uniform = np.where(np.abs(SCORES) < 5.0, 1.0, 0.0)
-    >>> compute_quantiles(uniform, (LOWER_LEVEL, UPPER_LEVEL)).round(1).tolist()
-    [-4.5, 4.5]
-    """
-    number = float(counts.sum())
-    at = (np.cumsum(counts) - 0.5 * counts) / number
-    wider = np.clip(0.5 + (np.array(levels) - 0.5) * (1.0 + 1.0 / number), 0.0, 1.0)
-    return np.asarray(np.interp(wider, at, SCORES))

@@ -117,13 +117,18 @@ class PredictionInterval(msgspec.Struct, frozen=True, forbid_unknown_fields=True
             raise ModelError(f"an interval of level {level:g} was not calibrated: give a level above 0, up to {most:g}")
         seen = columns if isinstance(columns, Columns) else Columns(columns)
         scale = self.scale(seen)
-        kind = np.searchsorted(self.distances_km, seen["distance_km"], side="right") - 1
+        low, high = self.get_quantiles(seen["distance_km"], level)
+        return prediction + low * scale, prediction + high * scale
+
+    def get_quantiles(self, distance_km: Floats, level: float) -> tuple[Floats, Floats]:
+        """Return the ends of the central interval of errors over their scale, by the length of each ride. [1]"""
+        kind = np.searchsorted(self.distances_km, distance_km, side="right") - 1
         kind = np.clip(kind, 0, len(self.distances_km) - 1)
         low, high = (
             np.array([np.interp(at, self.levels, row) for row in self.quantiles])[kind]
             for at in (0.5 - level / 2.0, 0.5 + level / 2.0)
         )
-        return prediction + low * scale, prediction + high * scale
+        return low, high
 
     def scale(self, columns: Columns) -> Floats:
         """Return the scale of the error of each ride, (n,). [kWh]"""

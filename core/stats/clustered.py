@@ -19,28 +19,15 @@ from math import inf, nan, sqrt
 from typing import Final
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
 
 from socast.core.batch import Floats
-from socast.core.stats.scores import UNKNOWN, Codes, Estimate
+from socast.core.stats.scores import NORMAL_95, UNKNOWN, Codes, Estimate, compute_half_widths
 
 LEAST_CLUSTERS: Final = 30
 """Number of clusters below which a share is too uncertain to be shown as a figure."""
 SPARSE: Final = 16
 """Largest code over the number of cases above which codes are renumbered before they are counted. [1]"""
-
-
-def assign_vehicle_days(rides: pd.DataFrame, day: str = "date") -> Codes:
-    """Return the cluster of each ride: one code per vehicle and day.
-
-    Returns
-    -------
-    (n,) int64
-        Codes from 0, in the order of first appearance; rows of unknown vehicle or day form clusters, too.
-    """
-    return np.asarray(rides.groupby(["vehicle_id", day], sort=False, dropna=False).ngroup(), dtype=np.int64)
 
 
 def compute_clustered_mean(values: Floats, clusters: Codes) -> Estimate:
@@ -89,6 +76,19 @@ def compute_clustered_ratio(above: Floats, below: Floats, clusters: Codes) -> Es
     return deviation._replace(value=ratio)
 
 
+def sum_over_clusters(values: Floats) -> Estimate:
+    """Return the sum of values over independent clusters.
+
+    Examples
+    --------
+    >>> sum_over_clusters(np.array([1.0, 3.0]))
+    Estimate(value=4.0, error=2.0, freedom=1)
+    """
+    freedom = len(values) - 1
+    spread = float(((values - values.mean()) ** 2).sum()) * len(values) / max(freedom, 1)
+    return Estimate(float(values.sum()), sqrt(spread), freedom)
+
+
 def compute_fieller_interval(above: Floats, below: Floats, clusters: Codes) -> tuple[float, float, float]:
     """Return the ratio of two means with Fieller's 95 % interval, which holds for an uncertain denominator too.
 
@@ -118,7 +118,7 @@ def compute_fieller_interval(above: Floats, below: Floats, clusters: Codes) -> t
         return nan, nan, nan
     both, apart = compute_clustered_mean(above + below, clusters), compute_clustered_mean(above - below, clusters)
     covariance = 0.25 * (both.error**2 - apart.error**2)
-    square = float(stdtrit(y.freedom, 0.975)) ** 2
+    square = float(compute_half_widths(1.0, y.freedom)) ** 2
     a = y.value**2 - square * y.error**2
     b = x.value * y.value - square * covariance
     c = x.value**2 - square * x.error**2
@@ -169,7 +169,7 @@ def compute_clustered_share(holds: NDArray[np.bool_], clusters: Codes) -> dict[s
     if not n or not estimate.freedom > 0.0:
         return {"value": share, "low": nan, "high": nan, "clusters": count}
     if estimate.error > 0.0:
-        stretch = stdtrit(n - 1.0, 0.975) / stdtrit(estimate.freedom, 0.975)
+        stretch = float(compute_half_widths(1.0, n - 1.0) / compute_half_widths(1.0, estimate.freedom))
         independent = share * (1.0 - share) / (n - 1.0)
         n = min(n, n * independent / estimate.error**2 * stretch**2)
     else:
@@ -186,7 +186,7 @@ def compute_wilson_interval(share: float, n: float) -> tuple[float, float]:
     >>> [round(end, 3) for end in compute_wilson_interval(0.0, 10)]
     [0.0, 0.278]
     """
-    z = float(ndtri(0.975))
-    middle, half = share + z * z / (2.0 * n), z * sqrt(share * (1.0 - share) / n + z * z / (4.0 * n * n))
-    whole = 1.0 + z * z / n
+    square = NORMAL_95**2
+    middle, half = share + square / (2.0 * n), sqrt(square * (share * (1.0 - share) / n + square / (4.0 * n * n)))
+    whole = 1.0 + square / n
     return (middle - half) / whole if share > 0.0 else 0.0, (middle + half) / whole if share < 1.0 else 1.0

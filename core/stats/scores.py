@@ -31,6 +31,13 @@ Codes = NDArray[np.int64]
 
 BANDS: Final = (5, 10, 15)
 """Relative errors within which rides are counted. [%]"""
+NORMAL_95: Final = float(ndtri(0.975))
+"""Half width of a 95 % interval of a normal estimate. [standard errors]"""
+
+
+def compute_half_widths(error: Floats | float, freedom: Floats | float, level: float = 0.95) -> Floats:
+    """Return half the widths of confidence intervals by Student's t; NaN where degrees of freedom are not positive."""
+    return np.asarray(stdtrit(freedom, 0.5 + level / 2.0) * error)
 
 
 class Estimate(NamedTuple):
@@ -53,14 +60,19 @@ class Estimate(NamedTuple):
     @property
     def ci95(self) -> float:
         """Half width of the 95 % confidence interval."""
-        return float(stdtrit(self.freedom, 0.975) * self.error) if self.freedom > 0 else nan
+        return float(compute_half_widths(self.error, self.freedom))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Ends of the 95 % confidence interval."""
+        return self.value - self.ci95, self.value + self.ci95
 
     @property
     def upper95(self) -> float:
         """End of the one-sided 95 % confidence interval: the true value is higher in one case of twenty."""
         if self.error == 0.0:
             return self.value
-        return self.value + float(stdtrit(self.freedom, 0.95) * self.error) if self.freedom > 0 else nan
+        return self.value + float(compute_half_widths(self.error, self.freedom, 0.9))
 
     @property
     def p(self) -> float:
@@ -106,8 +118,7 @@ def compute_widening(repeats: int, overlap: float) -> float:
     >>> [round(compute_widening(repeats, 0.25), 1) for repeats in (2, 3, 5, 8, 10)]
     [11.2, 3.4, 1.9, 1.5, 1.4]
     """
-    quantiles = stdtrit(repeats - 1, 0.975) / ndtri(0.975)
-    return float(quantiles * sqrt((1.0 / repeats + overlap) / overlap))
+    return float(compute_half_widths(sqrt((1.0 / repeats + overlap) / overlap), repeats - 1) / NORMAL_95)
 
 
 def combine_strata(parts: Sequence[Estimate], weights: Sequence[float] | None = None) -> Estimate:

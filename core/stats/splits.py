@@ -23,6 +23,29 @@ once.
 """
 
 
+def deal_folds(count: int, folds: int, seed: int | Sequence[int]) -> Positions:
+    """Return the fold of each of some units, which are dealt at random into at most `folds` of nearly equal size.
+
+    Examples
+    --------
+    >>> np.bincount(deal_folds(103, 5, seed=0)).tolist()
+    [21, 21, 21, 20, 20]
+    """
+    return np.random.default_rng(seed).permutation(count) % min(folds, count)
+
+
+def deal_names(names: Sequence[str], folds: int, seed: Sequence[int]) -> Positions:
+    """Return the fold of each row; rows of a name share one, and the order of the rows changes nothing."""
+    known, code = np.unique(np.asarray(names, dtype=str), return_inverse=True)
+    return np.asarray(np.argsort(np.random.default_rng(seed).permutation(len(known))) % folds)[code]
+
+
+def deal_halves(count: int, seed: int) -> NDArray[np.bool_]:
+    """Return for each of ordered units whether it is in the first half; one of two neighbours is."""
+    heads = np.random.default_rng(seed).random(count // 2 + 1) < 0.5
+    return np.repeat(heads, 2)[:count] ^ (np.arange(count) % 2 == 1)
+
+
 class Split(NamedTuple):
     """Hold the positions of training and test rides in the table; no ride is in both.
 
@@ -79,15 +102,12 @@ def split_by_vehicle(
         Number of parts into which the cars of each vehicle model are dealt. A vehicle model with fewer cars is absent
         from some parts. A single car is never held out, as no ride of its vehicle model would remain for training.
     """
-    cars: dict[str, set[str]] = {}
-    for model, vehicle in zip(vehicle_models, vehicles, strict=True):
-        cars.setdefault(model, set()).add(vehicle)
-    fold_of: dict[tuple[str, str], int] = {}
-    for model, names in cars.items():
-        if len(names) > 1:
-            rng = np.random.default_rng([seed, crc32(model.encode())])
-            fold_of |= {(model, str(name)): i % folds for i, name in enumerate(rng.permutation(sorted(names)))}
-    fold = np.array([fold_of.get(pair, -1) for pair in zip(vehicle_models, vehicles, strict=True)], dtype=np.int64)
+    models, cars = (np.asarray(names, dtype=str) for names in (vehicle_models, vehicles))
+    fold = np.full(len(models), -1, dtype=np.int64)
+    for model in np.unique(models).tolist():
+        rows = models == model
+        if len(set(cars[rows].tolist())) > 1:
+            fold[rows] = deal_names(cars[rows], folds, [seed, crc32(model.encode())])
     return [_split(fold == i) for i in range(folds) if np.any(fold == i)]
 
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from socast.core.fit.nested_effects import Gaussian, LevelSpreads, RideProducts, sum_products
+from socast.core.fit.nested_effects import Gaussian, LevelSpreads, RideProducts
+from socast.core.stats.random_effects import sum_products
 
 SPREADS = LevelSpreads(0.8, 0.3, 0.2, 0.25, 0.15, 0.1)
 PRIOR = Gaussian(np.array([1.0, 0.5, 0.2]), np.diag([0.3, 0.2, 0.1]) ** 2)
@@ -36,6 +37,5 @@ class Rows:
 
     def products(self) -> RideProducts:
         table = np.column_stack([self.design, self.energy, self.shared, self.design @ GUESS])
-        rides = len(self.day)
-        sums = sum_products(table, 1.0 / self.variance, self.ride, rides)
+        sums = sum_products(table, 1.0 / self.variance, self.ride)
         return RideProducts(sums, np.bincount(self.ride), self.day, self.car)

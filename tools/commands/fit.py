@@ -9,7 +9,6 @@ import msgspec
 import typer
 from msgspec import UNSET
 from rich.console import Console
-from scipy.special import stdtrit
 
 from socast.core import models
 from socast.core.columns import ZERO_CELSIUS
@@ -22,6 +21,7 @@ from socast.core.formatting import format_count, format_minus
 from socast.core.models import ANY, LinearModel, Term
 from socast.core.models.features import ACCESSORIES_COLUMN, EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible, get_plausible_ranges, is_within, list_implausible
+from socast.core.stats.scores import Estimate
 from socast.core.vehicles import AccessoryCurve
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.cluster.workers import open_workers
@@ -171,18 +171,17 @@ def intervals(model: LinearModel, key: str) -> Iterator[Coefficient]:
     bounded = isinstance(RECIPES.get(model.recipe), WindowRecipe)
     if bounded:
         freedom = max(freedom, LEAST_PRIOR_FREEDOM)
-    factor = float(stdtrit(freedom, 0.975)) if freedom > 0 else float("nan")
     for i, (term, coefficient) in enumerate(zip(model.terms, fitted.coefficients, strict=True)):
         limited = term.name in fitted.limited
         if fitted.covariance is None:
             yield Coefficient(term, coefficient, None, None, None, limited)
             continue
-        half = factor * sqrt(max(fitted.covariance[i][i], 0.0))
-        ends = low, high = coefficient - half, coefficient + half
+        estimate = Estimate(coefficient, sqrt(max(fitted.covariance[i][i], 0.0)), freedom)
+        ends = low, high = estimate.interval
         if bounded and term.name in ranges:
             low, high = (min(max(end, ranges[term.name][0]), ranges[term.name][1]) for end in ends)
         whole = (low, high) == ends
-        yield Coefficient(term, coefficient, half if whole else None, low, high, limited)
+        yield Coefficient(term, coefficient, estimate.ci95 if whole else None, low, high, limited)
 
 
 def _celsius(curve: AccessoryCurve) -> dict[str, float]:

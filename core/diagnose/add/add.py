@@ -304,7 +304,7 @@ def _evaluate(
         "vehicles": int(data.table["vehicle_id"].nunique()),
         "first_date": min(data.dates),
         "last_date": max(data.dates),
-        "gain": {"value": evidence.gain.value, "ci95": evidence.gain.half},
+        "gain": {"value": evidence.gain.value, "ci95": evidence.gain.ci95},
         "p": evidence.p,
         **{key: of_effect[key] for key in ("mae_before_kwh", "mae_after_kwh", "change_kwh")},
         "noise_floor_kwh": of_effect["noise_kwh"],

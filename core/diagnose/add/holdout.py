@@ -23,10 +23,9 @@ from socast.core.diagnose.add.error_fall import measure_fall
 from socast.core.diagnose.add.refit import TermAddition, hide_vehicle_models, refit_with
 from socast.core.errors import ModelError
 from socast.core.fit.measurement_noise import compute_noise_variance
-from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers
+from socast.core.fit.ride_blocks import ENERGY, assign_vehicle_days, get_names, get_numbers
 from socast.core.models import VEHICLE_MODEL
-from socast.core.stats.clustered import assign_vehicle_days
-from socast.core.stats.splits import split_by_vehicle
+from socast.core.stats.splits import deal_names, split_by_vehicle
 
 FOLDS: Final = 5
 LEAST_DATES: Final = 20
@@ -119,13 +118,8 @@ def split_into_day_folds(rides: RideRows, seed: int) -> list[Mask]:
     days = rides.dates
     if len(set(days)) < LEAST_DATES:
         days = [f"{vehicle} {day}" for vehicle, day in zip(get_names(rides.table, "vehicle_id"), days, strict=True)]
-    groups = sorted(set(days))
-    if len(groups) < 2:
-        return []
-    rng = np.random.default_rng([seed, crc32(b"days")])
-    fold_of = {str(day): i % FOLDS for i, day in enumerate(rng.permutation(groups))}
-    fold = np.array([fold_of[day] for day in days])
-    return [fold == i for i in range(min(FOLDS, len(groups)))]
+    fold = deal_names(days, FOLDS, [seed, crc32(b"days")])
+    return [fold == i for i in range(int(fold.max()) + 1)] if fold.any() else []
 
 
 def split_into_vehicle_folds(rides: RideRows, seed: int) -> list[Mask]:

@@ -5,11 +5,6 @@ what the terms of the model cannot explain. All vehicle models share one coeffic
 chance. Then each has its own, shrunk towards the common one in proportion to its uncertainty. The other terms are then
 fitted to the energy less that of the effect, with priors where the model had them. The same holds for effects that were
 added before, all beside each other.
-
-References
-----------
-DerSimonian and Laird, Controlled Clinical Trials 7 (1986) 177, DOI 10.1016/0197-2456(86)90046-2: how much estimates
-differ beyond their errors.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -20,23 +15,22 @@ import msgspec
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
-from socast.core.batch import Floats, Ints
+from socast.core.batch import Floats
 from socast.core.diagnose.candidates import compute_least_coefficients
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.evidence import ClusterSums, compute_worst_case_evidence
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
 from socast.core.diagnose.ranking import compute_held_out_gain
 from socast.core.fit.block_sums import build_design, limit_to_one_thread
 from socast.core.fit.fitting import fit_terms
 from socast.core.fit.recipes import LinearRecipe
-from socast.core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers
+from socast.core.fit.ride_blocks import ENERGY, RideFrame, assign_vehicle_days, get_names, get_numbers
 from socast.core.fit.window_fit import fit_rows
 from socast.core.models import ANY, VEHICLE_MODEL, Fit, LinearModel, Term
 from socast.core.models.features import Columns
-from socast.core.stats.clustered import assign_vehicle_days
-from socast.core.stats.held_out_gain import HeldOutGain
+from socast.core.stats.evidence import ClusterSums, compute_worst_case_evidence
+from socast.core.stats.random_effects import estimate_variance_between
+from socast.core.stats.scores import Estimate
 
 LEAST_LEFT: Final = 1e-5
 """Share of a column that must remain off the terms of the model for the column to have a coefficient."""
@@ -47,27 +41,6 @@ REFITTED: Final = "diagnosed"
 """Name of the recipe of a model that is refitted to test a term."""
 
 Rows = NDArray[np.int64]
-
-
-class CoefficientEstimate(NamedTuple):
-    """Hold a coefficient and its standard error.
-
-    Parameters
-    ----------
-    value, error : float
-        Coefficient and standard error. [unit of the coefficient]
-    freedom : float
-        Degrees of freedom of the standard error. [1]
-    """
-
-    value: float
-    error: float
-    freedom: float
-
-    @property
-    def half(self) -> float:
-        """Half the width of the 95 % interval. [unit of the coefficient]"""
-        return float(stdtrit(max(self.freedom, 1.0), 0.975) * self.error)
 
 
 class TermAddition(NamedTuple):
@@ -99,13 +72,13 @@ class RefittedPair(NamedTuple):
     ----------
     before, after : LinearModel
         The model without and with the term.
-    coefficients : dict of str to CoefficientEstimate
+    coefficients : dict of str to Estimate
         Coefficients of the added term by vehicle model, `*` for all.
     """
 
     before: LinearModel
     after: LinearModel
-    coefficients: dict[str, CoefficientEstimate]
+    coefficients: dict[str, Estimate]
 
 
 def refit(change: TermAddition, rows: pd.DataFrame, *, covariance: bool = False) -> LinearModel:
@@ -171,7 +144,7 @@ def _around(
     change: TermAddition,
     added: tuple[Term, ...],
     rows: pd.DataFrame,
-    estimates: Sequence[Mapping[str, CoefficientEstimate]],
+    estimates: Sequence[Mapping[str, Estimate]],
     *,
     covariance: bool,
 ) -> LinearModel:
@@ -206,7 +179,7 @@ def _less(rows: pd.DataFrame, energy: Floats) -> pd.DataFrame:
 
 def _estimates(
     base: BaseProjection, terms: tuple[Term, ...], within: NDArray[np.bool_] | None = None
-) -> list[dict[str, CoefficientEstimate]]:
+) -> list[dict[str, Estimate]]:
     """Return the coefficients of terms beside each other, each by vehicle model (`*` for all), fitted to some rows."""
     rows = base.windows.table
     at = np.flatnonzero(np.ones(len(rows), np.bool_) if within is None else within)
@@ -215,18 +188,16 @@ def _estimates(
     return [_estimate(base, left, place, float(size[place]), at) for place in range(len(terms))]
 
 
-def _estimate(
-    base: BaseProjection, left: Floats, place: int, size: float, rows: Rows
-) -> dict[str, CoefficientEstimate]:
+def _estimate(base: BaseProjection, left: Floats, place: int, size: float, rows: Rows) -> dict[str, Estimate]:
     """Return the coefficient of one of several columns by vehicle model."""
     common = _alone(base, left, place, rows)
     if common is None or float((left[:, place] ** 2).sum()) <= LEAST_LEFT * size:
-        return {ANY: CoefficientEstimate(0.0, nan, 0.0)}
+        return {ANY: Estimate(0.0, nan, 0.0)}
     by_kind = {kind: _alone(base, left, place, np.intersect1d(at, rows)) for kind, at in base.kinds.items()}
     return _pooled(common, {key: each for key, each in by_kind.items() if each and each.freedom >= LEAST_FREEDOM})
 
 
-def _alone(base: BaseProjection, left: Floats, place: int, at: Rows) -> CoefficientEstimate | None:
+def _alone(base: BaseProjection, left: Floats, place: int, at: Rows) -> Estimate | None:
     """Return the coefficient of a column beside the others from some rows, None where it is not identifiable."""
     if not len(at):
         return None
@@ -234,16 +205,11 @@ def _alone(base: BaseProjection, left: Floats, place: int, at: Rows) -> Coeffici
     size = float(column @ column)
     if size <= LEAST_LEFT * float(left[:, place] @ left[:, place]):
         return None
-    clusters = [_renumbered(code[at]) for code in (base.windows.day, base.windows.date)]
+    clusters = [ClusterSums(code[at]) for code in (base.windows.day, base.windows.date)]
     evidence = compute_worst_case_evidence(residual, column[:, np.newaxis], np.zeros(1, dtype=np.int64), clusters)
-    value = float(evidence.coefficient[0])
-    alone = sqrt(float(np.mean((residual - value * column) ** 2)) / size)  # the error, were windows independent
-    return CoefficientEstimate(value, max(float(evidence.error[0]), alone), float(evidence.freedom[0]))
-
-
-def _renumbered(code: Ints) -> ClusterSums:
-    """Return clusters with codes that leave out those without rows."""
-    return ClusterSums(np.unique(code, return_inverse=True)[1].astype(np.int64))
+    found = evidence.get_estimate(0)
+    alone = sqrt(float(np.mean((residual - found.value * column) ** 2)) / size)  # the error, were windows independent
+    return found._replace(error=max(found.error, alone))
 
 
 def _off(others: Floats, *columns: Floats) -> list[Floats]:
@@ -295,12 +261,12 @@ class AdditionEvidence(NamedTuple):
     ----------
     p : float
         Probability of this evidence or more without the term, with the sign that physics demands. [1]
-    gain : HeldOutGain
+    gain : Estimate
         On rides of vehicle-days to which the coefficient was not fitted; its interval is NaN where there are none.
     """
 
     p: float
-    gain: HeldOutGain
+    gain: Estimate
 
 
 def assess_addition(
@@ -323,39 +289,32 @@ def assess_addition(
         column, residual = _off(left[:, :-1], left[:, -1], base.residual)
     clusters = [ClusterSums(windows.day), ClusterSums(windows.date)]
     if clusters[0].count < 2 or not column.any():
-        return AdditionEvidence(1.0, HeldOutGain(0.0, nan))
+        return AdditionEvidence(1.0, Estimate(0.0, nan, 0.0))
     worth = compute_least_coefficients(columns[:, -1:], windows.measured)
     evidence = compute_worst_case_evidence(residual, column[:, np.newaxis], np.array([sign]), clusters, worth)
     gain = compute_held_out_gain(base, column, residual, limits, clusters[0], seed)
     return AdditionEvidence(float(evidence.p[0]), gain)
 
 
-def _pooled(common: CoefficientEstimate, by_kind: dict[str, CoefficientEstimate]) -> dict[str, CoefficientEstimate]:
+def _pooled(common: Estimate, by_kind: dict[str, Estimate]) -> dict[str, Estimate]:
     """Return the common coefficient, and for vehicle models that differ by more than chance their own, shrunk to it."""
     if len(by_kind) < 2:
         return {ANY: common}
     value, variance = np.array([(e.value, e.error**2) for e in by_kind.values()]).T
-    weight = 1.0 / variance
-    mean = float(weight @ value / weight.sum())
-    excess = float(weight @ (value - mean) ** 2) - (len(by_kind) - 1)
-    between = max(0.0, excess / float(weight.sum() - weight @ weight / weight.sum()))
+    between = estimate_variance_between(value, 1.0 / variance)
     if between == 0.0:
         return {ANY: common}
     weight = 1.0 / (variance + between)
     mean = float(weight @ value / weight.sum())
     freedom = min(e.freedom for e in by_kind.values())
-    pooled = {ANY: CoefficientEstimate(mean, float(1.0 / np.sqrt(weight.sum())), max(len(by_kind) - 1.0, freedom))}
+    pooled = {ANY: Estimate(mean, float(1.0 / np.sqrt(weight.sum())), max(len(by_kind) - 1.0, freedom))}
     for kind, each in by_kind.items():
         share = between / (between + each.error**2)
-        pooled[kind] = CoefficientEstimate(
-            mean + share * (each.value - mean), float(np.sqrt(share)) * each.error, each.freedom
-        )
+        pooled[kind] = Estimate(mean + share * (each.value - mean), float(np.sqrt(share)) * each.error, each.freedom)
     return pooled
 
 
-def _with(
-    terms: tuple[Term, ...], fit: Fit, added: Sequence[CoefficientEstimate], rows: pd.DataFrame, columns: Floats
-) -> Fit:
+def _with(terms: tuple[Term, ...], fit: Fit, added: Sequence[Estimate], rows: pd.DataFrame, columns: Floats) -> Fit:
     """Return a fit extended by the coefficients that were subtracted from its energy, with its covariance."""
     covariance: Any = None
     if fit.covariance is not None:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Final
 
 from socast.core import effects
-from socast.core.diagnose.add.refit import CoefficientEstimate
 from socast.core.diagnose.records import EstimatedCoefficient
 from socast.core.effects import Effect
 from socast.core.errors import ModelError
@@ -19,6 +18,7 @@ from socast.core.models.features import (
     is_scope,
 )
 from socast.core.records import make_interval
+from socast.core.stats.scores import Estimate
 
 _AMOUNTS: Final = frozenset(
     {"distance_km", "duration_s", "gained_m", "lost_m", "stops", "basic_kwh", ACCESSORIES_COLUMN}
@@ -116,11 +116,11 @@ def build_effect_term(model: LinearModel, effect: str, columns: tuple[str, ...])
     return Term(name=", ".join([effect, *scopes]), columns=columns, unit=derive_coefficient_unit(columns))
 
 
-def describe_coefficient(declared: Effect, estimate: CoefficientEstimate) -> EstimatedCoefficient:
+def describe_coefficient(declared: Effect, estimate: Estimate) -> EstimatedCoefficient:
     """Return the record of a coefficient."""
     return EstimatedCoefficient(
         value=estimate.value,
-        ci95=make_interval(estimate.value - estimate.half, estimate.value + estimate.half),
+        ci95=make_interval(*estimate.interval),
         unit=declared.unit,
         low=declared.low,
         high=declared.high,
@@ -128,7 +128,7 @@ def describe_coefficient(declared: Effect, estimate: CoefficientEstimate) -> Est
     )
 
 
-def warn_if_implausible(declared: Effect, estimate: CoefficientEstimate) -> str:
+def warn_if_implausible(declared: Effect, estimate: Estimate) -> str:
     """Return what an implausible coefficient may mean, or an empty text where it is plausible."""
     value, low, high = estimate.value, declared.low, declared.high
     if low <= value <= high:
@@ -138,7 +138,8 @@ def warn_if_implausible(declared: Effect, estimate: CoefficientEstimate) -> str:
         problem = f"it would {'save' if declared.sign > 0 else 'cost'} energy, which physics forbids"
     else:
         problem = f"it is too {'small' if abs(value) < min(abs(low), abs(high)) else 'large'}"
-    if value - estimate.half <= high and value + estimate.half >= low:
+    begin, end = estimate.interval
+    if begin <= high and end >= low:
         cause = "its interval overlaps the range, so there may be too few data"
     else:
         others = ", ".join(declared.confused_with[:4])
@@ -148,6 +149,6 @@ def warn_if_implausible(declared: Effect, estimate: CoefficientEstimate) -> str:
     )
 
 
-def explain_coefficient(declared: Effect, estimate: CoefficientEstimate) -> str:
+def explain_coefficient(declared: Effect, estimate: Estimate) -> str:
     """Return the physical meaning of a coefficient in words."""
-    return declared.in_words(estimate.value, estimate.half)
+    return declared.in_words(estimate.value, estimate.ci95)

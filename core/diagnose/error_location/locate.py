@@ -26,8 +26,8 @@ from socast.core.diagnose.error_location.location_model import (
 from socast.core.diagnose.error_location.selection import RIVAL, LoadSearch, Place, SelectedLoad
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.records import ErrorLocation, LocatedLoad
-from socast.core.diagnose.variances import Variances
 from socast.core.fit.measurement_noise import compute_noise_variance
+from socast.core.stats.variances import Variances
 
 
 def locate_error(windows: Windows, base: BaseProjection) -> ErrorLocation:

@@ -10,10 +10,11 @@ from socast.core.batch import Floats, Ints
 from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.error_location.kinds import KindColumns, gather_kinds
 from socast.core.diagnose.error_location.window_noise import LAGS, WindowNoise, estimate_window_noise
-from socast.core.diagnose.mixed_model import FixedColumns, MixedModel
 from socast.core.diagnose.projection import BaseProjection, Rows, orthonormalise
-from socast.core.diagnose.variances import Variances, estimate_variances
 from socast.core.fit.ride_blocks import get_names
+from socast.core.stats.mixed_model import FixedColumns, MixedModel
+from socast.core.stats.random_effects import number_units
+from socast.core.stats.variances import Variances, estimate_variances
 
 ROUNDS: Final = 2
 """Number of times that the noise of windows is estimated anew beside the loads of rides and days."""
@@ -203,14 +204,8 @@ def _subtract_expected(
     white = noise.whiten(np.column_stack([kinds.columns, windows.measured]))
     left = white[:, -1] - (fixed.columns * coefficients).sum(axis=1)
     for unit, effects in zip(levels.units, model.expect_effects(found.relative), strict=True):
-        left -= (effects[_number(unit)] * white[:, :-1]).sum(axis=1)
+        left -= (effects[number_units(unit)] * white[:, :-1]).sum(axis=1)
     return noise.convert_to_energy(left)
-
-
-def _number(code: Ints) -> Ints:
-    """Return codes 0, 1, ... in the order of first appearance."""
-    _, first, place = np.unique(code, return_index=True, return_inverse=True)
-    return np.asarray(np.argsort(np.argsort(first))[place], dtype=np.int64)
 
 
 def _is_distinct(unit: Ints, below: Ints) -> bool:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from socast.core.batch import Floats
 from socast.core.diagnose.error_location.floors import DISTORTED, FLOORS
 from socast.core.diagnose.error_location.location_model import LocationModel
-from socast.core.diagnose.variances import Variances, estimate_variances, find_interval
+from socast.core.stats.variances import Variances, estimate_variances, find_interval
 
 Place = tuple[int, int]
 """Level and kind."""

@@ -21,12 +21,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.special import stdtrit
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.free_form import suggestion
 from socast.core.diagnose.free_form.building_blocks import CARRIERS, VARIABLES, Carrier
 from socast.core.diagnose.free_form.terms import FreeTerm, Modulator, list_modulators
+from socast.core.stats.clustered import compute_clustered_ratio
+from socast.core.stats.evidence import ClusterSums, compute_evidence
+from socast.core.stats.scores import Estimate
+from socast.core.stats.splits import deal_folds
 
 PIECES: Final = 10
 """Number of pieces to which the clusters are assigned."""
@@ -186,30 +189,29 @@ def suggest_term(
     term = _choose(search, np.arange(len(data.starts)))
     if term is None:
         return None
-    gain, half = _gain(search)
-    if gain < least_gain or not gain - half > 0.0:
+    gain = _gain(search)
+    if gain.value < least_gain or not gain.interval[0] > 0.0:
         return None
-    coefficient, error = _coefficient(search, term)
+    coefficient = _coefficient(search, term)
     column = np.full(len(windows), np.nan)
     column[order] = search.column(term)
     return Suggestion(
         term=term,
         formula=suggestion.format_formula(term),
-        coefficient=coefficient,
-        ci95=(coefficient - error, coefficient + error),
+        coefficient=coefficient.value,
+        ci95=coefficient.interval,
         unit=suggestion.derive_unit(term),
-        gain=gain,
-        gain_ci95=(gain - half, gain + half),
+        gain=gain.value,
+        gain_ci95=gain.interval,
         column=column,
-        file=suggestion.format_source_file(term, coefficient, len(order)),
+        file=suggestion.format_source_file(term, coefficient.value, len(order)),
     )
 
 
 def _dealt(cluster: Ints) -> Ints:
     """Return the piece of each row; clusters are assigned at random with a fixed seed."""
     clusters, code = np.unique(cluster, return_inverse=True)
-    piece = np.random.default_rng(0).permutation(len(clusters)) % min(PIECES, len(clusters))
-    return piece.astype(np.int64)[code]
+    return deal_folds(len(clusters), PIECES, 0)[code]
 
 
 def _prepared(residual: Floats, weight: Floats, cluster: Ints, base: Floats) -> _Data:
@@ -333,8 +335,8 @@ def _sure(falls: Floats) -> Floats:
     return falls.sum(axis=0) - LUCK * _error(falls)
 
 
-def _gain(search: _Search) -> tuple[float, float]:
-    """Return the share of the squared residual that the search explains on held-out clusters, and half its interval."""
+def _gain(search: _Search) -> Estimate:
+    """Return the share of the squared residual that the search explains on held-out clusters. [1]"""
     data = search.data
     piece = np.searchsorted(data.starts, np.arange(len(data.residual)), side="right") - 1
     without, fall = np.zeros(len(data.residual)), np.zeros(len(data.residual))
@@ -351,24 +353,14 @@ def _gain(search: _Search) -> tuple[float, float]:
             term_left = left - fitted.coefficient[0] * (column[rows] - data.base[rows] @ fitted.taken[0])
             fall[rows] = left**2 - term_left**2
     code = np.unique(data.cluster, return_inverse=True)[1]
-    falls, squares = np.bincount(code, fall), np.bincount(code, without)
-    clusters = len(falls)
-    gain = float(falls.sum() / squares.sum())
-    spread = float(np.sum((falls - gain * squares) ** 2)) * clusters / (clusters - 1)
-    return gain, float(stdtrit(clusters - 1, 0.975) * np.sqrt(spread) / squares.sum())
+    falls, squares = (np.bincount(code, each).astype(np.float64) for each in (fall, without))
+    return compute_clustered_ratio(falls, squares, np.arange(len(falls)))
 
 
-def _coefficient(search: _Search, term: FreeTerm) -> tuple[float, float]:
-    """Return the coefficient on all windows and half its 95 % interval, with clustered errors.
-
-    The interval follows from the jackknife over clusters; its degrees of freedom are the effective number of clusters.
-    """
+def _coefficient(search: _Search, term: FreeTerm) -> Estimate:
+    """Return the coefficient on all windows, with clustered errors."""
     data = search.data
     projected = _project_off_base(search.column(term) * data.root, data)
-    coefficient = float(projected @ data.residual / np.sum(projected**2))
-    left = data.residual - coefficient * projected
-    code = np.unique(data.cluster, return_inverse=True)[1]
-    share = np.bincount(code, projected**2) / np.sum(projected**2)
-    moved = np.bincount(code, projected * left) / np.sum(projected**2) / np.maximum(1.0 - share, 0.05)
-    freedom = max(1.0 / float(np.sum(share**2)) - 1.0, 1.0)
-    return coefficient, float(stdtrit(freedom, 0.975) * np.sqrt(np.sum(moved**2)))
+    clusters = ClusterSums(data.cluster)
+    either = np.zeros(1, dtype=np.int64)
+    return compute_evidence(data.residual, projected[:, np.newaxis], either, clusters).get_estimate(0)

@@ -17,7 +17,6 @@ from scipy.special import ndtr
 from socast.core import effects
 from socast.core.batch import Floats, Ints
 from socast.core.columns import SECONDS_PER_DAY
-from socast.core.diagnose.add.refit import CoefficientEstimate
 from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.candidates import Candidates, build_candidates
 from socast.core.diagnose.deviation_words import has_certain_size
@@ -44,11 +43,10 @@ from socast.core.diagnose.siblings.sums import DIRECTIONS, Siblings, gather_sibl
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX, SINCE_SCOPE, VEHICLE_SCOPE
 from socast.core.records import make_interval
+from socast.core.stats.scores import Estimate
 
 MONTH: Final = 365.25 / 12.0
 """Length of a month. [days]"""
-NORMAL: Final = 1.96
-"""Half width of a 95 % interval of a normal estimate. [standard errors]"""
 
 
 def diagnose_deviations(
@@ -102,16 +100,15 @@ def rank_cars(search: Search, sign: Ints) -> list[RankedCar]:
         mean, error = deviations.mean[car], np.sqrt(deviations.variance[car])
         energy = siblings.direction[siblings.car == car].sum(axis=0) / siblings.measured[siblings.car == car].sum()
         root = np.sqrt(variance)
-        share = float(energy @ mean)
-        half = NORMAL * float(np.sqrt(energy @ deviations.covariance[car] @ energy))
+        share = Estimate(float(energy @ mean), float(np.sqrt(energy @ deviations.covariance[car] @ energy)), np.inf)
         evidence = average_places(question.scan, question.scan.compute_evidence(sign))
         rows.append(
             RankedCar(
                 car=siblings.cars[car],
                 siblings=len(siblings.cars) - 1,
                 evidence=float(evidence.max()),
-                share=share,
-                share_ci95=make_interval(share - half, share + half),
+                share=share.value,
+                share_ci95=make_interval(*share.interval),
                 share_spread=float(np.sqrt(energy**2 @ variance)),
                 spreads=[
                     DirectionSpread(direction=name, value=m / r, error=e / r)
@@ -134,6 +131,7 @@ def _describe(question: Question, search: Search, candidates: Candidates) -> Car
     estimate, error = _mix(scan.estimate[:, best], scan.information[:, best], of_best)
     place = int(np.searchsorted(np.cumsum(dates), 0.5))
     unit = float(scan.unit[:, best] @ of_best)
+    coefficient = Estimate(unit * estimate, unit * error, np.inf)
     effect = effects.get(candidates.variants[best])
     columns = [f"{EFFECT_PREFIX}{candidates.variants[best]}"]
     since, range_of_since = None, None
@@ -163,8 +161,8 @@ def _describe(question: Question, search: Search, candidates: Candidates) -> Car
         z=scan.z.ravel()[np.abs(scan.z).argmax()],
         evidence=average_places(scan, evidence).max(),
         tests=sum(each.scan.unit.shape[1] for each in search.questions),
-        coefficient=describe_coefficient(effect, CoefficientEstimate(unit * estimate, unit * error, np.inf)),
-        words=effect.in_words(unit * estimate, NORMAL * unit * error),
+        coefficient=describe_coefficient(effect, coefficient),
+        words=effect.in_words(coefficient.value, coefficient.ci95),
         since=since,
         since_ci90=range_of_since,
         columns=columns,

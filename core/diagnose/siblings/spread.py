@@ -18,6 +18,7 @@ import numpy as np
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.siblings.shift_scores import Projected, ShiftScores
 from socast.core.diagnose.siblings.sums import Siblings
+from socast.core.stats.random_effects import integrate_out
 
 PRIOR_CARS: Final = 4.0
 """Number of cars that the expected spread counts as (ν0)."""
@@ -69,11 +70,10 @@ class SiblingBase:
         self._d = np.arange(at.directions.start, at.directions.stop)
         cars = range(len(siblings.cars))
         self.of_car = np.array([siblings.sums[siblings.car == c].sum(axis=0) for c in cars])
-        inner = np.eye(len(self._d)) + self.of_car[:, self._d][:, :, self._d] * variance
-        inverse = variance[:, np.newaxis] * np.asarray(np.linalg.inv(inner))
-        self.inner = (inverse + np.swapaxes(inverse, 1, 2)) / 2.0
-        self.gain = self.inner @ self.of_car[:, self._d]
-        self.left = self.of_car - np.swapaxes(self.of_car[:, self._d], 1, 2) @ self.gain
+        integrated = integrate_out(self.of_car, at.directions, variance)
+        inner = integrated.inverse * variance
+        self.inner = (inner + np.swapaxes(inner, 1, 2)) / 2.0
+        self.gain, self.left = integrated.gain, integrated.sums
         total = self.left.sum(axis=0)
         self._x = np.arange(at.base.start, at.base.stop)
         self._c = np.arange(at.candidates.start, at.candidates.stop)

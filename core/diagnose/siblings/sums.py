@@ -12,18 +12,17 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.candidates import Candidates
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.mixed_model import FixedColumns, MixedModel
 from socast.core.diagnose.projection import BaseProjection, orthonormalise
-from socast.core.diagnose.sweep import sum_ride_products, sum_units, sweep
-from socast.core.diagnose.variances import estimate_variances
 from socast.core.fit.distortions import gather_distortions
 from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.stats.mixed_model import FixedColumns, MixedModel
+from socast.core.stats.random_effects import integrate_out, number_units, sum_products, sum_units
+from socast.core.stats.variances import estimate_variances
 
 DIRECTIONS: Final = {
     "rolling": 0.05,
@@ -200,17 +199,12 @@ def _estimate_variances(base: BaseProjection, kinds: Floats, terms: list[Floats]
     units = [windows.ride, windows.day]
     if len(base.cars) > len(base.kinds):  # the only car of a model does not deviate from it
         units.append(windows.vehicle)
-    levels = [_number_first(unit[order]) for unit in units]
+    levels = [unit[order] for unit in units]
     model = MixedModel(
         kinds[order], FixedColumns(fixed, group, place), windows.measured[order], base.weight[order], levels
     )
     found = estimate_variances(model, np.ones((len(levels), kinds.shape[1]), np.bool_))
     return found.relative[:2], found.criterion.scale
-
-
-def _number_first(codes: Ints) -> Ints:
-    """Return codes numbered in the order of first appearance."""
-    return np.asarray(pd.factorize(codes)[0], dtype=np.int64)
 
 
 def _sum_shifts(
@@ -236,7 +230,7 @@ def _sum_shifts(
     sums = np.concatenate([part[:, k:, k:] for part in swept])
     first = np.flatnonzero(np.r_[True, np.diff(windows.day[order]) != 0])
     days = windows.day[order][first]
-    per_shift = _number(windows.day[order])
+    per_shift = number_units(windows.day[order])
     table = windows.table.iloc[order]
 
     def total(values: Floats) -> Floats:
@@ -249,7 +243,7 @@ def _sum_shifts(
     )
     return Siblings(
         cars=tuple(dict.fromkeys(get_names(table, "vehicle_id"))),
-        car=_number(windows.vehicle[order])[first],
+        car=number_units(windows.vehicle[order])[first],
         start=get_numbers(table, "start_s")[first],
         sums=sums,
         places=places,
@@ -265,12 +259,11 @@ def _sum_shifts(
 
 def _sweep_car(columns: Floats, weight: Floats, ride: Ints, day: Ints, variance: Floats) -> Floats:
     """Return the sums of each shift of a car after integration over the effects of rides and days."""
-    k = variance.shape[1]
-    at = np.arange(k)
-    rides = sweep(sum_ride_products(columns, weight, ride), at, variance[0]).sums
+    at = slice(0, variance.shape[1])
+    rides = integrate_out(sum_products(columns, weight, ride), at, variance[0]).sums
     first = np.flatnonzero(np.r_[True, np.diff(ride) != 0])
-    days = sum_units(rides, _number(day[first]))
-    return sweep(days, at, variance[1]).sums
+    days = sum_units(rides, number_units(day[first]))
+    return integrate_out(days, at, variance[1]).sums
 
 
 def _split(codes: Ints) -> Iterator[NDArray[np.int64]]:
@@ -278,8 +271,3 @@ def _split(codes: Ints) -> Iterator[NDArray[np.int64]]:
     edges = np.r_[0, np.flatnonzero(np.diff(codes)) + 1, len(codes)]
     for start, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         yield np.arange(start, end)
-
-
-def _number(codes: Ints) -> Ints:
-    """Return the number of the run of equal codes of each element."""
-    return np.asarray(np.cumsum(np.r_[False, np.diff(codes) != 0]), dtype=np.int64)

@@ -34,6 +34,7 @@ from socast.core.fit.ride_blocks import get_names
 from socast.core.records import make_interval
 from socast.core.stats.multiple_testing import adjust_false_discovery
 from socast.core.stats.scores import Estimate
+from socast.core.stats.splits import deal_halves
 
 LONGEST: Final = 3
 """Maximum number of conditions of a slice."""
@@ -119,7 +120,7 @@ def find_slices(
     known, masks = list_conditions(rides, dated=dated)
     if not known:
         return []
-    first = _dealt(day, seed)[day]
+    first = deal_halves(int(day.max(initial=-1)) + 1, seed)[day]
     halves = _half(masks, error, day, first), _half(masks, error, day, ~first)
     confirmed: list[ConfirmedSlice] = []
     for one, other in (halves, halves[::-1]):
@@ -136,13 +137,6 @@ def _in_order(rides: pd.DataFrame, error: Floats) -> tuple[pd.DataFrame, Floats,
     day = pd.factorize(keys, sort=True)[0].astype(np.int64)
     order = np.lexsort((error, read_start_s(rides), day))
     return rides.iloc[order], error[order], day[order]
-
-
-def _dealt(day: Ints, seed: int) -> NDArray[np.bool_]:
-    """Return for each vehicle-day whether it is in the first half; one of two neighbours is."""
-    count = int(day[-1]) + 1 if len(day) else 0
-    heads = np.random.default_rng(seed).random(count // 2 + 1) < 0.5
-    return np.repeat(heads, 2)[:count] ^ (np.arange(count) % 2 == 1)
 
 
 def _half(masks: Masks, error: Floats, day: Ints, kept: NDArray[np.bool_]) -> Half:
@@ -306,7 +300,7 @@ def _confirm(
             conditions=words,
             rides=int(masks[i].sum()),
             bias_kwh=estimate.value,
-            ci95=make_interval(estimate.value - estimate.ci95, estimate.value + estimate.ci95),
+            ci95=make_interval(*estimate.interval),
             mae_kwh=float(np.abs(other.error[masks[i]]).mean()),
             q=min(2.0 * float(q[i]), 1.0),
         )

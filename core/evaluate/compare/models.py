@@ -19,11 +19,12 @@ from socast.core.evaluate.paper.held_out import word_limited
 from socast.core.evaluate.relative_errors import compute_relative_figures, compute_share_below_least
 from socast.core.evaluate.ride_filter import find_exclusion_reasons, name_rides
 from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
+from socast.core.fit.ride_blocks import assign_vehicle_days
 from socast.core.formatting import format_count
 from socast.core.models import ANY, LinearModel
 from socast.core.models.plausibility import describe_implausible, describe_limited
 from socast.core.stats import multiple_testing, scores
-from socast.core.stats.clustered import assign_vehicle_days, compute_clustered_mean, compute_clustered_ratio
+from socast.core.stats.clustered import compute_clustered_mean, compute_clustered_ratio
 from socast.core.stats.scores import Codes, Estimate
 
 MOST_WORST_RIDES: Final = 10

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats
 from socast.core.columns import SECONDS_PER_DAY
+from socast.core.fit.ride_blocks import assign_vehicle_days
 from socast.core.forecast.plan_tracker import CUT_SHORT_MARGIN
-from socast.core.stats.clustered import assign_vehicle_days
 
 HOURS_AHEAD: Final = (0, 1, 2, 4, 6)
 """Times before a shift's end, measured from its last sample. [h]"""

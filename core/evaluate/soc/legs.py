@@ -18,8 +18,8 @@ from socast.core.columns import SECONDS_PER_DAY
 from socast.core.errors import AskError
 from socast.core.evaluate.soc.cases import normalise_keys
 from socast.core.evaluate.soc.query_times import QUERY_INTERVAL
+from socast.core.fit.ride_blocks import assign_vehicle_days
 from socast.core.forecast.plan_tracker import SHORTEST_RIDE
-from socast.core.stats.clustered import assign_vehicle_days
 from socast.core.wire.messages import Outlook
 
 LEAST_INTERVAL: Final = QUERY_INTERVAL / 2.0

@@ -13,6 +13,7 @@ import pandas as pd
 from socast.core.batch import Floats
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.evaluate.soc.cases import SHIFT_KEY, normalise_keys
+from socast.core.stats.conformal import find_conformal_ranks
 
 FEWEST_SHIFTS: Final = 10
 """Number of earlier shifts from which the regression is fitted."""
@@ -246,6 +247,6 @@ def _find_bounds(errors: Floats, fall: Floats, shift: Floats, ahead: Floats) -> 
             alike = np.ones(len(then), bool)
         count = len(np.unique(shift[alike]))
         if count >= FEWEST_ERRORS:
-            tail = max(0.0, 0.5 * (1.0 - NOMINAL) * (count + 1) - 1.0) / (count - 1)
-            low[now == which], high[now == which] = np.quantile(errors[alike], (tail, 1.0 - tail))
+            ranks = np.clip(find_conformal_ranks(count, (0.5 - NOMINAL / 2.0, 0.5 + NOMINAL / 2.0)), 0, count - 1)
+            low[now == which], high[now == which] = np.quantile(errors[alike], ranks / (count - 1))
     return low, high

@@ -8,10 +8,11 @@ import pytest
 
 from socast.core import effects
 from socast.core.diagnose.candidates import Candidates, build_candidates
-from socast.core.diagnose.evidence import ClusterSums
 from socast.core.diagnose.forward_selection import ForwardSelection, SelectedEffect, SelectionSettings
 from socast.core.diagnose.posterior.probabilities import SEVERAL, Causes
 from socast.core.diagnose.projection import BaseProjection
+from socast.core.stats.evidence import ClusterSums
+from socast.core.stats.scores import compute_half_widths
 from tests.support.synthetic_windows import (
     compute_coefficients,
     gather_with_model,
@@ -68,11 +69,12 @@ def test_planted_effect_is_selected_without_decoys(effect):
     selection.select_all()
     assert named(selection) == {effect}
     (finding,) = selection.list_missing_effects()
-    low, high = finding.evidence.compute_interval(0, 0.999)
+    found = finding.evidence.get_estimate(0)
+    half = compute_half_widths(found.error, found.freedom, 0.999)
     if "@" not in finding.selected.variant:
-        assert low < compute_coefficients(make_windows(), {effect: 0.06})[effect] < high
+        assert abs(compute_coefficients(make_windows(), {effect: 0.06})[effect] - found.value) < half
     assert finding.gain.value > LEAST_GAIN
-    assert finding.gain.value > finding.gain.half
+    assert finding.gain.value > finding.gain.ci95
     assert finding.selected.probability > 0.7
 
 
@@ -150,8 +152,8 @@ def test_gain_of_an_implausible_coefficient_is_that_of_the_largest_plausible_one
     low, high = selection.candidates.get_limits(0)
     assert (low, high) == (0.0, effects.get("cabin_heating").high)
     residual = 2.0 * high * column
-    capped, _ = selection.compute_gain(column, residual, (low, high))
-    assert capped == pytest.approx(1.0 - 0.5**2)
+    capped = selection.compute_gain(column, residual, (low, high))
+    assert capped.value == pytest.approx(1.0 - 0.5**2)
     assert selection.compute_gain(column, residual, (low, 3.0 * high)).value == pytest.approx(1.0)
     assert selection.compute_gain(column, -residual, (low, high)).value == 0.0
 

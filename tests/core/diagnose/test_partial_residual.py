@@ -7,10 +7,10 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from socast.core import effects
-from socast.core.diagnose.bin_means import average_in_bins, split_at_quantiles
 from socast.core.diagnose.error_steps import compute_steps
 from socast.core.diagnose.partial_residual import BINS, BINS_OF_CAR, compute_partial_residual
 from socast.core.diagnose.residual_profile import profile_residual
+from socast.core.stats.bin_means import average_in_bins, split_at_quantiles
 from tests.core.diagnose.test_residual_structure import outside, start_selection
 from tests.support.synthetic_windows import make_tables, make_windows
 

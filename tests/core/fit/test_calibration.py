@@ -13,7 +13,6 @@ from socast.core.fit.calibration import (
     QUANTILE_LEVELS,
     HeldOutErrors,
     add_interval,
-    assign_folds,
     calibrate_interval,
 )
 from socast.core.fit.fitting import fit_terms
@@ -197,8 +196,3 @@ def test_interval_of_unseen_vehicle_models_covers_more_than_that_of_known_ones()
         lower, upper = alike.bounds(model.predict(table), table, 0.9)
         as_others.append(np.mean(((lower <= energy) & (energy <= upper))[new]))
     assert np.mean(covered) > max(0.75, np.mean(as_others) + 0.1)
-
-
-def test_folds_are_of_equal_size_and_the_same_at_every_call():
-    assert np.bincount(assign_folds(103, 5)).tolist() == [21, 21, 21, 20, 20]
-    assert assign_folds(103, 5).tolist() == assign_folds(103, 5).tolist()

@@ -7,7 +7,7 @@ from socast.core.fit.nested_effects import (
     RideProducts,
     compute_coefficients,
     eliminate,
-    without_car_factor,
+    integrate_car_factor,
 )
 from tests.support.nested_rows import PRIOR, SPREADS, Rows
 
@@ -15,7 +15,7 @@ from tests.support.nested_rows import PRIOR, SPREADS, Rows
 def test_elimination_equals_generalised_least_squares():
     rows = Rows()
     elimination = eliminate(rows.products(), SPREADS)
-    total = without_car_factor(elimination.cars, SPREADS.car)[0].sum(axis=0)
+    total = integrate_car_factor(elimination.cars, SPREADS.car).sums.sum(axis=0)
     posterior = compute_coefficients(PRIOR, total)
     inverse = np.linalg.inv(rows.covariance)
     precision = np.linalg.inv(PRIOR.covariance)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from socast.core.fit.measured_rows import join_tables
-from socast.core.fit.nested_effects import compute_coefficients, eliminate, without_car_factor
+from socast.core.fit.nested_effects import compute_coefficients, eliminate, integrate_car_factor
 from socast.core.fit.recipes import get_recipe
 from socast.core.fit.window_fit import fit_rows
 from socast.core.fit.window_interval import _HeldOut, add_window_interval
@@ -31,7 +31,7 @@ def test_error_without_a_day_is_that_of_sums_without_the_day(fitted):
     days = np.unique(products.day[kept], return_inverse=True)[1]
     part = RideProducts(products.sums[kept], products.rows[kept], days, np.delete(products.car, day))
     elimination = eliminate(part, group.spreads)
-    total = without_car_factor(elimination.cars, group.spreads.car)[0].sum(axis=0)
+    total = integrate_car_factor(elimination.cars, group.spreads.car).sums.sum(axis=0)
     mean = compute_coefficients(group.prior, total).mean
     own = held.day == day
     expected = held.energy[own] - held.columns[own] @ mean - held.offset[own]

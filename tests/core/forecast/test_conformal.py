@@ -15,10 +15,10 @@ from socast.core.forecast.conformal import (
     UPPER_LEVEL,
     ConformalIntervals,
     classify,
-    compute_quantiles,
     count_scores,
 )
 from socast.core.forecast.outlook import MeanAndSd, compute_reserve_risk
+from socast.core.stats.conformal import compute_counted_quantiles
 
 BOUND_LEVELS = LOWER_LEVEL, UPPER_LEVEL
 PLACE = (0, 3, 3)
@@ -49,7 +49,7 @@ def test_quantiles_cover_nine_in_ten_exchangeable_errors(draw, scale, count):
     inside = []
     for _ in range(400):
         scores = scale * getattr(rng, draw)(size=count + 20)
-        low, high = compute_quantiles(count * count_scores(scores[:count]), BOUND_LEVELS)
+        low, high = compute_counted_quantiles(count * count_scores(scores[:count]), SCORES, BOUND_LEVELS)
         inside.append(np.mean((scores[count:] >= low) & (scores[count:] <= high)))
     assert 0.88 <= np.mean(inside) <= 0.92
 
@@ -132,9 +132,10 @@ def test_shifts_of_one_day_count_as_few():
 @given(st.lists(st.floats(-50.0, 50.0), min_size=20, max_size=80), st.integers(1, 5))
 def test_quantiles_rise_and_do_not_depend_on_the_number_of_forecasts_of_a_shift(scores, each):
     counts = sum(count_scores(np.full(each, score)) for score in scores)
-    results = compute_quantiles(counts, LEVELS)
+    results = compute_counted_quantiles(counts, SCORES, LEVELS)
     assert (np.diff(results) >= 0.0).all()
-    assert compute_quantiles(len(scores) * count_scores(np.array(scores)), LEVELS) == pytest.approx(results)
+    at_once = len(scores) * count_scores(np.array(scores))
+    assert compute_counted_quantiles(at_once, SCORES, LEVELS) == pytest.approx(results)
 
 
 @given(st.lists(st.floats(SCORES[0], SCORES[-1]), min_size=1, max_size=50))

@@ -12,6 +12,7 @@ from socast.core.stats.clustered import (
     compute_clustered_share,
     compute_fieller_interval,
     subtract,
+    sum_over_clusters,
 )
 from socast.core.stats.scores import Estimate
 
@@ -142,3 +143,11 @@ def test_ratio_to_what_may_be_zero_is_unknown():
     noise = np.random.default_rng(1).normal(0.0, 1.0, 60)
     assert np.isnan(compute_fieller_interval(np.ones(60), noise - noise.mean(), np.arange(60))).all()
     assert np.isnan(compute_fieller_interval(np.ones(3), np.ones(3), np.zeros(3, dtype=np.int64))).all()
+
+
+def test_standard_error_of_sum_matches_scatter():
+    rng = np.random.default_rng(9)
+    drawn = rng.exponential(size=(3000, 25))
+    sums, errors, _ = np.array([sum_over_clusters(each) for each in drawn]).T
+    np.testing.assert_allclose(sums, drawn.sum(axis=1))
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(np.std(sums), rel=0.05)

@@ -28,7 +28,7 @@ def test_gain_is_the_share_of_the_squared_error_that_falls():
     before, after = np.array([3.0, 4.0, 0.0]), np.array([0.0, 4.0, 0.0])
     gain = measure_gain(before, after, np.array([0, 1, 2]))
     assert gain.value == pytest.approx(9.0 / 25.0)
-    assert np.isnan(measure_gain(before, after, np.zeros(3, np.int64)).half)
+    assert np.isnan(measure_gain(before, after, np.zeros(3, np.int64)).ci95)
 
 
 @pytest.mark.parametrize("count", [6, 40])
@@ -42,5 +42,5 @@ def test_interval_holds_the_gain_of_many_days_in_95_percent_of_draws(count):
         after = 0.5 * before + rng.normal(size=(count, 3)) * 0.2
         expected = truth - 0.04 * 3.0 / (sizes @ sizes)
         gain = measure_gain(before.ravel(), after.ravel(), cluster)
-        held.append(abs(gain.value - expected) <= gain.half)
+        held.append(abs(gain.value - expected) <= gain.ci95)
     assert np.mean(held) > 0.93

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from socast.core.stats.splits import split_by_date, split_by_ride, split_by_vehicle
+from socast.core.stats.splits import deal_halves, deal_names, split_by_date, split_by_ride, split_by_vehicle
 
 STRATA = st.lists(st.tuples(st.sampled_from(["leaf", "soul", "s"]), st.integers(0, 6)), min_size=1, max_size=300)
 CARS = st.lists(st.tuples(st.sampled_from(["leaf", "soul"]), st.integers(0, 7)), min_size=1, max_size=200)
@@ -91,3 +91,20 @@ def test_as_few_last_dates_as_needed_are_held_out(dates):
 def test_share_of_dates_is_as_requested_and_never_all(share, tested):
     dates = [f"2018-01-{day:02}" for day in range(1, 11)]
     assert split_by_date(dates, share)[0].test.size == tested
+
+
+@given(st.lists(st.text("abc", max_size=2), min_size=1, max_size=60), st.integers(1, 6), st.integers(0, 2**31))
+def test_rows_of_a_name_share_a_fold_and_folds_have_nearly_equal_numbers_of_names(names, folds, seed):
+    fold_of = dict(zip(names, deal_names(names, folds, [seed]).tolist(), strict=True))
+    backwards = dict(zip(names[::-1], deal_names(names[::-1], folds, [seed]).tolist(), strict=True))
+    count = np.bincount(list(fold_of.values()), minlength=min(folds, len(fold_of)))
+    assert fold_of == backwards
+    assert len(count) == min(folds, len(fold_of))
+    assert count.max() - count.min() <= 1
+    assert [fold_of[name] for name in names] == deal_names(names, folds, [seed]).tolist()
+
+
+@given(st.integers(0, 60), st.integers(0, 2**31))
+def test_one_of_two_neighbours_is_in_each_half(count, seed):
+    first = deal_halves(count, seed)
+    assert all(first[i] != first[i + 1] for i in range(0, count - 1, 2))

@@ -11,6 +11,7 @@ from socast.core.fit.block_sums import build_design
 from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models import ANY, LinearModel, Term
 from socast.core.models.features import ACCESSORIES_COLUMN, Columns
+from socast.core.stats.splits import deal_folds
 
 FOLDS: Final = 5
 HEATING: Final = 18.0
@@ -52,7 +53,7 @@ def compute_errors(
     """
     kinds = np.array(get_names(windows.table, "vehicle_model"), dtype=object)
     days = int(windows.day.max()) + 1
-    fold = (np.random.default_rng([seed, 8]).permutation(days) % FOLDS)[windows.day]
+    fold = deal_folds(days, FOLDS, [seed, 8])[windows.day]
     predicted = np.empty((3, len(hidden)))
     for kind in sorted(set(kinds)):
         rows = np.flatnonzero(kinds == kind)

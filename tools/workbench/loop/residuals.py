@@ -5,7 +5,6 @@ from typing import Any, Final
 import numpy as np
 
 from socast.core.batch import Ints
-from socast.core.diagnose.bin_means import split_at_quantiles
 from socast.core.diagnose.records import Diagnosis
 from socast.core.diagnose.residual_survey import (
     MOST_NAMES,
@@ -16,6 +15,7 @@ from socast.core.diagnose.residual_survey import (
 )
 from socast.core.diagnose.shown_columns import ShownColumn, describe_column, list_columns
 from socast.core.errors import SettingsError
+from socast.core.stats.bin_means import split_at_quantiles
 from socast.tools.report.diagnosis.location_sentences import KIND_NAMES, LEVEL_NAMES, describe_location
 from socast.tools.report.diagnosis.sentences import describe_error
 from socast.tools.workbench.loop.command_lines import diagnose_command

@@ -179,7 +179,7 @@ def test_terms_that_model_can_refit_are_not_suggested(driving):
 def test_term_with_too_small_gain_is_not_suggested(driving):
     rows, windows = driving
     residual = np.random.default_rng(0).normal(0.0, SD, len(windows))
-    residual += windows["effect_rolling"] * rows["occupants"] * 3e-4
+    residual += windows["effect_rolling"].to_numpy() * rows["occupants"] * 3e-4
     base, weight = windows[list(BASE)].to_numpy(), np.full(len(windows), SD**-2)
     suggestion = suggest_term(windows, residual, weight, rows["day"], base)
     assert suggestion.gain > 0.01

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from socast.core.batch import Floats
-from socast.core.diagnose.mixed_model import Criterion, MixedModel
+from socast.core.stats.mixed_model import Criterion, MixedModel
+from socast.core.stats.scores import NORMAL_95
 
-QUANTILE_95: Final = 3.8415
-"""95 % quantile of the chi-squared distribution with one degree of freedom. [1]"""
 ROOT_STEPS: Final = 12
 """Largest number of steps that search one end of an interval."""
 CLOSE: Final = 0.1
@@ -103,7 +102,7 @@ def find_interval(
     free: NDArray[np.bool_],
     at: tuple[int, int],
     most: Floats | None = None,
-    rise: float = QUANTILE_95,
+    rise: float = NORMAL_95**2,
 ) -> tuple[float, float]:
     """Return the interval of a standard deviation from the profile of the restricted likelihood.
 

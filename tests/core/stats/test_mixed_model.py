@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from socast.core.diagnose.mixed_model import FixedColumns, MixedModel
-from socast.core.diagnose.sweep import sum_ride_products, sum_units, sweep
-from socast.core.diagnose.variances import estimate_variances, find_interval
+from socast.core.stats.mixed_model import FixedColumns, MixedModel
+from socast.core.stats.random_effects import integrate_out, sum_products, sum_units
+from socast.core.stats.variances import estimate_variances, find_interval
 
 CARS, DATES, RIDES, WINDOWS, EFFECTS = 3, 5, 3, 4, 2
 N = CARS * DATES * RIDES * WINDOWS
@@ -182,7 +182,7 @@ def test_sweep_equals_covariance_of_random_effects():
     rng = np.random.default_rng(2)
     columns, weight, variance = rng.normal(size=(12, 4)), rng.uniform(0.5, 2.0, 12), np.array([0.3, 0.0])
     ride = np.repeat([0, 1], 6)
-    swept = sweep(sum_ride_products(columns, weight, ride), [2, 0], variance)
+    swept = integrate_out(sum_products(columns, weight, ride), np.array([2, 0]), variance)
     for r in range(2):
         q = columns[ride == r]
         covariance = np.diag(1.0 / weight[ride == r]) + q[:, [2, 0]] * variance @ q[:, [2, 0]].T
@@ -195,7 +195,7 @@ def test_sums_of_units_do_not_depend_on_their_order():
     sums, parent = np.random.default_rng(1).normal(size=(6, 2, 2)), np.array([2, 0, 1, 0, 2, 2])
     expected = [sums[parent == p].sum(axis=0) for p in range(3)]
     np.testing.assert_allclose(sum_units(sums, parent), expected)
-    np.testing.assert_allclose(block_diag(*sum_ride_products(np.eye(2), np.ones(2), np.array([0, 1])))[0], [1, 0, 0, 0])
+    np.testing.assert_allclose(block_diag(*sum_products(np.eye(2), np.ones(2), np.array([0, 1])))[0], [1, 0, 0, 0])
 
 
 def test_collinear_fixed_columns_change_neither_scale_nor_variances():

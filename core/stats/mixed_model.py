@@ -5,13 +5,13 @@ The energy of window w of ride r on day d is
     y_w = x_w'b + z_w'u_r + z_w'u_d + ... + e_w,    e_w ~ N(0, φ / weight_w),    u ~ N(0, φ diag(δ)),
 
 with coefficients b without a prior, and random effects u of each unit of each level on the columns z. δ are relative
-variances. Only sums of products of columns, Q'WQ of each ride, are needed. `sweep` integrates over the random effects
-of a unit, and the sums of its units are those of the level above.
+variances. Only sums of products of columns, Q'WQ of each ride, are needed. `SweepStep` integrates over the random
+effects of a unit, and the sums of its units are those of the level above.
 
 `MixedModel` evaluates the restricted likelihood (REML). Per unit, it holds only the rows of the sums that belong to
 random effects, so that one evaluation with its gradient takes milliseconds for a thousand rides.
 
-`socast.core.diagnose.variances` estimates the variances.
+`socast.core.stats.variances` estimates the variances.
 
 References
 ----------
@@ -27,7 +27,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from socast.core.batch import Floats, Ints
-from socast.core.diagnose.sweep import SweepStep, sum_ride_products, sum_units
+from socast.core.stats.random_effects import SweepStep, get_diagonals, number_units, sum_products, sum_units
 
 SINGULAR: Final = 1e-10
 """Squared size of a combination of fixed columns, relative to the largest one, below which it counts as zero. [1]"""
@@ -114,7 +114,7 @@ class MixedModel:
         self._p = fixed.coefficients
         self._levels = _nest(levels, fixed.group)
         columns = np.column_stack([effects, fixed.columns, measured])
-        products = sum_ride_products(columns, weight, levels[0])
+        products = sum_products(columns, weight, number_units(levels[0]))
         energy = np.full((len(fixed.place), 1), self._p)
         self._place = np.column_stack([fixed.place, energy])
         self._grids = [np.ix_(place, place) for place in self._place]
@@ -186,7 +186,7 @@ class MixedModel:
         """Return about the standard errors of the relative variances, each as if estimated alone, (levels, s)."""
         out, own = [], self._own
         for level, variance in zip(self._levels, relative, strict=True):
-            sums = _diagonal(own)
+            sums = get_diagonals(own)
             out.append(1.0 / np.sqrt(0.5 * np.maximum(np.sum((sums / (1.0 + variance * sums)) ** 2, axis=0), 1e-300)))
             if level.parent is not None:
                 own = sum_units(own, level.parent)
@@ -301,14 +301,9 @@ def _invert(products: Floats, null: int) -> tuple[Floats, float]:
     return np.asarray(axes / lengths @ axes.T), float(np.log(lengths).sum())
 
 
-def _diagonal(matrices: Floats) -> Floats:
-    """Return the diagonal of each matrix, (units, s)."""
-    return np.asarray(np.diagonal(matrices, axis1=1, axis2=2))
-
-
 def _nest(levels: Sequence[Ints], group: Ints) -> list[_Level]:
     """Return the levels with their units numbered; raise ValueError where they are not nested."""
-    codes = [_renumber(level) for level in levels]
+    codes = [number_units(level) for level in levels]
     if np.any(np.diff(codes[0]) < 0):
         raise ValueError("the windows of a unit of the lowest level are not adjacent")
     spans = np.logical_or.accumulate([bool(np.any(group[_find_first(unit)][unit] != group)) for unit in codes]).tolist()
@@ -330,11 +325,3 @@ def _nest(levels: Sequence[Ints], group: Ints) -> list[_Level]:
 def _find_first(unit: Ints) -> Ints:
     """Return the first window of each unit, (units,)."""
     return np.asarray(np.unique(unit, return_index=True)[1], dtype=np.int64)
-
-
-def _renumber(code: Ints) -> Ints:
-    """Return codes 0, 1, ... in the order of first appearance."""
-    _, first, place = np.unique(code, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return np.asarray(rank[place], dtype=np.int64)

@@ -3,9 +3,10 @@
 All quantities are weighted and projected (`socast.core.diagnose.projection`): a residual r and one column c per
 candidate, of which the terms of the model can explain nothing. The coefficient of a candidate is then c'r / c'c.
 
-Errors of windows of one vehicle-day may depend on each other in any way. The variance is therefore the sum of the
-squared sums over vehicle-days, each divided by (1 - h), as if the vehicle-day were left out (CR3). h is the share of
-c'c that the vehicle-day contributes. A candidate that acts on few days only has correspondingly few degrees of freedom.
+Errors of the rows of a cluster, such as a vehicle-day, may depend on each other in any way. The variance is therefore
+the sum of the squared sums over clusters, each divided by (1 - h), as if the cluster were left out (CR3). h is the
+share of c'c that the cluster contributes. A candidate that acts in few clusters has correspondingly few degrees of
+freedom.
 
 Cars that drive on the same date share its weather, including errors of the weather data. The test is therefore repeated
 with dates as clusters, and the less significant of the two results counts.
@@ -21,9 +22,11 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
+from scipy.special import stdtr
 
 from socast.core.batch import Floats, Ints
+from socast.core.stats.scores import Estimate, compute_half_widths
+from socast.core.stats.splits import deal_folds
 
 FOLDS: Final = 10
 """Number of folds to which clusters are assigned."""
@@ -36,23 +39,23 @@ MAX_DISTORTION_SD: Final = 3.0
 
 
 class ClusterSums:
-    """Sum columns over clusters of windows: vehicle-days or dates.
+    """Sum columns over clusters of rows, such as vehicle-days or dates.
 
     Parameters
     ----------
     code : (n,) int64
-        Cluster of each window, from 0; every code occurs at least once.
+        Cluster of each row.
     """
 
     def __init__(self, code: Ints) -> None:
-        self.code = code
-        self.count = int(code.max()) + 1
-        self._order = np.argsort(code, kind="stable")
-        self._starts = np.flatnonzero(np.r_[True, np.diff(code[self._order]) > 0])
+        self.code = np.unique(code, return_inverse=True)[1].astype(np.int64)
+        self.count = int(self.code.max()) + 1
+        self._order = np.argsort(self.code, kind="stable")
+        self._starts = np.flatnonzero(np.r_[True, np.diff(self.code[self._order]) > 0])
 
     def assign_folds(self, seed: int) -> Ints:
         """Return the fold of each cluster, one of at most `FOLDS`, (count,)."""
-        return np.random.default_rng(seed).permutation(self.count) % min(FOLDS, self.count)
+        return deal_folds(self.count, FOLDS, seed)
 
     def sum_by_cluster(self, values: Floats) -> Floats:
         """Return the sum of values over each cluster, (count, ...)."""
@@ -88,10 +91,9 @@ class Evidence(NamedTuple):
         """
         return self._replace(error=np.hypot(self.error, largest / MAX_DISTORTION_SD))
 
-    def compute_interval(self, at: int, level: float = 0.95) -> tuple[float, float]:
-        """Return the confidence interval of the coefficient of one candidate. [unit of the coefficient]"""
-        half = float(stdtrit(self.freedom[at], 0.5 + level / 2.0) * self.error[at])
-        return float(self.coefficient[at]) - half, float(self.coefficient[at]) + half
+    def get_estimate(self, at: int) -> Estimate:
+        """Return the coefficient of one candidate. [unit of the coefficient]"""
+        return Estimate(float(self.coefficient[at]), float(self.error[at]), float(self.freedom[at]))
 
 
 def compute_worst_case_evidence(
@@ -106,7 +108,7 @@ def compute_worst_case_evidence(
     """
     results = [compute_evidence(residual, columns, sign, each, least) for each in clusters]
     worst = np.argmax([each.p for each in results], axis=0)
-    widest = np.argmax([each.error * stdtrit(each.freedom, 0.975) for each in results], axis=0)
+    widest = np.argmax([compute_half_widths(each.error, each.freedom) for each in results], axis=0)
     error, freedom = (np.choose(widest, [getattr(each, name) for each in results]) for name in ("error", "freedom"))
     z, p = (np.choose(worst, [getattr(each, name) for each in results]) for name in ("z", "p"))
     return Evidence(results[0].coefficient, error, freedom, z, p)

@@ -1,14 +1,15 @@
-"""Average values in bins, with intervals that let windows of one vehicle-day depend on each other."""
+"""Average values in bins, with intervals that let rows of one cluster depend on each other."""
 
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
+from scipy.special import stdtr
 
 from socast.core.batch import Floats, Ints
+from socast.core.stats.scores import compute_half_widths
 
 LEAST_FREEDOM: Final = 2.0
-"""Degrees of freedom below which a bin holds too few vehicle-days for an interval."""
+"""Degrees of freedom below which a bin holds too few clusters for an interval."""
 
 
 class BinMeans(NamedTuple):
@@ -19,11 +20,11 @@ class BinMeans(NamedTuple):
     value : (b,) float
         Weighted mean.
     ci95 : (b,) float
-        Half width of its 95 % interval; NaN where a bin holds too few vehicle-days.
+        Half width of its 95 % interval; NaN where a bin holds too few clusters.
     p : (b,) float
         Probability of a mean at least as far from zero by chance; NaN where there is no interval. [1]
     windows, days : (b,) int64
-        Number of windows and of vehicle-days.
+        Number of rows and of clusters, such as windows and vehicle-days.
     """
 
     value: Floats
@@ -39,13 +40,13 @@ def average_in_bins(place: Ints, bins: int, values: Floats, weight: Floats, day:
     Parameters
     ----------
     bins : int
-        Number of bins, each with at least one window of positive weight.
+        Number of bins, each with at least one row of positive weight.
 
     Notes
     -----
-    With the share p of a vehicle-day in the weight of its bin, and the sum s of its weighted deviations from the mean,
+    With the share p of a cluster in the weight of its bin, and the sum s of its weighted deviations from the mean,
     the variance is the sum of s^2/(1 - p) over the squared weight, with 1/(sum of p^2) - 1 degrees of freedom, as in
-    `socast.core.diagnose.evidence`.
+    `socast.core.stats.evidence`.
 
     Examples
     --------
@@ -65,7 +66,7 @@ def average_in_bins(place: Ints, bins: int, values: Floats, weight: Floats, day:
     freedom = 1.0 / np.bincount(bin_of_pair, share**2, bins) - 1.0
     enough = freedom >= LEAST_FREEDOM
     freedom = np.maximum(freedom, LEAST_FREEDOM)
-    half = np.where(enough, stdtrit(freedom, 0.975) * error, np.nan)
+    half = np.where(enough, compute_half_widths(error, freedom), np.nan)
     apart = np.divide(np.abs(mean), error, out=np.where(mean == 0.0, 0.0, np.inf), where=error > 0.0)
     p = np.where(enough, 2.0 * stdtr(freedom, -apart), np.nan)
     windows = np.bincount(place, minlength=bins).astype(np.int64)
@@ -73,9 +74,9 @@ def average_in_bins(place: Ints, bins: int, values: Floats, weight: Floats, day:
 
 
 def split_at_quantiles(values: Floats, most: int) -> tuple[Ints, int]:
-    """Return the bin of each value, of about equal numbers of windows, and the number of bins.
+    """Return the bin of each value, of about equal numbers of rows, and the number of bins.
 
-    A value of zero has a bin of its own where many windows have it, such as hours without rain.
+    A value of zero has a bin of its own where many rows have it, such as hours without rain.
 
     Examples
     --------
