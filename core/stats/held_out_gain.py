@@ -15,8 +15,8 @@ def fit_other_folds(size: Floats, cross: Floats, fold: Ints) -> Floats:
     size, cross : (units, ...) float
         Sums of squares of each column, and of its products with the residual.
     """
-    by_fold = np.eye(int(fold.max()) + 1)[fold].T
-    size, cross = size.sum(axis=0) - by_fold @ size, cross.sum(axis=0) - by_fold @ cross
+    rest = [fold != k for k in range(int(fold.max()) + 1)]
+    size, cross = (np.array([each[others].sum(axis=0) for others in rest]) for each in (size, cross))
     return np.asarray(np.divide(cross, size, out=np.zeros_like(cross), where=size > 0.0)[fold])
 
 
