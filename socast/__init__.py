@@ -17,4 +17,13 @@ True
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_load_export, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    """Return an export, or the version of the product."""
+    if name == "__version__":
+        from importlib.metadata import version  # noqa: PLC0415 - only whoever asks for the version needs it
+
+        return version("socast")
+    return _load_export(name)

@@ -1,4 +1,3 @@
-from .diagnosis import AdditionTrial as AdditionTrial
 from .diagnosis import add_effect as add_effect
 from .diagnosis import diagnose as diagnose
 from .effects import Effect as Effect
@@ -37,12 +36,15 @@ from .recordings import read_forecasts as read_forecasts
 from .recordings import read_messages as read_messages
 from .recordings import read_samples as read_samples
 from .recordings import read_tables as read_tables
+from .results import AdditionTrial as AdditionTrial
+from .results import Diagnosis as Diagnosis
 from .simulation import simulate_fleet as simulate_fleet
 
 __all__ = [
     "AdditionTrial",
     "AskError",
     "CatalogueError",
+    "Diagnosis",
     "Effect",
     "EffectError",
     "ImportFileError",

@@ -3,18 +3,18 @@
 from collections.abc import Collection, Sequence
 
 import pandas as pd
+from msgspec.structs import asdict
 
-from socast.core.diagnose.add.add import AdditionTrial
 from socast.core.diagnose.add.add import add_effect as _add
 from socast.core.diagnose.add.terms import build_term_columns as _build_term_columns
 from socast.core.diagnose.diagnosis import diagnose as _diagnose
 from socast.core.diagnose.ranking import LEAST_GAIN
-from socast.core.diagnose.records import Diagnosis
 from socast.core.fit.measured_rows import join_tables as _join
 from socast.core.models import LinearModel
+from socast.results import AdditionTrial, Diagnosis
 from socast.tools.commands.diagnose import word_result as _word_result
 
-__all__ = ["AdditionTrial", "add_effect", "diagnose"]
+__all__ = ["AdditionTrial", "Diagnosis", "add_effect", "diagnose"]
 
 
 def diagnose(
@@ -50,7 +50,8 @@ def diagnose(
     ModelError
         Where a column is missing, or the model is not a sum of terms.
     """
-    return _word_result(_diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain))
+    result = _word_result(_diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain))
+    return Diagnosis(**asdict(result))
 
 
 def add_effect(
@@ -80,8 +81,8 @@ def add_effect(
     Returns
     -------
     AdditionTrial
-        `model` with the effect, refitted, and `trial`: the error before and after. `trial["accepted"]` tells whether
-        the effect helps, and `trial["reason"]` why.
+        `accepted` tells whether the effect helps, and `reason` why; `errors` are those before and after. `model` has
+        the effect, refitted, if it was accepted, and is unchanged otherwise.
 
     Raises
     ------
@@ -91,4 +92,6 @@ def add_effect(
         Where the effect is in the model already or nowhere at work in these rides.
     """
     columns = _build_term_columns(effect, scope)
-    return _add(model, effect, columns, _join(rides, windows), rides=rides, least=least_gain)
+    added = _add(model, effect, columns, _join(rides, windows), rides=rides, least=least_gain)
+    kept = added.model if added.trial["accepted"] else model
+    return AdditionTrial(kept, added.model, added.trial)

@@ -71,7 +71,7 @@ def gather_windows(rides: pd.DataFrame, windows: pd.DataFrame, model: LinearMode
     _, left_out = select_trainable(rides, [ENERGY])
     table = join_tables(rides, windows)
     _check_model(model, table)
-    predicted = model.predict(table) if len(table) else np.empty(0)
+    predicted = model.predict_energy(table) if len(table) else np.empty(0)
     known = np.isfinite(predicted)
     if not known.all():
         left_out["not predicted"] = int(table.loc[~known, "ride_key"].nunique())

@@ -257,7 +257,7 @@ def _survey_group(context: FitContext, columns: Columns) -> GroupSurvey:
     taken = sum_training(energy, *(columns[name] for name in LIMIT_NEEDS))
     if context.curved:
         time = columns["duration_s"] * columns["accessory_scale"] / 3.6e6
-        left = energy if context.road else energy - BASIC_PHYSICAL.predict(columns)
+        left = energy if context.road else energy - BASIC_PHYSICAL.predict_energy(columns)
         road = build_design(context.road, columns, len(energy)).T
         temperatures = TemperatureBins(len(context.road))
         temperatures.add(columns["ambient_c"], time, left, list(road))

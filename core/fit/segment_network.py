@@ -174,7 +174,7 @@ class SegmentModel:
         """Return the network for all other vehicle models."""
         return self.train_other()
 
-    def predict(self, rides: pd.DataFrame) -> Floats:
+    def predict_energy(self, rides: pd.DataFrame) -> Floats:
         """Return the energy of rides.
 
         Returns

@@ -5,6 +5,7 @@ from typing import Self
 import numpy as np
 import pandas as pd
 from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
 from socast.core.batch import Floats
@@ -47,6 +48,12 @@ class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # s
         self.recipe = recipe
         self.covariance = covariance
         self.windows = windows
+
+    def __sklearn_tags__(self) -> Tags:
+        """Return the tags: X is a DataFrame, whose columns have names and meanings, and no plain array."""
+        tags: Tags = super().__sklearn_tags__()
+        tags.input_tags.two_d_array = False
+        return tags
 
     def fit(self, X: pd.DataFrame, y: Floats | pd.Series) -> Self:  # noqa: N803 - scikit-learn's name
         """Fit the recipe to rides, except those that X marks as unfit for training and those of unknown energy.
@@ -96,7 +103,7 @@ class RecipeRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # s
             If X is no DataFrame.
         """
         check_is_fitted(self, "model_")
-        return self.model_.predict(_table(X))
+        return self.model_.predict_energy(_table(X))
 
 
 def _table(table: pd.DataFrame) -> pd.DataFrame:

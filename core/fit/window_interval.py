@@ -114,7 +114,7 @@ def _find_places(fitted: GroupFit, rides: pd.DataFrame) -> tuple[Ints, Ints]:
 def _describe(model: LinearModel, rides: pd.DataFrame, left_out: dict[str, int]) -> LinearModel:
     """Return a model with the residuals of its rides and the number of rides that are left out."""
     kinds = np.array(get_names(rides, VEHICLE_MODEL), dtype=object)
-    left = get_numbers(rides, ENERGY) - model.predict(rides)
+    left = get_numbers(rides, ENERGY) - model.predict_energy(rides)
     fits, errors = {}, {}
     for key, fit in model.fits.items():
         own = left[((kinds == key) | (key == ANY)) & np.isfinite(left)]

@@ -258,7 +258,7 @@ class ForecastEngine:
         if not len(totals.lane):
             return np.empty(0)
         model = self.context.model
-        return model.predict(model_columns(totals, self.context, model.needs))
+        return model.predict_energy(model_columns(totals, self.context, model.needs))
 
     def _build_events(
         self, totals: Totals, predicted: Floats, closed: int, drivers: Sequence[DriverNamed]

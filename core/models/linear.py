@@ -13,6 +13,7 @@ from typing import Any, Final, cast
 
 import msgspec
 import numpy as np
+import pandas as pd
 from msgspec import UNSET, UnsetType
 
 from socast.core.batch import Floats, Table
@@ -199,7 +200,27 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         """Vehicle models that have a fit or a correction of their own."""
         return tuple(dict.fromkeys(key for key in (*self.fits, *(self.correction or {})) if key != ANY))
 
-    def predict(self, columns: Table) -> Floats:
+    def predict(self, rides: pd.DataFrame) -> "pd.Series[float]":
+        """Return the energy of rides, with the index of the table.
+
+        Parameters
+        ----------
+        rides : (n, columns) DataFrame
+            Ride table with at least the columns `needs`.
+
+        Returns
+        -------
+        (n,) Series
+            Energy, see `predict_energy`. [kWh]
+
+        Raises
+        ------
+        ModelError
+            Where a needed column is absent.
+        """
+        return pd.Series(self.predict_energy(rides), index=rides.index, name="energy_predicted_kwh")
+
+    def predict_energy(self, columns: Table) -> Floats:
         """Return the energy of rides, or of any part of a ride for which the same columns are known.
 
         Parameters
@@ -323,7 +344,7 @@ class LinearModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             raise ModelError(f"model {self.name} has no prediction interval: fit one that is calibrated")
         if missing := [name for name in self.interval.needs if name not in columns]:
             raise ModelError(f"model {self.name}: its interval needs column {missing[0]!r}: make the tables again")
-        return self.interval.bounds(self.predict(columns), cast("Mapping[str, Any]", columns), level)
+        return self.interval.bounds(self.predict_energy(columns), cast("Mapping[str, Any]", columns), level)
 
     def _rows(self, columns: Table) -> Iterator[tuple[str, Any]]:
         """Yield each vehicle model with something of its own and its rows, then `*` and the other rows."""

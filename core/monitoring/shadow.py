@@ -105,9 +105,9 @@ class ShadowModels:
             NaN where a model has no prediction. [kWh]
         """
         needs = dict.fromkeys(name for monitor in self.monitors for name in monitor.model.needs)
-        return self.predict(model_columns(totals, context, tuple(needs)), len(totals.lane))
+        return self.predict_energy(model_columns(totals, context, tuple(needs)), len(totals.lane))
 
-    def predict(self, columns: Mapping[str, Any] | pd.DataFrame, rows: int) -> list[Floats]:
+    def predict_energy(self, columns: Mapping[str, Any] | pd.DataFrame, rows: int) -> list[Floats]:
         """Return the energy by each model from columns of the ride table; NaN where a model fails. [kWh]"""
         return [self._predict_or_count(monitor, columns, rows) for monitor in self.monitors]
 
@@ -239,7 +239,7 @@ class ShadowModels:
             return
         try:
             columns = model_columns(rides, context, (*monitor.model.needs, *interval.needs))
-            lower, upper = interval.bounds(monitor.model.predict(columns), columns, INTERVAL_LEVEL)
+            lower, upper = interval.bounds(monitor.model.predict_energy(columns), columns, INTERVAL_LEVEL)
         except Exception as fault:  # noqa: BLE001 - a fault of a shadow must not stop the first model
             self.faults[f"interval of {monitor.label}: {type(fault).__name__}"] += 1
             return
@@ -248,7 +248,7 @@ class ShadowModels:
     def _predict_or_count(self, monitor: ModelMonitor, columns: Mapping[str, Any] | pd.DataFrame, rows: int) -> Floats:
         """Return the energy by a model; NaN, and counted as a fault, where it fails."""
         try:
-            return monitor.model.predict(columns)
+            return monitor.model.predict_energy(columns)
         except Exception as fault:  # noqa: BLE001 - a fault of a shadow must not stop the first model
             self.faults[f"model {monitor.label}: {type(fault).__name__}"] += 1
             return np.full(rows, np.nan)

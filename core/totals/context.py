@@ -28,7 +28,7 @@ class Model(Protocol):
     def effects(self) -> tuple[str, ...]:
         """Names of the effects whose energy `predict` reads."""
 
-    def predict(self, columns: Table) -> Floats:
+    def predict_energy(self, columns: Table) -> Floats:
         """Return the energy of each row, NaN where it is not predictable. [kWh]"""
 
 

@@ -60,7 +60,7 @@ class RunCounters:
         model: Any = context.model
         if getattr(model, "is_limited", False):
             columns = model_columns(rides, context, model.needs)
-            if limited := model.count_limited(columns, model.predict(columns)):
+            if limited := model.count_limited(columns, model.predict_energy(columns)):
                 self.unpredicted["model_limit"] += limited
 
     def describe(self) -> dict[str, Any]:

@@ -139,7 +139,7 @@ def test_snapshot_made_with_other_settings_continues_with_the_new_settings():
 def test_model_predicts_plausible_consumption_from_the_ride_table():
     pipeline, _ = ran([leaf(), *telemetry(full())])
     rides = pipeline.take_rides()
-    predicted = pipeline.model.predict(rides)
+    predicted = pipeline.model.predict_energy(rides)
     assert 0.05 < predicted[0] / rides["distance_km"][0] < 0.35
 
 

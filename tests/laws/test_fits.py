@@ -39,7 +39,7 @@ def test_no_prediction_is_beyond_ten_times_the_largest_measured_energy(name, see
     models = MODELS[: rng.integers(1, 4)]
     known = fleet(int(rng.integers(130, 400)), seed, models)
     fresh = fleet(300, seed + 50, MODELS, moving=0.2)
-    predicted = RECIPES[name].fit(known, covariance=False).predict(fresh)
+    predicted = RECIPES[name].fit(known, covariance=False).predict_energy(fresh)
     assert np.abs(predicted).max() <= MOST * fresh["energy_kwh"].max()
 
 
@@ -71,12 +71,12 @@ def test_an_interaction_of_rounding_is_dropped_where_its_main_term_is_well_deter
 def test_predictions_that_stop_at_the_limit_are_counted_and_equal_it():
     model = RECIPES["fitted_physical"].fit(fleet(300, 5))
     rides = fleet(50, 6)
-    assert model.count_limited(rides, model.predict(rides)) == 0
+    assert model.count_limited(rides, model.predict_energy(rides)) == 0
     absurd = rides.assign(effect_climbing=np.where(np.arange(50) < 20, 1e6, rides["effect_climbing"]))
-    predicted = model.predict(absurd)
+    predicted = model.predict_energy(absurd)
     assert model.count_limited(absurd, predicted) == 20
     np.testing.assert_array_equal(predicted[:20], model.compute_limits(absurd)[:20])
-    np.testing.assert_array_equal(predicted[20:], model.predict(rides)[20:])
+    np.testing.assert_array_equal(predicted[20:], model.predict_energy(rides)[20:])
 
 
 def hill(level: pd.DataFrame, slope: float) -> pd.DataFrame:
@@ -117,6 +117,6 @@ def test_a_round_trip_over_a_hill_never_costs_less_than_the_level_road(name, los
         table["energy_kwh"] -= 0.0015 * (table["gained_m"] + table["lost_m"])
     model: LinearModel = RECIPES[name].fit(table, covariance=False)
     level = mean_level_rides(table)
-    flat = model.predict(level)
+    flat = model.predict_energy(level)
     for slope in (0.02, 0.06, 0.12):
-        assert (model.predict(hill(level, slope)) >= flat - 1e-9).all()
+        assert (model.predict_energy(hill(level, slope)) >= flat - 1e-9).all()

@@ -112,11 +112,12 @@ def test_prediction_never_changes_the_model():
     columns = {name: rides[name].to_numpy(float) for name in pipeline.model.needs}
     for column in columns.values():
         column.flags.writeable = False
-    first = pipeline.model.predict(columns)
-    assert np.array_equal(first, pipeline.model.predict(columns), equal_nan=True)
+    first = pipeline.model.predict_energy(columns)
+    assert np.array_equal(first, pipeline.model.predict_energy(columns), equal_nan=True)
     assert models.encode_model(pipeline.model) == before
     parts = [
-        pipeline.model.predict({name: column[i : i + 1] for name, column in columns.items()}) for i in range(len(rides))
+        pipeline.model.predict_energy({name: column[i : i + 1] for name, column in columns.items()})
+        for i in range(len(rides))
     ]
     assert np.array_equal(np.concatenate(parts), first, equal_nan=True)
 
@@ -188,7 +189,7 @@ def test_round_trip_over_hills_never_takes_less_energy_than_the_level_road():
     one, other = hilly.take_rides(), level.take_rides()
     climb = one["gained_m"][0] - one["lost_m"][0]
     assert abs(climb) < 3.5
-    assert float(hilly.model.predict(one)[0]) > float(level.model.predict(other)[0]) - 0.02
+    assert float(hilly.model.predict_energy(one)[0]) > float(level.model.predict_energy(other)[0]) - 0.02
     assert one["duration_s"][0] == PERIOD * 799
 
 

@@ -23,7 +23,7 @@ from importlib.resources import files
 recording = files("socast").joinpath("recordings", "shift.mcap")
 tables = socast.make_tables(recording)
 model = socast.fit_model(tables.rides, "basic_physical")
-print(socast.__file__, len(tables.rides), len(model.predict(tables.rides)))
+print(socast.__file__, len(tables.rides), len(model.predict_energy(tables.rides)))
 """
 
 

@@ -3,17 +3,20 @@
 import inspect
 import subprocess
 import sys
+from importlib.metadata import version
 
 import pandas as pd
 import pytest
 
 import socast
+from tests.support.html_pages import assert_axes_are_titled
 from tests.support.paths import SHIFT
 
 EXPORTS = [
     "AdditionTrial",
     "AskError",
     "CatalogueError",
+    "Diagnosis",
     "Effect",
     "EffectError",
     "ImportFileError",
@@ -111,6 +114,17 @@ def test_pipeline_gives_forecasts_as_table():
     assert len(forecasts) > 100
 
 
+def test_prediction_has_the_index_of_the_rides(tables):
+    rides = tables.rides.iloc[::-1]
+    energy = socast.load_model("extended_physical").predict(rides)
+    assert list(energy.index) == list(rides.index)
+    assert energy.corr(rides["energy_kwh"]) > 0.9
+
+
+def test_version_is_that_of_the_distribution():
+    assert socast.__version__ == version("socast")
+
+
 def test_model_round_trip(tables, tmp_path):
     model = socast.fit_model(tables.rides, "basic_physical")
     socast.save_model(model, tmp_path / "model.json")
@@ -125,7 +139,16 @@ def test_loop_of_diagnosis_lowers_the_error(autumn_tables):
     assert diagnosis.data.held_out.rides == len(rides) - diagnosis.data.rides > 0
     quick = socast.load_model("extended_physical")  # without priors it is refitted in no time
     added = socast.add_effect(quick, "headwind", rides, windows)
-    assert added.trial["accepted"]
+    assert added.accepted
+    assert added.errors["mae_after_kwh"].iloc[0] < added.errors["mae_before_kwh"].iloc[0]
+    refused = socast.add_effect(added.model, "demisting", rides, windows)
+    assert not refused.accepted
+    assert refused.model is added.model
+    for result in (diagnosis, added, refused):
+        assert "<table>" in result._repr_html_()
+        assert_axes_are_titled(result.plot())
+    assert diagnosis.headline
+    assert diagnosis.next_step[0] == "Add headwind, in all vehicles on all dates."
     compared = socast.compare_models(rides, {"before": quick, "with": added.model})
     error = {label: of_model["mae_kwh"]["value"] for label, of_model in compared["models"].items()}
     assert error["with"] < error["before"]

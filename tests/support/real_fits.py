@@ -130,7 +130,7 @@ def evaluate_fits(tables: Tables, count: int | None) -> Result:
     for train, test in draw_splits(tables.rides["date"].to_numpy(dtype=str), count):
         model = fit_to_windows(RECIPE, tables.rides.iloc[train], tables.windows, covariance=False)
         held = tables.rides.loc[test]
-        errors += np.abs(model.predict(held) - held["energy_kwh"].to_numpy()).tolist()
+        errors += np.abs(model.predict_energy(held) - held["energy_kwh"].to_numpy()).tolist()
         for name in {name for names in list_implausible(model).values() for name in names}:
             outside[name] = outside.get(name, 0) + 1
     return Result(float(np.mean(errors)), outside)
@@ -149,7 +149,7 @@ errors = []
 for train, test in json.load(open(sys.argv[3])):
     held = rides.iloc[test]
     model = fit("road_load", rides.iloc[train], windows, covariance=False)
-    errors += np.abs(model.predict(held) - held["energy_kwh"].to_numpy()).tolist()
+    errors += np.abs(model.predict_energy(held) - held["energy_kwh"].to_numpy()).tolist()
 print(float(np.mean(errors)))
 """
 """What another version runs: the same splits of the same tables."""

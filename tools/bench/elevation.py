@@ -162,7 +162,7 @@ def measure_model(fitted: pd.DataFrame, tested: pd.DataFrame) -> float:
     """Return the mean absolute error of a model on rides of other dates. [kWh]"""
     model = get_recipe(RECIPE).fit(fitted)
     some = tested[tested["fit_for_training"]]
-    return float(np.abs(model.predict(some) - some["energy_kwh"]).mean())
+    return float(np.abs(model.predict_energy(some) - some["energy_kwh"]).mean())
 
 
 def measure_forecasts(messages: Sequence[Message], elevation_map: ElevationMap | None) -> float:

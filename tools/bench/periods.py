@@ -65,7 +65,7 @@ def measure_tables(rides: pd.DataFrame, truth: pd.DataFrame, first: str) -> dict
     """
     fit = rides[rides["fit_for_training"]]
     model = get_recipe(RECIPE).fit(fit[fit["date"] < first])
-    predicted = pd.Series(model.predict(fit), fit.index, name="predicted_kwh")
+    predicted = pd.Series(model.predict_energy(fit), fit.index, name="predicted_kwh")
     joined = fit.join(predicted).merge(truth, on=["vehicle_id", "ride_id"])
     error = {
         "distance": joined["distance_km"] - joined["true_km"],

@@ -99,6 +99,13 @@ def render_document(
 """
 
 
+def render_tables(title: str, lines: Sequence[str], tables: Sequence[ReportTable]) -> str:
+    """Return a title, sentences and tables as a part of a page, for notebooks."""
+    text = "".join(f"<p>{escape_text(line)}</p>" for line in lines)
+    shown = "".join(_table(table, captioned=True) for table in tables if table.rows)
+    return f"<h4>{escape_text(title)}</h4>{text}{shown}"
+
+
 def escape_text(text: str) -> str:
     """Return text for a page, with no line break between a number and its unit.
 

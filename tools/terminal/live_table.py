@@ -260,7 +260,7 @@ def add_predictions(rides: pd.DataFrame, models: ShadowModels) -> pd.DataFrame:
         a dict of the prediction of each shadow by name and version. [kWh]
     """
     columns = {str(name): column for name, column in rides.items()}
-    predicted, *others = models.predict(columns, len(rides))
+    predicted, *others = models.predict_energy(columns, len(rides))
     if others:
         labels = [monitor.label for monitor in models.monitors[1:]]
         rows = zip(*(energies.tolist() for energies in others), strict=True)

@@ -424,14 +424,14 @@ def _count_deciding(days: int, distance: float, half: float) -> str:
 def _compute_given_error(model: LinearModel, data: RideRows, final: Sequence[str]) -> float:
     """Return the mean absolute error of the model as given on the rides that are held out in turn. [kWh]"""
     development = data.only(~_are_on_days(data, final))
-    error = get_numbers(development.table, "measured") - development.by_ride(model.predict(development.rows))
+    error = get_numbers(development.table, "measured") - development.by_ride(model.predict_energy(development.rows))
     return float(np.mean(np.abs(error)))
 
 
 def _name_model(fitted: LinearModel, model: LinearModel, data: RideRows) -> LinearModel:
     """Return a fitted model under the name of another, with counts and residuals of rides instead of windows."""
     count = {str(key): int(n) for key, n in data.table[VEHICLE_MODEL].value_counts().sort_index().items()}
-    residual = get_numbers(data.table, "measured") - data.by_ride(fitted.predict(data.rows))
+    residual = get_numbers(data.table, "measured") - data.by_ride(fitted.predict_energy(data.rows))
     kinds = np.array(get_names(data.table, VEHICLE_MODEL), dtype=object)
     fits = {}
     for key, fit in fitted.fits.items():

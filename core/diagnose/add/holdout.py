@@ -153,8 +153,8 @@ def predict_held_out(
         test = rides.only(fold)
         rows = hide_vehicle_models(test.rows, pooled)
         models = refit_with(change, rides.only(~fold).rows, pooled=pooled)
-        before[fold] = test.by_ride(models.before.predict(rows))
-        after[fold] = test.by_ride(models.after.predict(rows))
+        before[fold] = test.by_ride(models.before.predict_energy(rows))
+        after[fold] = test.by_ride(models.after.predict_energy(rows))
     return before, after
 
 

@@ -249,8 +249,8 @@ def predict_with_effects_held_out(
             if change.effects:
                 of_effects = _estimates(base, change.effects, ~fold)
                 known = _around(change, change.effects, rows, of_effects, covariance=False)
-            before[fold] = known.predict(rows.loc[fold])
-            after[fold] = _around(change, terms, rows, estimates, covariance=False).predict(rows.loc[fold])
+            before[fold] = known.predict_energy(rows.loc[fold])
+            after[fold] = _around(change, terms, rows, estimates, covariance=False).predict_energy(rows.loc[fold])
     return before, after
 
 

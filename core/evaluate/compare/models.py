@@ -124,7 +124,7 @@ def _predict(label: str, model: LinearModel, rides: pd.DataFrame) -> Floats:
             f"model {label} is fitted to {', '.join(model.fits)}, and the rides are of {', '.join(cars)}: give rides "
             "of its vehicle models, or a model with a fit for these or for any other (*)"
         )
-    energy = model.predict(rides)
+    energy = model.predict_energy(rides)
     if not np.isfinite(energy).any():
         unknown = [name for name in model.needs if name in rides and rides[name].isna().all()]
         reason = f": column {unknown[0]!r} is unknown in all of them" if unknown else ""
@@ -166,7 +166,7 @@ def _notes(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> tuple[str,
 
 def _list_limited(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> list[str]:
     """Return a note on each model of which predictions stopped at its limit."""
-    counts = {label: model.count_limited(rides, model.predict(rides)) for label, model in models.items()}
+    counts = {label: model.count_limited(rides, model.predict_energy(rides)) for label, model in models.items()}
     return [f"{label}: {word_limited(count, len(rides))}" for label, count in counts.items() if count]
 
 

@@ -198,7 +198,7 @@ def _trace_model(
     notes: list[str],
 ) -> dict[str, Any]:
     """Return the prediction of one model along a ride."""
-    predicted, running = float(model.predict(ride)[0]), model.predict(columns)
+    predicted, running = float(model.predict_energy(ride)[0]), model.predict_energy(columns)
     if not np.isfinite(predicted):
         car = ride["vehicle_model"].iloc[0]
         raise ModelError(f"model {label} has no prediction of this ride, of a {car}: give a model with a fit for it")
@@ -207,7 +207,7 @@ def _trace_model(
             f"model {label} cannot be traced: its windows add up to {running[-1]:.3f} kWh, and it "
             f"predicts {predicted:.3f} kWh for the ride; make the tables again with `socast tables`"
         )
-    alone = float(model.predict(_as_rides(ride, of_ride)).sum())
+    alone = float(model.predict_energy(_as_rides(ride, of_ride)).sum())
     if not np.isfinite(alone) or _differ(alone, predicted):
         notes.append(
             f"{label} is not a sum over windows: each window shows what it adds to the prediction of the ride so far; "

@@ -34,7 +34,7 @@ def compute_figure_1(evaluated: EvaluatedRides) -> dict[str, Any]:
     except SocastError:
         return {}  # a table that no curve can be fitted to has no such figure
     time = (rides["duration_s"] * rides["accessory_scale"] / 3.6e6).to_numpy(np.float64)
-    beyond = evaluated.energy - BASIC_PHYSICAL.predict(rides)
+    beyond = evaluated.energy - BASIC_PHYSICAL.predict_energy(rides)
     ambient = rides["ambient_c"].to_numpy(np.float64)
     known = np.isfinite(ambient) & np.isfinite(beyond) & (time > 0.0)
     figure = {}

@@ -186,7 +186,7 @@ def compute_learning_curve(
             tested = np.sort(order[counts[-1] :])
             for j, count in enumerate(counts):
                 model = _train(learner, start, evaluated, split, np.sort(order[:count]))
-                error = np.abs(model.predict(test_rides.iloc[tested]) - evaluated.energy[tested])
+                error = np.abs(model.predict_energy(test_rides.iloc[tested]) - evaluated.energy[tested])
                 curve[i, j] = _average(error, evaluated, tested)
     except SocastError as problem:
         return str(problem)

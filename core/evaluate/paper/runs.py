@@ -32,7 +32,7 @@ Result = TypeVar("Result")
 class FittedModel(Protocol):
     """Describe the model that a recipe returns."""
 
-    def predict(self, columns: Any) -> Floats:
+    def predict_energy(self, columns: Any) -> Floats:
         """Return the energy of rides. [kWh]"""
 
 
@@ -84,7 +84,7 @@ def fit_and_predict(recipe: EvaluatedRecipe, evaluated: EvaluatedRides, split: S
     try:
         model = recipe.fit(evaluated.rides.iloc[split.train])
         test_rides = evaluated.drop_answers().iloc[split.test]
-        energy = np.asarray(model.predict(test_rides), dtype=np.float64)
+        energy = np.asarray(model.predict_energy(test_rides), dtype=np.float64)
         limited = model.count_limited(test_rides, energy) if isinstance(model, LinearModel) else 0
         if getattr(model, "interval", None) is None:
             return Prediction(split.test, energy, limited=limited)

@@ -330,7 +330,7 @@ def _predict(amounts: Floats, edges: RideEdges, context: RunContext) -> Floats:
     first, last = (np.repeat(edge[np.newaxis], n, axis=0) for edge in edges)
     totals = Totals(zero, zero, zero, zero, amounts, first, last, np.zeros((n, 1)), create_unknown_yields(n))
     unnamed = replace(context, lanes=Lanes([""]))
-    return context.model.predict(model_columns(totals, unnamed, context.model.needs))
+    return context.model.predict_energy(model_columns(totals, unnamed, context.model.needs))
 
 
 def _predict_climb(typical: Floats, edges: RideEdges, context: RunContext) -> tuple[float, float]:

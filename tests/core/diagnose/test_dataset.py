@@ -46,7 +46,7 @@ class TestGather:
         assert len(set(zip(result.vehicle, result.date, result.day, strict=True))) == CARS * DAYS
         np.testing.assert_allclose(result.by_ride(result.measured), result.rides["energy_kwh"], rtol=1e-12)
         assert result.day_of_ride[result.ride].tolist() == result.day.tolist()
-        np.testing.assert_array_equal(result.predicted, model.predict(table))
+        np.testing.assert_array_equal(result.predicted, model.predict_energy(table))
         assert result.left_out == {}
 
     def test_reasons_for_which_rides_are_left_out_are_counted(self, tables, model):

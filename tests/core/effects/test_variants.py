@@ -128,7 +128,7 @@ class Fitted:
     def needs(self):
         return tuple(f"effect_{name}" for name in self.effects)
 
-    def predict(self, columns):
+    def predict_energy(self, columns):
         return 1e-4 * np.asarray(columns[self.needs[0]])
 
 
@@ -140,7 +140,7 @@ def test_live_path_computes_only_the_variant_that_the_model_reads():
     assert [name for name in rides if name.startswith("effect_")] == ["effect_cold_rolling@reference=283.15"]
     weight = (rides["mass_kg"][0] + 75) * 9.80665
     expected = 1e-4 * 30 * weight * rides["distance_km"][0] * 1000 / JOULES_PER_KWH
-    assert Fitted().predict(rides)[0] == pytest.approx(expected, rel=1e-3)
+    assert Fitted().predict_energy(rides)[0] == pytest.approx(expected, rel=1e-3)
     predicted = [msgspec.json.decode(message.payload)["ride_energy_predicted_kwh"] for message in out]
     assert 0 < predicted[-1] <= expected * 1.001
 

@@ -33,11 +33,11 @@ def heteroscedastic(n: int, seed: int) -> pd.DataFrame:
     size, cold = columns["size_kwh"], columns["heating_need_k"]
     sd = 0.02 + 0.04 * size + 0.002 * size * cold
     sd = sd * np.where(table["vehicle_model"] == MODELS[0], 2.0, 1.0)
-    return table.assign(energy_kwh=BASIC_PHYSICAL.predict(table) + sd * (random.gamma(4.0, 0.5, n) - 2.0))
+    return table.assign(energy_kwh=BASIC_PHYSICAL.predict_energy(table) + sd * (random.gamma(4.0, 0.5, n) - 2.0))
 
 
 def inside(table: pd.DataFrame, interval: PredictionInterval, level: float = 0.9) -> np.ndarray:
-    lower, upper = interval.bounds(BASIC_PHYSICAL.predict(table), table, level)
+    lower, upper = interval.bounds(BASIC_PHYSICAL.predict_energy(table), table, level)
     energy = table["energy_kwh"].to_numpy()
     return (lower <= energy) & (energy <= upper)
 
@@ -111,7 +111,7 @@ def test_model_file_preserves_the_interval_exactly(interval):
     model = msgspec.structs.replace(BASIC_PHYSICAL, interval=interval)
     assert decode_model(encode_model(model)).interval == interval
     table = heteroscedastic(10, 8)
-    assert (model.predict_interval(table, 0.9)[0] < model.predict(table)).all()
+    assert (model.predict_interval(table, 0.9)[0] < model.predict_energy(table)).all()
 
 
 def test_too_few_rides_give_no_interval():
@@ -164,7 +164,7 @@ def test_leverage_gives_the_error_of_a_fit_without_the_ride(small, monkeypatch):
     of_model = small[small["vehicle_model"] == MODELS[1]]
     for i in (0, 17, len(of_model) - 1):
         without = fit_terms(PLAIN, RideFrame(of_model.drop(index=of_model.index[i])))
-        expected = of_model["energy_kwh"].iloc[i] - without.predict(of_model.iloc[i : i + 1])[0]
+        expected = of_model["energy_kwh"].iloc[i] - without.predict_energy(of_model.iloc[i : i + 1])[0]
         assert seen["own"][MODELS[1]].error[i] == pytest.approx(expected, rel=1e-6)
 
 
@@ -175,7 +175,9 @@ def test_leverage_gives_the_errors_of_a_fit_without_the_vehicle_model(small, mon
     )
     add_interval(fit_terms(PLAIN, RideFrame(small)), small)
     of_model = small["vehicle_model"] == MODELS[1]
-    expected = small["energy_kwh"][of_model] - fit_terms(PLAIN, RideFrame(small[~of_model])).predict(small[of_model])
+    expected = small["energy_kwh"][of_model] - fit_terms(PLAIN, RideFrame(small[~of_model])).predict_energy(
+        small[of_model]
+    )
     np.testing.assert_allclose(seen["other"][MODELS[1]].error, expected, rtol=1e-6, atol=1e-9)
 
 
@@ -193,6 +195,6 @@ def test_interval_of_unseen_vehicle_models_covers_more_than_that_of_known_ones()
         covered.append(np.mean(((lower <= energy) & (energy <= upper))[new]))
         scales = dict(model.interval.scales)
         alike = msgspec.structs.replace(model.interval, scales=scales | {ANY: min(scales.values())})
-        lower, upper = alike.bounds(model.predict(table), table, 0.9)
+        lower, upper = alike.bounds(model.predict_energy(table), table, 0.9)
         as_others.append(np.mean(((lower <= energy) & (energy <= upper))[new]))
     assert np.mean(covered) > max(0.75, np.mean(as_others) + 0.1)

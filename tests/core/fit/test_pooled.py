@@ -20,7 +20,7 @@ FEW = 600
 
 
 def mae(model, table: pd.DataFrame) -> float:
-    return float(np.abs(model.predict(table) - table["energy_kwh"]).mean())
+    return float(np.abs(model.predict_energy(table) - table["energy_kwh"]).mean())
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_model_file_is_an_exact_round_trip(models, halves):
     for model in models.values():
         again = decode_model(encode_model(model))
         assert again == model
-        assert again.predict(halves[1]).tobytes() == model.predict(halves[1]).tobytes()
+        assert again.predict_energy(halves[1]).tobytes() == model.predict_energy(halves[1]).tobytes()
     assert len(encode_model(models["boosted_hybrid"])) < 400_000
 
 
@@ -90,8 +90,8 @@ def test_fitting_again_gives_the_same_model(table, boosted):
 def test_prediction_of_a_row_does_not_depend_on_other_rows(models, halves):
     some = halves[1].iloc[:40]
     model = models["boosted_hybrid"]
-    alone = np.concatenate([model.predict(some.iloc[i : i + 1]) for i in range(40)])
-    assert alone.tobytes() == model.predict(some).tobytes()
+    alone = np.concatenate([model.predict_energy(some.iloc[i : i + 1]) for i in range(40)])
+    assert alone.tobytes() == model.predict_energy(some).tobytes()
 
 
 def test_no_feature_holds_the_answer():
@@ -107,7 +107,7 @@ def test_physical_coefficients_equal_the_extended_physical_model_with_losses():
     rides = fleet(50, 3)
     level = dict.fromkeys([name for name in rides if name.startswith(("effect_climbing", "effect_inertia"))], 0.0)
     rides = rides.assign(**level, effect_aero_drag_wind=rides["effect_aero_drag"])
-    expected = EFFICIENCY * BASIC_PHYSICAL.predict(rides) + rides["effect_accessories"]
+    expected = EFFICIENCY * BASIC_PHYSICAL.predict_energy(rides) + rides["effect_accessories"]
     np.testing.assert_allclose(planted(rides, dict.fromkeys(MODELS, PHYSICS)), expected)
 
 
@@ -136,7 +136,7 @@ def test_adapting_to_rides_of_a_new_vehicle_model_improves_its_prediction(table)
     assert mean[3] < 1.25 * mae(POOLED.fit(table), table[new])
     rides = draws[0]
     adapted = adapt(start, rides.iloc[:30])
-    assert adapted.predict(others).tobytes() == start.predict(others).tobytes()
+    assert adapted.predict_energy(others).tobytes() == start.predict_energy(others).tobytes()
     assert (adapted.fits[MODELS[0]].rides, adapted.version != start.version) == (30, True)
     assert adapted.history[-1] == {"action": "adapt", "rides": {MODELS[0]: 30}}
     assert decode_model(encode_model(adapted)) == adapted
@@ -174,14 +174,14 @@ def test_columns_without_measurements_do_not_prevent_a_fit(table):
     unknown = ("parked_s", "battery_temperature_c", "occupants", "time_since_charge_s", "precipitation_mm_h")
     blind = table.assign(**dict.fromkeys(unknown, np.nan))
     model = BOOSTED.fit(blind.iloc[:1000])
-    assert np.isfinite(model.predict(blind)).all()
-    assert np.isfinite(model.predict(table)).all()
+    assert np.isfinite(model.predict_energy(blind)).all()
+    assert np.isfinite(model.predict_energy(table)).all()
 
 
 def test_unseen_vehicles_and_vehicle_models_are_predicted(models, halves):
     strange = halves[1].iloc[:20].assign(vehicle_id="taxi-new", vehicle_model="horse")
     for model in models.values():
-        assert np.isfinite(model.predict(strange)).all()
+        assert np.isfinite(model.predict_energy(strange)).all()
 
 
 def test_single_vehicle_model_can_be_fitted(table):
@@ -221,7 +221,9 @@ def test_model_that_does_not_pool_cannot_be_adapted(models, table):
 def test_boosted_model_without_trees_and_cars_equals_the_pooled_model(models, halves):
     whole = models["boosted_hybrid"]
     bare = msgspec.structs.replace(whole, cars={}, correction=None)
-    np.testing.assert_allclose(bare.predict(halves[1]), models["pooled_hybrid"].predict(halves[1]), rtol=1e-12)
+    np.testing.assert_allclose(
+        bare.predict_energy(halves[1]), models["pooled_hybrid"].predict_energy(halves[1]), rtol=1e-12
+    )
 
 
 def test_vehicle_model_with_one_ride_is_pooled(table):
@@ -229,16 +231,16 @@ def test_vehicle_model_with_one_ride_is_pooled(table):
     rare.loc[rare.index[0], "vehicle_model"] = MODELS[1]
     model = BOOSTED.fit(rare)
     assert model.fits[MODELS[1]].rides == 1
-    assert np.isfinite(model.predict(rare)).all()
+    assert np.isfinite(model.predict_energy(rare)).all()
 
 
 def test_adapting_to_predicted_energies_changes_no_prediction(models, halves):
     model = models["boosted_hybrid"]
     one = halves[0][halves[0]["vehicle_model"] == MODELS[0]]
-    predicted = one.assign(energy_kwh=model.predict(one))
+    predicted = one.assign(energy_kwh=model.predict_energy(one))
     again = adapt(model, predicted)
     rest = halves[1][halves[1]["vehicle_model"] == MODELS[0]]
-    assert again.predict(rest) == pytest.approx(model.predict(rest), rel=1e-6, abs=1e-6)
+    assert again.predict_energy(rest) == pytest.approx(model.predict_energy(rest), rel=1e-6, abs=1e-6)
     assert again.version != model.version
 
 

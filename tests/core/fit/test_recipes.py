@@ -119,7 +119,7 @@ def test_no_recipe_reads_the_answer():
 
 
 def test_basic_physical_recipe_equals_the_built_in_model(fleet, models):
-    assert models["basic_physical"].predict(fleet).tobytes() == BASIC_PHYSICAL.predict(fleet).tobytes()
+    assert models["basic_physical"].predict_energy(fleet).tobytes() == BASIC_PHYSICAL.predict_energy(fleet).tobytes()
 
 
 def test_each_vehicle_model_has_a_fit_and_all_others_share_one(fleet, models):
@@ -132,11 +132,11 @@ def test_each_vehicle_model_has_a_fit_and_all_others_share_one(fleet, models):
     alone = RECIPES["hybrid"].fit(fleet[fleet["vehicle_model"] == MODELS[0]])
     np.testing.assert_allclose(alone.fits[ANY].coefficients, models["hybrid"].fits[MODELS[0]].coefficients, rtol=1e-6)
     stranger = fleet.assign(vehicle_model="a-new-one")
-    assert np.isfinite(models["hybrid"].predict(stranger)).all()
+    assert np.isfinite(models["hybrid"].predict_energy(stranger)).all()
 
 
 def test_model_with_more_terms_is_never_worse_in_sample(fleet, models):
-    left = {name: np.sqrt(np.mean((models[name].predict(fleet) - fleet["energy_kwh"]) ** 2)) for name in PAPER}
+    left = {name: np.sqrt(np.mean((models[name].predict_energy(fleet) - fleet["energy_kwh"]) ** 2)) for name in PAPER}
     assert left["basic_physical"] > left["extended_physical"] > left["fitted_physical"] > left["hybrid"]
     assert left["hybrid"] > left["hybrid_interactions"]
     assert left["empirical"] > left["empirical_interactions"] > left["hybrid"]
@@ -146,7 +146,7 @@ def test_model_with_more_terms_is_never_worse_in_sample(fleet, models):
 def test_fitted_model_survives_its_file_exactly(name, fleet, models):
     read = decode_model(encode_model(models[name]))
     assert read == models[name]
-    assert read.predict(fleet).tobytes() == models[name].predict(fleet).tobytes()
+    assert read.predict_energy(fleet).tobytes() == models[name].predict_energy(fleet).tobytes()
 
 
 @pytest.mark.parametrize("name", FITTED)
@@ -162,7 +162,7 @@ def test_collinear_columns_keep_coefficients_bounded(name, fleet, models):
                 values = np.prod([np.nan_to_num(columns[column]) for column in term.columns], axis=0)
                 assert abs(coefficient) * values.std() < 3.0 * spread, (key, term.name)
     shaken = fleet.assign(winter=1 - fleet["winter"], summer=1 - fleet["summer"])
-    assert np.abs(model.predict(shaken) - model.predict(fleet)).max() < 2.0
+    assert np.abs(model.predict_energy(shaken) - model.predict_energy(fleet)).max() < 2.0
 
 
 def test_hybrid_without_redundant_terms_predicts_the_same(fleet, models):
@@ -173,7 +173,7 @@ def test_hybrid_without_redundant_terms_predicts_the_same(fleet, models):
     fresh = rides(200, seed=99)
     for key in MODELS:
         of_model = fresh.assign(vehicle_model=key, nominal_capacity_kwh=27.0)
-        np.testing.assert_allclose(models["hybrid"].predict(of_model), least.predict(of_model), atol=1e-6)
+        np.testing.assert_allclose(models["hybrid"].predict_energy(of_model), least.predict_energy(of_model), atol=1e-6)
 
 
 def test_rolling_resistance_nearly_proportional_to_distance_stays_bounded():
@@ -220,10 +220,10 @@ def test_unknown_values_are_filled_with_the_mean_of_known_ones(fleet):
     full = RECIPES["hybrid_full"].fit(fleet)
     assert full.fits[ANY].fills["time_since_charge_s"] == pytest.approx(since.mean())
     assert full.training.filled["time_since_charge_s"] == since.isna().sum()
-    predicted = full.predict(fleet.assign(time_since_charge_s=np.nan, wind_from_deg=np.nan))
+    predicted = full.predict_energy(fleet.assign(time_since_charge_s=np.nan, wind_from_deg=np.nan))
     assert np.isfinite(predicted).all()
     unknown = fleet.assign(mass_kg=np.nan, drag_area_m2=np.nan)
-    assert np.isnan(full.predict(unknown)).all()
+    assert np.isnan(full.predict_energy(unknown)).all()
 
 
 def test_rides_unfit_unmeasured_or_of_unknown_cars_are_left_out_and_counted(fleet):
@@ -252,7 +252,9 @@ def test_equal_rides_give_equal_models_and_other_rides_another_version(fleet, mo
 
 def test_fit_does_not_depend_on_the_order_of_rides(fleet, models):
     shuffled = RECIPES["hybrid_interactions"].fit(fleet.sample(frac=1.0, random_state=3))
-    np.testing.assert_allclose(shuffled.predict(fleet), models["hybrid_interactions"].predict(fleet), atol=1e-6)
+    np.testing.assert_allclose(
+        shuffled.predict_energy(fleet), models["hybrid_interactions"].predict_energy(fleet), atol=1e-6
+    )
 
 
 def test_fit_without_covariance_has_the_same_coefficients(fleet, models):
@@ -273,7 +275,7 @@ def test_fit_to_parquet_files_equals_fit_to_the_table(name, groups, fleet, model
     assert fitted.training == models[name].training
     for key, fit in fitted.fits.items():
         expected = models[name].fits[key]
-        np.testing.assert_allclose(fitted.predict(fleet), models[name].predict(fleet), atol=1e-7)
+        np.testing.assert_allclose(fitted.predict_energy(fleet), models[name].predict_energy(fleet), atol=1e-7)
         np.testing.assert_allclose(np.diag(fit.covariance), np.diag(expected.covariance), rtol=1e-3)
 
 

@@ -33,7 +33,7 @@ def test_linear_energy_is_shared_out_exactly(table):
 def test_planted_nonlinear_relation_is_learned(table):
     frame, rides, _ = table
     train, test = rides.iloc[::2], rides.iloc[1::2]
-    predicted = SegmentRecipe(build_segments(frame)).fit(train).predict(test)
+    predicted = SegmentRecipe(build_segments(frame)).fit(train).predict_energy(test)
     error = np.abs(predicted - test["energy_kwh"]).mean()
     assert error < 0.35 * np.abs(test["energy_kwh"] - train["energy_kwh"].mean()).mean()
     assert not np.isnan(predicted).any()
@@ -43,18 +43,18 @@ def test_equal_seeds_give_equal_predictions_in_any_order_of_rides(table):
     frame, rides, _ = table
     recipe = SegmentRecipe(build_segments(frame.sample(frac=1.0, random_state=3)))
     one, two = (recipe.fit(rides.iloc[:200]) for _ in range(2))
-    predicted = one.predict(rides)
-    np.testing.assert_array_equal(predicted, two.predict(rides))
+    predicted = one.predict_energy(rides)
+    np.testing.assert_array_equal(predicted, two.predict_energy(rides))
     back = rides.sample(frac=1.0, random_state=4)
-    np.testing.assert_allclose(one.predict(back), predicted[back.index], rtol=1e-12)
+    np.testing.assert_allclose(one.predict_energy(back), predicted[back.index], rtol=1e-12)
 
 
 def test_unseen_vehicle_model_is_predicted_by_the_network_of_all_rides(table):
     frame, rides, _ = table
     model = SegmentRecipe(build_segments(frame)).fit(rides)
-    new = model.predict(rides.assign(vehicle_model="horse"))
+    new = model.predict_energy(rides.assign(vehicle_model="horse"))
     assert not np.isnan(new).any()
-    assert not np.array_equal(new, model.predict(rides))
+    assert not np.array_equal(new, model.predict_energy(rides))
 
 
 def test_ride_without_windows_is_nan_and_unknown_values_are_accepted(table):
@@ -62,7 +62,7 @@ def test_ride_without_windows_is_nan_and_unknown_values_are_accepted(table):
     frame = frame[frame["ride_key"] != "car#7"].copy()
     frame.loc[frame.index[::5], "precipitation_mm_h"] = np.nan
     frame["wind_speed_kmh"] = np.nan
-    predicted = SegmentRecipe(build_segments(frame)).fit(rides).predict(rides)
+    predicted = SegmentRecipe(build_segments(frame)).fit(rides).predict_energy(rides)
     assert np.flatnonzero(np.isnan(predicted)).tolist() == [7]
 
 

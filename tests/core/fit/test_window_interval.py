@@ -41,7 +41,7 @@ def test_error_without_a_day_is_that_of_sums_without_the_day(fitted):
 def test_held_out_errors_are_larger_than_in_sample_errors(fitted):
     model, groups, rides = fitted
     held = _HeldOut(model, groups, KIND, rides)
-    inside = np.abs(rides["energy_kwh"] - model.predict(rides)).mean()
+    inside = np.abs(rides["energy_kwh"] - model.predict_energy(rides)).mean()
     assert inside < np.abs(held.without_day()).mean() < 1.2 * inside
 
 

@@ -72,7 +72,7 @@ def test_sun_stands_at_its_known_height_over_montreal():
 
 
 def test_basic_energy_equals_the_basic_physical_model():
-    np.testing.assert_allclose(Columns(TABLE)["basic_kwh"], BASIC_PHYSICAL.predict(TABLE), rtol=1e-12)
+    np.testing.assert_allclose(Columns(TABLE)["basic_kwh"], BASIC_PHYSICAL.predict_energy(TABLE), rtol=1e-12)
 
 
 def test_ride_without_motion_has_the_smallest_size():

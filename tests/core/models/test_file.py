@@ -96,7 +96,7 @@ def test_model_of_several_vehicle_models_predicts_the_same_bits_after_loading(tm
     save(FLEET, tmp_path / "model.json")
     read = load(tmp_path / "model.json")
     assert read == stamp(FLEET)
-    assert read.predict(fleet()).tobytes() == FLEET.predict(fleet()).tobytes()
+    assert read.predict_energy(fleet()).tobytes() == FLEET.predict_energy(fleet()).tobytes()
 
 
 def test_numbers_of_a_fit_are_written_on_one_line():
@@ -112,7 +112,7 @@ def test_built_in_model_predicts_the_same_bits_after_loading(model, tmp_path):
     read = load(tmp_path / "model.json")
     columns = ride_columns(model, steps(4, 7))
     assert read == stamp(model)
-    assert read.predict(columns).tobytes() == model.predict(columns).tobytes()
+    assert read.predict_energy(columns).tobytes() == model.predict_energy(columns).tobytes()
     assert load(model.name) is model
 
 

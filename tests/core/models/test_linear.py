@@ -42,14 +42,14 @@ def equation_1(signals) -> np.ndarray:
 @given(st.integers(0, 2**32))
 def test_basic_physical_model_equals_equation_1(seed):
     signals = steps(seed, 50)
-    predicted = BASIC_PHYSICAL.predict(ride_columns(BASIC_PHYSICAL, signals))
+    predicted = BASIC_PHYSICAL.predict_energy(ride_columns(BASIC_PHYSICAL, signals))
     np.testing.assert_allclose(predicted, equation_1(signals), rtol=1e-11, atol=1e-15)
 
 
 @given(st.integers(0, 2**32))
 def test_extended_physical_model_adds_the_accessories(seed):
     signals = steps(seed, 50)
-    predicted = EXTENDED_PHYSICAL.predict(ride_columns(EXTENDED_PHYSICAL, signals))
+    predicted = EXTENDED_PHYSICAL.predict_energy(ride_columns(EXTENDED_PHYSICAL, signals))
     accessories = ACCESSORIES.power(signals["ambient"]) * 3.0 / JOULES_PER_KWH
     np.testing.assert_allclose(predicted, equation_1(signals) + accessories, rtol=1e-11, atol=1e-15)
 
@@ -67,9 +67,9 @@ def test_kilometre_at_50_kmh_in_a_leaf_matches_manual_calculation():
     }
     columns = ride_columns(EXTENDED_PHYSICAL, signals)
     # 1600 kg * 9.80665 * 0.008 = 125.5 N; 0.5 * 1.225 * 0.72 * 13.89^2 = 85.1 N; 210.6 N km / 3600 = 0.0585 kWh
-    assert BASIC_PHYSICAL.predict(columns)[0] == pytest.approx(0.0585, abs=5e-5)
+    assert BASIC_PHYSICAL.predict_energy(columns)[0] == pytest.approx(0.0585, abs=5e-5)
     # and 300 W for 72 s = 0.006 kWh
-    assert EXTENDED_PHYSICAL.predict(columns)[0] == pytest.approx(0.0645, abs=5e-5)
+    assert EXTENDED_PHYSICAL.predict_energy(columns)[0] == pytest.approx(0.0645, abs=5e-5)
 
 
 def test_physical_models_list_their_needs_and_effects():
@@ -84,9 +84,9 @@ def test_physical_models_list_their_needs_and_effects():
 @given(st.integers(0, 2**32), st.lists(st.integers(0, 40), max_size=6))
 def test_physical_prediction_of_a_row_does_not_depend_on_other_rows(seed, cuts):
     columns = ride_columns(EXTENDED_PHYSICAL, steps(seed, 40))
-    whole = EXTENDED_PHYSICAL.predict(columns)
+    whole = EXTENDED_PHYSICAL.predict_energy(columns)
     edges = [0, *sorted(cuts), 40]
-    parts = [EXTENDED_PHYSICAL.predict({n: c[a:b] for n, c in columns.items()}) for a, b in pairwise(edges)]
+    parts = [EXTENDED_PHYSICAL.predict_energy({n: c[a:b] for n, c in columns.items()}) for a, b in pairwise(edges)]
     assert np.concatenate(parts).tobytes() == whole.tobytes()
 
 
@@ -95,7 +95,7 @@ def test_prediction_changes_neither_model_nor_columns():
     before = {name: column.copy() for name, column in columns.items()}
     for column in columns.values():
         column.flags.writeable = False
-    first, again = EXTENDED_PHYSICAL.predict(columns), EXTENDED_PHYSICAL.predict(columns)
+    first, again = EXTENDED_PHYSICAL.predict_energy(columns), EXTENDED_PHYSICAL.predict_energy(columns)
     assert first.tobytes() == again.tobytes()
     assert all(columns[name].tobytes() == before[name].tobytes() for name in columns)
 
@@ -104,24 +104,24 @@ def test_prediction_changes_neither_model_nor_columns():
 def test_prediction_is_nan_only_where_a_needed_column_is_nan(name):
     columns = ride_columns(EXTENDED_PHYSICAL, steps(2, 5))
     columns[name][3] = np.nan
-    assert np.isnan(EXTENDED_PHYSICAL.predict(columns)).tolist() == [False, False, False, True, False]
+    assert np.isnan(EXTENDED_PHYSICAL.predict_energy(columns)).tolist() == [False, False, False, True, False]
 
 
 def test_prediction_accepts_a_table_and_ignores_other_columns():
     columns = ride_columns(BASIC_PHYSICAL, steps(3, 5))
     table = pd.DataFrame({**columns, "driver_id": "d"})
-    assert BASIC_PHYSICAL.predict(table).tobytes() == BASIC_PHYSICAL.predict(columns).tobytes()
+    assert BASIC_PHYSICAL.predict_energy(table).tobytes() == BASIC_PHYSICAL.predict_energy(columns).tobytes()
 
 
 def test_missing_column_is_refused_by_name():
     with pytest.raises(ModelError, match=r"basic_physical: column 'effect_inertia' is missing"):
-        BASIC_PHYSICAL.predict({n: np.ones(1) for n in BASIC_PHYSICAL.needs if n != "effect_inertia"})
+        BASIC_PHYSICAL.predict_energy({n: np.ones(1) for n in BASIC_PHYSICAL.needs if n != "effect_inertia"})
 
 
 def test_prediction_handles_no_rows_and_constant_terms():
-    assert BASIC_PHYSICAL.predict({n: np.empty(0) for n in BASIC_PHYSICAL.needs}).shape == (0,)
+    assert BASIC_PHYSICAL.predict_energy({n: np.empty(0) for n in BASIC_PHYSICAL.needs}).shape == (0,)
     constant = model_of(Term(name="one", columns=(), unit="kWh"), fits={ANY: Fit(coefficients=(0.25,))})
-    assert constant.predict({"distance_km": np.zeros(3)}).tolist() == [0.25, 0.25, 0.25]
+    assert constant.predict_energy({"distance_km": np.zeros(3)}).tolist() == [0.25, 0.25, 0.25]
     assert constant.effects == ()
 
 
@@ -142,7 +142,7 @@ def by_hand(ride) -> float:
 def test_prediction_uses_fit_of_vehicle_model_and_factor_of_car():
     rides = fleet()
     expected = [by_hand(ride) for ride in rides.itertuples()]
-    np.testing.assert_allclose(FLEET.predict(rides), expected, rtol=1e-12)
+    np.testing.assert_allclose(FLEET.predict_energy(rides), expected, rtol=1e-12)
     known = ~np.isnan(expected)
     assert 10 < known.sum() < len(rides)
 
@@ -167,25 +167,25 @@ def test_needs_include_columns_behind_derived_columns_and_fits():
 @given(st.integers(0, 2**32), st.lists(st.integers(0, 60), max_size=6))
 def test_prediction_of_a_row_does_not_depend_on_other_rows(seed, cuts):
     rides = fleet(60, seed)
-    whole = FLEET.predict(rides)
+    whole = FLEET.predict_energy(rides)
     edges = [0, *sorted(cuts), 60]
-    parts = [FLEET.predict(rides.iloc[a:b]) for a, b in pairwise(edges)]
+    parts = [FLEET.predict_energy(rides.iloc[a:b]) for a, b in pairwise(edges)]
     assert np.concatenate(parts).tobytes() == whole.tobytes()
     order = np.random.default_rng(seed).permutation(60)
-    assert FLEET.predict(rides.iloc[order]).tobytes() == whole[order].tobytes()
+    assert FLEET.predict_energy(rides.iloc[order]).tobytes() == whole[order].tobytes()
 
 
 def test_prediction_does_not_change_the_table():
     rides = fleet()
     before = rides.copy(deep=True)
-    FLEET.predict(rides)
+    FLEET.predict_energy(rides)
     pd.testing.assert_frame_equal(rides, before)
 
 
 def test_prediction_is_unknown_for_vehicle_models_without_a_fit():
     lone = msgspec.structs.replace(FLEET, fits={"leaf": FLEET.fits["leaf"]}, correction=None)
     rides = fleet()
-    known = ~np.isnan(lone.predict(rides))
+    known = ~np.isnan(lone.predict_energy(rides))
     assert set(rides["vehicle_model"][known]) == {"leaf"}
 
 
@@ -202,7 +202,7 @@ def test_parts_add_up_to_prediction(correction, cars):
     model = msgspec.structs.replace(fitted, correction=correction, cars=cars)
     result = model.predict_parts(rides)
     assert list(result) == [term.name for term in FITTED_TERMS] + [CORRECTION] * (correction is not None)
-    np.testing.assert_allclose(sum(result.values()), model.predict(rides), rtol=1e-9)
+    np.testing.assert_allclose(sum(result.values()), model.predict_energy(rides), rtol=1e-9)
 
 
 def test_vehicle_model_without_fit_has_no_parts():

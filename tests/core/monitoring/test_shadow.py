@@ -120,7 +120,7 @@ def test_running_errors_are_those_of_the_ride_table():
     rides = pipeline.take_rides()
     rides = rides[rides["fit_for_training"]]
     measured = rides["energy_kwh"].to_numpy()
-    off = {f"{m.name}/{m.version}": m.predict(rides) - measured for m in (BASIC_PHYSICAL, *SHADOWS)}
+    off = {f"{m.name}/{m.version}": m.predict_energy(rides) - measured for m in (BASIC_PHYSICAL, *SHADOWS)}
     first = np.abs(off["basic_physical/1"])
     for errors in pipeline.shadows.errors():
         error = off[errors.model]
@@ -183,7 +183,7 @@ def fails(name):
     class Failing(LinearModel):
         """A model that always raises."""
 
-        def predict(self, _):
+        def predict_energy(self, _):
             raise ZeroDivisionError
 
     fields = {field: getattr(BASIC_PHYSICAL, field) for field in BASIC_PHYSICAL.__struct_fields__}

@@ -151,7 +151,9 @@ def test_running_totals_at_the_end_equal_those_of_the_ride():
         assert running.amount(name)[0] / unit == pytest.approx(ride[column], rel=1e-15), name
     assert status.ride_distance_km == ride["distance_km"]
     assert status.measured_kwh == ride["energy_kwh"]
-    assert status.predicted_kwh == pytest.approx(float(pipeline.model.predict(pipeline_columns(ride))[0]), rel=1e-12)
+    assert status.predicted_kwh == pytest.approx(
+        float(pipeline.model.predict_energy(pipeline_columns(ride))[0]), rel=1e-12
+    )
 
 
 def pipeline_columns(ride):

@@ -85,7 +85,9 @@ def test_command_of_diagnosis_adds_effect(here, capsys):
     assert model.interval is not None
     assert "Cold tyres" in (here / "d.html").read_text()
     rides = pd.read_parquet(here / "tables" / "rides.parquet")
-    error = [np.abs(m.predict(rides) - rides["energy_kwh"]).mean() for m in (models.load(here / "base.json"), model)]
+    error = [
+        np.abs(m.predict_energy(rides) - rides["energy_kwh"]).mean() for m in (models.load(here / "base.json"), model)
+    ]
     assert error[1] < 0.5 * error[0]
 
 

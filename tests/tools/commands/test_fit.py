@@ -56,7 +56,7 @@ def test_every_recipe_of_paper_is_fitted_and_predicts(name, folder, table, tmp_p
     assert "left out: 5 too long" in printed
     assert "MAE in sample" in printed
     assert model == RECIPES[name].fit_parquet(folder / "rides.parquet")
-    assert np.isfinite(model.predict(table)).all()
+    assert np.isfinite(model.predict_energy(table)).all()
     for key in model.fits:
         assert key in printed or key == ANY
 
@@ -128,7 +128,7 @@ def test_several_tables_are_fitted_together(folder, table, tmp_path):
     assert list_ride_files([half, tmp_path]) == [half, tmp_path / "rides.parquet"]
     together, whole = models.load(tmp_path / "model.json"), fitted(folder, "hybrid", tmp_path / "whole.json")
     assert together.training == whole.training
-    np.testing.assert_allclose(together.predict(table), whole.predict(table), rtol=1e-6)
+    np.testing.assert_allclose(together.predict_energy(table), whole.predict_energy(table), rtol=1e-6)
 
 
 def written(table: pd.DataFrame, path: Path) -> Path:
@@ -250,7 +250,7 @@ def test_last_forecast_of_ride_equals_prediction_from_its_table_row(in_service):
     table = pipeline.take_rides()
     last = table.groupby("vehicle_id").tail(1)
     assert len(last) == len(running)
-    for vehicle, energy in zip(last["vehicle_id"], in_service.predict(last), strict=True):
+    for vehicle, energy in zip(last["vehicle_id"], in_service.predict_energy(last), strict=True):
         assert energy == running[vehicle]
 
 
@@ -264,7 +264,7 @@ def test_replay_and_tables_accept_model_file(folder, tmp_path, capsys):
     assert "predicted" in capsys.readouterr().out
     done("tables", tmp_path / "shift.mcap", "--model", tmp_path / "model.json", "--out", tmp_path / "made")
     made = pd.read_parquet(tmp_path / "made" / "rides.parquet")
-    assert np.isfinite(models.load(tmp_path / "model.json").predict(made)).any()
+    assert np.isfinite(models.load(tmp_path / "model.json").predict_energy(made)).any()
 
 
 @pytest.fixture(scope="module")
@@ -282,7 +282,7 @@ def test_pooled_model_adapts_to_new_car(whole, tmp_path):
     done("fit", adapted, "--adapt", tmp_path / "base.json", "-o", tmp_path / "result.json")
     model = models.load(tmp_path / "result.json")
     rest = table[new].iloc[40:]
-    error = [np.abs(each.predict(rest) - rest["energy_kwh"]).mean() for each in (base, model)]
+    error = [np.abs(each.predict_energy(rest) - rest["energy_kwh"]).mean() for each in (base, model)]
     assert error[1] < error[0]
     assert model.version != base.version
     assert model.history[-1]["action"] == "adapt"
@@ -301,7 +301,7 @@ def test_unknown_values_in_single_rows_never_prevent_fit(recipe, whole, tmp_path
     spoilt.loc[21, "effect_rolling"] = np.nan
     model = fitted(written(spoilt, tmp_path / "rides.parquet"), recipe, tmp_path / "m.json")
     assert model.interval is not None
-    assert np.isfinite(model.predict(whole)).all()
+    assert np.isfinite(model.predict_energy(whole)).all()
 
 
 @pytest.mark.parametrize("recipe", ["fitted_physical", "boosted_hybrid"])

@@ -152,8 +152,8 @@ def test_effect_of_one_vehicle_or_since_a_date_is_recovered_within_its_scope(sco
     assert decode_model(encode_model(result.model)) == result.model
     assert (result.trial["on_vehicles"] is None) == scope.startswith("vehicle")
     rides = tables[0].assign(vehicle_id="another", start_s=START)
-    without = result.model.predict(rides.assign(effect_cold_rolling=0.0))
-    assert result.model.predict(rides).tolist() == without.tolist()
+    without = result.model.predict_energy(rides.assign(effect_cold_rolling=0.0))
+    assert result.model.predict_energy(rides).tolist() == without.tolist()
 
 
 def test_no_final_hold_out_if_effect_acts_only_on_its_days():
@@ -347,7 +347,7 @@ def test_live_forecast_with_scoped_effect_matches_ride_table(tmp_path):
     assert running["b"] == 0.0
     pipeline.finish()
     table = pipeline.take_rides()
-    assert dict(zip(table["vehicle_id"], scoped_model.predict(table), strict=True)) == running
+    assert dict(zip(table["vehicle_id"], scoped_model.predict_energy(table), strict=True)) == running
 
 
 def test_dates_are_dropped_from_both_tables():

@@ -23,7 +23,7 @@ def compared(rides, **models):
 def test_figures_match_their_definitions():
     rides = planted()
     result = compared(rides, m=EXTENDED_PHYSICAL)["models"]["m"]
-    error = EXTENDED_PHYSICAL.predict(rides) - rides["energy_kwh"].to_numpy()
+    error = EXTENDED_PHYSICAL.predict_energy(rides) - rides["energy_kwh"].to_numpy()
     assert result["mae_kwh"]["value"] == pytest.approx(np.abs(error).mean())
     assert result["bias_kwh"]["value"] == pytest.approx(error.mean())
     assert result["rmse_kwh"] == pytest.approx(np.sqrt((error**2).mean()))
@@ -39,7 +39,7 @@ def test_percentages_and_noise_floor_match_their_definitions():
     rides = planted().assign(energy_soc_noise_kwh=0.05)
     result = compared(rides, m=EXTENDED_PHYSICAL)
     energy = rides["energy_kwh"].to_numpy()
-    error, counted = np.abs(EXTENDED_PHYSICAL.predict(rides) - energy), energy >= LEAST_ENERGY
+    error, counted = np.abs(EXTENDED_PHYSICAL.predict_energy(rides) - energy), energy >= LEAST_ENERGY
     errors, floor = result["models"]["m"], 0.05 * np.sqrt(2.0 / np.pi)
     assert result["about"]["noise_floor_kwh"] == pytest.approx(floor)
     assert result["about"]["below_least"] == pytest.approx(1.0 - counted.mean())
@@ -116,7 +116,7 @@ def test_worst_rides_come_first_and_relative_errors_need_certain_energy():
     rides.loc[7, "energy_kwh"] += 5.0
     rides.loc[8, ["energy_kwh", "energy_sd_kwh"]] = [0.001, 0.1]  # next to nothing: no ratio means anything
     rides.loc[9, ["energy_kwh", "energy_sd_kwh"]] = [-3.0, 1.0]
-    result = find_worst_rides(select_rides(rides, {"m": EXTENDED_PHYSICAL}), EXTENDED_PHYSICAL.predict(rides))
+    result = find_worst_rides(select_rides(rides, {"m": EXTENDED_PHYSICAL}), EXTENDED_PHYSICAL.predict_energy(rides))
     assert result["absolute"][0]["ride"] == "car#7"
     assert result["absolute"][0]["error_kwh"] == pytest.approx(-5.0, abs=0.5)
     for rank in result.values():

@@ -50,7 +50,7 @@ class PerKm:
 class Rate:
     rate: float
 
-    def predict(self, rides):
+    def predict_energy(self, rides):
         return self.rate * rides["distance_km"].to_numpy()
 
 
@@ -160,7 +160,7 @@ def test_drawn_orders_are_reproducible_permutations_and_ride_counts_fit_table():
 def test_learning_curve_tests_same_unseen_rides_at_every_point(table, monkeypatch):
     split = split_by_vehicle_model(table)[MODELS[0]]
     tested, shown = [], []
-    monkeypatch.setattr(Rate, "predict", lambda _, rides: tested.append(rides.index) or np.zeros(len(rides)))
+    monkeypatch.setattr(Rate, "predict_energy", lambda _, rides: tested.append(rides.index) or np.zeros(len(rides)))
     monkeypatch.setattr(PerKm, "adapt", lambda _, model, rides: shown.append(set(rides.index)) or model)
     compute_learning_curve(Learner("per_km", PerKm(), "adapted"), table, split, draw_rides(split.test, MODELS[0], 1, 2))
     for i in range(2):

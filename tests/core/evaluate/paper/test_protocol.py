@@ -34,12 +34,12 @@ class Model:
     of: object
     interval: float | None = None
 
-    def predict(self, rides):
+    def predict_energy(self, rides):
         return np.asarray(self.of(rides), dtype=float)
 
     def predict_interval(self, rides, level):
         assert level == 0.9
-        return self.predict(rides) - self.interval, self.predict(rides) + self.interval
+        return self.predict_energy(rides) - self.interval, self.predict_energy(rides) + self.interval
 
 
 @dataclass
