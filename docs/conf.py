@@ -11,8 +11,12 @@ project = "socast"
 author = "the socast developers"
 release = version = installed_version("socast")
 
-extensions = ["sphinx.ext.autodoc", "numpydoc", "myst_parser", "generated_pages"]
-source_suffix = {".md": "markdown"}
+extensions = ["sphinx.ext.autodoc", "numpydoc", "myst_nb", "generated_pages"]
+source_suffix = {".md": "myst-nb"}
+nb_execution_mode = "auto"
+nb_execution_timeout = 300  # [s]
+nb_execution_raise_on_error = True
+nb_execution_show_tb = True
 exclude_patterns = ["_ext", "_static"]
 
 default_role = "code"  # single backticks in docstrings
