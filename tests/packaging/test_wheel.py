@@ -23,7 +23,7 @@ from importlib.resources import files
 recording = files("socast").joinpath("recordings", "shift.mcap")
 tables = socast.make_tables(recording)
 model = socast.fit_model(tables.rides, "basic_physical")
-print(socast.__file__, len(tables.rides), len(model.predict_energy(tables.rides)))
+print(socast.__file__, len(tables.rides), len(model.predict(tables.rides)))
 """
 
 
@@ -47,6 +47,7 @@ def environment(tmp_path_factory):
     (site,) = (folder / "env" / "lib").glob("python*/site-packages")
     (site / "dependencies.pth").write_text(f"{Path(np.__file__).parents[1]}\n")
     assert [path.name for path in site.glob("[!_]*") if path.is_dir() and not path.match("*.dist-info")] == ["socast"]
+    assert not (site / "socast" / "tools" / "bench").exists()  # measures of the project itself
     for name in THEIRS:
         (site / name).mkdir()
         (site / name / "__init__.py").write_text('OWNER = "the user"\n')
@@ -59,6 +60,8 @@ def copy_compiled_kernels(site):
     for cached in ROOT.glob("[cst]*/**/__pycache__/*.nb[ci]"):
         source = cached.parents[1] / f"{cached.name.partition('.')[0]}.py"
         installed = site / "socast" / source.relative_to(ROOT)
+        if not installed.exists():
+            continue
         (installed.parent / "__pycache__").mkdir(exist_ok=True)
         shutil.copy2(cached, installed.parent / "__pycache__")
         stamp = source.stat().st_mtime_ns
