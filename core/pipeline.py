@@ -37,7 +37,7 @@ from socast.core.totals.accumulator import Accumulator, Sums
 from socast.core.totals.clean_rows import CleanRows, PowerOfEffect, sum_rows
 from socast.core.totals.closed_rides import ClosedTotals
 from socast.core.totals.context import RunContext
-from socast.core.totals.deferred_rows import DeferredRows
+from socast.core.totals.deferred_rows import CausalRows, DeferredRows
 from socast.core.totals.display_yield import DisplayYields
 from socast.core.totals.run_counters import RunCounters
 from socast.core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
@@ -126,6 +126,7 @@ class Pipeline:
         self.stations, self.silent_cars = Stations(limits.stations), SilentCars()
         self.accumulator = Accumulator(len(self.effects))
         self.deferred = DeferredRows() if two_sided else None
+        self.rows = self.deferred or CausalRows()
         self.displays, self.counters = DisplayYields(self.cars), RunCounters()
         self.closed = ClosedTotals(self.accumulator.none())
         self.shadows = ShadowModels([model, *shadows], prefix, keep=keep_forecasts)
@@ -194,16 +195,14 @@ class Pipeline:
         if self._pending.is_full:
             self._update_forecasts(order.size)
         self._pending.end_batch(order.size)
-        if self.deferred:
-            self.deferred.end_batch(order.size)
-        else:
+        self.rows.end_batch(order.size)
+        if not self.rows.waits:
             self.drivers.settle()
 
     def finish(self) -> list[Message]:
         """Close all rides, windows and running errors in progress at the end of the stream, and return no messages."""
         self._update_forecasts()
-        if self.deferred is not None:
-            self._take_released(self.deferred, self.deferred.close())
+        self._add_rows(self.rows.close())
         self.drivers.settle()
         self._take_closed(sums := self.displays.attach(self.accumulator.close(), len(self.lanes)))
         if self.keep_forecasts:
@@ -227,22 +226,21 @@ class Pipeline:
             now["row"] -= at
             seen = [(row - at, value) for row, value in piece.observations if at <= row < end]
             rows = self.clean_up(batch.rows(at, end), kind[at - start : end - start], order.of_rows[at:end], now, seen)
-            if self.deferred is not None:
-                self._take_released(self.deferred, self.deferred.add(rows))
-                continue
-            self._add_rows(rows)
+            self._add_rows(self.rows.add(rows))
             if self._pending.is_full:
                 self._update_forecasts(order.of_row(end))
         for value in (value for row, value in piece.observations if row == stop):
             self.stations.observe(value)
         return Piece(stop, [], [], [])
 
-    def _add_rows(self, rows: CleanRows) -> None:
-        """Sum up cleaned rows, and take the totals."""
-        sums = self.displays.attach(self.sum_up(rows), len(self.lanes))
-        self._take_closed(sums)
-        if self.keep_forecasts:
-            self._pending.add_sums(sums, rows.size)
+    def _add_rows(self, ready: Sequence[CleanRows]) -> None:
+        """Sum up cleaned rows, and take the totals, and the daily updates that waited for them."""
+        for summed, kind_of_lane in self.rows.sum_up(ready, self.sum_up, BLOCK):
+            self._take_closed(sums := self.displays.attach(summed, len(self.lanes)))
+            if kind_of_lane is not None:
+                self.displays.apply_daily_update(kind_of_lane)
+            if self.keep_forecasts:
+                self._pending.add_sums(sums, sum(rows.size for rows in ready))
 
     def clean_up(
         self,
@@ -273,13 +271,6 @@ class Pipeline:
     def sum_up(self, rows: CleanRows) -> Sums:
         """Run the steps from cleaned rows to totals, see `socast.core.totals.clean_rows.sum_rows`."""
         return sum_rows(rows, self.cars, self._powers, self.accumulator, len(self.lanes))
-
-    def _take_released(self, deferred: DeferredRows, released: Sequence[CleanRows]) -> None:
-        """Sum up rows that have been released, and take the totals and daily updates that no kept row precedes."""
-        for sums, kind_of_lane in deferred.sum_up(released, self.sum_up, BLOCK):
-            self._take_closed(self.displays.attach(sums, len(self.lanes)))
-            if kind_of_lane is not None:
-                self.displays.apply_daily_update(kind_of_lane)
 
     def _take_closed(self, sums: Sums) -> None:
         """Count, evaluate and keep the rides and windows that have ended."""
@@ -315,19 +306,19 @@ class Pipeline:
         since = midnight - self.limits.silent_days * SECONDS_PER_DAY
         self.stations.forget_silent(since)
         kept = self.silent_cars.begin_day(midnight, since, self.closed.get_lanes())
-        if kept is not None and not self.keep_outlooks and not self.deferred:
+        if kept is not None and not self.keep_outlooks and not self.rows.waits:
             self._due.build_all()
             forget_lanes(kept, rest, self.lanes, self.day_rollover, [getattr(self, name) for name in OF_LANES])
 
     def _learn_from_day(self, place: int, midnight: float) -> None:
         """Let what was learned of the day take effect."""
-        pool = partial(self.deferred.add_daily_update, place) if self.deferred else self.displays.apply_daily_update
-        pool(self.cars.of_lane)
+        for kind_of_lane in self.rows.add_daily_update(place, self.cars.of_lane):
+            self.displays.apply_daily_update(kind_of_lane)
         self.engine.apply_daily_update(midnight - SECONDS_PER_DAY)
 
     def _take_ride(self, place: int, lane: int, ride: Ride) -> tuple[float, float, bool]:
         """Take the driver of a ride; return the code of its name, when it begins or ends, and whether it ends."""
-        self.drivers.observe(ride, lane, place + (self.deferred.messages if self.deferred else 0))
+        self.drivers.observe(ride, lane, place + self.rows.messages)
         if self.keep_forecasts and ride.driver_id and ride.event == "start":
             self._pending.add_arrival(DriverNamed(place, lane, ride.driver_id))
         return self.decoder.rides.get(ride.ride_id, UNKNOWN_NAME), ride.time_s, ride.event == "end"
@@ -491,6 +482,6 @@ class Pipeline:
         if self.decoder.rides.are_many(len(self.lanes)):
             self._update_forecasts()
             used = self._due.get_ride_codes()
-            if self.deferred is not None:  # rides that wait, and rides that the next row of their car will close
-                used += [self.deferred.ride_codes(), self.accumulator.ride_codes()]
+            if self.rows.waits:  # rides that wait, and rides that the next row of their car will close
+                used += [self.rows.ride_codes(), self.accumulator.ride_codes()]
             self.decoder.rides.keep(set(np.concatenate([self.cleaner.ride_codes(), *used]).tolist()))

@@ -20,6 +20,7 @@ from socast.core.models import EXTENDED_PHYSICAL, LinearModel
 from socast.core.pipeline import Pipeline
 from socast.core.records import to_json_values as _plain
 from socast.core.stats.splits import REPEATS
+from socast.stream.loop import feed as _feed
 from socast.stream.mcap_reader import McapSource
 from socast.stream.source import merge_sources
 from socast.tools.commands.evaluate_soc import SocForecasts as _SocForecasts
@@ -174,10 +175,8 @@ def evaluate_soc_forecasts(
     """
     displays = None if truth is None else _read_displays(Path(truth))
     collector = _SocForecasts(Pipeline(model, keep_outlooks=True))
-    for messages in collector.cut(merge_sources([McapSource(path) for path in recordings])):
-        collector.pipeline.take(messages)
+    for _ in _feed(collector.cut(merge_sources([McapSource(path) for path in recordings])), collector.pipeline):
         collector.pipeline.forecasts()
         collector()
-    collector.pipeline.finish()
     result: dict[str, Any] = _plain(collector.evaluated(displays))
     return result

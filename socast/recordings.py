@@ -16,6 +16,7 @@ from socast.core.settings import Settings
 from socast.core.wire.decoder import Decoder
 from socast.core.wire.messages import Message
 from socast.stream.elevation_files import open_elevation
+from socast.stream.loop import feed as _feed
 from socast.stream.mcap_reader import McapSource
 from socast.stream.source import merge_sources
 
@@ -180,9 +181,8 @@ def make_tables(
         two_sided=True,
         elevation_map=elevation_map,
     )
-    for messages in _blocks(recordings):
-        pipeline.take(messages)
-    pipeline.finish()
+    for _ in _feed(_blocks(recordings), pipeline):
+        pass
     return Tables(pipeline.take_rides(), pipeline.take_windows(), pipeline.quality())
 
 

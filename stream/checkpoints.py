@@ -10,7 +10,7 @@ import msgspec
 from socast.core.errors import SettingsError, SocastError
 from socast.core.formatting import format_time
 from socast.core.wire.messages import Message
-from socast.stream.loop import Forecaster, Tally
+from socast.stream.loop import Forecaster, Tally, feed
 from socast.stream.recorder import Place, Recorder
 from socast.stream.state_file import StateFile
 from socast.stream.structured_log import event_fields
@@ -126,8 +126,7 @@ class Checkpoints:
         except msgspec.ValidationError as error:
             raise SocastError(f"{self._file.path}: its place in the recording is no place: {error}") from error
         forecasts: dict[str, Message] = {}
-        for messages in recorder.read_after(place):
+        for messages in feed(recorder.read_after(place), self._pipeline, close=False):
             self.caught_up += len(messages)
-            self._pipeline.take(messages)
             forecasts.update((forecast.key, forecast) for forecast in self._pipeline.forecasts(newest_only=True))
         return forecasts

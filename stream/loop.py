@@ -4,7 +4,7 @@ import gc
 import logging
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from math import inf
@@ -86,6 +86,33 @@ def combine_watches(*watches: Watch) -> Watch:
     return watch
 
 
+def feed(
+    source: Iterable[Sequence[Message]],
+    pipeline: Forecaster,
+    record: Callable[[Sequence[Message]], None] | None = None,
+    *,
+    close: bool = True,
+) -> Iterator[Sequence[Message]]:
+    """Pass each list of messages through a pipeline and yield it, then close the rides in progress.
+
+    Every run of a pipeline is this loop: live operation, replays, warm-up, tables and evaluations.
+
+    Parameters
+    ----------
+    record : callable, optional
+        Function that receives new messages before the pipeline uses them.
+    close : bool
+        Whether rides in progress end with the source.
+    """
+    with collect_garbage_rarely():
+        for messages in source:
+            if messages:
+                pipeline.take(messages, record)
+            yield messages
+        if close:
+            pipeline.finish()
+
+
 def run(
     source: Source,
     pipeline: Forecaster,
@@ -123,15 +150,13 @@ def run(
     due = began + report_s
     published = -inf
     with ExitStack() as closing:
-        closing.enter_context(collect_garbage_rarely())
         for sink in sinks:
             closing.callback(sink.close)
         if recorder is not None:
             closing.callback(recorder.close)
-        for messages in source:
+        for messages in feed(source, pipeline, keep, close=False):
             if messages:
                 tally.received, tally.newest = tally.received + len(messages), messages[-1]
-                pipeline.take(messages, keep)
             elif recorder is not None:
                 recorder.put(messages)  # a sync may be due
             if clock() - published >= publish_s:

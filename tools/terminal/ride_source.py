@@ -22,6 +22,7 @@ from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
 from socast.stream.elevation_files import open_elevation
+from socast.stream.loop import feed
 from socast.stream.mcap_reader import McapSource
 from socast.stream.recorder import list_recordings
 from socast.stream.source import merge_sources
@@ -262,15 +263,13 @@ def tabulate(
     taken = 0
     blocks = max(sum(source.blocks for source in sources), 1)
     with show_progress(sources, shown=report is None) as step:
-        for messages in merge_sources(sources):
-            pipeline.take(messages)
+        for _ in feed(merge_sources(sources), pipeline):
             step()
             if report:
                 report(sum(source.blocks_read for source in sources) / blocks)
             if (ended := pipeline.quality()["rides"]) - taken >= ROW_GROUP:
                 taken = ended
                 take(pipeline.take_rides(), pipeline.take_windows())
-        pipeline.finish()
         refuse_unusable(sources, sum(pipeline.quality()["received"].values()))
         take(pipeline.take_rides(), pipeline.take_windows())
 

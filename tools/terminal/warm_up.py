@@ -13,7 +13,7 @@ from socast.core.errors import SettingsError
 from socast.core.models import Model
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
-from socast.stream.loop import collect_garbage_rarely
+from socast.stream.loop import feed
 from socast.stream.mcap_reader import McapSource
 from socast.stream.source import merge_sources
 from socast.tools.terminal.recordings import open_recordings, show_progress, warn_of_losses
@@ -43,9 +43,8 @@ def learn_from_recordings(
     sources = open_recordings(recordings)
     _refuse_later(sources, replayed)
     pipeline = Pipeline(model, settings, shadows=shadows, keep_tables=False, elevation_map=elevation_map)
-    with show_progress(sources, words="learning") as step, collect_garbage_rarely():
-        for messages in merge_sources(sources):
-            pipeline.take(messages)
+    with show_progress(sources, words="learning") as step:
+        for _ in feed(merge_sources(sources), pipeline, close=False):
             pipeline.forecasts(newest_only=True)  # discards all forecasts
             pipeline.model_errors(newest_only=True)
             step()

@@ -11,6 +11,7 @@ from socast.core.fit.recipes import RECIPES
 from socast.core.models import ANY
 from socast.core.pipeline import Pipeline
 from socast.core.records import to_json_values
+from socast.stream.loop import feed
 from socast.stream.source import merge_sources
 from socast.tools.commands.fit import summary
 from socast.tools.terminal.model_comparison import make_records
@@ -83,10 +84,8 @@ def run_shadows(
     sources = open_recordings(workspace.recordings)
     blocks = max(sum(source.blocks for source in sources), 1)
     pipeline = Pipeline(one.model, shadows=[other.model], keep_forecasts=False)
-    for messages in merge_sources(sources):
-        pipeline.take(messages)
+    for _ in feed(merge_sources(sources), pipeline):
         report(sum(source.blocks_read for source in sources) / blocks, "replaying the recordings")
-    pipeline.finish()
     return {
         "names": [one.name, other.name],
         "models": to_json_values(make_records(pipeline.shadows.errors())),
