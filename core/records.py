@@ -6,6 +6,7 @@ new field is declared once.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, Final, NamedTuple, get_type_hints
 
 import msgspec
@@ -56,6 +57,15 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
         return {key: to_json_values(getattr(self, name)) for key, name in names}
 
 
+class PartialRecord(Record, frozen=True):
+    """Hold a part of a result whose JSON leaves out the fields that have their default value."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields that differ from their default as the JSON values that `--json` writes."""
+        absent = {each.encode_name for each in _list_fields(type(self)) if getattr(self, each.name) == each.default}
+        return {key: value for key, value in super().to_json().items() if key not in absent}
+
+
 def make_interval(low: float, high: float) -> ConfidenceInterval | None:
     """Return an interval, None where an end is unknown."""
     return (float(low), float(high)) if np.isfinite(low) and np.isfinite(high) else None
@@ -75,6 +85,12 @@ def list_shown(kind: type[Record]) -> dict[str, Shown]:
         for each in notes
         if isinstance(each, msgspec.Meta) and each.extra and "shown" in each.extra
     }
+
+
+@cache
+def _list_fields(kind: type[Record]) -> tuple[msgspec.structs.FieldInfo, ...]:
+    """Return the fields of a record with their defaults."""
+    return msgspec.structs.fields(kind)
 
 
 def make_frame(records: Sequence[Record]) -> pd.DataFrame:

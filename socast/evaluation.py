@@ -1,6 +1,6 @@
 """Evaluate models and forecasts on measured rides.
 
-Every function returns the dict that the command of the same purpose writes with `--json`.
+Every function returns what the command of the same purpose writes with `--json`, as a record or a dict.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,6 +12,7 @@ import pandas as pd
 from socast.core.evaluate.compare.datasets import compare_datasets as _contrast
 from socast.core.evaluate.compare.models import compare_predictions as _compare
 from socast.core.evaluate.compare.models import select_rides as _sample
+from socast.core.evaluate.compare.records import Comparison, DatasetContrast, RideTrace
 from socast.core.evaluate.compare.ride_trace import find_ride as _find
 from socast.core.evaluate.compare.ride_trace import trace_ride as _trace
 from socast.core.evaluate.paper.protocol import evaluate as _evaluate
@@ -75,7 +76,7 @@ def evaluate_recipes(
     return _evaluate(rides, chosen, seed=seed, repeats=repeats, left_out_of_training=left_out_of_training, jobs=jobs)
 
 
-def compare_models(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> dict[str, Any]:
+def compare_models(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Comparison:
     """Compare models with the measured energy of rides, on the rides that every model predicts.
 
     Parameters
@@ -87,8 +88,9 @@ def compare_models(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> di
 
     Returns
     -------
-    dict
-        Error, bias, shares of rides within 5, 10 and 15 %, errors by condition, and the worst rides of each model.
+    Comparison
+        The parts that `socast compare --json` writes, as attributes; DataFrames `errors`, one row for each model, and
+        `worst_rides`; `to_json()` for plain values.
 
     Raises
     ------
@@ -100,14 +102,13 @@ def compare_models(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> di
     >>> import socast
     >>> tables = socast.make_tables("recordings/shift.mcap")
     >>> result = compare_models(tables.rides, {"basic": socast.load_model("basic_physical")})
-    >>> sorted(result["models"])
-    ['basic']
+    >>> result.errors[["model", "rides"]].to_dict("records")
+    [{'model': 'basic', 'rides': 57}]
     """
-    result: dict[str, Any] = _plain(_compare(_sample(rides, models)))
-    return result
+    return _compare(_sample(rides, models))
 
 
-def compare_datasets(first: pd.DataFrame, second: pd.DataFrame, models: Mapping[str, LinearModel]) -> dict[str, Any]:
+def compare_datasets(first: pd.DataFrame, second: pd.DataFrame, models: Mapping[str, LinearModel]) -> DatasetContrast:
     """Return how two ride tables differ and how much of the difference each term of a model explains.
 
     Parameters
@@ -122,13 +123,10 @@ def compare_datasets(first: pd.DataFrame, second: pd.DataFrame, models: Mapping[
     ModelError
         Where a column is missing, or no ride can be compared.
     """
-    result: dict[str, Any] = _plain(_contrast(_sample(first, models), _sample(second, models), models))
-    return result
+    return _contrast(_sample(first, models), _sample(second, models), models)
 
 
-def trace_ride(
-    rides: pd.DataFrame, windows: pd.DataFrame, ride: str, models: Mapping[str, LinearModel]
-) -> dict[str, Any]:
+def trace_ride(rides: pd.DataFrame, windows: pd.DataFrame, ride: str, models: Mapping[str, LinearModel]) -> RideTrace:
     """Return measured and predicted power and energy of one ride, window by window.
 
     Parameters
@@ -145,9 +143,7 @@ def trace_ride(
     ModelError
         Where there is no such ride, or the identifier names several rides.
     """
-    row = _find(rides, ride)
-    result: dict[str, Any] = _plain(_trace(row, windows, models))
-    return result
+    return _trace(_find(rides, ride), windows, models)
 
 
 def evaluate_soc_forecasts(

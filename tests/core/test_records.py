@@ -4,7 +4,7 @@ from typing import Annotated
 
 import numpy as np
 
-from socast.core.records import Record, declare, list_shown, make_frame, to_json_values
+from socast.core.records import PartialRecord, Record, declare, list_shown, make_frame, to_json_values
 
 
 class Part(Record, frozen=True):
@@ -29,6 +29,15 @@ def test_json_values_of_records_have_all_fields():
     empty = {"name": "b", "share": None, "ci95": None, "inner": [], "by_car": {}}
     assert made.to_json() == {"name": "a", "share": None, "ci95": None, "inner": [empty], "by_car": {}}
     assert to_json_values({1: (made,)})["1"][0]["inner"] == [empty]
+
+
+def test_json_of_a_partial_record_has_no_field_of_default_value():
+    class Sparse(PartialRecord, frozen=True):
+        known: float | None
+        note: str = ""
+
+    assert Sparse(known=None).to_json() == {"known": None}
+    assert Sparse(known=1.0, note="a").to_json() == {"known": 1.0, "note": "a"}
 
 
 def test_declared_columns_and_frames_follow_the_order_of_the_fields():

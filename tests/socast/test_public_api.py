@@ -150,10 +150,11 @@ def test_loop_of_diagnosis_lowers_the_error(autumn_tables):
     assert diagnosis.headline
     assert diagnosis.next_step[0] == "Add headwind, in all vehicles on all dates."
     compared = socast.compare_models(rides, {"before": quick, "with": added.model})
-    error = {label: of_model["mae_kwh"]["value"] for label, of_model in compared["models"].items()}
-    assert error["with"] < error["before"]
-    assert socast.trace_ride(rides, windows, rides["ride_key"].iloc[0], {"base": base})
-    assert socast.compare_datasets(rides, rides, {"base": base})
+    before, after = compared.errors["mae_kwh"]
+    assert after < before
+    assert compared.worst_rides["model"].tolist() == ["before"] * 10 + ["with"] * 10
+    assert "base" in socast.trace_ride(rides, windows, rides["ride_key"].iloc[0], {"base": base}).models
+    assert socast.compare_datasets(rides, rides, {"base": base}).shared == len(rides)
 
 
 def test_simulated_fleet_is_a_recording_with_its_truth(tmp_path):

@@ -5,8 +5,9 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
+import msgspec
 import pandas as pd
 import typer
 
@@ -15,9 +16,16 @@ from socast.core.diagnose.residual_survey import survey_model
 from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.compare.datasets import compare_datasets
 from socast.core.evaluate.compare.models import ComparedRides, compare_predictions, select_rides
+from socast.core.evaluate.compare.records import (
+    Comparison,
+    DatasetContrast,
+    ResidualSurvey,
+    RideTrace,
+    WorstRide,
+    WorstRides,
+)
 from socast.core.evaluate.compare.ride_trace import find_ride, trace_ride
 from socast.core.models import BUILT_IN_MODELS, LinearModel
-from socast.core.records import to_json_values
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
 from socast.tools.terminal.output import (
@@ -77,21 +85,24 @@ def compare_models(
     with ExitStack() as folders:
         first, second = (folders.enter_context(each.open_tables(wanted)) for each in (source, other))
         if ride is not None:
-            result: dict[str, Any] = {"trace": _trace(first, ride, chosen, wanted)}
+            trace = {"trace": _trace(first, ride, chosen, wanted).to_json()}
+            write_json(json_file, "compare", trace)
         else:
             table, read_windows, read_all = _read(first, wanted)
             selected = select_rides(table, chosen)
-            result = compare_predictions(selected)
-            _say_commands(result, ["socast", "compare", *source.list_words()], dict(zip(chosen, model, strict=True)))
-            result["failures"] = _find_failures(read_all, selected, chosen)
+            words = ["socast", "compare", *source.list_words()]
+            result = msgspec.structs.replace(
+                _insert_commands(compare_predictions(selected), words, dict(zip(chosen, model, strict=True))),
+                failures=_find_failures(read_all, selected, chosen),
+            )
             if against:
                 shown = " ".join(map(str, source.given)), " ".join(map(str, against))
-                result["against"] = _against(selected, second.read_rides(wanted), shown, chosen)
-        result = to_json_values(result)
-        write_json(json_file, "compare", result)
-        if html_file is not None and ride is None:
-            result["traces"] = to_json_values(_trace_worst(result, table, read_windows, chosen))
-    show_report("comparison.page", result, html_file, json_file)
+                contrast = _against(selected, second.read_rides(wanted), shown, chosen)
+                result = msgspec.structs.replace(result, against=contrast)
+            write_json(json_file, "compare", result.to_json())
+            if html_file is not None:
+                result = msgspec.structs.replace(result, traces=_trace_worst(result, table, read_windows, chosen))
+    show_report("comparison.page", result if ride is None else trace, html_file, json_file)
 
 
 def named(given: Sequence[str]) -> dict[str, LinearModel]:
@@ -122,33 +133,33 @@ def _read(
 
 def _find_failures(
     read_all: Callable[[], BothTables], compared: ComparedRides, chosen: Mapping[str, LinearModel]
-) -> dict[str, Any]:
+) -> ResidualSurvey:
     """Return where the windows of the compared rides show that the first model fails; why not, where they cannot."""
     label, model = next(iter(chosen.items()))
     try:
         survey = survey_model(*read_all(), model, set(compared.rides["ride_key"].astype(str)))
     except (ModelError, SettingsError) as error:
-        return {"model": label, "why_not": str(error), "charts": []}
-    return {"model": label, **survey}
+        return ResidualSurvey(model=label, why_not=str(error), charts=[])
+    return msgspec.convert({"model": label, **survey}, ResidualSurvey)
 
 
 def _trace_worst(
-    result: Mapping[str, Any],
+    result: Comparison,
     rides: pd.DataFrame,
     read_windows: Callable[[str], pd.DataFrame],
     chosen: Mapping[str, LinearModel],
-) -> dict[str, Any]:
+) -> dict[str, RideTrace]:
     """Return the traces of the rides with the largest errors of all models; without rides that have none."""
-    worst = [ride for of_model in result["models"].values() for listed in of_model["worst"].values() for ride in listed]
+    worst = [ride.ride for one in result.models.values() for ride in (*one.worst.absolute, *one.worst.relative)]
     traces = {}
-    for key in dict.fromkeys(str(ride["ride"]) for ride in worst):
+    for key in dict.fromkeys(worst):
         row = find_ride(rides, key)
         with suppress(ModelError, SettingsError):  # no windows beside the table, or too few of this ride
             traces[key] = trace_ride(row, read_windows(str(row[KEY].iloc[0])), chosen)
     return traces
 
 
-def _trace(source: RideSource, name: str, chosen: Mapping[str, LinearModel], wanted: Sequence[str]) -> dict[str, Any]:
+def _trace(source: RideSource, name: str, chosen: Mapping[str, LinearModel], wanted: Sequence[str]) -> RideTrace:
     """Return the trace of a ride."""
     rides, read_windows, _ = _read(source, wanted)
     row = find_ride(rides, name)
@@ -159,21 +170,29 @@ def _trace(source: RideSource, name: str, chosen: Mapping[str, LinearModel], wan
 
 def _against(
     compared: ComparedRides, rides: pd.DataFrame, shown: tuple[str, str], chosen: Mapping[str, LinearModel]
-) -> dict[str, Any]:
+) -> DatasetContrast:
     """Return the differences between two sets of rides, and the errors of models on the second set."""
     other = select_rides(rides, chosen)
     second = compare_predictions(other)
-    return {
-        "first": shown[0],
-        "second": shown[1],
-        "about": second["about"],
-        "second_models": second["models"],
-        **compare_datasets(compared, other, chosen),
+    return msgspec.structs.replace(
+        compare_datasets(compared, other, chosen),
+        first=shown[0],
+        second=shown[1],
+        about=second.about,
+        second_models=second.models,
+    )
+
+
+def _insert_commands(result: Comparison, words: Sequence[str], given: Mapping[str, str]) -> Comparison:
+    """Return a comparison whose worst rides have the command that shows their trace."""
+
+    def insert(label: str, rides: Sequence[WorstRide]) -> list[WorstRide]:
+        start = [*words, "--model", given[label], "--ride"]
+        return [msgspec.structs.replace(ride, command=shlex.join([*start, ride.ride])) for ride in rides]
+
+    commanded = {
+        label: WorstRides(absolute=insert(label, one.worst.absolute), relative=insert(label, one.worst.relative))
+        for label, one in result.models.items()
     }
-
-
-def _say_commands(result: Mapping[str, Any], words: Sequence[str], given: Mapping[str, str]) -> None:
-    """Insert into the record of each of the worst rides the command that shows its trace."""
-    for label, of_model in result["models"].items():
-        for worst in (ride for rides in of_model["worst"].values() for ride in rides):
-            worst["command"] = shlex.join([*words, "--model", given[label], "--ride", worst["ride"]])
+    models = {label: msgspec.structs.replace(one, worst=commanded[label]) for label, one in result.models.items()}
+    return msgspec.structs.replace(result, models=models)

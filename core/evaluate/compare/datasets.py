@@ -8,12 +8,22 @@ per 100 km and with an interval. The sets are assumed to be independent.
 from collections.abc import Mapping
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 import pandas as pd
 
 from socast.core.batch import Floats, Ints
 from socast.core.evaluate.binning import bin_rides
 from socast.core.evaluate.compare.models import ComparedRides
+from socast.core.evaluate.compare.records import (
+    ContrastBin,
+    DatasetContrast,
+    ModelContrast,
+    PropertyContrast,
+    SetContrast,
+    TermContrast,
+    hold_estimate,
+)
 from socast.core.evaluate.ride_filter import IDENTITY_COLUMNS
 from socast.core.models import LinearModel
 from socast.core.stats.clustered import compute_clustered_mean, compute_clustered_ratio, subtract
@@ -38,7 +48,7 @@ SECONDS_PER_MINUTE: Final = 60.0
 """Seconds in a minute. [s]"""
 
 
-def compare_datasets(first: ComparedRides, second: ComparedRides, models: Mapping[str, LinearModel]) -> dict[str, Any]:
+def compare_datasets(first: ComparedRides, second: ComparedRides, models: Mapping[str, LinearModel]) -> DatasetContrast:
     """Return the differences between two sets of rides, as second less first.
 
     Parameters
@@ -47,26 +57,21 @@ def compare_datasets(first: ComparedRides, second: ComparedRides, models: Mappin
         Rides of both sets, with predictions of the same models.
     models : mapping of str to LinearModel
         Models by label.
-
-    Returns
-    -------
-    dict
-        `shared`: number of rides in both sets. `properties` of the rides. `consumption`, in kWh per 100 km. `models`:
-        for each model `mae_kwh`, `bias_kwh`, the `terms` of the difference in consumption, the `explained` and
-        `unexplained` parts of it, and bias and error `by` condition.
     """
-    return {
-        "shared": _shared(first.rides, second.rides),
-        "properties": _properties(first, second),
-        "consumption": _each(_per_distance(first, first.measured), _per_distance(second, second.measured)),
-        "models": {label: _model(label, model, first, second) for label, model in models.items()},
-    }
+    return DatasetContrast(
+        shared=_shared(first.rides, second.rides),
+        properties=_properties(first, second),
+        consumption=_contrast(_per_distance(first, first.measured), _per_distance(second, second.measured)),
+        models={label: _model(label, model, first, second) for label, model in models.items()},
+    )
 
 
-def _each(one: Estimate, other: Estimate) -> dict[str, Any]:
+def _contrast(one: Estimate, other: Estimate) -> SetContrast:
     """Return two estimates and their difference, with its interval and probability."""
     apart = subtract(other, one)
-    return {"first": one.figures(), "second": other.figures(), "difference": apart.figures(), "p": apart.p}
+    return SetContrast(
+        first=hold_estimate(one), second=hold_estimate(other), difference=hold_estimate(apart), p=apart.p
+    )
 
 
 def _shared(one: pd.DataFrame, other: pd.DataFrame) -> int:
@@ -82,9 +87,9 @@ def _per_distance(compared: ComparedRides, energy: Floats) -> Estimate:
     )
 
 
-def _properties(first: ComparedRides, second: ComparedRides) -> list[dict[str, Any]]:
+def _properties(first: ComparedRides, second: ComparedRides) -> list[PropertyContrast]:
     """Return the properties of both sets, ordered by their difference relative to the spread between rides."""
-    entries = []
+    entries: list[dict[str, Any]] = []
     for name, unit, column, per in PROPERTIES:
         wanted = [column for column in (column, per) if column]
         if any(name not in side.rides for name in wanted for side in (first, second)):
@@ -99,10 +104,11 @@ def _properties(first: ComparedRides, second: ComparedRides) -> list[dict[str, A
         )
         spread = float(np.sqrt(np.mean([np.var(value[at]) for value, at in zip(values, known, strict=True)])))
         apart = abs(other.value - one.value) / spread if spread > 0.0 else 0.0
-        entries.append({"name": name, "unit": unit, **_each(one, other), "in_spreads": apart})
-    q = adjust_false_discovery(np.array([entry["p"] for entry in entries], dtype=np.float64))
-    with_rates = [entry | {"q": float(rate)} for entry, rate in zip(entries, q, strict=True)]
-    return sorted(with_rates, key=lambda entry: -entry["in_spreads"])
+        contrast = msgspec.structs.asdict(_contrast(one, other))
+        entries.append({"name": name, "unit": unit, "in_spreads": apart} | contrast)
+    rates = adjust_false_discovery(np.array([entry["p"] for entry in entries], dtype=np.float64)).tolist()
+    made = [PropertyContrast(**entry, q=rate) for entry, rate in zip(entries, rates, strict=True)]
+    return sorted(made, key=lambda entry: -(entry.in_spreads or 0.0))
 
 
 def _values(rides: pd.DataFrame, column: str, per: str) -> Floats:
@@ -114,61 +120,61 @@ def _values(rides: pd.DataFrame, column: str, per: str) -> Floats:
     return values / SECONDS_PER_MINUTE if column == "duration_s" else values
 
 
-def _model(label: str, model: LinearModel, first: ComparedRides, second: ComparedRides) -> dict[str, Any]:
+def _model(label: str, model: LinearModel, first: ComparedRides, second: ComparedRides) -> ModelContrast:
     """Return the errors of a model on both sets and how much of the difference in consumption it explains."""
     both = (first, second)
-    error = [side.predicted[label] - side.measured for side in both]
+    one, other = (side.predicted[label] - side.measured for side in both)
     parts = [model.predict_parts(side.rides) for side in both]
-    terms = [
-        {"name": name, **_each(*(_per_distance(side, each[name]) for side, each in zip(both, parts, strict=True)))}
+    contrasts = {
+        name: _contrast(*(_per_distance(side, each[name]) for side, each in zip(both, parts, strict=True)))
         for name in parts[0]
-    ]
-    one, other = (compute_clustered_mean(off, side.clusters) for off, side in zip(error, both, strict=True))
-    size, otherwise = (
-        compute_clustered_mean(np.abs(off), side.clusters) for off, side in zip(error, both, strict=True)
-    )
-    return {
-        "bias_kwh": _each(one, other),
-        "mae_kwh": _each(size, otherwise),
-        "explained": _each(*(_per_distance(side, side.predicted[label]) for side in both)),
-        "unexplained": _each(*(_per_distance(side, -off) for side, off in zip(both, error, strict=True))),
-        "terms": sorted(terms, key=lambda entry: -abs(entry["difference"]["value"])),
-        "by": _by_condition(first, second, *error),
     }
+    terms = [TermContrast(name=name, **msgspec.structs.asdict(contrast)) for name, contrast in contrasts.items()]
+    every = tuple(np.arange(len(side.measured)) for side in both)
+    return ModelContrast(
+        **_errors(first, second, one, other, every),
+        explained=_contrast(*(_per_distance(side, side.predicted[label]) for side in both)),
+        unexplained=_contrast(_per_distance(first, -one), _per_distance(second, -other)),
+        terms=sorted(terms, key=lambda term: -abs(term.difference.value or 0.0)),
+        by=_by_condition(first, second, one, other),
+    )
 
 
 def _by_condition(
     first: ComparedRides, second: ComparedRides, one: Floats, other: Floats
-) -> dict[str, list[dict[str, Any]]]:
+) -> dict[str, list[ContrastBin]]:
     """Return bias, error and `consumption` of both sets in each bin that either set has, and `q` of the bias."""
     together = pd.concat([first.rides, second.rides], ignore_index=True)
     here = np.arange(len(together)) < len(first.rides)
-    made: dict[str, list[dict[str, Any]]] = {}
-    for name, (codes, labels) in bin_rides(together).items():
-        for code in np.unique(codes[codes >= 0]).tolist():
-            at = np.flatnonzero(codes[here] == code), np.flatnonzero(codes[~here] == code)
-            entry = {"bin": labels[code], "n": [len(rows) for rows in at]}
-            made.setdefault(name, []).append(entry | _bins(first, second, one, other, at))
-    entries = [entry for bins in made.values() for entry in bins]
-    q = adjust_false_discovery(np.array([entry["bias_kwh"]["p"] for entry in entries], dtype=np.float64))
-    for entry, rate in zip(entries, q.tolist(), strict=True):
-        entry["q"] = rate
+    bins = [
+        (name, labels[code], (np.flatnonzero(codes[here] == code), np.flatnonzero(codes[~here] == code)))
+        for name, (codes, labels) in bin_rides(together).items()
+        for code in np.unique(codes[codes >= 0]).tolist()
+    ]
+    errors = [_errors(first, second, one, other, rows) for *_, rows in bins]
+    rates = adjust_false_discovery(np.array([each["bias_kwh"].p for each in errors], dtype=np.float64)).tolist()
+    kilometres = [side.rides["distance_km"].to_numpy(np.float64) for side in (first, second)]
+    made: dict[str, list[ContrastBin]] = {}
+    for (name, label, rows), figures, q in zip(bins, errors, rates, strict=True):
+        consumption = _contrast(
+            *(
+                compute_clustered_ratio(100.0 * side.measured[at], km[at], side.clusters[at])
+                for side, at, km in zip((first, second), rows, kilometres, strict=True)
+            )
+        )
+        entry = ContrastBin(bin=label, n=[len(at) for at in rows], **figures, consumption=consumption, q=q)
+        made.setdefault(name, []).append(entry)
     return made
 
 
-def _bins(
-    first: ComparedRides, second: ComparedRides, one: Floats, other: Floats, at: tuple[Ints, Ints]
-) -> dict[str, Any]:
-    """Return bias, error and consumption of the rides of a bin, in both sets."""
-    sets = [(side, off, rows) for side, off, rows in zip((first, second), (one, other), at, strict=True)]
-    kilometres = [side.rides["distance_km"].to_numpy(np.float64) for side in (first, second)]
+def _errors(
+    first: ComparedRides, second: ComparedRides, one: Floats, other: Floats, at: tuple[Ints, ...]
+) -> dict[str, SetContrast]:
+    """Return bias and mean absolute error of some rides of both sets."""
+    sets = list(zip((first, second), (one, other), at, strict=True))
     return {
-        "bias_kwh": _each(*(compute_clustered_mean(off[rows], side.clusters[rows]) for side, off, rows in sets)),
-        "mae_kwh": _each(*(compute_clustered_mean(np.abs(off[rows]), side.clusters[rows]) for side, off, rows in sets)),
-        "consumption": _each(
-            *(
-                compute_clustered_ratio(100.0 * side.measured[rows], km[rows], side.clusters[rows])
-                for (side, _, rows), km in zip(sets, kilometres, strict=True)
-            )
+        "bias_kwh": _contrast(*(compute_clustered_mean(off[rows], side.clusters[rows]) for side, off, rows in sets)),
+        "mae_kwh": _contrast(
+            *(compute_clustered_mean(np.abs(off[rows]), side.clusters[rows]) for side, off, rows in sets)
         ),
     }

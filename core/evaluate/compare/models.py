@@ -9,12 +9,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 import pandas as pd
 
 from socast.core.batch import Floats
 from socast.core.errors import ModelError
 from socast.core.evaluate.binning import bin_rides
+from socast.core.evaluate.compare.records import (
+    ComparedModel,
+    Comparison,
+    ConditionBin,
+    EstimatedValue,
+    PairDifference,
+    PredictionErrors,
+    RideEnergies,
+    RideSample,
+    WorstRide,
+    WorstRides,
+    hold_estimate,
+)
 from socast.core.evaluate.paper.held_out import word_limited
 from socast.core.evaluate.relative_errors import compute_relative_figures, compute_share_below_least
 from socast.core.evaluate.ride_filter import find_exclusion_reasons, name_rides
@@ -25,7 +39,7 @@ from socast.core.models import ANY, LinearModel
 from socast.core.models.plausibility import describe_implausible, describe_limited
 from socast.core.stats import multiple_testing, scores
 from socast.core.stats.clustered import compute_clustered_mean, compute_clustered_ratio
-from socast.core.stats.scores import Codes, Estimate
+from socast.core.stats.scores import Codes
 
 MOST_WORST_RIDES: Final = 10
 """Number of rides of largest error that are listed."""
@@ -170,142 +184,115 @@ def _list_limited(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> lis
     return [f"{label}: {word_limited(count, len(rides))}" for label, count in counts.items() if count]
 
 
-def compare_predictions(compared: ComparedRides) -> dict[str, Any]:
-    """Return how predictions compare with measured energies.
-
-    Returns
-    -------
-    dict
-        `about`: the rides. `models`: for each model its errors (`compute_errors`), errors `by` condition and `worst`
-        rides. `pairs`: differences between models. `rides`: energies of each ride. `notes`.
-    """
-    return {
-        "about": describe_rides(compared),
-        "models": {
-            label: compute_errors(compared, energy)
-            | {"by": compute_errors_by_condition(compared, energy), "worst": find_worst_rides(compared, energy)}
-            for label, energy in compared.predicted.items()
-        },
-        "pairs": compare_pairs(compared),
-        "rides": {
-            "key": compared.keys,
-            "vehicle_model": compared.rides["vehicle_model"].tolist(),
-            "measured_kwh": compared.measured,
-            "predicted_kwh": compared.predicted,
-        },
-        "notes": list(compared.notes),
-    }
+def compare_predictions(compared: ComparedRides) -> Comparison:
+    """Return how predictions compare with measured energies."""
+    return Comparison(
+        about=describe_rides(compared),
+        models={label: _compare_model(compared, energy) for label, energy in compared.predicted.items()},
+        pairs=compare_pairs(compared),
+        rides=RideEnergies(
+            key=compared.keys,
+            vehicle_model=compared.rides["vehicle_model"].tolist(),
+            measured_kwh=compared.measured.tolist(),
+            predicted_kwh={label: energy.tolist() for label, energy in compared.predicted.items()},
+        ),
+        notes=list(compared.notes),
+    )
 
 
-def describe_rides(compared: ComparedRides) -> dict[str, Any]:
-    """Return which rides were compared: counts, dates, instruments, noise floor and mean consumption."""
+def _compare_model(compared: ComparedRides, predicted: Floats) -> ComparedModel:
+    """Return the errors of a model, overall and by condition, and its worst rides."""
+    return ComparedModel(
+        **msgspec.structs.asdict(compute_errors(compared, predicted)),
+        by=compute_errors_by_condition(compared, predicted),
+        worst=find_worst_rides(compared, predicted),
+    )
+
+
+def describe_rides(compared: ComparedRides) -> RideSample:
+    """Return which rides were compared."""
     rides = compared.rides
     distance = rides["distance_km"].to_numpy(np.float64)
-    measured = {
-        name: float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
-        for name in ("vi", "soc")
-        if f"energy_{name}_kwh" in rides
-    }
-    return {
-        "read": compared.read,
-        "rides": len(rides),
-        "left_out": compared.left_out,
-        "vehicles": int(rides["vehicle_id"].nunique()),
-        "vehicle_days": len(np.unique(compared.clusters)),
-        "vehicle_models": sorted(rides["vehicle_model"].unique()),
-        "first_date": str(rides["date"].min()),
-        "last_date": str(rides["date"].max()),
-        "measured": measured,
-        "noise_floor_kwh": compared.noise_floor,
-        "below_least": compute_share_below_least(compared.measured),
-        "consumption_kwh": compute_clustered_mean(compared.measured, compared.clusters).figures(),
-        "per_100km_kwh": compute_clustered_ratio(100.0 * compared.measured, distance, compared.clusters).figures(),
-    }
+    return RideSample(
+        read=compared.read,
+        rides=len(rides),
+        left_out=compared.left_out,
+        vehicles=int(rides["vehicle_id"].nunique()),
+        vehicle_days=len(np.unique(compared.clusters)),
+        vehicle_models=sorted(rides["vehicle_model"].unique()),
+        first_date=str(rides["date"].min()),
+        last_date=str(rides["date"].max()),
+        measured={
+            name: float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
+            for name in ("vi", "soc")
+            if f"energy_{name}_kwh" in rides
+        },
+        noise_floor_kwh=compared.noise_floor,
+        below_least=compute_share_below_least(compared.measured),
+        consumption_kwh=hold_estimate(compute_clustered_mean(compared.measured, compared.clusters)),
+        per_100km_kwh=hold_estimate(compute_clustered_ratio(100.0 * compared.measured, distance, compared.clusters)),
+    )
 
 
-def compute_errors(compared: ComparedRides, predicted: Floats) -> dict[str, Any]:
-    """Return the errors of predictions.
-
-    Units: predicted [kWh].
-
-    Returns
-    -------
-    dict
-        `mae_kwh` and `bias_kwh` with intervals, `rmse_kwh`, `relative` and `relative_bias` as shares of mean
-        consumption, the share of rides `within` each band of relative error, and the figures of
-        `compute_relative_figures`: `wmape`, which is `relative` with its interval, `mape`, and `over_floor`.
-    """
+def compute_errors(compared: ComparedRides, predicted: Floats) -> PredictionErrors:
+    """Return the errors of predictions. [kWh]"""
     error = predicted - compared.measured
-    used = float(np.mean(compared.measured))
     off = compute_clustered_mean(error, compared.clusters)
     figures = compute_relative_figures(compared.measured, predicted, compared.clusters, compared.noise_floor)
-    return {
-        "rides": len(error),
-        "bias_kwh": off.figures(),
-        "rmse_kwh": scores.compute_rmse(compared.measured, predicted),
-        **figures,
-        "relative": figures["wmape"]["value"],
-        "relative_bias": off.value / used if used > 0.0 else np.nan,
-        "within": scores.compute_band_shares(compared.measured, predicted),
-    }
+    return PredictionErrors(
+        rides=len(error),
+        bias_kwh=hold_estimate(off),
+        rmse_kwh=scores.compute_rmse(compared.measured, predicted),
+        over_floor=figures.pop("over_floor"),
+        relative=figures["wmape"]["value"],
+        relative_bias=_divide_by_mean(off.value, compared.measured),
+        within={**scores.compute_band_shares(compared.measured, predicted)},
+        **{name: EstimatedValue(**value) for name, value in figures.items()},
+    )
 
 
-def compute_errors_by_condition(compared: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
-    """Return the errors in each bin of each condition.
+def _divide_by_mean(energy: float, measured: Floats) -> float | None:
+    """Return an energy as a share of mean consumption, None where that is not positive."""
+    used = float(np.mean(measured))
+    return energy / used if used > 0.0 else None
+
+
+def compute_errors_by_condition(compared: ComparedRides, predicted: Floats) -> dict[str, list[ConditionBin]]:
+    """Return the errors in each bin of each condition, with false-discovery rates over all bins.
 
     Units: predicted [kWh].
-
-    Returns
-    -------
-    dict of str to list of dict
-        `bin`, `n`, `vehicle_days`, `bias_kwh` with its interval, `mae_kwh` and half the width of its interval
-        `mae_ci95_kwh`, and `relative` and `relative_bias` as shares of consumption. `q` is the false-discovery rate if
-        all bins at least as significantly biased were reported (Benjamini and Hochberg, over the bins of all
-        conditions).
     """
     error = predicted - compared.measured
-    made: dict[str, list[dict[str, Any]]] = {}
-    p: list[float] = []
-    for name, (codes, labels) in bin_rides(compared.rides).items():
-        entries = made.setdefault(name, [])
-        for code in np.unique(codes[codes >= 0]).tolist():
-            rows = np.flatnonzero(codes == code)
-            off = compute_clustered_mean(error[rows], compared.clusters[rows])
-            entries.append(
-                {"bin": labels[code], **_bin(error[rows], compared.measured[rows], compared.clusters[rows], off)}
+    binned = bin_rides(compared.rides)
+    bins = [
+        (name, labels[code], np.flatnonzero(codes == code))
+        for name, (codes, labels) in binned.items()
+        for code in np.unique(codes[codes >= 0]).tolist()
+    ]
+    biases = [compute_clustered_mean(error[rows], compared.clusters[rows]) for *_, rows in bins]
+    rates = multiple_testing.adjust_false_discovery(np.array([off.p for off in biases])).tolist()
+    made: dict[str, list[ConditionBin]] = {name: [] for name in binned}
+    for (name, label, rows), off, q in zip(bins, biases, rates, strict=True):
+        measured, clusters, size = compared.measured[rows], compared.clusters[rows], np.abs(error[rows])
+        mae = float(np.mean(size))
+        made[name].append(
+            ConditionBin(
+                bin=label,
+                n=len(rows),
+                vehicle_days=len(np.unique(clusters)),
+                bias_kwh=hold_estimate(off),
+                mae_kwh=mae,
+                mae_ci95_kwh=compute_clustered_mean(size, clusters).ci95,
+                relative=_divide_by_mean(mae, measured),
+                relative_bias=_divide_by_mean(off.value, measured),
+                q=q,
             )
-            p.append(off.p)
-    q = iter(multiple_testing.adjust_false_discovery(np.array(p)).tolist())
-    for entry in (entry for entries in made.values() for entry in entries):
-        entry["q"] = next(q)
+        )
     return made
 
 
-def _bin(error: Floats, measured: Floats, clusters: Codes, off: Estimate) -> dict[str, Any]:
-    """Return the errors of the rides of a bin."""
-    used = float(np.mean(measured))
-    size = float(np.mean(np.abs(error)))
-    spread = compute_clustered_mean(np.abs(error), clusters).figures()["ci95"]
-    return {
-        "n": len(error),
-        "vehicle_days": len(np.unique(clusters)),
-        "bias_kwh": off.figures(),
-        "mae_kwh": size,
-        "mae_ci95_kwh": spread,
-        "relative": size / used if used > 0.0 else np.nan,
-        "relative_bias": off.value / used if used > 0.0 else np.nan,
-    }
-
-
-def compare_pairs(compared: ComparedRides) -> list[dict[str, Any]]:
-    """Return the difference of mean absolute error of each pair of models, on the same rides.
-
-    Returns
-    -------
-    list of dict
-        Models `a` and `b`; `difference_kwh`, the error of a less the error of b, with its interval; `p`; and `p_holm`,
-        adjusted for all pairs.
-    """
+def compare_pairs(compared: ComparedRides) -> list[PairDifference]:
+    """Return the difference of mean absolute error of each pair of models, on the same rides."""
     error = {label: np.abs(energy - compared.measured) for label, energy in compared.predicted.items()}
     apart = {
         (a, b): compute_clustered_mean(error[a] - error[b], compared.clusters)
@@ -313,13 +300,13 @@ def compare_pairs(compared: ComparedRides) -> list[dict[str, Any]]:
     }
     adjusted = multiple_testing.adjust_differences(apart)
     return [
-        {"a": a, "b": b, "difference_kwh": off.figures(), "p": off.p, "p_holm": adjusted[a, b]}
+        PairDifference(a=a, b=b, difference_kwh=hold_estimate(off), p=off.p, p_holm=adjusted[a, b])
         for (a, b), off in apart.items()
     ]
 
 
-def find_worst_rides(compared: ComparedRides, predicted: Floats) -> dict[str, list[dict[str, Any]]]:
-    """Return the rides of largest `absolute` error and of largest `relative` error.
+def find_worst_rides(compared: ComparedRides, predicted: Floats) -> WorstRides:
+    """Return the rides of largest absolute error and of largest relative error.
 
     Units: predicted [kWh].
 
@@ -328,30 +315,25 @@ def find_worst_rides(compared: ComparedRides, predicted: Floats) -> dict[str, li
     A relative error is only given of rides whose energy is known to within `MOST_RELATIVE_SD`, because a ride downhill
     may use almost no energy. The relative list holds only these rides.
     """
-    error = predicted - compared.measured
-    size = np.abs(compared.measured)
-    spread = (
-        compared.rides["energy_sd_kwh"].to_numpy(np.float64)
-        if "energy_sd_kwh" in compared.rides
-        else np.zeros(len(error))
-    )
+    rides, error, size = compared.rides, predicted - compared.measured, np.abs(compared.measured)
+    spread = rides["energy_sd_kwh"].to_numpy(np.float64) if "energy_sd_kwh" in rides else np.zeros(len(error))
     known = np.nan_to_num(spread) <= MOST_RELATIVE_SD * size
     relative = np.divide(error, size, out=np.full(len(error), np.nan), where=known & (size > 0.0))
     keys = compared.keys
 
-    def describe_row(row: int) -> dict[str, Any]:
-        properties = {name: compared.rides[name].iloc[row] for name in RIDE_PROPERTIES if name in compared.rides}
-        return {
-            "ride": keys[row],
+    def describe_row(row: int) -> WorstRide:
+        properties: dict[str, Any] = {n: rides[n].iloc[row] if n in rides else None for n in RIDE_PROPERTIES}
+        return WorstRide(
+            ride=keys[row],
             **properties,
-            "measured_kwh": compared.measured[row],
-            "predicted_kwh": predicted[row],
-            "error_kwh": error[row],
-            "relative": relative[row],
-        }
+            measured_kwh=compared.measured[row],
+            predicted_kwh=predicted[row],
+            error_kwh=error[row],
+            relative=relative[row],
+        )
 
-    def first(values: Floats) -> list[dict[str, Any]]:
+    def first(values: Floats) -> list[WorstRide]:
         order = np.argsort(-np.abs(values), kind="stable")  # NaN last
         return [describe_row(row) for row in order[:MOST_WORST_RIDES].tolist() if not np.isnan(values[row])]
 
-    return {"absolute": first(error), "relative": first(relative)}
+    return WorstRides(absolute=first(error), relative=first(relative))

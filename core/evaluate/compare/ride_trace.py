@@ -10,7 +10,7 @@ sign(E) (e_k - E t_k / T). A steady error has no such span.
 
 from collections.abc import Mapping
 from difflib import get_close_matches
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -18,7 +18,7 @@ import pandas as pd
 from socast.core.batch import Floats
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare import ride_wind
-from socast.core.evaluate.compare.models import RIDE_PROPERTIES
+from socast.core.evaluate.compare.records import Divergence, RideTrace, TracedModel, TracedRide, TraceWindows
 from socast.core.evaluate.ride_filter import RIDE_NAME_COLUMNS
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX
@@ -92,7 +92,7 @@ def find_ride(rides: pd.DataFrame, name: str) -> pd.DataFrame:
     raise ModelError(f"ride {name!r} is not among {len(rides):,} rides: {hint}")
 
 
-def trace_ride(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, LinearModel]) -> dict[str, Any]:
+def trace_ride(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, LinearModel]) -> RideTrace:
     """Return the measured energy of a ride and the predictions of models, window by window.
 
     Parameters
@@ -103,13 +103,6 @@ def trace_ride(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, L
         The window table, with the windows of this ride among others.
     models : mapping of str to LinearModel
         Models by label.
-
-    Returns
-    -------
-    dict
-        `ride`; `windows`, arrays of n; `notes`; and for each of `models`: `predicted_kwh`, `error_kwh`, `start_kwh`
-        (the prediction before the first window), `energy_kwh` (increment of each window), `terms` of the increments,
-        `start_terms`, `place` of the divergence, and `words`, its description.
 
     Raises
     ------
@@ -131,13 +124,14 @@ def trace_ride(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, L
     columns = accumulate_windows(ride, of_ride)
     made = _describe_windows(of_ride, measured)
     traces = {label: _trace_model(label, model, ride, columns, of_ride, made, notes) for label, model in models.items()}
-    return {"ride": _describe_ride(ride), "windows": made, "models": traces, "notes": notes}
+    windows_of_ride = {name: values.tolist() for name, values in made.items()}
+    return RideTrace(ride=_describe_ride(ride), windows=TraceWindows(**windows_of_ride), models=traces, notes=notes)
 
 
-def _describe_ride(ride: pd.DataFrame) -> dict[str, Any]:
+def _describe_ride(ride: pd.DataFrame) -> TracedRide:
     """Return the description of a ride."""
-    names = (*RIDE_NAME_COLUMNS, *RIDE_PROPERTIES, "duration_s", "energy_kwh", "energy_sd_kwh", "unfit_reason")
-    return {name: ride[name].iloc[0] for name in names if name in ride and not pd.isna(ride[name].iloc[0])}
+    known = {name: ride[name].iloc[0] for name in TracedRide.__struct_fields__ if name in ride}
+    return TracedRide(**{name: value for name, value in known.items() if not pd.isna(value)})
 
 
 def _measure_windows(ride: pd.DataFrame, of_ride: pd.DataFrame, notes: list[str]) -> Floats:
@@ -196,7 +190,7 @@ def _trace_model(
     of_ride: pd.DataFrame,
     made: Mapping[str, Floats],
     notes: list[str],
-) -> dict[str, Any]:
+) -> TracedModel:
     """Return the prediction of one model along a ride."""
     predicted, running = float(model.predict_energy(ride)[0]), model.predict_energy(columns)
     if not np.isfinite(predicted):
@@ -216,16 +210,16 @@ def _trace_model(
     added, said_by = np.diff(running), model.predict_parts(columns)
     error = added - made["measured_kwh"]
     place = locate_divergence(error, made, predicted - float(made["measured_kwh"].sum()))
-    return {
-        "predicted_kwh": predicted,
-        "error_kwh": predicted - float(ride["energy_kwh"].iloc[0]),
-        "start_kwh": float(running[0]),
-        "energy_kwh": added,
-        "terms": {name: np.diff(energy) for name, energy in said_by.items()},
-        "start_terms": {name: float(energy[0]) for name, energy in said_by.items()},
-        "place": place,
-        "words": describe_divergence(place, error, made, float(running[0]), ride),
-    }
+    return TracedModel(
+        predicted_kwh=predicted,
+        error_kwh=predicted - float(ride["energy_kwh"].iloc[0]),
+        start_kwh=float(running[0]),
+        energy_kwh=added.tolist(),
+        terms={name: np.diff(energy).tolist() for name, energy in said_by.items()},
+        start_terms={name: float(energy[0]) for name, energy in said_by.items()},
+        place=place,
+        words=describe_divergence(place, error, made, float(running[0]), ride),
+    )
 
 
 def _as_rides(ride: pd.DataFrame, of_ride: pd.DataFrame) -> pd.DataFrame:
@@ -233,22 +227,16 @@ def _as_rides(ride: pd.DataFrame, of_ride: pd.DataFrame) -> pd.DataFrame:
     return of_ride.assign(**{str(name): ride[name].iloc[0] for name in ride.columns if name not in of_ride})
 
 
-def locate_divergence(error: Floats, made: Mapping[str, Floats], total: float) -> dict[str, Any] | None:
-    """Return the span of windows that holds the most of a ride's error beyond its share of the time.
+def locate_divergence(error: Floats, made: Mapping[str, Floats], total: float) -> Divergence | None:
+    """Return the span of windows that holds the most of a ride's error beyond its share of the time, None for none.
 
     Units: error [kWh], total [kWh].
-
-    Returns
-    -------
-    dict, optional
-        `first` and `last` window, from 0; `minute` and `km` at which the span begins; `minutes`, `kilometres`,
-        `error_kwh`; `share` of the ride's error, `share_of_time`, and the conditions. None where no span stands out.
 
     Examples
     --------
     >>> windows = {"duration_s": np.full(5, 60.0), "distance_km": np.ones(5)}
     >>> span = locate_divergence(np.array([0.0, 0.0, 0.3, 0.2, 0.0]), windows, 0.5)
-    >>> span["first"], span["last"], span["minute"], span["share"]
+    >>> span.first, span.last, span.minute, span.share
     (2, 3, 2.0, 1.0)
     """
     duration, distance = made["duration_s"], made["distance_km"]
@@ -264,27 +252,29 @@ def locate_divergence(error: Floats, made: Mapping[str, Floats], total: float) -
     if share < LEAST_SHARE or of_time > MOST_TIME_SHARE:
         return None
     kilometres, seconds = float(distance[rows].sum()), float(duration[rows].sum())
-    place = {
-        "first": first,
-        "last": last - 1,
-        "minute": float(duration[:first].sum()) / 60.0,
-        "km": float(distance[:first].sum()),
-        "minutes": seconds / 60.0,
-        "kilometres": kilometres,
-        "error_kwh": float(error[rows].sum()),
-        "share": share,
-        "share_of_time": of_time,
-        "speed_kmh": 3600.0 * kilometres / seconds,
-    }
+    ambient, slope = None, None
     if "ambient_c" in made:
-        place["ambient_c"] = float(np.average(made["ambient_c"][rows], weights=duration[rows]))
+        ambient = float(np.average(made["ambient_c"][rows], weights=duration[rows]))
     if {"gained_m", "lost_m"} <= set(made) and kilometres > 0.0:
-        place["uphill_pct"] = float(np.sum(made["gained_m"][rows] - made["lost_m"][rows])) / (10.0 * kilometres)
-    return place
+        slope = float(np.sum(made["gained_m"][rows] - made["lost_m"][rows])) / (10.0 * kilometres)
+    return Divergence(
+        first=first,
+        last=last - 1,
+        minute=float(duration[:first].sum()) / 60.0,
+        km=float(distance[:first].sum()),
+        minutes=seconds / 60.0,
+        kilometres=kilometres,
+        error_kwh=float(error[rows].sum()),
+        share=share,
+        share_of_time=of_time,
+        speed_kmh=3600.0 * kilometres / seconds,
+        ambient_c=ambient,
+        uphill_pct=slope,
+    )
 
 
 def describe_divergence(
-    place: Mapping[str, Any] | None, error: Floats, made: Mapping[str, Floats], start: float, ride: pd.DataFrame
+    place: Divergence | None, error: Floats, made: Mapping[str, Floats], start: float, ride: pd.DataFrame
 ) -> str:
     """Return a sentence on where prediction and measurement diverge, and whether the error exceeds the uncertainty.
 
@@ -296,15 +286,15 @@ def describe_divergence(
         minutes = float(made["end_min"][-1])
         sentence = f"{abs(total):.3f} kWh {side}, spread over {minutes:.1f} min: no part of the ride stands out"
     else:
-        where = f"{place['kilometres']:.1f} km and {place['minutes']:.1f} min after it, {_describe_conditions(place)}"
-        sentence = f"diverges from the measurement at {place['minute']:.1f} min, {place['km']:.1f} km: "
-        if place["share"] > 1.0:
+        where = f"{place.kilometres:.1f} km and {place.minutes:.1f} min after it, {_describe_conditions(place)}"
+        sentence = f"diverges from the measurement at {place.minute:.1f} min, {place.km:.1f} km: "
+        if place.share > 1.0:
             sentence += (
-                f"it predicts {abs(place['error_kwh']):.3f} kWh {side} in the {where}; "
-                f"the rest of the ride compensates {abs(place['error_kwh']) - abs(total):.3f} kWh"
+                f"it predicts {abs(place.error_kwh):.3f} kWh {side} in the {where}; "
+                f"the rest of the ride compensates {abs(place.error_kwh) - abs(total):.3f} kWh"
             )
         else:
-            sentence += f"{abs(place['error_kwh']):.3f} of {abs(total):.3f} kWh {side} come in the {where}"
+            sentence += f"{abs(place.error_kwh):.3f} of {abs(total):.3f} kWh {side} come in the {where}"
     if abs(start) > LEAST_SHARE * abs(total) and start * total > 0.0:
         sentence += f"; {abs(start):.3f} kWh of it are predicted before the start"
     sd = float(ride["energy_sd_kwh"].iloc[0]) if "energy_sd_kwh" in ride else np.nan
@@ -313,12 +303,12 @@ def describe_divergence(
     return sentence
 
 
-def _describe_conditions(place: Mapping[str, Any]) -> str:
+def _describe_conditions(place: Divergence) -> str:
     """Return the conditions of a span, in words."""
-    conditions = [f"{place['speed_kmh']:.0f} km/h"]
-    if np.isfinite(place.get("ambient_c", np.nan)):
-        conditions.insert(0, f"at {place['ambient_c']:.0f} °C".replace("-", "\N{MINUS SIGN}"))
-    slope = place.get("uphill_pct", 0.0)
+    conditions = [f"{place.speed_kmh:.0f} km/h"]
+    if place.ambient_c is not None:
+        conditions.insert(0, f"at {place.ambient_c:.0f} °C".replace("-", "\N{MINUS SIGN}"))
+    slope = place.uphill_pct or 0.0
     if abs(slope) >= LEAST_SLOPE:
         conditions.append(f"{abs(slope):.0f} % {'uphill' if slope > 0.0 else 'downhill'}")
     return ", ".join(conditions)

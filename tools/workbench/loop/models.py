@@ -62,13 +62,13 @@ def compare_two(workspace: Workspace, one: ModelNode, other: ModelNode) -> dict[
     """Return the errors of two models on the same rides, and the step between them if one was made of the other."""
     if one.name == other.name:
         raise SettingsError(f"both models are {one.name}; choose two different ones")
-    result = to_json_values(compare_predictions(select_compared(workspace, [one, other])))
+    result = compare_predictions(select_compared(workspace, [one, other]))
     return {
-        "about": result["about"],
-        "models": {name: {**result["models"][name], "worst": None, "by": None} for name in (one.name, other.name)},
-        "difference": result["pairs"][0] if result["pairs"] else None,
+        "about": result.about.to_json(),
+        "models": {name: {**errors.to_json(), "worst": None, "by": None} for name, errors in result.models.items()},
+        "difference": to_json_values(next(iter(result.pairs), None)),
         "step": _find_step(one, other) or _find_step(other, one),
-        "rides": result["rides"],
+        "rides": result.rides.to_json(),
         "coefficients": {node.name: describe_model(workspace, node)["coefficients"] for node in (one, other)},
         "command": compare_command(workspace, [one, other]),
         "live_command": live_command(workspace, [one, other]),

@@ -58,13 +58,12 @@ def describe_compared_rides(workspace: Workspace, node: ModelNode) -> dict[str, 
     """
     compared = select_compared(workspace, [node])
     columns = list_ride_columns(compared, node.name)
-    about = to_json_values(describe_rides(compared))
     return {
         "model": node.name,
         "columns": [describe_column(column) for column, _ in columns],
         "values": {column.key: round_values(values) for column, values in columns},
         "keys": compared.keys,
-        "about": about | {"left_out_words": format_exclusions(compared.left_out)},
+        "about": describe_rides(compared).to_json() | {"left_out_words": format_exclusions(compared.left_out)},
         "notes": list(compared.notes),
         "command": compare_command(workspace, [node]),
     }
@@ -91,7 +90,7 @@ def measure_selection(workspace: Workspace, node: ModelNode, text: str) -> dict[
         predicted={label: energy[rows] for label, energy in compared.predicted.items()},
         clusters=compared.clusters[rows],
     )
-    errors = to_json_values(compute_errors(part, part.predicted[node.name]))
+    errors = compute_errors(part, part.predicted[node.name]).to_json()
     return {"errors": errors, "noise_floor_kwh": to_json_values(part.noise_floor), "kept": rows.tolist()}
 
 
@@ -103,7 +102,7 @@ def trace_one_ride(workspace: Workspace, nodes: Sequence[ModelNode], ride: str) 
     key = str(row["ride_key"].iloc[0]) if "ride_key" in row else ""
     command = {"command": compare_command(workspace, nodes, key or ride)}
     try:
-        return {**to_json_values(trace_ride(row, windows, models)), "key": key, **command}
+        return {**trace_ride(row, windows, models).to_json(), "key": key, **command}
     except (ModelError, SettingsError) as error:
         return {"key": key, "untraced": str(error)} | command
 

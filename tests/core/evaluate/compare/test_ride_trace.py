@@ -41,19 +41,19 @@ def test_trace_adds_up_to_measured_and_predicted_energy(shift):
     rides, windows = shift
     ride = find_ride(rides[rides["distance_km"] > 5.0], rides.loc[rides["distance_km"] > 5.0, "ride_key"].iloc[0])
     result = trace_ride(ride, windows, {"plain": EXTENDED_PHYSICAL, "with": _with_constant()})
-    assert result["windows"]["measured_kwh"].sum() == pytest.approx(ride["energy_kwh"].iloc[0])
-    assert result["windows"]["end_km"][-1] == pytest.approx(ride["distance_km"].iloc[0])
-    for name, of_model in result["models"].items():
-        assert of_model["start_kwh"] + of_model["energy_kwh"].sum() == pytest.approx(of_model["predicted_kwh"]), name
-        np.testing.assert_allclose(sum(of_model["terms"].values()), of_model["energy_kwh"], atol=1e-12)
-        assert sum(of_model["start_terms"].values()) == pytest.approx(of_model["start_kwh"])
-    assert result["models"]["plain"]["start_kwh"] == 0.0
-    assert result["models"]["with"]["start_kwh"] == 0.5
+    assert sum(result.windows.measured_kwh) == pytest.approx(ride["energy_kwh"].iloc[0])
+    assert result.windows.end_km[-1] == pytest.approx(ride["distance_km"].iloc[0])
+    for name, of_model in result.models.items():
+        assert of_model.start_kwh + sum(of_model.energy_kwh) == pytest.approx(of_model.predicted_kwh), name
+        np.testing.assert_allclose(np.sum(list(of_model.terms.values()), axis=0), of_model.energy_kwh, atol=1e-12)
+        assert sum(of_model.start_terms.values()) == pytest.approx(of_model.start_kwh)
+    assert result.models["plain"].start_kwh == 0.0
+    assert result.models["with"].start_kwh == 0.5
     expected_note = (
         "with is not a sum over windows: each window shows what it adds to the prediction of the ride so far; "
         "+0.500 kWh are predicted before the first window"
     )
-    assert [note for note in result["notes"] if "not a sum over windows" in note] == [expected_note]
+    assert [note for note in result.notes if "not a sum over windows" in note] == [expected_note]
 
 
 def _with_constant():
@@ -91,8 +91,8 @@ def test_ride_measured_by_soc_is_traced_in_steps_with_note(shift):
     rides, windows = shift
     soc = rides[(rides["energy_kwh"] == rides["energy_soc_kwh"]) & (rides["distance_km"] > 3.0)]
     result = trace_ride(find_ride(rides, soc["ride_key"].iloc[0]), windows, {"m": EXTENDED_PHYSICAL})
-    assert result["notes"][0].startswith("measured by the state of charge: in steps")
-    assert result["windows"]["measured_kwh"].sum() == pytest.approx(soc["energy_kwh"].iloc[0])
+    assert result.notes[0].startswith("measured by the state of charge: in steps")
+    assert sum(result.windows.measured_kwh) == pytest.approx(soc["energy_kwh"].iloc[0])
 
 
 def test_unmeasured_windows_take_mean_power(shift):
@@ -101,8 +101,8 @@ def test_unmeasured_windows_take_mean_power(shift):
     of_ride = windows.index[windows["ride_key"] == ride["ride_key"].iloc[0]]
     gone = windows.assign(energy_vi_kwh=windows["energy_vi_kwh"].mask(windows.index == of_ride[1]))
     result = trace_ride(ride, gone, {"m": EXTENDED_PHYSICAL})
-    assert any(note.startswith(f"1 of {len(of_ride)} windows were not measured") for note in result["notes"])
-    assert result["windows"]["measured_kwh"].sum() == pytest.approx(ride["energy_kwh"].iloc[0])
+    assert any(note.startswith(f"1 of {len(of_ride)} windows were not measured") for note in result.notes)
+    assert sum(result.windows.measured_kwh) == pytest.approx(ride["energy_kwh"].iloc[0])
     with pytest.raises(ModelError, match="none of the windows of this ride has a measured energy"):
         trace_ride(ride, windows.assign(energy_vi_kwh=np.nan), {"m": EXTENDED_PHYSICAL})
 
@@ -114,10 +114,10 @@ def test_located_divergence_matches_planted_windows(seed, first, length, sign):
     error = sign * 0.004 + rng.normal(0.0, 0.001, 24)  # all along, and here
     error[first : first + length] += 0.1 * sign
     result = locate_divergence(error, windows, float(error.sum()))
-    assert (result["first"], result["last"]) == (first, first + length - 1)
-    assert result["share"] == pytest.approx(0.1 * length / (0.1 * length + 0.1), abs=0.1)
-    assert result["minute"] == pytest.approx(windows["duration_s"][:first].sum() / 60.0)
-    assert result["km"] == pytest.approx(windows["distance_km"][:first].sum())
+    assert (result.first, result.last) == (first, first + length - 1)
+    assert result.share == pytest.approx(0.1 * length / (0.1 * length + 0.1), abs=0.1)
+    assert result.minute == pytest.approx(windows["duration_s"][:first].sum() / 60.0)
+    assert result.km == pytest.approx(windows["distance_km"][:first].sum())
 
 
 @given(st.floats(-1.0, 1.0))
