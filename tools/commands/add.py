@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
+import msgspec
 import pandas as pd
 import typer
 
@@ -13,6 +14,7 @@ from socast.core.diagnose.add.terms import build_term_columns
 from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.diagnose.residual_survey import survey_model
 from socast.core.errors import ModelError
+from socast.core.evaluate.compare.records import ResidualSurvey
 from socast.core.fit.measured_rows import join_tables
 from socast.core.models import LinearModel
 from socast.tools.commands.diagnose import LeastGain, read_tables
@@ -91,10 +93,10 @@ def add_effect(
 
 def survey_both(
     before: LinearModel, after: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame
-) -> list[dict[str, Any]]:
+) -> list[ResidualSurvey]:
     """Return where two models fail on the windows of rides; an empty list where the windows do not show it."""
     try:
-        return [survey_model(rides, windows, model) for model in (before, after)]
+        return [msgspec.convert(survey_model(rides, windows, model), ResidualSurvey) for model in (before, after)]
     except ModelError:
         return []
 

@@ -85,8 +85,8 @@ def compare_models(
     with ExitStack() as folders:
         first, second = (folders.enter_context(each.open_tables(wanted)) for each in (source, other))
         if ride is not None:
-            trace = {"trace": _trace(first, ride, chosen, wanted).to_json()}
-            write_json(json_file, "compare", trace)
+            trace = _trace(first, ride, chosen, wanted)
+            write_json(json_file, "compare", {"trace": trace.to_json()})
         else:
             table, read_windows, read_all = _read(first, wanted)
             selected = select_rides(table, chosen)
@@ -102,7 +102,10 @@ def compare_models(
             write_json(json_file, "compare", result.to_json())
             if html_file is not None:
                 result = msgspec.structs.replace(result, traces=_trace_worst(result, table, read_windows, chosen))
-    show_report("comparison.page", result if ride is None else trace, html_file, json_file)
+    if ride is None:
+        show_report("comparison.page", result, html_file, json_file)
+    else:
+        show_report("comparison.trace_page", trace, html_file, json_file)
 
 
 def named(given: Sequence[str]) -> dict[str, LinearModel]:
@@ -139,7 +142,7 @@ def _find_failures(
     try:
         survey = survey_model(*read_all(), model, set(compared.rides["ride_key"].astype(str)))
     except (ModelError, SettingsError) as error:
-        return ResidualSurvey(model=label, why_not=str(error), charts=[])
+        return ResidualSurvey(model=label, why_not=str(error))
     return msgspec.convert({"model": label, **survey}, ResidualSurvey)
 
 

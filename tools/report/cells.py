@@ -129,6 +129,39 @@ def format_change(value: float | None, reference: float | None) -> str:
     return format_minus(f"{100.0 * (value / reference - 1.0):+.1f} %")
 
 
+def format_difference(estimate: Any, digits: int = 3) -> str:
+    """Return a difference with its sign, and its interval where it has one.
+
+    Examples
+    --------
+    >>> format_difference({"value": 0.0123, "ci95": 0.004}), format_difference({"value": -1.25, "ci95": None}, 1)
+    ('+0.012 ± 0.004', '−1.2')
+    """
+    width = get_half_width(estimate)
+    return format_signed(estimate, digits) + ("" if width is None else f" ± {width:.{digits}f}")
+
+
+def format_estimate(estimate: Any, digits: int = 1) -> str:
+    """Return a figure, and its interval where it has one."""
+    known, width = get_number(estimate), get_half_width(estimate)
+    if known is None:
+        return UNKNOWN
+    return format_minus(f"{known:.{digits}f}") + ("" if width is None else f" ± {width:.{digits}f}")
+
+
+def format_probability(value: Any) -> str:
+    """Return a probability.
+
+    Examples
+    --------
+    >>> format_probability(0.0000001), format_probability(0.034), format_probability(None)
+    ('< 0.001', '0.034', '–')
+    """
+    known = get_number(value)
+    least = 0.001
+    return UNKNOWN if known is None else f"< {least}" if known < least else f"{known:.3f}"
+
+
 def format_count(value: Any) -> str:
     """Return a count.
 

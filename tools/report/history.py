@@ -10,6 +10,7 @@ from rich.text import Text
 
 from socast.core.diagnose.add.error_fall import ATTEMPTS, ErrorStep, list_error_steps, read_step
 from socast.core.diagnose.records import EstimatedCoefficient
+from socast.core.evaluate.compare.records import ResidualSurvey
 from socast.core.formatting import format_minus
 from socast.core.models import LinearModel
 from socast.core.records import to_json_values
@@ -59,14 +60,13 @@ def print_trial(trial: Any, console: Console) -> None:
     console.print(Text(_outcome(entry), style="bold"))
 
 
-def write_trial(trial: Any, surveys: Sequence[Mapping[str, Any]], path: Path) -> None:
+def write_trial(trial: Any, surveys: Sequence[ResidualSurvey], path: Path) -> None:
     """Write the trial of an effect as an HTML page that loads no other file.
 
     Parameters
     ----------
-    surveys : sequence of mapping
-        Where the model fails before and after, as `socast.core.diagnose.residual_survey.survey_model` returns it; empty
-        where this is unknown.
+    surveys : sequence of ResidualSurvey
+        Where the model fails before and after; empty where this is unknown.
     """
     entry = to_json_values(trial)
     errors, *_ = build_trial_sections(entry)

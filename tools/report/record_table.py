@@ -6,7 +6,19 @@ from typing import Any, Final
 
 from socast.core.formatting import format_minus
 from socast.core.records import Record, Shown, list_shown
-from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent, format_signed
+from socast.tools.report.cells import (
+    UNKNOWN,
+    Cell,
+    ReportTable,
+    Row,
+    format_count,
+    format_difference,
+    format_energy,
+    format_estimate,
+    format_percent,
+    format_probability,
+    format_signed,
+)
 
 
 def format_digits(value: float | None, digits: int = 3) -> str:
@@ -26,6 +38,11 @@ FORMATS: Final[Mapping[str, Callable[[Any], str]]] = MappingProxyType(
         "names": lambda value: ", ".join(value) or UNKNOWN,
         "number of": lambda value: format_count(len(value)),
         "count": format_count,
+        "energy": format_energy,
+        "estimate": format_estimate,
+        "difference": format_difference,
+        "difference, one decimal": lambda value: format_difference(value, 1),
+        "probability": format_probability,
         "percent": format_percent,
         "whole percent": lambda value: format_percent(value, 0),
         "fine percent": lambda value: format_percent(value, 2),
@@ -40,9 +57,11 @@ FORMATS: Final[Mapping[str, Callable[[Any], str]]] = MappingProxyType(
 
 def tabulate_records(
     title: str,
-    records: Sequence[Record],
+    records: Sequence[Record] | Mapping[str, Record],
     kind: type[Record],
     *,
+    corner: str = "",
+    fields: Sequence[str] = (),
     notes: tuple[str, ...] = (),
     strong: Callable[[str, int, Any], bool] = lambda *_: False,
     numbered: bool = False,
@@ -52,14 +71,24 @@ def tabulate_records(
 
     Parameters
     ----------
+    records : sequence or mapping of Record
+        The keys of a mapping name the rows, below the head `corner`; otherwise the first field with a head does.
     kind : type of Record
-        Kind of the records. The first field with a head names the rows.
+        Kind of the records.
+    fields : sequence of str
+        Fields to show, in order; by default all that declare a head.
     strong : callable
         Function of the field, the place of the record and its value that returns whether a cell is emphasised.
     numbered : bool
         Whether the names of the rows begin with their place, from 1.
     """
-    (first, corner), *columns = list_shown(kind).items()
+    shown_fields = list_shown(kind)
+    columns = [(name, shown_fields[name]) for name in fields or shown_fields]
+    if isinstance(records, Mapping):
+        names, every = list(records), list(records.values())
+    else:
+        (first, head), *columns = columns
+        corner, names, every = head.head, [str(getattr(each, first)) for each in records], list(records)
 
     def make_cell(name: str, shown: Shown, place: int, record: Record) -> Cell:
         value = getattr(record, name)
@@ -70,9 +99,9 @@ def tabulate_records(
 
     rows = tuple(
         Row(
-            f"{f'{place}. ' if numbered else ''}{getattr(record, first)}",
+            f"{f'{place}. ' if numbered else ''}{row_name}",
             tuple(make_cell(name, shown, place, record) for name, shown in columns),
         )
-        for place, record in enumerate(records, start=1)
+        for place, (row_name, record) in enumerate(zip(names, every, strict=True), start=1)
     )
-    return ReportTable(title, corner.head, tuple(shown.head for _, shown in columns), rows, notes)
+    return ReportTable(title, corner, tuple(shown.head for _, shown in columns), rows, notes)

@@ -40,12 +40,10 @@ class RideSample(Record, frozen=True):
 class PredictionErrors(Record, frozen=True):
     """Hold the errors of the predictions of a model."""
 
-    rides: Annotated[int, declare("Number of rides.", "rides", "count")] = 0
-    mae_kwh: Annotated[EstimatedValue, declare("Mean absolute error. [kWh]", "MAE, kWh", "energy")] = EstimatedValue()
-    bias_kwh: Annotated[
-        EstimatedValue, declare("Mean of predicted less measured. [kWh]", "bias, kWh", "difference")
-    ] = EstimatedValue()
-    rmse_kwh: Annotated[float | None, declare("Root mean square error. [kWh]", "RMSE, kWh", "energy")] = None
+    rides: Annotated[int, declare("Number of rides.")] = 0
+    mae_kwh: Annotated[EstimatedValue, declare("Mean absolute error. [kWh]")] = EstimatedValue()
+    bias_kwh: Annotated[EstimatedValue, declare("Mean of predicted less measured. [kWh]")] = EstimatedValue()
+    rmse_kwh: Annotated[float | None, declare("Root mean square error. [kWh]")] = None
     wmape: Annotated[EstimatedValue, declare("Sum of errors over sum of energy. [1]", "wMAPE", "share")] = (
         EstimatedValue()
     )
@@ -93,14 +91,14 @@ class WorstRide(PartialRecord, frozen=True):
     vehicle_id: str | None
     vehicle_model: Annotated[str | None, declare("Key of the vehicle model.", "car", "vehicle model")]
     date: Annotated[str | None, declare("ISO date.", "date")]
-    distance_km: Annotated[float | None, declare("Distance. [km]", "km", "one decimal")]
-    ambient_c: Annotated[float | None, declare("Outside temperature. [°C]", "°C", "one decimal")]
-    average_speed_kmh: Annotated[float | None, declare("Average speed. [km/h]", "km/h", "one decimal")]
+    distance_km: Annotated[float | None, declare("Distance. [km]", "km", "estimate")]
+    ambient_c: Annotated[float | None, declare("Outside temperature. [°C]", "°C", "estimate")]
+    average_speed_kmh: Annotated[float | None, declare("Average speed. [km/h]", "km/h", "estimate")]
     measured_kwh: Annotated[float | None, declare("Measured energy. [kWh]", "measured", "energy")]
     predicted_kwh: Annotated[float | None, declare("Predicted energy. [kWh]", "pre-\ndicted", "energy")]
     error_kwh: Annotated[float | None, declare("Predicted less measured. [kWh]", "error", "signed")]
     relative: Annotated[float | None, declare("Error over size of energy. [1]", "relative", "whole percent")]
-    command: Annotated[str, declare("Command that shows its trace.", "its trace", "command")] = ""
+    command: Annotated[str, declare("Command that shows its trace.", "its trace")] = ""
 
 
 class WorstRides(Record, frozen=True):
@@ -151,8 +149,8 @@ class RideEnergies(Record, frozen=True):
 
     key: Annotated[list[str], declare("Names of the rides.")] = []
     vehicle_model: list[str] = []
-    measured_kwh: Annotated[Values, declare("Measured energy. [kWh]")] = []
-    predicted_kwh: Annotated[dict[str, Values], declare("Model -> predicted energy. [kWh]")] = {}
+    measured_kwh: Annotated[list[float], declare("Measured energy. [kWh]")] = []
+    predicted_kwh: Annotated[dict[str, list[float]], declare("Model -> predicted energy. [kWh]")] = {}
 
 
 class SetContrast(Record, frozen=True):
@@ -251,9 +249,9 @@ class ChartBins(Record, frozen=True):
     days: Annotated[list[int], declare("Numbers of vehicle-days.")]
 
     @property
-    def known(self) -> list[int]:
-        """Places of the bins that have an interval."""
-        return [i for i, half in enumerate(self.ci95) if half is not None]
+    def known(self) -> dict[int, float]:
+        """Half widths of the intervals, by place, of the bins that have one. [W]"""
+        return {i: half for i, half in enumerate(self.ci95) if half is not None}
 
     def is_off_zero(self, place: int) -> bool:
         """Return whether the mean of a bin differs from zero beyond chance, among all bins of all columns."""
@@ -271,11 +269,16 @@ class ResidualChart(Record, frozen=True):
     spread: Annotated[float | None, declare("Root mean square of the means beyond their standard errors. [W]")]
     q: Annotated[float | None, declare("Rate of false findings among all columns that vary as much. [1]")]
 
+    @property
+    def varies(self) -> bool:
+        """Whether the residual varies along the column beyond chance, with bins off zero."""
+        return self.outside > 0 and self.q is not None and self.q < SIGNIFICANCE
+
 
 class ResidualSurvey(PartialRecord, frozen=True):
     """Hold where the windows show that a model fails."""
 
-    charts: Annotated[list[ResidualChart], declare("One for each column, the largest spread first.")]
+    charts: Annotated[list[ResidualChart], declare("One for each column, the largest spread first.")] = []
     model: str = ""
     why_not: Annotated[str, declare("Why this is unknown.")] = ""
     unit: str = ""
@@ -284,10 +287,7 @@ class ResidualSurvey(PartialRecord, frozen=True):
     @property
     def failing(self) -> list[ResidualChart]:
         """Columns along which the residual varies beyond chance: numbers first, by spread."""
-        failing = [
-            chart for chart in self.charts if chart.outside and (1.0 if chart.q is None else chart.q) < SIGNIFICANCE
-        ]
-        return sorted(failing, key=lambda chart: not chart.column.number)
+        return sorted((chart for chart in self.charts if chart.varies), key=lambda chart: not chart.column.number)
 
 
 class Divergence(PartialRecord, frozen=True):
@@ -347,14 +347,19 @@ class TraceWindows(PartialRecord, frozen=True):
 class TracedModel(Record, frozen=True):
     """Hold the prediction of a model along a ride."""
 
-    predicted_kwh: Annotated[float | None, declare("Prediction of the ride. [kWh]")] = None
-    error_kwh: Annotated[float | None, declare("Predicted less measured. [kWh]")] = None
+    predicted_kwh: Annotated[float | None, declare("Prediction of the ride. [kWh]", "predicted, kWh", "energy")] = None
+    error_kwh: Annotated[float | None, declare("Predicted less measured. [kWh]", "error, kWh", "signed")] = None
     start_kwh: Annotated[float, declare("Energy predicted before the first window. [kWh]")] = 0.0
     energy_kwh: Annotated[list[float], declare("Energy that each window adds. [kWh]")] = []
     terms: Annotated[dict[str, list[float]], declare("Term -> its part of `energy_kwh`. [kWh]")] = {}
     start_terms: Annotated[dict[str, float], declare("Term -> its part of `start_kwh`. [kWh]")] = {}
     place: Annotated[Divergence | None, declare("Where it diverges from the measurement, if anywhere.")] = None
     words: Annotated[str, declare("Sentence on the divergence, without its subject.")] = ""
+
+    @property
+    def error(self) -> Annotated[float | None, declare("Error over measured energy.", "of measured", "of measured")]:
+        """Predicted less measured. [kWh]"""
+        return self.error_kwh
 
 
 class RideTrace(Record, frozen=True):
@@ -374,7 +379,7 @@ class Comparison(PartialRecord, frozen=True):
     pairs: Annotated[list[PairDifference], declare("Differences between the models.")] = []
     rides: RideEnergies = RideEnergies()
     notes: Annotated[list[str], declare("Notes for the reader.")] = []
-    failures: Annotated[ResidualSurvey | None, declare("Where the first model fails.")] = None
+    failures: Annotated[ResidualSurvey, declare("Where the first model fails.")] = ResidualSurvey()
     against: Annotated[DatasetContrast | None, declare("Differences from another set of rides.")] = None
     traces: Annotated[dict[str, RideTrace] | None, declare("Traces of the worst rides.")] = None
 

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
+from socast.core.evaluate.compare.records import Comparison
 from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL, Fit, LinearModel, Term, save, stamp
 from socast.tools.cli import main
 from socast.tools.report.comparison import tables
@@ -429,7 +430,8 @@ def test_term_missing_from_windows_is_not_invented(folder, tmp_path, capsys):
 
 def test_terminal_of_80_columns_keeps_names_of_worst_rides(result):
     worst = result["models"]["extended_physical"]["worst"]["absolute"]
-    made, *_ = tables.tabulate_worst_rides(result, "extended_physical", commands=False)
+    read = msgspec.convert(result, Comparison)
+    made, *_ = tables.tabulate_worst_rides(read, "extended_physical", commands=False)
     console = Console(width=80, file=StringIO(), color_system=None)
     print_section(Section("worst", "", "", [made]), console)
     lines = console.file.getvalue().splitlines()

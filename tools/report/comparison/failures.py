@@ -1,18 +1,16 @@
 """Show where a model fails: its error against the noise, and the mean residual of windows along a column."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import floor, log10
-from typing import Any, Final
+from typing import Final
 
 import plotly.graph_objects as go
 from rich.text import Text
 
-from socast.core.diagnose.residual_survey import SIGNIFICANCE
+from socast.core.evaluate.compare.records import ChartBins, Comparison, ResidualChart, ResidualSurvey
 from socast.core.formatting import format_count, format_minus
 from socast.tools.report.comparison.figures import get_model_style
-from socast.tools.report.comparison.tables import list_models
 from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.result import Result, get_mapping, get_number, get_part
 from socast.tools.report.figure_style import REFERENCE_LINE, escape_label, make_figure
 
 WIDTHS: Final = (16, 60)
@@ -33,76 +31,63 @@ LEGEND: Final = (
 )
 
 
-def describe_failures(result: Result) -> str:
+def describe_failures(result: Comparison) -> str:
     """Return how large the error of the first model is against the noise, and where it is largest."""
-    model = list_models(result)[0]
-    error = get_number(get_part(result, "models", model, "mae_kwh")) or 0.0
-    words = f"{model} is off by {error:.3f} kWh per ride on average"
-    noise = get_number(get_part(result, "about", "noise_floor_kwh"))
-    ratio = get_number(get_part(result, "models", model, "over_floor"))
-    if noise and ratio is not None:
-        words += f", {ratio:.1f} times what measurement noise alone causes ({noise:.3f} kWh)"
-    failures = get_mapping(result, "failures")
-    if why := failures.get("why_not"):
-        return f"{words}. Where it fails cannot be said: {why}."
-    failing = list_failing(failures)
-    if not failing:
+    model, errors = next(iter(result.models.items()))
+    words = f"{model} is off by {errors.mae_kwh.value or 0.0:.3f} kWh per ride on average"
+    noise = result.about.noise_floor_kwh
+    if noise and errors.over_floor is not None:
+        words += f", {errors.over_floor:.1f} times what measurement noise alone causes ({noise:.3f} kWh)"
+    if result.failures.why_not:
+        return f"{words}. Where it fails cannot be said: {result.failures.why_not}."
+    if not (failing := result.failures.failing):
         return f"{words}. Along no column does the residual of its windows vary beyond chance."
     first, *others = failing
     words += f". It fails most along {_name(first)}: {describe_worst_bin(first)}; "
-    words += f"{first['outside']} of {first['of']} bins are off zero"
+    words += f"{first.outside} of {first.of} bins are off zero"
     if others:
         words += f". Then along {', '.join(_name(each) for each in others[: MOST_NAMED - 1])}"
     return f"{words}."
 
 
-def list_failing(failures: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the columns along which the residual varies beyond chance: numbers first, by spread."""
-    failing = [chart for chart in failures.get("charts") or () if chart["q"] < SIGNIFICANCE and chart["outside"]]
-    return sorted(failing, key=lambda chart: not chart["column"]["number"])
-
-
-def describe_worst_bin(chart: Mapping[str, Any]) -> str:
+def describe_worst_bin(chart: ResidualChart) -> str:
     """Return the mean residual of the bin that differs most from zero, in words."""
-    bins = chart["bins"]
-    known = [i for i in _list_known(bins) if is_off_zero(bins, i)]
-    worst = max(known, key=lambda i: float(abs(bins["mean"][i])))
-    mean, half = bins["mean"][worst], bins["ci95"][worst]
+    bins = chart.bins
+    worst = max(filter(bins.is_off_zero, bins.known), key=lambda i: abs(bins.mean[i]))
+    mean, half = bins.mean[worst], bins.known[worst]
     more = "more" if mean > 0.0 else "less"
     return f"{abs(mean):,.0f} ± {half:,.0f} W {more} predicted than measured at {name_bin(chart, worst)}"
 
 
-def name_bin(chart: Mapping[str, Any], place: int) -> str:
+def name_bin(chart: ResidualChart, place: int) -> str:
     """Return the range with its unit, or the name of a bin."""
-    bins, column = chart["bins"], chart["column"]
-    if not column["number"]:
-        return str(bins["x"][place])
-    return f"{_name_ranges(bins)[place]} {column['unit']}"
+    bins, column = chart.bins, chart.column
+    if not column.number:
+        return str(bins.x[place])
+    return f"{_name_ranges(bins)[place]} {column.unit}"
 
 
-def _name_ranges(bins: Mapping[str, Any]) -> list[str]:
+def _name_ranges(bins: ChartBins) -> list[str]:
     """Return the ranges of the bins of numbers, with the digits that the narrowest of them needs."""
-    widths = [high - low for low, high in zip(bins["low"], bins["high"], strict=True) if high > low]
+    widths = [high - low for low, high in zip(bins.low, bins.high, strict=True) if high > low]
     digits = min(max(1 - floor(log10(min(widths))), 0), 2) if widths else 0
-    ends = [[format_minus(f"{value:,.{digits}f}") for value in bins[end]] for end in ("low", "high")]
+    ends = [[format_minus(f"{value:,.{digits}f}") for value in end] for end in (bins.low, bins.high)]
     return [low if low == high else f"{low} to {high}" for low, high in zip(*ends, strict=True)]
 
 
-def draw_chart(chart: Mapping[str, Any], columns: int) -> list[Text]:
+def draw_chart(chart: ResidualChart, columns: int) -> list[Text]:
     """Return the mean residual in the bins along a column, with its interval, as lines of text."""
-    bins, column = chart["bins"], chart["column"]
-    known = _list_known(bins)
-    names = _name_ranges(bins) if column["number"] else [_shorten(str(name)) for name in bins["x"]]
-    numbers = {i: format_minus(f"{bins['mean'][i]:+,.0f} ± {bins['ci95'][i]:,.0f}") for i in known}
+    bins, column, known = chart.bins, chart.column, chart.bins.known
+    names = _name_ranges(bins) if column.number else [_shorten(str(name)) for name in bins.x]
+    numbers = {i: format_minus(f"{bins.mean[i]:+,.0f} ± {half:,.0f}") for i, half in known.items()}
     room, wide = max(len(names[i]) for i in known), max(map(len, numbers.values()))
     width = min(max(columns - room - wide - 8, WIDTHS[0]), WIDTHS[1])
-    reach: float = max(abs(bins["mean"][i]) + bins["ci95"][i] for i in known)
-    unit = f" [{column['unit']}]" if column["unit"] else ""
-    lines = [Text(f"{column['label']}{unit}: predicted less measured power, mean of windows [W]", style="bold")]
-    for i in known:
-        sure = is_off_zero(bins, i)
+    reach = max(abs(bins.mean[i]) + half for i, half in known.items())
+    lines = [Text(f"{column.title}: predicted less measured power, mean of windows [W]", style="bold")]
+    for i, half in known.items():
+        sure = bins.is_off_zero(i)
         line = Text(f"  {names[i]:>{room}}  ")
-        line.append(_draw_interval(bins["mean"][i] / reach, bins["ci95"][i] / reach, width), "bold" if sure else "")
+        line.append(_draw_interval(bins.mean[i] / reach, half / reach, width), "bold" if sure else "")
         line.append(f"  {numbers[i]:>{wide}}{' *' if sure else ''}")
         lines.append(line)
     ends = [format_minus(f"{-reach:,.0f}"), "0", f"{reach:,.0f} W"]
@@ -140,7 +125,7 @@ def _shorten(name: str) -> str:
     return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
 
 
-def illustrate_failures(result: Result) -> list[Illustration]:
+def illustrate_failures(result: Comparison) -> list[Illustration]:
     """Return a figure for each of the columns along which the model fails most."""
     caption = (
         "Mean of predicted less measured power of windows in bins along the column, with 95 % intervals clustered by "
@@ -148,76 +133,62 @@ def illustrate_failures(result: Result) -> list[Illustration]:
     )
     return [
         Illustration(f"failure-{i}", _name(chart), caption, _draw(chart), small=True)
-        for i, chart in enumerate(list_failing(get_mapping(result, "failures"))[:MOST_CHARTS])
+        for i, chart in enumerate(result.failures.failing[:MOST_CHARTS])
     ]
 
 
-def illustrate_change(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Illustration]:
+def illustrate_change(before: ResidualSurvey, after: ResidualSurvey) -> list[Illustration]:
     """Return where a model fails before and after a step, along the columns along which it fails most."""
     caption = (
         "Mean of predicted less measured power of all windows in bins along the column, with 95 % intervals clustered "
         "by vehicle-day. Squares: before. Circles: after. Filled: off zero. The model after was fitted to these rides."
     )
-    then, now = ({chart["column"]["key"]: chart for chart in side["charts"]} for side in (before, after))
-    failing = dict.fromkeys(chart["column"]["key"] for side in (before, after) for chart in list_failing(side))
+    then, now = ({chart.column.key: chart for chart in side.charts} for side in (before, after))
+    failing = dict.fromkeys(chart.column.key for side in (before, after) for chart in side.failing)
     return [
         Illustration(f"change-{i}", _name(then[key]), caption, _draw(now[key], then[key]), small=True)
         for i, key in enumerate([key for key in failing if key in then and key in now][:MOST_CHANGES])
     ]
 
 
-def _draw(chart: Mapping[str, Any], before: Mapping[str, Any] | None = None) -> go.Figure:
+def _draw(chart: ResidualChart, before: ResidualChart | None = None) -> go.Figure:
     """Return the figure of a chart, or of two."""
     traces = [_draw_means(before, "before", str(REFERENCE_LINE["color"]), "square")] if before else []
     made = make_figure(
         [*traces, _draw_means(chart, "after" if before else "", get_model_style(0).colour, "circle")], height=300
     )
-    column = chart["column"]
-    unit = f" [{column['unit']}]" if column["unit"] else ""
-    made.update_xaxes(title=f"{column['label']}{unit}")
+    made.update_xaxes(title=chart.column.title)
     made.update_yaxes(title="predicted less measured [W]", zeroline=True)
     return made
 
 
-def _draw_means(chart: Mapping[str, Any], name: str, colour: str, symbol: str) -> go.Scatter:
+def _draw_means(chart: ResidualChart, name: str, colour: str, symbol: str) -> go.Scatter:
     """Return the means of a chart with their intervals; those off zero are filled."""
-    bins = chart["bins"]
-    known = _list_known(bins)
-    x = [bins["x"][i] if chart["column"]["number"] else escape_label(str(bins["x"][i])) for i in known]
+    bins, known = chart.bins, chart.bins.known
+    x = [bins.x[i] if chart.column.number else escape_label(str(bins.x[i])) for i in known]
     return go.Scatter(
         name=name,
         x=x,
-        y=[bins["mean"][i] for i in known],
-        error_y={"array": [bins["ci95"][i] for i in known], "thickness": 1.2, "width": 3},
+        y=[bins.mean[i] for i in known],
+        error_y={"array": list(known.values()), "thickness": 1.2, "width": 3},
         mode="markers",
         marker={
             "size": 9,
             "color": colour,
-            "symbol": [symbol if is_off_zero(bins, i) else f"{symbol}-open" for i in known],
+            "symbol": [symbol if bins.is_off_zero(i) else f"{symbol}-open" for i in known],
         },
-        customdata=[f"{format_count(bins['rows'][i], 'window')}, {escape_label(name_bin(chart, i))}" for i in known],
+        customdata=[f"{format_count(bins.rows[i], 'window')}, {escape_label(name_bin(chart, i))}" for i in known],
         hovertemplate="%{customdata}: %{y:,.0f} W<extra></extra>",
         showlegend=bool(name),
     )
 
 
-def is_off_zero(bins: Mapping[str, Any], place: int) -> bool:
-    """Return whether the mean of a bin differs from zero beyond chance, among all bins of all columns."""
-    q = bins["q"][place]
-    return q is not None and bool(q < SIGNIFICANCE)
-
-
-def _list_known(bins: Mapping[str, Any]) -> list[int]:
-    """Return the places of the bins that have an interval."""
-    return [i for i, half in enumerate(bins["ci95"]) if half is not None]
-
-
-def _name(chart: Mapping[str, Any]) -> str:
+def _name(chart: ResidualChart) -> str:
     """Return the name of a column."""
-    return str(chart["column"]["label"]).lower()
+    return chart.column.label.lower()
 
 
-def list_pictures(result: Result, columns: int) -> Sequence[Text]:
+def list_pictures(result: Comparison, columns: int) -> Sequence[Text]:
     """Return the picture of the column along which the model fails most, none where it fails along none."""
-    failing = list_failing(get_mapping(result, "failures"))
+    failing = result.failures.failing
     return draw_chart(failing[0], columns) if failing else []

@@ -1,23 +1,22 @@
 """Draw the figures of a comparison: predicted against measured, errors by condition, two sets of rides."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from socast.core.evaluate.compare.records import Comparison, ConditionBin, ContrastBin, DatasetContrast
 from socast.core.stats.scores import BANDS
 from socast.tools.report.cells import format_count
 from socast.tools.report.comparison.tables import (
     UNITS,
     format_bin,
     index_bins,
-    list_models,
     list_varying_conditions,
     select_most_significant,
 )
 from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part
 from socast.tools.report.figure_style import (
     REFERENCE_LINE,
     Style,
@@ -34,9 +33,6 @@ BAND_DASHES: Final = ("dot", "dash", "longdashdot")
 """Dashes of the bands, narrowest first."""
 WIDEST: Final = 1.5
 """Farthest end of an interval that the common scale shows, relative to the largest value."""
-BIAS: Final = ("bias_kwh", "")
-ERROR: Final = ("mae_kwh", "mae_ci95_kwh")
-"""Names of a figure of a bin, and of half the width of its interval where the figure does not hold it itself."""
 GAP: Final = 80
 """Height between two plots of a figure. [px]"""
 LONG: Final = 26
@@ -52,14 +48,14 @@ def get_model_style(place: int) -> Style:
     return get_style(PLACES[place % len(PLACES)])
 
 
-def get_look(result: Result, model: str) -> Style:
+def get_look(result: Comparison | DatasetContrast, model: str) -> Style:
     """Return the style of a model."""
-    return get_model_style(list_models(result).index(model))
+    return get_model_style(list(result.models).index(model))
 
 
-def illustrate_scatters(result: Result) -> list[Illustration]:
+def illustrate_scatters(result: Comparison) -> list[Illustration]:
     """Return predicted against measured energy of each model."""
-    rides = len(get_part(result, "rides", "measured_kwh") or ())
+    rides = len(result.rides.measured_kwh)
     every = -(-rides // MOST_POINTS)
     some = "" if every <= 1 else f" Every {every}th of {rides:,} rides is shown."
     caption = (
@@ -74,20 +70,20 @@ def illustrate_scatters(result: Result) -> list[Illustration]:
             draw_scatter(result, model, every),
             small=True,
         )
-        for i, model in enumerate(list_models(result))
+        for i, model in enumerate(result.models)
     ]
 
 
-def draw_scatter(result: Result, model: str, every: int = 1) -> go.Figure:
+def draw_scatter(result: Comparison, model: str, every: int = 1) -> go.Figure:
     """Return a figure of the energies of rides, with bands of relative error."""
-    rides = get_mapping(result, "rides")
-    measured, predicted = list(rides["measured_kwh"])[::every], list(rides["predicted_kwh"][model])[::every]
+    rides = result.rides
+    measured, predicted = rides.measured_kwh[::every], rides.predicted_kwh[model][::every]
     style = get_look(result, model)
     points = go.Scatter(
         name="ride",
         x=measured,
         y=predicted,
-        text=[escape_label(str(key)) for key in list(rides["key"])[::every]],
+        text=[escape_label(key) for key in rides.key[::every]],
         mode="markers",
         marker={"symbol": f"{style.symbol}-open", "size": 5, "color": style.colour, "line": {"width": 1}},
         hovertemplate="%{text}: measured %{x:.3f}, predicted %{y:.3f} kWh<extra></extra>",
@@ -114,7 +110,7 @@ def _line(
     )
 
 
-def illustrate_conditions(result: Result) -> list[Illustration]:
+def illustrate_conditions(result: Comparison) -> list[Illustration]:
     """Return bias and error of all models by each condition, on one scale."""
     caption = (
         "Above: bias (mean of predicted less measured). Below: mean absolute error. Lines: 95 % intervals. All these "
@@ -122,7 +118,7 @@ def illustrate_conditions(result: Result) -> list[Illustration]:
         "vehicle-day have no interval and are in the table only."
     )
     conditions = [name for name in list_varying_conditions(result) if _index_known_bins(result, name)]
-    scales = [_find_scale(result, conditions, key, width) for key, width in (BIAS, ERROR)]
+    scales = [_find_scale(result, conditions, figure) for figure in (_get_bias, _get_error)]
     return [
         Illustration(
             f"by-{i}", f"Bias and error by {name}", caption, draw_errors_by_condition(result, name, *scales), small=True
@@ -131,51 +127,57 @@ def illustrate_conditions(result: Result) -> list[Illustration]:
     ]
 
 
-def _index_known_bins(result: Result, name: str) -> dict[str, dict[str, Mapping[str, Any]]]:
+def _index_known_bins(result: Comparison, name: str) -> dict[str, dict[str, ConditionBin]]:
     """Return the bins of a condition that have an interval, for each model that has any."""
     known = {
-        model: {
-            key: entry
-            for key, entry in index_bins(get_part(scores, "by", name)).items()
-            if get_half_width(get_part(entry, "bias_kwh")) is not None
-        }
-        for model, scores in get_mapping(result, "models").items()
+        model: index_bins([entry for entry in one.by.get(name, ()) if entry.bias_kwh.ci95 is not None])
+        for model, one in result.models.items()
     }
     return {model: bins for model, bins in known.items() if bins}
 
 
-def _get_error(entry: Mapping[str, Any], key: str, width: str) -> tuple[float, float]:
-    """Return a figure of a bin and half the width of its interval, 0 where it has none. [kWh]"""
-    value, half = entry.get(key), get_number(entry.get(width)) if width else get_half_width(entry.get(key))
-    return get_number(value) or 0.0, half or 0.0
+def _get_bias(entry: ConditionBin) -> tuple[float, float]:
+    """Return the bias of a bin and half the width of its interval. [kWh]"""
+    return entry.bias_kwh.value or 0.0, entry.bias_kwh.ci95 or 0.0
 
 
-def _find_scale(result: Result, conditions: Sequence[str], key: str, width: str) -> float:
-    """Return the end of the common scale of a figure of bins: it shows each value, and most intervals whole. [kWh]"""
+def _get_error(entry: ConditionBin) -> tuple[float, float]:
+    """Return the mean absolute error of a bin and half the width of its interval. [kWh]"""
+    return entry.mae_kwh or 0.0, entry.mae_ci95_kwh or 0.0
+
+
+def _find_scale(
+    result: Comparison, conditions: Sequence[str], figure: Callable[[ConditionBin], tuple[float, float]]
+) -> float:
+    """Return the end of the common scale of a figure of bins. [kWh]"""
     bins = [of_model for name in conditions for of_model in _index_known_bins(result, name).values()]
-    pairs = [_get_error(entry, key, width) for of_model in bins for entry in of_model.values()]
+    return _find_limit([figure(entry) for of_model in bins for entry in of_model.values()])
+
+
+def _find_limit(pairs: Sequence[tuple[float, float]]) -> float:
+    """Return the end of a scale that shows each value, and most intervals whole."""
     most = max((abs(value) for value, _ in pairs), default=0.0)
     ends = [abs(value) + half for value, half in pairs]
     return 1.05 * max([most, *(end for end in ends if end <= WIDEST * most)])
 
 
-def draw_errors_by_condition(result: Result, name: str, most_bias: float, most_error: float) -> go.Figure:
+def draw_errors_by_condition(result: Comparison, name: str, most_bias: float, most_error: float) -> go.Figure:
     """Return a figure of the bias above and the mean absolute error below, a row for each bin.
 
     Units: most_bias [kWh], most_error [kWh].
     """
     by_model = _index_known_bins(result, name)
     shown = select_most_significant(
-        [{key: get_part(e, "bias_kwh") for key, e in bins_of_model.items()} for bins_of_model in by_model.values()]
+        [{key: entry.bias_kwh for key, entry in bins_of_model.items()} for bins_of_model in by_model.values()]
     )
-    counts = {key: entry.get("n") for bins_of_model in by_model.values() for key, entry in bins_of_model.items()}
+    counts = {key: entry.n for bins_of_model in by_model.values() for key, entry in bins_of_model.items()}
     labels = {key: _format_row(f"{format_bin(name, key)} ({format_count(counts[key])})") for key in shown}
     area = GAP + 2 * len(shown) * (16 + 8 * len(by_model))
     made = make_subplots(rows=2, cols=1, vertical_spacing=GAP / area)
-    for row, (key, width) in enumerate((BIAS, ERROR), start=1):
+    for row, figure in enumerate((_get_bias, _get_error), start=1):
         for model, bins_of_model in by_model.items():
             rows = [each for each in shown if each in bins_of_model]
-            known = [_get_error(bins_of_model[each], key, width) for each in rows]
+            known = [figure(bins_of_model[each]) for each in rows]
             dots = draw_dots(
                 escape_label(model),
                 get_look(result, model),
@@ -186,7 +188,7 @@ def draw_errors_by_condition(result: Result, name: str, most_bias: float, most_e
             dots.update(orientation="h", offsetgroup=model, legendgroup=model, showlegend=row == 1)
             made.add_trace(dots, row=row, col=1)
     apply_layout(made, area + 90)
-    made.update_layout(scattermode="group", showlegend=len(get_mapping(result, "models")) > 1)
+    made.update_layout(scattermode="group", showlegend=len(result.models) > 1)
     made.add_vline(x=0.0, line={**REFERENCE_LINE, "width": 1}, row=1, col=1)
     made.update_xaxes(nticks=5, tickangle=0)
     made.update_xaxes(title_text="Bias [kWh per ride]", range=[-most_bias, most_bias], row=1, col=1)
@@ -204,7 +206,7 @@ def _format_row(label: str) -> str:
     return text.replace(" (", "<br>(", 1) if len(label) > LONG else text
 
 
-def illustrate_terms(result: Result) -> list[Illustration]:
+def illustrate_terms(against: DatasetContrast) -> list[Illustration]:
     """Return, for each model, the terms of the difference in consumption between two sets of rides."""
     caption = (
         "Second set less first: the contribution of each term of the model, their sum, and the measured "
@@ -215,25 +217,25 @@ def illustrate_terms(result: Result) -> list[Illustration]:
             f"account-{i}",
             f"{model}: the difference in consumption, term by term",
             caption,
-            draw_difference_terms(result, model),
+            draw_difference_terms(against, model),
         )
-        for i, model in enumerate(get_mapping(result, "against", "models"))
+        for i, model in enumerate(against.models)
     ]
 
 
-def draw_difference_terms(result: Result, model: str) -> go.Figure:
+def draw_difference_terms(against: DatasetContrast, model: str) -> go.Figure:
     """Return a figure of a difference in consumption; from the top: measured, predicted, remainder, terms."""
-    difference = get_mapping(result, "against", "models", model)
+    one = against.models[model]
     rows = [
-        ("measured", get_part(result, "against", "consumption", "difference")),
-        ("predicted", get_part(difference, "explained", "difference")),
-        ("measured less predicted", get_part(difference, "unexplained", "difference")),
-        *((str(term["name"]), term["difference"]) for term in get_part(difference, "terms") or ()),
+        ("measured", against.consumption.difference),
+        ("predicted", one.explained.difference),
+        ("measured less predicted", one.unexplained.difference),
+        *((term.name, term.difference) for term in one.terms),
     ]
     rows.reverse()
-    x, spread = [get_number(value) for _, value in rows], [get_half_width(value) for _, value in rows]
+    x, spread = [each.value for _, each in rows], [each.ci95 for _, each in rows]
     made = make_figure(
-        [draw_dots("second less first", get_look(result, model), x, [escape_label(name) for name, _ in rows], spread)],
+        [draw_dots("second less first", get_look(against, model), x, [escape_label(name) for name, _ in rows], spread)],
         120 + 26 * len(rows),
     )
     made.add_vline(x=0.0, line={**REFERENCE_LINE, "width": 1})
@@ -243,7 +245,7 @@ def draw_difference_terms(result: Result, model: str) -> go.Figure:
     return made
 
 
-def illustrate_datasets(result: Result) -> list[Illustration]:
+def illustrate_datasets(against: DatasetContrast) -> list[Illustration]:
     """Return the bias of each model on both sets of rides, by each condition, on one scale."""
     caption = (
         "Bias (mean of predicted less measured) on both sets of rides. Lines: 95 % intervals. All these figures have "
@@ -252,12 +254,12 @@ def illustrate_datasets(result: Result) -> list[Illustration]:
     )
     parts = [
         (i, j, model, name, bins)
-        for i, (model, of_model) in enumerate(get_mapping(result, "against", "models").items())
-        for j, (name, bins) in enumerate(get_mapping(of_model, "by").items())
+        for i, (model, one) in enumerate(against.models.items())
+        for j, (name, bins) in enumerate(one.by.items())
     ]
-    pairs = [pair for *_, bins in parts for side in SIDES for _, *pair in _list_biases(bins, side)]
-    most = max((abs(value) for value, _ in pairs), default=0.0)
-    limit = 1.05 * max([most, *(abs(value) + half for value, half in pairs if abs(value) + half <= WIDEST * most)])
+    limit = _find_limit(
+        [(value, half) for *_, bins in parts for side in SIDES for _, value, half in _list_biases(bins, side)]
+    )
     return [
         Illustration(
             f"contrast-{i}-{j}",
@@ -271,15 +273,15 @@ def illustrate_datasets(result: Result) -> list[Illustration]:
     ]
 
 
-def _list_biases(bins: Sequence[Mapping[str, Any]], side: str) -> list[tuple[str, float, float]]:
+def _list_biases(bins: Sequence[ContrastBin], side: str) -> list[tuple[str, float, float]]:
     """Return the bins of a set of rides that have an interval: name, bias and half the width of the interval."""
-    known = [(str(entry["bin"]), get_part(entry, "bias_kwh", side)) for entry in bins]
-    return [(key, get_number(bias) or 0.0, half) for key, bias in known if (half := get_half_width(bias)) is not None]
+    known = [(entry.bin, getattr(entry.bias_kwh, side)) for entry in bins]
+    return [(key, bias.value or 0.0, bias.ci95) for key, bias in known if bias.ci95 is not None]
 
 
-def draw_bias_of_datasets(name: str, bins: Sequence[Mapping[str, Any]], limit: float) -> go.Figure:
+def draw_bias_of_datasets(name: str, bins: Sequence[ContrastBin], limit: float) -> go.Figure:
     """Return a figure of the bias of one model on both sets of rides, a row for each bin."""
-    shown = select_most_significant([{str(e["bin"]): get_part(e, "bias_kwh", "difference") for e in bins}])
+    shown = select_most_significant([{entry.bin: entry.bias_kwh.difference for entry in bins}])
     made = make_figure([], 130 + 34 * len(shown))
     for place, side in enumerate(SIDES):
         known = [(key, value, half) for key, value, half in _list_biases(bins, side) if key in shown]

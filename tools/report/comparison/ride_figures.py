@@ -1,6 +1,6 @@
 """Draw a ride: its conditions along the way, and a map of it coloured by the error of a model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import accumulate, pairwise
 from math import cos, floor, log10, radians
 from typing import Any, Final
@@ -8,8 +8,8 @@ from typing import Any, Final
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from socast.core.evaluate.compare.records import RideTrace
 from socast.tools.report.comparison.figures import get_model_style
-from socast.tools.report.evaluation.result import Result, get_mapping, get_number, get_part
 from socast.tools.report.figure_style import Style, apply_layout, escape_label, get_style
 
 MEASURED: Final = Style("#8a8a8a", "solid", "circle", "")
@@ -32,43 +32,38 @@ LEAST_KM: Final = 0.2
 POSITIONS: Final = ("latitude_start_deg", "longitude_start_deg", "latitude_end_deg", "longitude_end_deg")
 
 
-def draw_conditions(trace: Result) -> go.Figure | None:
+def draw_conditions(trace: RideTrace) -> go.Figure | None:
     """Draw speed, elevation, temperature and wind along a ride, as far as they are known."""
     return _stack(trace, list_conditions(trace))
 
 
-def draw_ride(trace: Result) -> go.Figure:
+def draw_ride(trace: RideTrace) -> go.Figure:
     """Draw power and error of all models along a ride, above its conditions."""
-    models = get_mapping(trace, "models")
-    windows = get_mapping(trace, "windows")
-    power = [("measured", MEASURED, convert_to_power(trace, windows["measured_kwh"]))]
+    power = [("measured", MEASURED, convert_to_power(trace, trace.windows.measured_kwh))]
     errors = []
-    for place, (name, of_model) in enumerate(models.items()):
+    for place, (name, of_model) in enumerate(trace.models.items()):
         look = get_model_style(place)
-        power.append((name, look, convert_to_power(trace, of_model["energy_kwh"])))
-        apart = [said - true for said, true in zip(of_model["energy_kwh"], windows["measured_kwh"], strict=True)]
-        errors.append((name, look, list(accumulate(apart, initial=of_model["start_kwh"]))))
+        power.append((name, look, convert_to_power(trace, of_model.energy_kwh)))
+        errors.append((name, look, accumulate_error(trace, name)))
     made = _stack(trace, [("Power [kW]", power), ("Error<br>so far [kWh]", errors), *list_conditions(trace)])
     assert made is not None  # a trace has windows
     return made
 
 
-def list_conditions(trace: Result) -> list[tuple[str, list[tuple[str, Style, list[Any]]]]]:
+def list_conditions(trace: RideTrace) -> list[tuple[str, list[tuple[str, Style, list[Any]]]]]:
     """Return the title, and the name, look and values of each curve, of every known condition of a ride."""
-    windows = get_mapping(trace, "windows")
-    speed = [
-        SECONDS * km / s if s else None for km, s in zip(windows["distance_km"], windows["duration_s"], strict=True)
-    ]
+    windows = trace.windows
+    speed = [SECONDS * km / s if s else None for km, s in zip(windows.distance_km, windows.duration_s, strict=True)]
     rows = [("Speed [km/h]", [("speed", get_style(7), speed)])]
-    if windows.get("gained_m") is not None and windows.get("lost_m") is not None:
-        climbs = [_sum(up, down) for up, down in zip(windows["gained_m"], windows["lost_m"], strict=True)]
+    if windows.gained_m is not None and windows.lost_m is not None:
+        climbs = [(up or 0.0) - (down or 0.0) for up, down in zip(windows.gained_m, windows.lost_m, strict=True)]
         if any(climbs):  # without a source of elevation, all climbs are zero
             heights: list[Any] = list(accumulate(climbs, initial=0.0))
             rows.append(("Elevation<br>from the start [m]", [("elevation", get_style(8), heights)]))
-    rows.append(("Temperature [°C]", [("temperature", get_style(4), list(windows.get("ambient_c") or ()))]))
+    rows.append(("Temperature [°C]", [("temperature", get_style(4), windows.ambient_c or [])]))
     wind = [
-        ("wind speed", get_style(5), list(windows.get("wind_speed_kmh") or ())),
-        ("against the car", get_style(10), list(windows.get("headwind_kmh") or ())),
+        ("wind speed", get_style(5), windows.wind_speed_kmh or []),
+        ("against the car", get_style(10), windows.headwind_kmh or []),
     ]
     rows.append(("Wind [km/h]", wind))
     known = [
@@ -77,24 +72,30 @@ def list_conditions(trace: Result) -> list[tuple[str, list[tuple[str, Style, lis
     return [(title, curves) for title, curves in known if curves]
 
 
-def _sum(up: Any, down: Any) -> float:
-    return (get_number(up) or 0.0) - (get_number(down) or 0.0)
+def accumulate_error(trace: RideTrace, model: str) -> list[float]:
+    """Return the error so far at the start of the ride and after each window. [kWh]"""
+    return list(accumulate(_subtract_measured(trace, model), initial=trace.models[model].start_kwh))
 
 
-def convert_to_power(trace: Result, energy: Sequence[Any]) -> list[float | None]:
+def _subtract_measured(trace: RideTrace, model: str) -> list[float]:
+    """Return the error of each window. [kWh]"""
+    energy = zip(trace.models[model].energy_kwh, trace.windows.measured_kwh, strict=True)
+    return [predicted - measured for predicted, measured in energy]
+
+
+def convert_to_power(trace: RideTrace, energy: Sequence[Any]) -> list[float | None]:
     """Return the mean power of each window. [kW]"""
-    seconds = get_part(trace, "windows", "duration_s")
-    return [SECONDS * value / s if s else None for value, s in zip(energy, seconds, strict=True)]
+    return [SECONDS * value / s if s else None for value, s in zip(energy, trace.windows.duration_s, strict=True)]
 
 
-def _stack(trace: Result, rows: Sequence[tuple[str, Sequence[tuple[str, Style, list[Any]]]]]) -> go.Figure | None:
+def _stack(trace: RideTrace, rows: Sequence[tuple[str, Sequence[tuple[str, Style, list[Any]]]]]) -> go.Figure | None:
     """Return plots above each other that share the time axis.
 
     A curve has the means of the windows, or one value more: those at the start and at the end of each window.
     """
     if not rows:
         return None
-    ends = [0.0, *get_part(trace, "windows", "end_min")]
+    ends = [0.0, *trace.windows.end_min]
     made = make_subplots(rows=len(rows), cols=1, shared_xaxes=True, vertical_spacing=0.25 / max(2 * len(rows), 3))
     seen: set[str] = set()
     for i, (title, curves) in enumerate(rows, start=1):
@@ -123,7 +124,7 @@ def _stack(trace: Result, rows: Sequence[tuple[str, Sequence[tuple[str, Style, l
     return made
 
 
-def draw_map(trace: Result, model: str) -> go.Figure | None:
+def draw_map(trace: RideTrace, model: str) -> go.Figure | None:
     """Draw the way of a ride, coloured by the error of a model; None where positions are unknown.
 
     Notes
@@ -131,16 +132,13 @@ def draw_map(trace: Result, model: str) -> go.Figure | None:
     A window is the straight line between its ends. A degree of longitude is shorter than one of latitude by the cosine
     of the latitude.
     """
-    windows = get_mapping(trace, "windows")
-    if any(windows.get(name) is None for name in POSITIONS):
+    ends = [getattr(trace.windows, name) for name in POSITIONS]
+    if any(values is None for values in ends):
         return None
-    of_model = get_mapping(trace, "models", model)
-    apart = [said - true for said, true in zip(of_model["energy_kwh"], windows["measured_kwh"], strict=True)]
-    power = convert_to_power(trace, apart)
     legs = [
-        (*(float(value) for value in ends), WATTS * error)
-        for *ends, error in zip(*(windows[name] for name in POSITIONS), power, strict=True)
-        if error is not None and all(get_number(value) is not None for value in ends)
+        (*place, WATTS * error)
+        for *place, error in zip(*ends, convert_to_power(trace, _subtract_measured(trace, model)), strict=True)
+        if error is not None and all(value is not None for value in place)
     ]
     if not legs:
         return None
@@ -261,7 +259,7 @@ def choose_scale(extent_km: float) -> float:
     return float(max(size * power for size in (1.0, 2.0, 5.0) if size * power <= aim))
 
 
-def list_maps(trace: Mapping[str, Any]) -> list[tuple[str, go.Figure]]:
+def list_maps(trace: RideTrace) -> list[tuple[str, go.Figure]]:
     """Return the map of each model that has one."""
-    maps = [(name, draw_map(trace, name)) for name in get_mapping(trace, "models")]
+    maps = [(name, draw_map(trace, name)) for name in trace.models]
     return [(name, drawn) for name, drawn in maps if drawn is not None]

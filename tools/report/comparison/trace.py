@@ -6,13 +6,30 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
-from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_energy, format_percent, format_signed
+from socast.core.evaluate.compare.records import RideTrace, TracedModel
+from socast.tools.report.cells import (
+    UNKNOWN,
+    Cell,
+    ReportTable,
+    Row,
+    format_energy,
+    format_estimate,
+    format_percent,
+    format_signed,
+)
 from socast.tools.report.comparison.figures import get_model_style
-from socast.tools.report.comparison.ride_figures import MEASURED, draw_conditions, draw_ride, list_maps
-from socast.tools.report.comparison.tables import format_estimate, name_ride
+from socast.tools.report.comparison.ride_figures import (
+    MEASURED,
+    accumulate_error,
+    convert_to_power,
+    draw_conditions,
+    draw_ride,
+    list_maps,
+)
+from socast.tools.report.comparison.tables import name_ride
 from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.result import Result, get_mapping, get_number, get_part
 from socast.tools.report.figure_style import Style, escape_label, get_style, make_figure, make_stacked_figure
+from socast.tools.report.record_table import FORMATS, tabulate_records
 
 MOST_TERMS: Final = 6
 """Number of terms that are drawn one by one; the others are summed."""
@@ -35,59 +52,47 @@ SECONDS: Final = 3600.0
 """Seconds in an hour. [s]"""
 
 
-def describe_ride(trace: Result) -> str:
+def describe_ride(trace: RideTrace) -> str:
     """Return the description of the ride."""
-    ride = get_mapping(trace, "ride")
-    names = [str(ride[name]) for name in ("vehicle_model", "date") if ride.get(name)]
-    sd = get_number(ride.get("energy_sd_kwh"))
-    spread = "" if sd is None else f" ± {sd:.3f} (standard uncertainty)"
+    ride = trace.ride
+    spread = "" if ride.energy_sd_kwh is None else f" ± {ride.energy_sd_kwh:.3f} (standard uncertainty)"
     conditions = (
-        f"{format_estimate(ride.get('distance_km'))} km "
-        f"in {format_estimate((get_number(ride.get('duration_s')) or 0.0) / 60.0)} min "
-        f"at {format_estimate(ride.get('ambient_c'))} °C, {format_energy(ride.get('energy_kwh'))} kWh{spread}"
+        f"{format_estimate(ride.distance_km)} km in {format_estimate((ride.duration_s or 0.0) / 60.0)} min "
+        f"at {format_estimate(ride.ambient_c)} °C, {format_energy(ride.energy_kwh)} kWh{spread}"
     )
-    unfit = f"; unfit for training: {str(ride['unfit_reason']).replace('_', ' ')}" if ride.get("unfit_reason") else ""
-    return f"{', '.join([*names, conditions])}{unfit}."
+    unfit = f"; unfit for training: {ride.unfit_reason.replace('_', ' ')}" if ride.unfit_reason else ""
+    return f"{', '.join(filter(None, [ride.vehicle_model, ride.date, conditions]))}{unfit}."
 
 
-def tabulate_models(trace: Result) -> ReportTable:
+def tabulate_models(trace: RideTrace) -> ReportTable:
     """Return the prediction of each model, with a description of where it diverges from the measurement."""
-    measured = get_number(get_part(trace, "ride", "energy_kwh"))
-    rows = []
-    for name, of_model in get_mapping(trace, "models").items():
-        error = get_number(of_model.get("error_kwh"))
-        share = None if error is None or not measured else error / abs(measured)
-        cells = (
-            Cell(format_energy(of_model.get("predicted_kwh"))),
-            Cell(format_signed(error)),
-            Cell(format_percent(share, 0)),
-        )
-        rows.append(Row(name, cells))
-    notes = [f"{name} {of_model['words']}." for name, of_model in get_mapping(trace, "models").items()]
-    heads = ("predicted, kWh", "error, kWh", "of measured")
-    return ReportTable(
-        "Predictions of the ride", "model", heads, tuple(rows), (*notes, *(get_part(trace, "notes") or ()))
+    measured = abs(trace.ride.energy_kwh or 0.0)
+    return tabulate_records(
+        "Predictions of the ride",
+        trace.models,
+        TracedModel,
+        corner="model",
+        notes=(*(f"{name} {one.words}." for name, one in trace.models.items()), *trace.notes),
+        formats={**FORMATS, "of measured": lambda error: format_percent(error / measured if measured else None, 0)},
     )
 
 
-def tabulate_terms(trace: Result) -> list[ReportTable]:
+def tabulate_terms(trace: RideTrace) -> list[ReportTable]:
     """Return the terms of each model: over the ride, and where it diverges from the measurement."""
-    return [_terms(name, of_model) for name, of_model in get_mapping(trace, "models").items()]
+    return [_terms(name, of_model) for name, of_model in trace.models.items()]
 
 
-def _terms(model: str, of_model: Mapping[str, Any]) -> ReportTable:
+def _terms(model: str, of_model: TracedModel) -> ReportTable:
     """Return the terms of a model, largest first."""
-    place = get_part(of_model, "place")
-    at = slice(place["first"], place["last"] + 1) if place else slice(0, 0)
-    start = get_mapping(of_model, "start_terms")
+    place, start = of_model.place, of_model.start_terms
+    at = slice(place.first, place.last + 1) if place else slice(0, 0)
     figures = {
-        name: (start[name] + sum(energy), start[name], sum(list(energy)[at]))
-        for name, energy in get_mapping(of_model, "terms").items()
+        name: (start[name] + sum(energy), start[name], sum(energy[at])) for name, energy in of_model.terms.items()
     }
     shown = [name for name, energies in figures.items() if max(map(abs, energies)) >= LEAST_SHOWN]
     order = sorted(shown, key=lambda name: -abs(figures[name][0]))
     columns = [True, any(start[name] for name in shown), bool(place)]
-    heads = ("whole ride", "before the start", f"divergence, {place['minutes']:.1f} min" if place else "")
+    heads = ("whole ride", "before the start", f"divergence, {place.minutes:.1f} min" if place else "")
     rows = tuple(
         Row(
             name,
@@ -106,22 +111,21 @@ def _terms(model: str, of_model: Mapping[str, Any]) -> ReportTable:
     )
 
 
-def tabulate_windows(trace: Result) -> ReportTable:
+def tabulate_windows(trace: RideTrace) -> ReportTable:
     """Return the ride window by window."""
-    windows = get_mapping(trace, "windows")
-    models = get_mapping(trace, "models")
-    energy = {name: list(model["energy_kwh"]) for name, model in models.items()}
-    errors = {name: list(_running(trace, name)) for name in models}
+    windows, models = trace.windows, trace.models
+    measured = convert_to_power(trace, windows.measured_kwh)
+    power = {name: convert_to_power(trace, one.energy_kwh) for name, one in models.items()}
+    errors = {name: accumulate_error(trace, name)[1:] for name in models}
     rows = []
-    for i, (minute, km, seconds, driven, measured) in enumerate(
-        zip(*(windows[n] for n in ("end_min", "end_km", "duration_s", "distance_km", "measured_kwh")), strict=True)
-    ):
+    for i, minute in enumerate(windows.end_min):
+        seconds = windows.duration_s[i]
         marks = {name: _mark(model, i) for name, model in models.items()}
         cells = (
-            Cell(format_estimate(km)),
-            Cell(format_estimate(SECONDS * driven / seconds, 0) if seconds else UNKNOWN),
-            Cell(format_estimate(_kw(measured, seconds))),
-            *(Cell(format_estimate(_kw(energy[name][i], seconds))) for name in models),
+            Cell(format_estimate(windows.end_km[i])),
+            Cell(format_estimate(SECONDS * windows.distance_km[i] / seconds, 0) if seconds else UNKNOWN),
+            Cell(format_estimate(measured[i])),
+            *(Cell(format_estimate(power[name][i])) for name in models),
             *(Cell(f"{format_signed(errors[name][i])}{marks[name]}", strong=bool(marks[name])) for name in models),
         )
         rows.append(Row(f"{minute:.1f}", cells))
@@ -134,26 +138,12 @@ def tabulate_windows(trace: Result) -> ReportTable:
     return ReportTable("Window by window", "minute", heads, tuple(rows), (note,))
 
 
-def _mark(model: Mapping[str, Any], window: int) -> str:
-    place = get_part(model, "place")
-    return f" {HERE}" if place and place["first"] <= window <= place["last"] else ""
+def _mark(model: TracedModel, window: int) -> str:
+    place = model.place
+    return f" {HERE}" if place and place.first <= window <= place.last else ""
 
 
-def _kw(energy_kwh: float, seconds: float) -> float | None:
-    return SECONDS * energy_kwh / seconds if seconds else None
-
-
-def _running(trace: Result, model: str) -> Sequence[float]:
-    """Return the error so far after each window, including the prediction before the first window. [kWh]"""
-    of_model = get_mapping(trace, "models", model)
-    apart = [
-        predicted - true
-        for predicted, true in zip(of_model["energy_kwh"], get_part(trace, "windows", "measured_kwh"), strict=True)
-    ]
-    return list(accumulate(apart, initial=of_model["start_kwh"]))[1:]
-
-
-def build_illustrations(trace: Result) -> list[Illustration]:
+def build_illustrations(trace: RideTrace) -> list[Illustration]:
     """Return the figures of energy and error along the ride, of power, and of the terms of each model."""
     note = "Shaded: where the first model and the measurement diverge."
     along = [
@@ -176,7 +166,7 @@ def build_illustrations(trace: Result) -> list[Illustration]:
             "Mean power of each term in each window, stacked. Line: measured power.",
             draw_terms(trace, name),
         )
-        for i, name in enumerate(get_mapping(trace, "models"))
+        for i, name in enumerate(trace.models)
     ]
     drawn = draw_conditions(trace)
     conditions = [] if drawn is None else [Illustration("conditions", "Conditions along the ride", CONDITIONS, drawn)]
@@ -187,11 +177,11 @@ def build_illustrations(trace: Result) -> list[Illustration]:
     return [*along, power, *conditions, *maps, *stacks]
 
 
-def build_ride_illustrations(traces: Mapping[str, Mapping[str, Any]]) -> list[Illustration]:
+def build_ride_illustrations(traces: Mapping[str, RideTrace]) -> list[Illustration]:
     """Return a figure and the maps of each of several rides."""
     shown = []
     for i, (key, trace) in enumerate(traces.items()):
-        words = " ".join(f"{name} {of_model['words']}." for name, of_model in get_mapping(trace, "models").items())
+        words = " ".join(f"{name} {of_model.words}." for name, of_model in trace.models.items())
         shown.append(Illustration(name_ride(i), f"Ride {key}", f"{describe_ride(trace)} {words}", draw_ride(trace)))
         shown += [
             Illustration(f"{name_ride(i)}-map-{j}", f"Ride {key}: error of {name}", MAP, made, small=True)
@@ -200,25 +190,24 @@ def build_ride_illustrations(traces: Mapping[str, Mapping[str, Any]]) -> list[Il
     return shown
 
 
-def _ends(trace: Result, axis: str) -> list[float]:
+def _ends(trace: RideTrace, axis: str) -> list[float]:
     """Return the beginnings of windows, and the end of the last."""
-    return [0.0, *get_part(trace, "windows", axis)]
+    return [0.0, *getattr(trace.windows, axis)]
 
 
-def draw_cumulative(trace: Result, axis: str) -> go.Figure:
+def draw_cumulative(trace: RideTrace, axis: str) -> go.Figure:
     """Return a figure of the energy so far above and the error so far below."""
     made = make_stacked_figure(("", ""), 600)
     x = _ends(trace, axis)
-    made.add_trace(
-        _steps("measured", MEASURED, x, _sums(get_part(trace, "windows", "measured_kwh")), width=3), row=1, col=1
-    )
-    for place, (name, of_model) in enumerate(get_mapping(trace, "models").items()):
+    made.add_trace(_steps("measured", MEASURED, x, _sums(trace.windows.measured_kwh), width=3), row=1, col=1)
+    for place, (name, of_model) in enumerate(trace.models.items()):
         look = get_model_style(place)
         made.add_trace(
-            _steps(escape_label(name), look, x, _sums(of_model["energy_kwh"], of_model["start_kwh"])), row=1, col=1
+            _steps(escape_label(name), look, x, _sums(of_model.energy_kwh, of_model.start_kwh)), row=1, col=1
         )
-        error = [of_model["start_kwh"], *_running(trace, name)]
-        made.add_trace(_steps(escape_label(name), look, x, error, showlegend=False), row=2, col=1)
+        made.add_trace(
+            _steps(escape_label(name), look, x, accumulate_error(trace, name), showlegend=False), row=2, col=1
+        )
     _shade(made, trace, x)
     made.update_xaxes(title_text=AXES[axis])
     made.update_yaxes(title_text="Energy so far [kWh]", row=1, col=1)
@@ -226,12 +215,14 @@ def draw_cumulative(trace: Result, axis: str) -> go.Figure:
     return made
 
 
-def draw_powers(trace: Result) -> go.Figure:
+def draw_powers(trace: RideTrace) -> go.Figure:
     """Return a figure of the mean power of each window, measured and predicted."""
     x = _ends(trace, "end_min")
-    traces = [_stairs("measured", MEASURED, x, _power(trace, get_part(trace, "windows", "measured_kwh")), width=3)]
-    for place, (name, of_model) in enumerate(get_mapping(trace, "models").items()):
-        traces.append(_stairs(escape_label(name), get_model_style(place), x, _power(trace, of_model["energy_kwh"])))
+    traces = [_stairs("measured", MEASURED, x, convert_to_power(trace, trace.windows.measured_kwh), width=3)]
+    for place, (name, of_model) in enumerate(trace.models.items()):
+        traces.append(
+            _stairs(escape_label(name), get_model_style(place), x, convert_to_power(trace, of_model.energy_kwh))
+        )
     made = make_figure(traces, 400)
     _shade(made, trace, x)
     made.update_xaxes(title_text=AXES["end_min"])
@@ -239,25 +230,21 @@ def draw_powers(trace: Result) -> go.Figure:
     return made
 
 
-def draw_terms(trace: Result, model: str) -> go.Figure:
+def draw_terms(trace: RideTrace, model: str) -> go.Figure:
     """Return a figure of the terms of a model, stacked, and of the measured power."""
     ends = _ends(trace, "end_min")
     middle = [(a + b) / 2.0 for a, b in pairwise(ends)]
     width = [0.92 * (b - a) for a, b in pairwise(ends)]
     traces: list[Any] = []
-    order = list(
-        dict.fromkeys(
-            name for of_model in get_mapping(trace, "models").values() for name in _largest(of_model["terms"])
-        )
-    )
-    for name, energy in _largest(get_mapping(trace, "models", model, "terms")).items():
+    order = list(dict.fromkeys(name for of_model in trace.models.values() for name in _largest(of_model.terms)))
+    for name, energy in _largest(trace.models[model].terms).items():
         look = get_style(1 + order.index(name))  # a term has one pattern, whichever model it is of
         pattern = {"shape": look.pattern, "fillmode": "replace", "size": 6, "solidity": 0.5}
         marker = {"color": look.colour, "pattern": pattern, "line": {"color": look.colour, "width": 1}}
-        traces.append(go.Bar(name=escape_label(name), x=middle, y=_power(trace, energy), width=width, marker=marker))
-    traces.append(
-        _stairs("measured", MEASURED, ends, _power(trace, get_part(trace, "windows", "measured_kwh")), width=3)
-    )
+        traces.append(
+            go.Bar(name=escape_label(name), x=middle, y=convert_to_power(trace, energy), width=width, marker=marker)
+        )
+    traces.append(_stairs("measured", MEASURED, ends, convert_to_power(trace, trace.windows.measured_kwh), width=3))
     made = make_figure(traces, 420)
     made.update_layout(barmode="relative")
     made.update_xaxes(title_text=AXES["end_min"])
@@ -278,13 +265,6 @@ def _sums(values: Sequence[float], start: float = 0.0) -> list[float]:
     return list(accumulate(values, initial=start))
 
 
-def _power(trace: Result, energy: Sequence[float]) -> list[float | None]:
-    """Return the mean power of each window. [kW]"""
-    return [
-        _kw(value, seconds) for value, seconds in zip(energy, get_part(trace, "windows", "duration_s"), strict=True)
-    ]
-
-
 def _steps(
     name: str, look: Style, x: Sequence[float], y: Sequence[Any], *, width: float = 2, **more: Any
 ) -> go.Scatter:
@@ -302,9 +282,8 @@ def _stairs(name: str, look: Style, x: Sequence[float], y: Sequence[Any], *, wid
     return go.Scatter(name=name, x=list(x), y=[*y, y[-1]], mode="lines", line=line)
 
 
-def _shade(made: go.Figure, trace: Result, x: Sequence[float]) -> None:
+def _shade(made: go.Figure, trace: RideTrace, x: Sequence[float]) -> None:
     """Shade the windows in which the first model and the measurement diverge."""
-    first = next(iter(get_mapping(trace, "models").values()))
-    if place := get_part(first, "place"):
+    if place := next(iter(trace.models.values())).place:
         shade = {"fillcolor": "rgba(138,138,138,0.25)", "line": {"width": 0}, "layer": "below"}
-        made.add_vrect(x0=x[place["first"]], x1=x[place["last"] + 1], **shade)
+        made.add_vrect(x0=x[place.first], x1=x[place.last + 1], **shade)

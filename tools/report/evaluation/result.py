@@ -75,14 +75,13 @@ def get_number(value: Any) -> float | None:
     float or None
         The number; None where there is none, and for a bool.
     """
-    if isinstance(value, Mapping):
-        value = value.get("value")
+    value = value.get("value") if isinstance(value, Mapping) else getattr(value, "value", value)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def get_half_width(value: Any) -> float | None:
     """Return half of the width of an estimate's 95 % confidence interval, None where it has none."""
-    return get_number(value.get("ci95")) if isinstance(value, Mapping) else None
+    return get_number(value.get("ci95") if isinstance(value, Mapping) else getattr(value, "ci95", None))
 
 
 def compute_mean(values: Iterable[float | None]) -> float | None:

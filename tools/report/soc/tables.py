@@ -7,8 +7,17 @@ from typing import Any, Final
 from socast.core.evaluate.soc.baselines import BASELINES
 from socast.core.formatting import format_minus
 from socast.core.stats.clustered import LEAST_CLUSTERS
-from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_percent
-from socast.tools.report.comparison.tables import format_difference, format_estimate
+from socast.tools.report.cells import (
+    UNKNOWN,
+    Cell,
+    ReportTable,
+    Row,
+    format_change,
+    format_count,
+    format_difference,
+    format_estimate,
+    format_percent,
+)
 from socast.tools.report.evaluation.result import Result, get_mapping, get_number, get_part, get_vehicle_name
 
 HEADS: Final[Mapping[str, str]] = MappingProxyType(

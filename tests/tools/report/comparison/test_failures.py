@@ -1,14 +1,10 @@
 """Test the picture of where a model fails: in a terminal, and as figures."""
 
+import msgspec
 import pytest
 
-from socast.tools.report.comparison.failures import (
-    describe_worst_bin,
-    draw_chart,
-    illustrate_change,
-    list_failing,
-    name_bin,
-)
+from socast.core.evaluate.compare.records import ResidualChart, ResidualSurvey
+from socast.tools.report.comparison.failures import describe_worst_bin, draw_chart, illustrate_change, name_bin
 from tests.support.html_pages import assert_axes_are_titled
 
 
@@ -23,7 +19,8 @@ def make_chart(mean, q, *, number=True, names=(), key="headwind_kmh"):
     }  # fmt: skip
     column = {"key": key, "label": "Headwind" if number else "Car", "unit": "km/h" if number else "", "number": number}
     outside = sum(each < 0.05 for each in q)
-    return {"column": column, "bins": bins, "outside": outside, "of": count, "spread": 1.0, "q": 0.001}
+    chart = {"column": column, "bins": bins, "outside": outside, "of": count, "spread": 1.0, "q": 0.001}
+    return msgspec.convert(chart, ResidualChart)
 
 
 @pytest.mark.parametrize("columns", [60, 80, 140])
@@ -56,18 +53,19 @@ def test_worst_bin_is_named_with_sign_interval_and_unit():
 
 def test_bins_of_one_value_have_no_range():
     chart = make_chart([-200.0, 300.0], [0.01, 0.2])
-    chart["bins"]["high"][0] = 0.0
+    chart.bins.high[0] = 0.0
     assert [name_bin(chart, place) for place in range(2)] == ["0.0 km/h", "1.0 to 2.0 km/h"]
 
 
 def test_column_that_varies_by_chance_is_not_named():
     chart = make_chart([-200.0, 60.0], [0.01, 0.2])
-    assert list_failing({"charts": [chart, chart | {"q": 0.2}, chart | {"outside": 0}]}) == [chart]
+    others = [msgspec.structs.replace(chart, **change) for change in ({"q": 0.2}, {"outside": 0})]
+    assert ResidualSurvey(charts=[chart, *others]).failing == [chart]
 
 
 def test_figure_of_a_step_holds_both_models_and_fills_what_is_off_zero():
     before, after = make_chart([-200.0, 200.0], [0.01, 0.01]), make_chart([-20.0, 20.0], [0.6, 0.6])
-    (drawn,) = illustrate_change({"charts": [before]}, {"charts": [after]})
+    (drawn,) = illustrate_change(ResidualSurvey(charts=[before]), ResidualSurvey(charts=[after]))
     assert [trace.name for trace in drawn.figure.data] == ["before", "after"]
     assert [list(trace.marker.symbol) for trace in drawn.figure.data] == [["square"] * 2, ["circle-open"] * 2]
     assert_axes_are_titled(drawn.figure)
@@ -75,5 +73,5 @@ def test_figure_of_a_step_holds_both_models_and_fills_what_is_off_zero():
 
 def test_names_with_markup_stay_text_in_figures():
     chart = make_chart([-200.0, 200.0], [0.01, 0.01], number=False, names=["<b>a</b>", "b"])
-    (drawn,) = illustrate_change({"charts": [chart]}, {"charts": [chart]})
+    (drawn,) = illustrate_change(*[ResidualSurvey(charts=[chart])] * 2)
     assert drawn.figure.data[0].x[0] == "&lt;b&gt;a&lt;/b&gt;"

@@ -1,7 +1,9 @@
 """Test which tables of a comparison the terminal and the page show."""
 
+import msgspec
 import pytest
 
+from socast.core.evaluate.compare.records import Comparison, DatasetContrast
 from socast.tools.report.comparison.figures import illustrate_conditions, illustrate_datasets
 from socast.tools.report.comparison.page import PLACES, build_sections
 from tests.support.html_pages import assert_axes_are_titled
@@ -20,7 +22,7 @@ def compared(*q):
         "consumption_kwh": {"value": 0.4, "ci95": 0.1}, "per_100km_kwh": {"value": 15.0, "ci95": 1.0},
     }  # fmt: skip
     scores = {"by": {"distance": even, "temperature": bins}, "worst": {}, "n": 18}
-    return {"about": about, "models": {"basic": scores}}
+    return msgspec.convert({"about": about, "models": {"basic": scores}}, Comparison)
 
 
 def find_places(*q, commands):
@@ -56,7 +58,9 @@ def make_bins(*biases):
 
 def test_conditions_are_points_with_intervals_and_counts_on_one_scale():
     cold, far = make_bins((0.1, 0.02), (-0.3, 0.1), (0.5, None)), make_bins((0.05, 0.9), (0.0, 0.01), (0.1, 0.1))
-    drawn = illustrate_conditions({"models": {"basic": {"by": {"temperature": cold, "distance": far}}}})
+    drawn = illustrate_conditions(
+        msgspec.convert({"models": {"basic": {"by": {"temperature": cold, "distance": far}}}}, Comparison)
+    )
     assert [one.title for one in drawn] == ["Bias and error by temperature", "Bias and error by distance"]
     bias, error = drawn[0].figure.data
     assert list(bias.y) == ["−5 to 0 (7)", "0 to 5 (7)"]
@@ -77,7 +81,8 @@ def test_bias_of_two_sets_is_drawn_where_it_has_an_interval():
             "difference": {"value": 0.8, "ci95": None},
         },
     }  # fmt: skip
-    [one] = illustrate_datasets({"against": {"models": {"basic": {"by": {"temperature": [entry]}}}}})
+    against = msgspec.convert({"models": {"basic": {"by": {"temperature": [entry]}}}}, DatasetContrast)
+    [one] = illustrate_datasets(against)
     first, second = one.figure.data
     assert (list(first.y), list(second.y)) == (["0 to 5"], [])
     assert_axes_are_titled(one.figure)

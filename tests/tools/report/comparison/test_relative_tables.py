@@ -1,14 +1,24 @@
 """Test the table of errors in percent and over the noise floor."""
 
+import msgspec
+
+from socast.core.evaluate.compare.records import Comparison
 from socast.tools.report.comparison.relative_tables import tabulate_relative_errors
 
-RESULT = {
-    "about": {"noise_floor_kwh": 0.05, "below_least": 0.25},
-    "models": {
-        "basic": {"wmape": {"value": 0.5, "ci95": 0.02}, "mape": {"value": 0.6, "ci95": 0.03}, "over_floor": 9.0},
-        "fitted": {"wmape": {"value": 0.1, "ci95": 0.01}, "mape": {"value": None, "ci95": None}, "over_floor": None},
+RESULT = msgspec.convert(
+    {
+        "about": {"noise_floor_kwh": 0.05, "below_least": 0.25},
+        "models": {
+            "basic": {"wmape": {"value": 0.5, "ci95": 0.02}, "mape": {"value": 0.6, "ci95": 0.03}, "over_floor": 9.0},
+            "fitted": {
+                "wmape": {"value": 0.1, "ci95": 0.01},
+                "mape": {"value": None, "ci95": None},
+                "over_floor": None,
+            },
+        },
     },
-}
+    Comparison,
+)
 
 
 def test_each_model_has_its_percentages_and_the_least_is_emphasised():

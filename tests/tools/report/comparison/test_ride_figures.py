@@ -2,8 +2,10 @@
 
 from math import cos, radians
 
+import msgspec
 import pytest
 
+from socast.core.evaluate.compare.records import RideTrace
 from socast.tools.report.comparison.ride_figures import draw_conditions, draw_map, draw_ride, list_maps
 from tests.support.html_pages import assert_axes_are_titled
 
@@ -19,7 +21,7 @@ def make_trace(**changes):
         "longitude_end_deg": [10.0, 10.04, 10.04],
     } | changes  # fmt: skip
     model = {"energy_kwh": [0.25, 0.08, 0.05], "start_kwh": 0.01}
-    return {"windows": windows, "models": {"base": model}}
+    return msgspec.convert({"windows": windows, "models": {"base": model}}, RideTrace)
 
 
 def test_map_shows_each_window_in_true_proportions():
