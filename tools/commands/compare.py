@@ -1,29 +1,23 @@
 """`socast compare`: compare models with the measured energy of rides, in a terminal, as JSON and as one HTML page."""
 
+import dataclasses
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 import pandas as pd
 import typer
+from msgspec.structs import replace
 
 from socast.core import models
 from socast.core.diagnose.residual_survey import survey_model
 from socast.core.errors import ModelError, SettingsError
 from socast.core.evaluate.compare.datasets import compare_datasets
 from socast.core.evaluate.compare.models import ComparedRides, compare_predictions, select_rides
-from socast.core.evaluate.compare.records import (
-    Comparison,
-    DatasetContrast,
-    ResidualSurvey,
-    RideTrace,
-    WorstRide,
-    WorstRides,
-)
+from socast.core.evaluate.compare.records import Comparison, DatasetContrast, ResidualSurvey, RideTrace
 from socast.core.evaluate.compare.ride_trace import find_ride, trace_ride
 from socast.core.models import BUILT_IN_MODELS, LinearModel
 from socast.tools.cluster.dask_runner import ClusterPlace
@@ -74,7 +68,7 @@ def compare_models(
     if ride is not None and against:
         raise SettingsError("--ride shows one ride of the first rides; leave out --against")
     source = place_source(source, place)
-    other = replace(source, given=against or ())
+    other = dataclasses.replace(source, given=against or ())
     read = select_model_files(model)
     for each in (source, other) if against else (source,):
         each.check()
@@ -87,25 +81,22 @@ def compare_models(
         if ride is not None:
             trace = _trace(first, ride, chosen, wanted)
             write_json(json_file, "compare", {"trace": trace.to_json()})
-        else:
-            table, read_windows, read_all = _read(first, wanted)
-            selected = select_rides(table, chosen)
-            words = ["socast", "compare", *source.list_words()]
-            result = msgspec.structs.replace(
-                _insert_commands(compare_predictions(selected), words, dict(zip(chosen, model, strict=True))),
-                failures=_find_failures(read_all, selected, chosen),
-            )
-            if against:
-                shown = " ".join(map(str, source.given)), " ".join(map(str, against))
-                contrast = _against(selected, second.read_rides(wanted), shown, chosen)
-                result = msgspec.structs.replace(result, against=contrast)
-            write_json(json_file, "compare", result.to_json())
-            if html_file is not None:
-                result = msgspec.structs.replace(result, traces=_trace_worst(result, table, read_windows, chosen))
-    if ride is None:
-        show_report("comparison.page", result, html_file, json_file)
-    else:
-        show_report("comparison.trace_page", trace, html_file, json_file)
+            show_report("comparison.trace_page", trace, html_file, json_file)
+            return
+        table, read_windows, read_all = _read(first, wanted)
+        selected, given = select_rides(table, chosen), dict(zip(chosen, model, strict=True))
+        words = ["socast", "compare", *source.list_words()]
+        result = compare_predictions(
+            selected, lambda label, key: shlex.join([*words, "--model", given[label], "--ride", key])
+        )
+        result = replace(result, failures=_find_failures(read_all, selected, chosen))
+        if against:
+            shown = " ".join(map(str, source.given)), " ".join(map(str, against))
+            result = replace(result, against=_against(selected, second.read_rides(wanted), shown, chosen))
+        write_json(json_file, "compare", result.to_json())
+        if html_file is not None:
+            result = replace(result, traces=_trace_worst(result, table, read_windows, chosen))
+    show_report("comparison.page", result, html_file, json_file)
 
 
 def named(given: Sequence[str]) -> dict[str, LinearModel]:
@@ -177,25 +168,10 @@ def _against(
     """Return the differences between two sets of rides, and the errors of models on the second set."""
     other = select_rides(rides, chosen)
     second = compare_predictions(other)
-    return msgspec.structs.replace(
+    return replace(
         compare_datasets(compared, other, chosen),
         first=shown[0],
         second=shown[1],
         about=second.about,
         second_models=second.models,
     )
-
-
-def _insert_commands(result: Comparison, words: Sequence[str], given: Mapping[str, str]) -> Comparison:
-    """Return a comparison whose worst rides have the command that shows their trace."""
-
-    def insert(label: str, rides: Sequence[WorstRide]) -> list[WorstRide]:
-        start = [*words, "--model", given[label], "--ride"]
-        return [msgspec.structs.replace(ride, command=shlex.join([*start, ride.ride])) for ride in rides]
-
-    commanded = {
-        label: WorstRides(absolute=insert(label, one.worst.absolute), relative=insert(label, one.worst.relative))
-        for label, one in result.models.items()
-    }
-    models = {label: msgspec.structs.replace(one, worst=commanded[label]) for label, one in result.models.items()}
-    return msgspec.structs.replace(result, models=models)

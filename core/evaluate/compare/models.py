@@ -5,8 +5,9 @@ compared ride by ride. Rides of one vehicle on one day are correlated; the inter
 (`socast.core.stats.clustered`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import msgspec
@@ -184,11 +185,24 @@ def _list_limited(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> lis
     return [f"{label}: {word_limited(count, len(rides))}" for label, count in counts.items() if count]
 
 
-def compare_predictions(compared: ComparedRides) -> Comparison:
-    """Return how predictions compare with measured energies."""
+def compare_predictions(compared: ComparedRides, word_command: Callable[[str, str], str] = lambda *_: "") -> Comparison:
+    """Return how predictions compare with measured energies.
+
+    Parameters
+    ----------
+    word_command : callable
+        Function of a model and a ride that returns the command that traces the ride.
+    """
     return Comparison(
         about=describe_rides(compared),
-        models={label: _compare_model(compared, energy) for label, energy in compared.predicted.items()},
+        models={
+            label: ComparedModel(
+                **msgspec.structs.asdict(compute_errors(compared, energy)),
+                by=compute_errors_by_condition(compared, energy),
+                worst=find_worst_rides(compared, energy, partial(word_command, label)),
+            )
+            for label, energy in compared.predicted.items()
+        },
         pairs=compare_pairs(compared),
         rides=RideEnergies(
             key=compared.keys,
@@ -197,15 +211,6 @@ def compare_predictions(compared: ComparedRides) -> Comparison:
             predicted_kwh={label: energy.tolist() for label, energy in compared.predicted.items()},
         ),
         notes=list(compared.notes),
-    )
-
-
-def _compare_model(compared: ComparedRides, predicted: Floats) -> ComparedModel:
-    """Return the errors of a model, overall and by condition, and its worst rides."""
-    return ComparedModel(
-        **msgspec.structs.asdict(compute_errors(compared, predicted)),
-        by=compute_errors_by_condition(compared, predicted),
-        worst=find_worst_rides(compared, predicted),
     )
 
 
@@ -305,7 +310,9 @@ def compare_pairs(compared: ComparedRides) -> list[PairDifference]:
     ]
 
 
-def find_worst_rides(compared: ComparedRides, predicted: Floats) -> WorstRides:
+def find_worst_rides(
+    compared: ComparedRides, predicted: Floats, word_command: Callable[[str], str] = lambda _: ""
+) -> WorstRides:
     """Return the rides of largest absolute error and of largest relative error.
 
     Units: predicted [kWh].
@@ -330,6 +337,7 @@ def find_worst_rides(compared: ComparedRides, predicted: Floats) -> WorstRides:
             predicted_kwh=predicted[row],
             error_kwh=error[row],
             relative=relative[row],
+            command=word_command(keys[row]),
         )
 
     def first(values: Floats) -> list[WorstRide]:

@@ -347,8 +347,8 @@ class TraceWindows(PartialRecord, frozen=True):
 class TracedModel(Record, frozen=True):
     """Hold the prediction of a model along a ride."""
 
-    predicted_kwh: Annotated[float | None, declare("Prediction of the ride. [kWh]", "predicted, kWh", "energy")] = None
-    error_kwh: Annotated[float | None, declare("Predicted less measured. [kWh]", "error, kWh", "signed")] = None
+    predicted_kwh: Annotated[float, declare("Prediction of the ride. [kWh]", "predicted, kWh", "energy")] = 0.0
+    error_kwh: Annotated[float, declare("Predicted less measured. [kWh]", "error, kWh", "signed")] = 0.0
     start_kwh: Annotated[float, declare("Energy predicted before the first window. [kWh]")] = 0.0
     energy_kwh: Annotated[list[float], declare("Energy that each window adds. [kWh]")] = []
     terms: Annotated[dict[str, list[float]], declare("Term -> its part of `energy_kwh`. [kWh]")] = {}
@@ -357,9 +357,12 @@ class TracedModel(Record, frozen=True):
     words: Annotated[str, declare("Sentence on the divergence, without its subject.")] = ""
 
     @property
-    def error(self) -> Annotated[float | None, declare("Error over measured energy.", "of measured", "of measured")]:
-        """Predicted less measured. [kWh]"""
-        return self.error_kwh
+    def relative(
+        self,
+    ) -> Annotated[float | None, declare("Error over size of energy.", "of measured", "whole percent")]:
+        """Error over the size of the measured energy, None where that is zero. [1]"""
+        measured = abs(self.predicted_kwh - self.error_kwh)
+        return self.error_kwh / measured if measured else None
 
 
 class RideTrace(Record, frozen=True):

@@ -14,7 +14,6 @@ from socast.tools.report.cells import (
     Row,
     format_energy,
     format_estimate,
-    format_percent,
     format_signed,
 )
 from socast.tools.report.comparison.figures import get_model_style
@@ -29,7 +28,7 @@ from socast.tools.report.comparison.ride_figures import (
 from socast.tools.report.comparison.tables import name_ride
 from socast.tools.report.evaluation.illustrations import Illustration
 from socast.tools.report.figure_style import Style, escape_label, get_style, make_figure, make_stacked_figure
-from socast.tools.report.record_table import FORMATS, tabulate_records
+from socast.tools.report.record_table import tabulate_records
 
 MOST_TERMS: Final = 6
 """Number of terms that are drawn one by one; the others are summed."""
@@ -66,15 +65,8 @@ def describe_ride(trace: RideTrace) -> str:
 
 def tabulate_models(trace: RideTrace) -> ReportTable:
     """Return the prediction of each model, with a description of where it diverges from the measurement."""
-    measured = abs(trace.ride.energy_kwh or 0.0)
-    return tabulate_records(
-        "Predictions of the ride",
-        trace.models,
-        TracedModel,
-        corner="model",
-        notes=(*(f"{name} {one.words}." for name, one in trace.models.items()), *trace.notes),
-        formats={**FORMATS, "of measured": lambda error: format_percent(error / measured if measured else None, 0)},
-    )
+    notes = (*(f"{name} {one.words}." for name, one in trace.models.items()), *trace.notes)
+    return tabulate_records("Predictions of the ride", trace.models, TracedModel, corner="model", notes=notes)
 
 
 def tabulate_terms(trace: RideTrace) -> list[ReportTable]:
