@@ -44,15 +44,9 @@ class PredictionErrors(Record, frozen=True):
     mae_kwh: Annotated[EstimatedValue, declare("Mean absolute error. [kWh]")] = EstimatedValue()
     bias_kwh: Annotated[EstimatedValue, declare("Mean of predicted less measured. [kWh]")] = EstimatedValue()
     rmse_kwh: Annotated[float | None, declare("Root mean square error. [kWh]")] = None
-    wmape: Annotated[EstimatedValue, declare("Sum of errors over sum of energy. [1]", "wMAPE", "share")] = (
-        EstimatedValue()
-    )
-    mape: Annotated[EstimatedValue, declare("Mean of error over energy of a ride. [1]", "MAPE", "share")] = (
-        EstimatedValue()
-    )
-    over_floor: Annotated[
-        float | None, declare("Mean absolute error over the noise floor. [1]", "over noise", "ratio")
-    ] = None
+    wmape: Annotated[EstimatedValue, declare("Sum of errors over energy. [1]", "wMAPE", "share")] = EstimatedValue()
+    mape: Annotated[EstimatedValue, declare("Mean of errors over energy. [1]", "MAPE", "share")] = EstimatedValue()
+    over_floor: Annotated[float | None, declare("Error over the noise floor. [1]", "over noise", "ratio")] = None
     relative: Annotated[float | None, declare("Mean absolute error over mean consumption. [1]")] = None
     relative_bias: Annotated[float | None, declare("Bias over mean consumption. [1]")] = None
     within: Annotated[dict[str, float | None], declare("Relative error in % -> share of rides within it. [1]")] = {}
