@@ -53,6 +53,7 @@ def describe_deviation(one: CarDeviation) -> list[str]:
 
     Examples
     --------
+    >>> from socast.core.diagnose.records import CauseProbability
     >>> low_tyre = CauseProbability(effect="tyre_pressure", probability=0.94)
     >>> size = {"share": 0.041, "share_ci95": (0.032, 0.05)}
     >>> since = {"since": "2018-11-14", "since_ci90": ("2018-11-12", "2018-11-16")}
@@ -113,6 +114,7 @@ def describe_spread(car: RankedCar) -> str:
 
     Examples
     --------
+    >>> from socast.core.diagnose.records import DirectionSpread
     >>> rolling = DirectionSpread(direction="rolling", value=1.34, error=0.5)
     >>> describe_spread(RankedCar(car="taxi-005", spreads=[rolling]))
     'taxi-005 rolls harder than its siblings by 1.3 ± 0.5 spreads between cars, which is not unusual'
