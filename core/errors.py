@@ -59,6 +59,10 @@ class AskError(SocastError):
         self.cause = cause
 
 
+MOST_LISTED: Final = 40
+"""Largest number of known names that an error message lists."""
+
+
 def suggest_names(name: str, known: Iterable[str]) -> str:
     """Return the remedy for an unknown name: the names that resemble it, or all known ones.
 
@@ -69,7 +73,8 @@ def suggest_names(name: str, known: Iterable[str]) -> str:
     """
     names = list(known)
     close = get_close_matches(name, names, n=3)
-    return f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(names)}"
+    more = f" and {len(names) - MOST_LISTED:,} more" if len(names) > MOST_LISTED else ""
+    return f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(names[:MOST_LISTED])}{more}"
 
 
 def read_input(path: Path, limit: int = LARGEST_INPUT) -> bytes:

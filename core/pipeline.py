@@ -14,7 +14,7 @@ from socast.core.cleaning.elevation_map import ElevationMap
 from socast.core.cleaning.kernel import Cleaner
 from socast.core.cleaning.segmentation import NO_RIDE_EVENTS, RIDE_EVENT, SILENCE, UNKNOWN_NAME
 from socast.core.columns import JOULES_PER_KWH, SECONDS_PER_DAY
-from socast.core.errors import AskError, SettingsError
+from socast.core.errors import AskError, SettingsError, suggest_names
 from socast.core.forecast.day_rollover import DailyUpdate, DayRollover
 from socast.core.forecast.due_forecasts import DueForecasts
 from socast.core.forecast.engine import DueInput, ForecastEngine, PendingInput
@@ -52,6 +52,8 @@ from socast.core.wire.rides import RideDrivers
 BLOCK: Final = 4000
 """Number of rows that pass through the steps at a time, so that their columns stay in the cache; no power of two, at
 which columns would evict each other from the cache and the kernel would take twice the time."""
+SEARCHED: Final = 1000
+"""Largest number of vehicles among which a misspelled name is looked for."""
 OF_LANES: Final = (
     *("cars", "decoder", "plans", "cleaner", "accumulator", "displays", "engine", "silent_cars", "shadows", "closed"),
 )
@@ -398,7 +400,9 @@ class Pipeline:
         self._update_forecasts()
         lane = self.lanes.find(vehicle_id)
         if lane is None or not self.engine.has_sample(lane):
-            raise AskError(f"vehicle {vehicle_id!r} has sent nothing so far: give one that has", "unknown_vehicle")
+            heard = [self.lanes.names[at] for at in self.cleaner.lanes_heard()[:SEARCHED].tolist()]
+            remedy = suggest_names(vehicle_id, heard) if heard else "no vehicle has sent anything"
+            raise AskError(f"vehicle {vehicle_id!r} has sent nothing so far: {remedy}", "unknown_vehicle")
         outlook = withhold_implausible(answer_query(self.engine, lane, leg, plan), self._due.implausible)
         silent = self.day_rollover.compute_silence(lane)
         return withhold_charge(outlook, silent) if silent > SHIFT_GAP else outlook

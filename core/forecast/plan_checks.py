@@ -151,8 +151,8 @@ def find_leg_fault(leg: Leg) -> str | None:
         return None
     if leg.distance_km * 3600.0 > FASTEST_KMH * leg.duration_s:
         return (
-            f"{leg.distance_km:g} km in {leg.duration_s:g} s are more than {FASTEST_KMH:g} km/h; "
-            "give kilometres as distance_km and seconds as duration_s"
+            f"{leg.distance_km:g} km in {leg.duration_s / 60.0:.3g} min are more than {FASTEST_KMH:g} km/h: "
+            "check distance_km and duration_s"
         )
     return None
 

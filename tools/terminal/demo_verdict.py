@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from shutil import which
 from typing import Any, Final
 
 import numpy as np
@@ -172,6 +173,8 @@ def show_end(console: Console, verdict: Sequence[str], commands: Sequence[tuple[
         topic, _, rest = sentence.partition(":")
         console.print(Text.assemble((f"{topic}:", "bold"), rest), soft_wrap=False)
     console.print(Text("\nNext:", style="bold"))
+    if which("socast") is None:
+        console.print("  . .venv/bin/activate", style="cyan", highlight=False)
     width = max(len(command) for command, _ in commands)
     for command, what in commands:
         line = Text.assemble("  ", (command, "cyan"))

@@ -76,8 +76,8 @@ def advise_fit(model: LinearModel, data: str, folder: str = "") -> str | None:
     if model.training is not None:
         return None
     return (
-        f"{model.name} knows only the catalogue. A model fitted to measured rides has no such mean difference, and "
-        f"calibrated intervals: socast fit {data} --recipe road_load -o {folder}{FITTED}"
+        f"{model.name} knows only the catalogue. A model fitted to measured rides has a mean error near zero "
+        f"and calibrated intervals: socast fit {data} --recipe road_load -o {folder}{FITTED}"
     )
 
 

@@ -198,7 +198,7 @@ def test_query_without_ride_parameters_has_no_leg(text):
         ({"duration_s": "86401"}, "duration_s is 86401, must be 0 to 86400; give seconds"),
         ({"gained_m": "5001"}, "gained_m is 5001"),
         ({"lost_m": "-0.5"}, "lost_m is -0.5"),
-        ({"duration_s": "60"}, "18 km in 60 s are more than 200 km/h"),
+        ({"duration_s": "60"}, "18 km in 1 min are more than 200 km/h: check distance_km"),
         ({"speed_kmh": "50"}, "'speed_kmh' is no parameter; those are distance_km, duration_s, gained_m, lost_m"),
         ({"distance_km": "\n" + "9" * 100_000 + "x"}, "…"),
         ({"x" * 100_000: "1"}, "…"),

@@ -8,6 +8,8 @@ from socast.core.wire.messages import Finding
 from socast.tools.commands.ask import HIGH_RISK, LOW_RISK
 from socast.tools.workbench.fleet.board import Board
 
+EMPTY_PCT: Final = 1.0
+"""Charge below which a car counts as empty. [%]"""
 MOST_ALARMS: Final = 50
 """Largest number of alarms of a list, the most serious first."""
 
@@ -27,8 +29,12 @@ def list_alarms(board: Board) -> dict[str, Any]:
         age, is_silent = board.get_ages(), board.find_silent()
         silent = is_silent & (board.column("riding") > 0.0)
         names = board.vehicle_ids
-        rows = np.flatnonzero((risk >= LOW_RISK) & ~is_silent)
-        alarms = [_describe_risk(names[row], float(risk[row])) for row in rows.tolist()]
+        soc = board.column("soc")
+        rows = np.flatnonzero((risk >= LOW_RISK) & (~is_silent | (risk > HIGH_RISK)))
+        alarms = [
+            _describe_risk(names[row], float(risk[row]), float(soc[row]), is_silent=bool(is_silent[row]))
+            for row in rows.tolist()
+        ]
         alarms += [_describe_silence(names[row], float(age[row])) for row in np.flatnonzero(silent).tolist()]
         alarms += [
             _describe_finding(each, each.who if each.who in board.models else None)
@@ -39,10 +45,15 @@ def list_alarms(board: Board) -> dict[str, Any]:
     return {"total": len(alarms), "list": alarms[:MOST_ALARMS]}
 
 
-def _describe_risk(car: str, risk: float) -> dict[str, Any]:
-    """Return the alarm of a car that may fall below its reserve."""
+def _describe_risk(car: str, risk: float, soc: float, *, is_silent: bool) -> dict[str, Any]:
+    """Return the alarm of a car that is empty or may fall below its reserve; a silent car keeps it if it is likely."""
     level = "bad" if risk > HIGH_RISK else "warn"
-    return _alarm("reserve", level, car, round(risk, 2), "may fall below its reserve before its shift ends")
+    words = "may fall below its reserve before its shift ends"
+    if soc < EMPTY_PCT:
+        words = "is empty"
+    elif is_silent:
+        words = "was likely to end below its reserve when it sent last"
+    return _alarm("reserve", level, car, round(risk, 2), words)
 
 
 def _describe_silence(car: str, age: float) -> dict[str, Any]:

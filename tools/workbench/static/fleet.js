@@ -2,7 +2,7 @@
 // State in the address: sort, order, filter, show, color, car.
 
 import { el, empty, failed } from "./dom.js";
-import { makeFleetTable } from "./fleet_table.js";
+import { isAtRisk, makeFleetTable } from "./fleet_table.js";
 import { HIGH_RISK, LOW_RISK, number, quantity, risk } from "./format.js";
 import { nextStep } from "./loop.js";
 import { FleetMap, toX, toY } from "./map.js";
@@ -197,7 +197,7 @@ function makeFigures() {
       for (let row = 0; row < socket.size; row++) {
         counts.riding += socket.is("riding", row);
         counts.charging += socket.is("charging", row);
-        counts.risky += socket.value("risk", row) >= LOW_RISK && !socket.is("silent", row);
+        counts.risky += isAtRisk(socket, row);
         const soc = socket.value("soc", row);
         if (soc < lowest) lowest = soc;
       }

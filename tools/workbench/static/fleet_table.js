@@ -26,9 +26,14 @@ const COLUMNS = [
 const TROUBLE = { key: "risk", value: troubleOf };
 const SHOWN = { all: "All cars", riding: "In a ride", charging: "Charging", risky: "At risk", silent: "Silent" };
 
+// Whether a car is at risk; a silent one is if it was more likely than not to end below its reserve.
+export function isAtRisk(socket, row) {
+  return socket.value("risk", row) >= (socket.is("silent", row) ? HIGH_RISK : LOW_RISK);
+}
+
 // How much a car needs attention: its risk in whole percent, so that rows keep their places while it hardly changes.
 function troubleOf(socket, row) {
-  if (socket.is("silent", row)) return socket.is("riding", row) ? LOW_RISK : 0;
+  if (socket.is("silent", row) && !isAtRisk(socket, row)) return socket.is("riding", row) ? LOW_RISK : 0;
   const share = socket.value("risk", row);
   return share >= LOW_RISK ? Math.round(100 * share) / 100 : 0;
 }
@@ -117,7 +122,7 @@ class FleetTable {
     if (document.activeElement !== this.filter) this.filter.value = state.filter ?? "";
     this.shown.value = state.show in SHOWN ? state.show : "all";
     for (const cell of this.head.children) {
-      const isSorted = cell.dataset.key === this.sort.key;
+      const isSorted = this.sort !== TROUBLE && cell.dataset.key === this.sort.key;
       if (isSorted) cell.setAttribute("aria-sort", this.isFalling ? "descending" : "ascending");
       else cell.removeAttribute("aria-sort");
     }
@@ -129,7 +134,7 @@ class FleetTable {
     const { socket, state } = this;
     if (state.filter && !socket.names[row].toLowerCase().includes(state.filter.toLowerCase())) return false;
     if (!state.show || state.show === "all") return true;
-    return state.show === "risky" ? socket.value("risk", row) >= LOW_RISK : stateOf(socket, row) === state.show;
+    return state.show === "risky" ? isAtRisk(socket, row) : stateOf(socket, row) === state.show;
   }
 
   draw() {
