@@ -46,9 +46,9 @@ def test_change_is_dated_and_sized_as_it_was_hidden_and_drawn(tmp_path):
     for each in documented_commands(TEXT):
         shell.run(each.command)
     found = find_change(tmp_path)
-    early, late = found["since_ci90"]
+    early, late = found.since_ci90
     assert early <= SINCE <= late
-    assert found["causes"][0]["effect"] == HIDDEN
+    assert found.causes[0].effect == HIDDEN
     step = models.load(str(tmp_path / "commuter-standby.json")).history[-1]
     low, high = step["coefficient"]["ci95"]
     assert low < STANDBY * TRUE["factor"] < high

@@ -3,17 +3,17 @@
 The figure comes from the diagnosis that the tutorial runs. A test compares its points with those of the tutorial.
 """
 
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
 
 from socast.core import models
 from socast.core.diagnose.diagnosis import diagnose
+from socast.core.diagnose.records import CarDeviation
 from tests.support.documented_commands import documented_commands, prepare_folder, run_command
 from tests.support.paths import ROOT
 
@@ -29,7 +29,7 @@ STYLE: Final = "font-family='Helvetica, Arial, sans-serif'"
 DAY: Final = 86_400.0
 
 
-def own_car_figure(found: Mapping[str, Any]) -> str:
+def own_car_figure(found: CarDeviation) -> str:
     """Return the energy of each day beside the model's, and the date of the change, as SVG.
 
     Parameters
@@ -37,9 +37,9 @@ def own_car_figure(found: Mapping[str, Any]) -> str:
     found : mapping
         The change, from the result of a diagnosis.
     """
-    days = [each["start_s"] for each in found["shifts"]]
+    days = [each.start_s for each in found.shifts]
     first, last = min(days) - DAY, max(days) + DAY
-    since, early, late = (_to_seconds(day) for day in (found["since"], *found["since_ci90"]))
+    since, early, late = (_to_seconds(day) for day in (found.since, *found.since_ci90))
 
     def across(time: float) -> float:
         return LEFT + (RIGHT - LEFT) * (time - first) / (last - first)
@@ -66,14 +66,14 @@ def own_car_figure(found: Mapping[str, Any]) -> str:
         colour = "#8a8a8a" if tick == 0.0 else "#dde2e7"
         lines.append(f"<line x1='{LEFT}' x2='{RIGHT}' y1='{up(tick):.1f}' y2='{up(tick):.1f}' stroke='{colour}'/>")
         lines.append(_text(LEFT - 8, up(tick) + 5, f"{100 * tick:g}".replace("-", "−"), QUIET, anchor="end"))
-    for each in found["shifts"]:
-        x, y, half = across(each["start_s"]), up(each["share"]), each["error"] * (BOTTOM - TOP) / (HIGH - LOW)
+    for each in found.shifts:
+        x, y, half = across(each.start_s), up(each.share), each.error * (BOTTOM - TOP) / (HIGH - LOW)
         lines.append(
             f"<line x1='{x:.1f}' x2='{x:.1f}' y1='{y - half:.1f}' y2='{y + half:.1f}' stroke='{POINT}' opacity='0.5'/>"
         )
         lines.append(f"<circle cx='{x:.1f}' cy='{y:.1f}' r='4.5' fill='{POINT}'/>")
     for inside, ends in ((lambda day: day < since, (first, since)), (lambda day: day >= since, (since, last))):
-        level = float(np.mean([each["share"] for each in found["shifts"] if inside(each["start_s"])]))
+        level = float(np.mean([each.share for each in found.shifts if inside(each.start_s)]))
         lines.append(
             f"<line x1='{across(ends[0]):.1f}' x2='{across(ends[1]):.1f}' y1='{up(level):.1f}' y2='{up(level):.1f}' "
             f"stroke='{STEP}' stroke-width='3'/>"
@@ -97,12 +97,11 @@ def _text(x: float, y: float, words: str, colour: str = INK, *, anchor: str = "s
     return f"<text x='{x:.1f}' y='{y:.1f}' fill='{colour}' text-anchor='{anchor}' font-weight='{weight}'>{words}</text>"
 
 
-def find_change(folder: Path) -> Mapping[str, Any]:
+def find_change(folder: Path) -> CarDeviation:
     """Return the change that the diagnosis of the tutorial finds."""
     rides, windows = (pd.read_parquet(folder / "commuter" / f"{name}.parquet") for name in ("rides", "windows"))
     found = diagnose(rides, windows, models.load(str(folder / "commuter.json")))
-    change: Mapping[str, Any] = found["deviations"][0]
-    return change
+    return found.deviations[0]
 
 
 def main() -> None:

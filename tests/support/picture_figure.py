@@ -4,7 +4,7 @@ The figure comes from the diagnosis of `base.json`, the model that the tutorial 
 those of the tutorial, so it is drawn again whenever they change.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -13,6 +13,7 @@ import pandas as pd
 
 from socast.core import models
 from socast.core.diagnose.diagnosis import diagnose
+from socast.core.diagnose.records import NamedEffect
 from socast.tools.report.diagnosis.partial_figures import POWER, divide_units
 from socast.tools.report.diagnosis.sentences import format_unit
 from tests.support.documented_commands import PAGE, documented_commands, prepare_folder, run_command
@@ -26,7 +27,7 @@ INK, QUIET, BEFORE, AFTER, LINE = "#1f2933", "#5f6b76", "#b3560f", "#1f6fb2", "#
 STYLE: Final = "font-family='Helvetica, Arial, sans-serif'"
 
 
-def picture_figure(missing: Mapping[str, Any]) -> str:
+def picture_figure(missing: NamedEffect) -> str:
     """Return the partial residual of a missing effect as SVG.
 
     Parameters
@@ -34,21 +35,21 @@ def picture_figure(missing: Mapping[str, Any]) -> str:
     missing : mapping
         Its entry in the result of a diagnosis.
     """
-    part = missing["partial_residual"]
-    power = POWER[part["per"]]
-    ends = [half or 0.0 for half in part["ci95"]]
-    low = min(y - end for name in ("before", "after") for y, end in zip(part[name], ends, strict=True))
-    high = max(y + end for name in ("before", "after") for y, end in zip(part[name], ends, strict=True))
-    span = (min(0.0, *part["x"]), max(0.0, *part["x"]))
+    part = missing.partial_residual
+    power = POWER[part.per]
+    ends = [half or 0.0 for half in part.ci95]
+    low = min(y - end for name in ("before", "after") for y, end in zip(getattr(part, name), ends, strict=True))
+    high = max(y + end for name in ("before", "after") for y, end in zip(getattr(part, name), ends, strict=True))
+    span = (min(0.0, *part.x), max(0.0, *part.x))
     room = 0.05 * (span[1] - span[0])
 
     def place(x: float, y: float) -> tuple[float, float]:
         across = (x - span[0] + room) / (span[1] - span[0] + 2.0 * room)
         return LEFT + (RIGHT - LEFT) * across, BOTTOM - (BOTTOM - TOP) * (y - low) / (high - low)
 
-    slopes = [part["slope"], *part["slope_ci95"]]
+    slopes = [part.slope, *part.slope_ci95]
     fan = [*_fan(span, slopes, max), *_fan(span, slopes, min)[::-1]]
-    unit = divide_units(power, format_unit(part["unit"]))
+    unit = divide_units(power, format_unit(part.unit))
     regressor = f"{'Energy per km' if part['per'] == 'km' else 'Power'} per {format_unit(part['unit'])} [{unit}]"
     lines = [
         (
@@ -77,7 +78,7 @@ def picture_figure(missing: Mapping[str, Any]) -> str:
     (x0, y0), (x1, y1) = (place(x, slopes[0] * x) for x in span)
     lines.append(f"<line x1='{x0:.1f}' y1='{y0:.1f}' x2='{x1:.1f}' y2='{y1:.1f}' stroke='{LINE}' stroke-width='2'/>")
     for name, colour in (("after", AFTER), ("before", BEFORE)):
-        for at, value, end in zip(part["x"], part[name], ends, strict=True):
+        for at, value, end in zip(part.x, getattr(part, name), ends, strict=True):
             (x, y), top, bottom = place(at, value), place(at, value + end)[1], place(at, value - end)[1]
             x += 3.0 if name == "after" else -3.0
             lines.append(f"<line x1='{x:.1f}' x2='{x:.1f}' y1='{top:.1f}' y2='{bottom:.1f}' stroke='{colour}'/>")
@@ -105,11 +106,10 @@ def _text(x: float, y: float, words: str, colour: str = INK, *, anchor: str = "s
     return f"<text x='{x:.1f}' y='{y:.1f}' fill='{colour}' text-anchor='{anchor}' font-weight='{weight}'>{words}</text>"
 
 
-def diagnose_base(folder: Path) -> Mapping[str, Any]:
+def diagnose_base(folder: Path) -> NamedEffect:
     """Return the first missing effect of `base.json` in the folder of the tutorial."""
     rides, windows = (pd.read_parquet(folder / "autumn" / f"{name}.parquet") for name in ("rides", "windows"))
-    found: Mapping[str, Any] = diagnose(rides, windows, models.load(str(folder / "base.json")))["missing"][0]
-    return found
+    return diagnose(rides, windows, models.load(str(folder / "base.json"))).missing[0]
 
 
 def main() -> None:
