@@ -43,10 +43,10 @@ class Oracle:
         self.fall = 0.0
         self.predicted = self.used = 0.0
 
-    def predict_energy(self, predicted, used, noise):
+    def predict(self, predicted, used, noise):
         """Predict the state by the measured energy [kWh], or by the predicted energy where that is NaN."""
         (_, a, c), kf = self.kf.x[:, 0], self.kf
-        kf.predict_energy(F=np.eye(3), Q=np.diag([0.0, soc_filter.CONSUMPTION_WANDER**2 * STEP / 3600.0, 0.0]))
+        kf.predict(F=np.eye(3), Q=np.diag([0.0, soc_filter.CONSUMPTION_WANDER**2 * STEP / 3600.0, 0.0]))
         fall, by_a, blur = np.exp(a - c) * predicted / CAPACITY, 1.0, noise * predicted / CAPACITY**2
         slope = np.exp(self.scale) * predicted / CAPACITY
         if np.isfinite(used):
@@ -61,7 +61,7 @@ class Oracle:
         self.fall += slope
         along = np.array([[1.0, -by_a * slope, slope], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
         shift_of = kf.x - [[fall], [0.0], [0.0]] - along @ kf.x
-        kf.predict_energy(u=shift_of, B=np.eye(3), F=along, Q=np.diag([blur, 0.0, 0.0]))
+        kf.predict(u=shift_of, B=np.eye(3), F=along, Q=np.diag([blur, 0.0, 0.0]))
 
     def compare(self, variance):
         """Update by the measured energy of a stretch, with the variance of its residual over its energy. [kWh]"""
@@ -107,7 +107,7 @@ def test_filter_equals_filterpy(seed, quantum, share, a):
     for i in range(1, len(events)):
         before = state.copy()
         state = run_filter(events[i : i + 1], before).state
-        oracle.predict_energy(predicted[i - 1], used[i - 1], noise(STEP * i))
+        oracle.predict(predicted[i - 1], used[i - 1], noise(STEP * i))
         assume(np.isnan(state["suspect"][0]))
         if state["reported"][0] != before["reported"][0]:
             steps += 1
