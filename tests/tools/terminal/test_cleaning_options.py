@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from socast.core.diagnose.records import Diagnosis, NamedEffect
 from socast.core.errors import SettingsError
 from socast.core.settings import Settings
 from socast.tools.commands.diagnose import insert_commands
@@ -31,6 +32,7 @@ def test_options_beside_tables_are_refused_with_the_remedy(tmp_path):
 
 
 def test_command_that_adds_an_effect_cleans_the_recording_alike():
-    missing = {"effect": "headwind", "columns": ["effect_headwind"]}
-    insert_commands({"missing": [missing]}, "base.json", RideSource([Path("kept.mcap")], MOTORWAY))
-    assert all(WORDS in command for command in missing["commands"])
+    missing = NamedEffect(effect="headwind", columns=["effect_headwind"])
+    shown = insert_commands(Diagnosis(missing=[missing]), "base.json", RideSource([Path("kept.mcap")], MOTORWAY))
+    assert len(shown.missing[0].commands) == 2
+    assert all(WORDS in command for command in shown.missing[0].commands)

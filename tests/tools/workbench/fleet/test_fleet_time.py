@@ -12,18 +12,18 @@ NOW = 1.7e9
 DAY = 86_400.0
 
 
-def forecast(car, time, risk=0.9, **quality):
+def forecast(car, time, risk=0.9, soc=60.0, **quality):
     """Return the forecast of a car in a ride."""
     counts = {name: quality.get(name, 0) for name in QualityCounts.__struct_fields__}
-    energies = None, None, 60.0, 0.2, None, None, risk
+    energies = None, None, soc, 0.2, None, None, risk
     value = Forecast(car, NOW + time, "r", "model/1", 1.0, 60.0, *energies, quality=QualityCounts(**counts))
     return Message(f"fleet/{car}/forecast", encode(value), 0)
 
 
-def run(board, cars, begin, end, step=15.0, ahead=0.0):
+def run(board, cars, begin, end, step=15.0, ahead=0.0, **values):
     """Let cars send forecasts."""
     for time in np.arange(begin, end, step).tolist():
-        board.take([forecast(car, time + ahead) for car in cars])
+        board.take([forecast(car, time + ahead, **values) for car in cars])
 
 
 def alarms(board):
@@ -55,6 +55,22 @@ def test_car_whose_clock_stays_wrong_silences_no_other_car(ahead):
     assert head[3] == board.newest == NOW + 1485.0
 
 
+@pytest.mark.parametrize(
+    ("soc", "risk", "words"),
+    [
+        (0.0, 0.99, "is empty"),
+        (30.0, 0.9, "was likely to end below its reserve when it sent last"),
+        (30.0, 0.2, None),
+    ],
+)
+def test_alarm_of_a_car_that_ran_low_stays_when_it_falls_silent(soc, risk, words):
+    board = Board()
+    run(board, ["gone"], 0.0, 60.0, risk=risk, soc=soc)
+    run(board, ["a"], 75.0, 1500.0, risk=0.0)
+    found = [each["words"] for each in list_alarms(board)["list"] if each["kind"] == "reserve"]
+    assert found == ([] if words is None else [words])
+
+
 def test_two_wrong_clocks_silence_the_others_only_until_their_next_forecasts():
     board = Board()
     run(board, "abc", 0.0, 100.0)
@@ -73,7 +89,7 @@ def test_car_that_fell_silent_shows_after_ten_minutes_of_the_others(wrong):
     assert alarms(board)["silent"] == {}
     run(board, "ab", 600.0, 900.0)
     found = alarms(board)
-    assert (set(found["silent"]), set(found["reserve"])) == ({"gone"}, {"a", "b"})
+    assert (set(found["silent"]), set(found["reserve"])) == ({"gone"}, {"a", "b", "gone"})
     assert found["silent"]["gone"] in {13, 14}
 
 
