@@ -50,18 +50,18 @@ def picture_figure(missing: NamedEffect) -> str:
     slopes = [part.slope, *part.slope_ci95]
     fan = [*_fan(span, slopes, max), *_fan(span, slopes, min)[::-1]]
     unit = divide_units(power, format_unit(part.unit))
-    regressor = f"{'Energy per km' if part['per'] == 'km' else 'Power'} per {format_unit(part['unit'])} [{unit}]"
+    regressor = f"{'Energy per km' if part.per == 'km' else 'Power'} per {format_unit(part.unit)} [{unit}]"
     lines = [
         (
             f"<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 {WIDTH} {HEIGHT}' width='{WIDTH}' height='{HEIGHT}' "
             f"role='img' {STYLE} font-size='14'>"
         ),
-        f"<title>Measured less predicted, before and after {missing['effect']} is added</title>",
+        f"<title>Measured less predicted, before and after {missing.effect} is added</title>",
         f"<rect width='{WIDTH}' height='{HEIGHT}' fill='#ffffff'/>",
         _text(16, 24, f"Measured less predicted [{power}]", weight="bold"),
         _text(LEFT + 250, 24, "● before", BEFORE),
-        _text(LEFT + 330, 24, f"□ after {missing['effect']} is added", AFTER),
-        _text(LEFT + 520, 24, f"slope {slopes[0]:.3g} {format_unit(part['unit'])}", LINE),
+        _text(LEFT + 330, 24, f"□ after {missing.effect} is added", AFTER),
+        _text(LEFT + 520, 24, f"slope {slopes[0]:.3g} {format_unit(part.unit)}", LINE),
     ]
     for tick in _ticks(low, high):
         x, y, colour = LEFT, place(0.0, tick)[1], "#8a8a8a" if tick == 0.0 else "#dde2e7"
