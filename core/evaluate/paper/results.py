@@ -16,6 +16,7 @@ from socast.core.evaluate.paper.held_out import (
     estimate_cells,
     tabulate_estimates,
 )
+from socast.core.evaluate.paper.records import Numbers
 from socast.core.evaluate.ride_filter import CLUSTERS, SCORED_CLUSTERS, EvaluatedRides
 from socast.core.stats import multiple_testing
 from socast.core.stats.scores import Estimate, average_over_repeats, combine_strata, compute_group_means
@@ -104,7 +105,7 @@ def compute_tables_4_to_11(held: HeldOutPredictions, evaluated: EvaluatedRides) 
 
 def compute_reductions(
     means: Mapping[str, Sequence[float]], vehicle_models: Sequence[str], reference: str = REFERENCE
-) -> dict[str, dict[str, float]]:
+) -> Numbers:
     """Return by which share the error of each recipe is below the reference's, and the mean over vehicle models.
 
     Parameters
