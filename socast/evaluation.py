@@ -5,7 +5,6 @@ Every function returns what the command of the same purpose writes with `--json`
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -17,6 +16,7 @@ from socast.core.evaluate.compare.ride_trace import find_ride as _find
 from socast.core.evaluate.compare.ride_trace import trace_ride as _trace
 from socast.core.evaluate.paper.protocol import evaluate as _evaluate
 from socast.core.evaluate.paper.protocol import select_recipes as _choose_recipes
+from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.core.evaluate.soc.records import SocEvaluation
 from socast.core.models import EXTENDED_PHYSICAL, LinearModel
 from socast.core.pipeline import Pipeline
@@ -39,7 +39,7 @@ def evaluate_recipes(
     repeats: int = REPEATS,
     left_out_of_training: Sequence[str] = (),
     jobs: int = 1,
-) -> dict[str, Any]:
+) -> RecipeEvaluation:
     """Fit recipes on splits of rides and return their errors on the rides held out.
 
     Parameters
@@ -61,8 +61,9 @@ def evaluate_recipes(
 
     Returns
     -------
-    dict
-        Errors by recipe, split, vehicle model and condition.
+    RecipeEvaluation
+        The parts that `socast evaluate --json` writes, as attributes; DataFrames `errors` (one row for each recipe and
+        vehicle model) and `percentages`; `to_json()` for plain values.
 
     Raises
     ------

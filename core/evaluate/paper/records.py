@@ -115,8 +115,8 @@ class LearningPoint(Record, frozen=True):
 class AccessoryPoint(Record, frozen=True):
     """Hold the mean accessory power in a bin of outside temperature."""
 
-    ambient_c: Annotated[float | None, declare("Mean temperature. [°C]")]
-    power_w: Annotated[float | None, declare("Mean power of a vehicle whose accessory scale is 1. [W]")]
+    ambient_c: Annotated[float, declare("Mean temperature. [°C]")]
+    power_w: Annotated[float, declare("Mean power of a vehicle whose accessory scale is 1. [W]")]
     rides: Annotated[int, declare("Number of rides.")]
 
 
@@ -125,7 +125,7 @@ class AccessoryPower(Record, frozen=True):
 
     points: list[AccessoryPoint] = []
     curve: Annotated[
-        dict[str, float | None], declare("Numbers of the fitted `socast.core.vehicles.AccessoryCurve`. [K], [W]")
+        dict[str, float], declare("Numbers of the fitted `socast.core.vehicles.AccessoryCurve`. [K], [W]")
     ] = {}
 
 
