@@ -1,6 +1,6 @@
 """Evaluate models and forecasts on measured rides.
 
-Every function returns what the command of the same purpose writes with `--json`, as a record or a dict.
+Every function returns what the command of the same purpose writes with `--json`, as a record.
 """
 
 from collections.abc import Mapping, Sequence

@@ -64,12 +64,10 @@ class IntervalCoverage(PartialRecord, frozen=True):
     cluster: dict[str, float | None] = {}
     season: dict[str, float | None] = {}
     vehicle_model: dict[str, float | None] = {}
-    width_kwh: Annotated[float | None, declare("Mean width of the interval. [kWh]", "width, kWh", "energy")] = None
-    by_vehicle: Annotated[float | None, declare("On unseen cars. [1]", "cars unseen", "limited")] = None
-    by_date: Annotated[float | None, declare("On unseen dates. [1]", "last dates unseen", "limited")] = None
-    new_vehicle: Annotated[
-        float | None, declare("On unseen vehicle models. [1]", "vehicle model unseen", "limited")
-    ] = None
+    width_kwh: Annotated[float | None, declare("Mean width of the interval. [kWh]")] = None
+    by_vehicle: Annotated[float | None, declare("The same on unseen cars. [1]", "cars unseen")] = None
+    by_date: Annotated[float | None, declare("The same on unseen dates. [1]", "last dates unseen")] = None
+    new_vehicle: Annotated[float | None, declare("On unseen vehicle models. [1]", "vehicle model unseen")] = None
 
 
 class SplitErrors(Record, frozen=True):
@@ -124,9 +122,7 @@ class AccessoryPower(Record, frozen=True):
     """Hold the accessory power of a vehicle model, Figure 1 of the paper."""
 
     points: list[AccessoryPoint] = []
-    curve: Annotated[
-        dict[str, float], declare("Numbers of the fitted `socast.core.vehicles.AccessoryCurve`. [K], [W]")
-    ] = {}
+    curve: Annotated[dict[str, float], declare("Numbers of the fitted `AccessoryCurve`. [K], [W]")] = {}
 
 
 class RemovalLoss(EstimatedValue, frozen=True):
@@ -155,29 +151,14 @@ class TermScore(Record, frozen=True):
     mae: Annotated[float | None, declare("Mean absolute error in the half that ranks. [kWh]")]
 
 
-class RemovedTerms(Record, frozen=True):
-    """Hold the terms that an elimination removes, and their loss in the half that did not rank them."""
+class TermElimination(PartialRecord, frozen=True):
+    """Hold the terms that an elimination removes, and their loss in the half of the rides that did not rank them."""
 
-    removed: Annotated[list[str], declare("Names of the terms.")] = []
-    loss: Annotated[RemovalLoss | None, declare("Loss of all of them; None where there are none. [kWh]")] = None
-
-
-class CrossValidation(RemovedTerms, frozen=True):
-    """Hold the elimination with cross-validation."""
-
-    scores: Annotated[list[TermScore], declare("Error by number of terms.")] = []
-
-
-class StepwiseElimination(RemovedTerms, frozen=True):
-    """Hold an elimination up to the first loss that it refuses."""
-
-    steps: Annotated[list[EliminationStep], declare("Terms in the order of their removal.")] = []
-
-
-class MarginElimination(StepwiseElimination, frozen=True):
-    """Hold an elimination up to the first loss that is not shown to be within a margin."""
-
-    share: Annotated[float | None, declare("Largest loss over the error of the full model. [1]")] = None
+    removed: Annotated[list[str], declare("Names of the terms.")]
+    loss: Annotated[RemovalLoss | None, declare("Loss of all of them; None where there are none. [kWh]")]
+    scores: Annotated[list[TermScore] | None, declare("Cross-validated error by number of terms.")] = None
+    steps: Annotated[list[EliminationStep] | None, declare("Terms in the order of their removal.")] = None
+    share: Annotated[float | None, declare("Margin: largest loss over the error of the full model. [1]")] = None
     largest: Annotated[float | None, declare("Largest loss. [kWh]")] = None
     error: Annotated[float | None, declare("Error of the full model. [kWh]")] = None
 
@@ -186,9 +167,9 @@ class RemovableTerms(PartialRecord, frozen=True):
     """Hold the terms of the hybrid model that can be removed; nothing where there are too few rides."""
 
     constant: Annotated[list[str] | None, declare("Terms that do not vary within any vehicle model.")] = None
-    rfecv: CrossValidation | None = None
-    rfe: StepwiseElimination | None = None
-    margin: MarginElimination | None = None
+    rfecv: TermElimination | None = None
+    rfe: TermElimination | None = None
+    margin: TermElimination | None = None
 
 
 class RecipeEvaluation(Record, frozen=True):
@@ -203,9 +184,7 @@ class RecipeEvaluation(Record, frozen=True):
     relative: Annotated[Numbers, declare("Recipe -> cluster -> error over consumption (Figure 2). [1]")] = {}
     reduction: Annotated[Numbers, declare("Recipe -> vehicle model -> share below the basic model. [1]")] = {}
     reduction_by_baseline: Annotated[dict[str, Numbers], declare("Baseline -> the same below it. [1]")] = {}
-    difference: Annotated[
-        dict[str, dict[str, DifferenceScore]], declare("Vehicle model or `all` -> pair `a|b` -> difference. [kWh]")
-    ] = {}
+    difference: Annotated[dict[str, dict[str, DifferenceScore]], declare("Vehicle model, `all` -> pair `a|b`.")] = {}
     dominates: Annotated[dict[str, list[str]], declare("Vehicle model -> recipes, by the mean over rides.")] = {}
     dominates_average: Annotated[dict[str, list[str]], declare("The same by the average over clusters.")] = {}
     bias: Annotated[Numbers, declare("Recipe -> vehicle model -> mean of predicted less measured. [kWh]")] = {}
@@ -217,13 +196,8 @@ class RecipeEvaluation(Record, frozen=True):
     coverage: Annotated[dict[str, IntervalCoverage], declare("Recipe with intervals -> their coverage.")] = {}
     splits: Annotated[dict[str, Numbers], declare("`ride`, `vehicle` or `date` -> recipe -> vehicle model. [kWh]")] = {}
     percentage: PercentageErrors = PercentageErrors()
-    new_vehicle: Annotated[
-        dict[str, dict[str, NewVehicleErrors]], declare("Recipe -> vehicle model or `average` (Tables 12 and 13).")
-    ] = {}
-    few_shot: Annotated[
-        dict[str, dict[str, list[LearningPoint]]],
-        declare("Vehicle model -> learner -> errors after some of its rides."),
-    ] = {}
+    new_vehicle: Annotated[dict[str, dict[str, NewVehicleErrors]], declare("Recipe -> model (Tables 12, 13).")] = {}
+    few_shot: Annotated[dict[str, dict[str, list[LearningPoint]]], declare("Vehicle model -> learner -> curve.")] = {}
     selection: RemovableTerms = RemovableTerms()
     curve: Annotated[dict[str, AccessoryPower], declare("Vehicle model -> accessory power (Figure 1).")] = {}
 

@@ -31,15 +31,7 @@ from sklearn.feature_selection import RFE, RFECV
 from sklearn.model_selection import KFold
 
 from socast.core.batch import Floats
-from socast.core.evaluate.paper.records import (
-    CrossValidation,
-    EliminationStep,
-    MarginElimination,
-    RemovableTerms,
-    RemovalLoss,
-    StepwiseElimination,
-    TermScore,
-)
+from socast.core.evaluate.paper.records import EliminationStep, RemovableTerms, RemovalLoss, TermElimination, TermScore
 from socast.core.evaluate.ride_filter import EvaluatedRides
 from socast.core.fit.block_sums import build_design
 from socast.core.fit.fitting import ROUNDING
@@ -196,9 +188,9 @@ def _add_losses(
     too_much = [not loss.upper95 <= largest for loss in steps[len(order) :]]
     return RemovableTerms(
         constant=every[~varies].tolist(),
-        rfecv=CrossValidation(removed=names[cut].tolist(), scores=ranking.scores, loss=_hold_loss(price)),
-        rfe=StepwiseElimination(**_tabulate_steps(names[order], steps[: len(order)], worse)),
-        margin=MarginElimination(
+        rfecv=TermElimination(removed=names[cut].tolist(), scores=ranking.scores, loss=_hold_loss(price)),
+        rfe=TermElimination(**_tabulate_steps(names[order], steps[: len(order)], worse)),
+        margin=TermElimination(
             share=margin, largest=largest, error=error, **_tabulate_steps(names[last], steps[len(order) :], too_much)
         ),
     )
@@ -210,7 +202,7 @@ def _nest(order: Codes) -> list[Codes]:
 
 
 def _tabulate_steps(names: NDArray[np.str_], steps: Sequence[Estimate], refused: Sequence[bool]) -> dict[str, Any]:
-    """Return the fields of a `StepwiseElimination` that ends before the first refused step."""
+    """Return the fields of a `TermElimination` that ends before the first refused step."""
     gone = next((i for i, applies in enumerate(refused) if applies), len(steps))
     return {
         "removed": names[:gone].tolist(),

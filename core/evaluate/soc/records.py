@@ -15,43 +15,33 @@ Numbers = list[float | None]
 class ClusteredShare(Record, frozen=True):
     """Hold a share of cases with Wilson's 95 % interval, clustered by vehicle-day. [1]"""
 
-    value: float | None = None
-    low: Annotated[float | None, declare("Lower end of the interval. [1]")] = None
-    high: Annotated[float | None, declare("Upper end of the interval. [1]")] = None
-    clusters: Annotated[int, declare("Number of vehicle-days.")] = 0
+    value: float | None
+    low: float | None
+    high: float | None
+    clusters: Annotated[int, declare("Number of vehicle-days.")]
 
 
 class RegressionIntervals(Record, frozen=True):
     """Hold the intervals of the regression, and those of the forecasts (`forecast_...`) on the same cases."""
 
-    n: Annotated[int, declare("Number of forecasts.", "n", "count")] = 0
-    forecast_coverage: Annotated[ClusteredShare, declare("Share inside. [1]", "coverage", "clustered share")] = (
-        ClusteredShare()
-    )
-    coverage: Annotated[ClusteredShare, declare("Share inside. [1]", "regression", "clustered share")] = (
-        ClusteredShare()
-    )
-    forecast_width_pct: Annotated[EstimatedValue, declare("Mean width. [%]", "width", "value")] = EstimatedValue()
-    width_pct: Annotated[EstimatedValue, declare("Mean width. [%]", "regression", "value")] = EstimatedValue()
-    forecast_interval_score_pct: Annotated[
-        EstimatedValue, declare("Mean interval score. [%]", "interval score", "value")
-    ] = EstimatedValue()
-    interval_score_pct: Annotated[EstimatedValue, declare("Mean interval score. [%]", "regression", "value")] = (
-        EstimatedValue()
-    )
+    n: Annotated[int, declare("Number of forecasts.", "n", "count")]
+    forecast_coverage: Annotated[ClusteredShare, declare("Share inside. [1]", "coverage", "clustered share")]
+    coverage: Annotated[ClusteredShare, declare("Share inside. [1]", "regression", "clustered share")]
+    forecast_width_pct: Annotated[EstimatedValue, declare("Mean width. [%]", "width", "value")]
+    width_pct: Annotated[EstimatedValue, declare("Mean width. [%]", "regression", "value")]
+    forecast_interval_score_pct: Annotated[EstimatedValue, declare("Mean score. [%]", "interval score", "value")]
+    interval_score_pct: Annotated[EstimatedValue, declare("Mean score. [%]", "regression", "value")]
 
 
 class BaselineErrors(Record, frozen=True):
     """Hold the errors of a baseline, and those of the forecasts (`forecast_...`) on the same cases."""
 
-    n: Annotated[int, declare("Number of forecasts.")] = 0
-    mae_pct: Annotated[EstimatedValue, declare("Mean absolute error. [%]")] = EstimatedValue()
-    bias_pct: Annotated[EstimatedValue, declare("Mean of expected less outcome. [%]")] = EstimatedValue()
-    forecast_mae_pct: Annotated[EstimatedValue, declare("Mean absolute error. [%]")] = EstimatedValue()
-    less_pct: Annotated[EstimatedValue, declare("Error of the baseline less that of the forecasts. [%]")] = (
-        EstimatedValue()
-    )
-    share_less: Annotated[float | None, declare("Share by which the error of the forecasts is below it. [1]")] = None
+    n: Annotated[int, declare("Number of forecasts.")]
+    mae_pct: Annotated[EstimatedValue, declare("Mean absolute error. [%]")]
+    bias_pct: Annotated[EstimatedValue, declare("Mean of expected less outcome. [%]")]
+    forecast_mae_pct: Annotated[EstimatedValue, declare("Mean absolute error. [%]")]
+    less_pct: Annotated[EstimatedValue, declare("Error of the baseline less that of the forecasts. [%]")]
+    share_less: Annotated[float | None, declare("Share by which the error of the forecasts is below it. [1]")]
 
 
 class BestBaseline(Record, frozen=True):
@@ -60,37 +50,27 @@ class BestBaseline(Record, frozen=True):
     name: str
     n: Annotated[int, declare("Number of forecasts.")]
     vehicle_days: int
-    mae_pct: Annotated[float | None, declare("Its mean absolute error. [%]")]
-    forecast_mae_pct: Annotated[float | None, declare("That of the forecasts. [%]")]
+    mae_pct: Annotated[float, declare("Its mean absolute error. [%]")]
+    forecast_mae_pct: Annotated[float, declare("That of the forecasts. [%]")]
     share_less: Annotated[float | None, declare("Share by which the error of the forecasts is below it. [1]")]
 
 
 class ForecastFigures(Record, frozen=True):
     """Hold error, coverage and width of forecasts, and the errors of baselines on the same cases."""
 
-    n: Annotated[int, declare("Number of forecasts.", "n", "count")] = 0
-    shifts: int = 0
-    vehicle_days: Annotated[int, declare("Number of vehicle-days.", "vehicle-days", "count")] = 0
-    mae_pct: Annotated[EstimatedValue, declare("Mean absolute error. [%]", "MAE", "charge")] = EstimatedValue()
-    bias_pct: Annotated[EstimatedValue, declare("Mean of forecast less outcome. [%]", "bias", "difference")] = (
-        EstimatedValue()
-    )
-    coverage: Annotated[
-        ClusteredShare, declare("Share of outcomes inside the 90 % interval. [1]", "coverage", "clustered share")
-    ] = ClusteredShare()
-    below: Annotated[float | None, declare("Share of outcomes below the interval. [1]")] = None
-    above: Annotated[float | None, declare("Share of outcomes above the interval. [1]")] = None
-    width_pct: Annotated[EstimatedValue, declare("Mean width of the interval. [%]", "width", "value")] = (
-        EstimatedValue()
-    )
-    interval_score_pct: Annotated[EstimatedValue, declare("Mean interval score. [%]")] = EstimatedValue()
-    regression: RegressionIntervals = RegressionIntervals()
-    baselines: dict[str, BaselineErrors] = {}
-    best: BestBaseline | None = None
-
-    def get_baseline_error(self, name: str) -> EstimatedValue:
-        """Return the mean absolute error of a baseline. [%]"""
-        return self.baselines.get(name, BaselineErrors()).mae_pct
+    n: Annotated[int, declare("Number of forecasts.", "n", "count")]
+    shifts: int
+    vehicle_days: Annotated[int, declare("Number of vehicle-days.", "vehicle-days", "count")]
+    mae_pct: Annotated[EstimatedValue, declare("Mean absolute error. [%]", "MAE", "charge")]
+    bias_pct: Annotated[EstimatedValue, declare("Mean of forecast less outcome. [%]", "bias", "difference")]
+    coverage: Annotated[ClusteredShare, declare("Share inside the interval. [1]", "coverage", "clustered share")]
+    below: Annotated[float, declare("Share of outcomes below the interval. [1]")]
+    above: Annotated[float, declare("Share of outcomes above the interval. [1]")]
+    width_pct: Annotated[EstimatedValue, declare("Mean width of the 90 % interval. [%]", "width", "value")]
+    interval_score_pct: Annotated[EstimatedValue, declare("Mean interval score. [%]")]
+    regression: RegressionIntervals
+    baselines: dict[str, BaselineErrors]
+    best: BestBaseline | None
 
 
 class ForecastBin(ForecastFigures, frozen=True, kw_only=True):
@@ -102,8 +82,8 @@ class ForecastBin(ForecastFigures, frozen=True, kw_only=True):
 class FiguresByTime(Record, frozen=True):
     """Hold figures of all forecasts, and by the time ahead."""
 
-    pooled: Annotated[ForecastFigures, declare("All times ahead.")] = ForecastFigures()
-    hours: Annotated[dict[str, ForecastFigures], declare("Time ahead in h -> its figures.")] = {}
+    pooled: Annotated[ForecastFigures, declare("All times ahead.")]
+    hours: Annotated[dict[str, ForecastFigures], declare("Time ahead in h -> its figures.")]
 
 
 class ConditionFigures(FiguresByTime, frozen=True, kw_only=True):
@@ -115,40 +95,36 @@ class ConditionFigures(FiguresByTime, frozen=True, kw_only=True):
 class AlarmFigures(Record, frozen=True):
     """Hold the performance of alarms on cases that fell below a level and cases that did not."""
 
-    caught: Annotated[int, declare("Number of cases that fell with an alarm.")] = 0
-    missed: Annotated[int, declare("Number of cases that fell without an alarm.")] = 0
-    false_alarms: Annotated[int, declare("Number of cases that did not fall with an alarm.")] = 0
-    hit_rate: Annotated[ClusteredShare, declare("Share of cases that fell with an alarm. [1]")] = ClusteredShare()
-    false_alarm_rate: Annotated[ClusteredShare, declare("Share of the other cases with an alarm. [1]")] = (
-        ClusteredShare()
-    )
+    caught: Annotated[int, declare("Number of cases that fell with an alarm.")]
+    missed: Annotated[int, declare("Number of cases that fell without an alarm.")]
+    false_alarms: Annotated[int, declare("Number of cases that did not fall with an alarm.")]
+    hit_rate: Annotated[ClusteredShare, declare("Share of cases that fell with an alarm. [1]")]
+    false_alarm_rate: Annotated[ClusteredShare, declare("Share of the other cases with an alarm. [1]")]
 
 
 class BaselineRisk(Record, frozen=True):
     """Hold the scores of the risk of a baseline, and of the forecasts (`forecast_...`) on the same cases."""
 
-    n: Annotated[int, declare("Number of cases.", "cases", "count")] = 0
-    fell: Annotated[int, declare("Number of cases that fell.", "fell", "count")] = 0
-    brier: Annotated[float | None, declare("Brier score. [1]", "Brier, baseline", "four decimals")] = None
-    forecast_brier: Annotated[float | None, declare("Brier score. [1]", "forecast", "four decimals")] = None
-    skill: Annotated[EstimatedValue, declare("Reduction of the baseline's score. [1]", "skill", "skill")] = (
-        EstimatedValue()
-    )
-    alarms: AlarmFigures = AlarmFigures()
-    forecast_alarms: AlarmFigures = AlarmFigures()
+    n: Annotated[int, declare("Number of cases.", "cases", "count")]
+    fell: Annotated[int, declare("Number of cases that fell.", "fell", "count")]
+    brier: Annotated[float | None, declare("Brier score. [1]", "Brier, baseline", "four decimals")]
+    forecast_brier: Annotated[float | None, declare("Brier score. [1]", "forecast", "four decimals")]
+    skill: Annotated[EstimatedValue, declare("Reduction of the baseline's score. [1]", "skill", "skill")]
+    alarms: AlarmFigures
+    forecast_alarms: AlarmFigures
 
 
 class RiskFigures(Record, frozen=True):
     """Hold the scores of the risk of falling below a level, and of the alarms that follow from it."""
 
-    n: Annotated[int, declare("Number of cases.", "cases", "count")] = 0
-    shifts: int = 0
-    fell: Annotated[int, declare("Number of cases that fell.", "fell below", "count")] = 0
-    alarms: AlarmFigures = AlarmFigures()
-    brier: Annotated[float | None, declare("Brier score. [1]")] = None
-    brier_base: Annotated[float | None, declare("That of a constant risk, the share that fell. [1]")] = None
-    skill: Annotated[EstimatedValue, declare("Reduction of `brier_base` by the risk. [1]")] = EstimatedValue()
-    baselines: dict[str, BaselineRisk] = {}
+    n: Annotated[int, declare("Number of cases.", "cases", "count")]
+    shifts: int
+    fell: Annotated[int, declare("Number of cases that fell.", "fell below", "count")]
+    alarms: AlarmFigures
+    brier: Annotated[float, declare("Brier score. [1]")]
+    brier_base: Annotated[float, declare("That of a constant risk, the share that fell. [1]")]
+    skill: Annotated[EstimatedValue, declare("Reduction of `brier_base` by the risk. [1]")]
+    baselines: dict[str, BaselineRisk]
 
 
 class RiskClass(Record, frozen=True):
@@ -165,56 +141,51 @@ class RiskClass(Record, frozen=True):
 class ReserveRisk(Record, frozen=True):
     """Hold the reliability of the risk of falling below a reserve, and the performance of alarms."""
 
-    alarm: Annotated[float, declare("Risk from which on an alarm is raised. [1]")] = 0.0
-    reliability: Annotated[
-        dict[str, list[RiskClass]], declare("`plan` (the plan's reserve) and all other `levels`, by class of risk.")
-    ] = {}
-    told: Annotated[
-        dict[str, list[RiskClass]],
-        declare("Over all other levels, of the forecasts (`risk`) and of the regression, in coarser classes."),
-    ] = {}
-    levels: Annotated[dict[str, dict[str, RiskFigures]], declare("Level -> time ahead in h, or `pooled`.")] = {}
-    overall: Annotated[dict[str, RiskFigures], declare("The same over all other levels.")] = {}
+    alarm: Annotated[float, declare("Risk from which on an alarm is raised. [1]")]
+    reliability: Annotated[dict[str, list[RiskClass]], declare("`plan`, its reserve, and all other `levels`.")]
+    told: Annotated[dict[str, list[RiskClass]], declare("All other levels: `risk` of the forecasts, `regression`.")]
+    levels: Annotated[dict[str, dict[str, RiskFigures]], declare("Level -> time ahead in h, or `pooled`.")]
+    overall: Annotated[dict[str, RiskFigures], declare("The same over all other levels.")]
 
 
 class ImpossibleBounds(Record, frozen=True):
     """Hold how many upper bounds exceed the present charge although no charge is planned."""
 
-    n: Annotated[int, declare("Number of forecasts without a planned charge ahead.")] = 0
-    above: Annotated[int, declare("Number of them above the present charge.")] = 0
-    largest: Annotated[float, declare("Largest excess. [%]")] = 0.0
+    n: Annotated[int, declare("Number of forecasts without a planned charge ahead.")]
+    above: Annotated[int, declare("Number of them above the present charge.")]
+    largest: Annotated[float, declare("Largest excess. [%]")]
 
 
 class EvaluatedShifts(Record, frozen=True):
     """Hold which forecasts were evaluated."""
 
-    shifts: Annotated[int, declare("Number of shifts that ended.")] = 0
-    judged_shifts: Annotated[int, declare("Number of them with an evaluated forecast.")] = 0
-    warm_up_shifts: Annotated[int, declare("Number of shifts before the first interval.")] = 0
-    forecasts: int = 0
-    left_out: Annotated[dict[str, int], declare("Reason -> number of forecasts left out.")] = {}
-    vehicles: int = 0
-    vehicle_days: int = 0
-    vehicle_models: list[str] = []
-    first_date: str = ""
-    last_date: str = ""
+    shifts: Annotated[int, declare("Number of shifts that ended.")]
+    judged_shifts: Annotated[int, declare("Number of them with an evaluated forecast.")]
+    warm_up_shifts: Annotated[int, declare("Number of shifts before the first interval.")]
+    forecasts: int
+    left_out: Annotated[dict[str, int], declare("Reason -> number of forecasts left out.")]
+    vehicles: int
+    vehicle_days: int
+    vehicle_models: list[str]
+    first_date: str
+    last_date: str
 
 
 class ForecastColumns(Record, frozen=True):
     """Hold the evaluated forecasts as columns with one entry each. [%]"""
 
-    vehicle_id: list[str] = []
-    shift: list[int] = []
-    hours: Annotated[list[int], declare("Time ahead. [h]")] = []
-    soc: Annotated[Numbers, declare("State of charge when the forecast was made. [%]")] = []
-    soc_mean: Annotated[Numbers, declare("Forecast of the end. [%]")] = []
-    soc_p05: Annotated[Numbers, declare("Lower end of its interval. [%]")] = []
-    soc_p95: Annotated[Numbers, declare("Upper end of its interval. [%]")] = []
-    soc_end: Annotated[Numbers, declare("Outcome. [%]")] = []
-    linear: Numbers = []
-    model_mean: Numbers = []
-    rating: Numbers = []
-    regression: Numbers = []
+    vehicle_id: list[str]
+    shift: list[int]
+    hours: Annotated[list[int], declare("Time ahead. [h]")]
+    soc: Annotated[Numbers, declare("State of charge when the forecast was made. [%]")]
+    soc_mean: Annotated[Numbers, declare("Forecast of the end. [%]")]
+    soc_p05: Annotated[Numbers, declare("Lower end of its interval. [%]")]
+    soc_p95: Annotated[Numbers, declare("Upper end of its interval. [%]")]
+    soc_end: Annotated[Numbers, declare("Outcome. [%]")]
+    linear: Numbers
+    model_mean: Numbers
+    rating: Numbers
+    regression: Numbers
 
 
 class ExampleShift(Record, frozen=True):
@@ -238,24 +209,16 @@ class ExampleShift(Record, frozen=True):
 class SocEvaluation(Record, frozen=True):
     """Hold errors and reliability of the forecasts of the state of charge, against outcomes and baselines."""
 
-    about: EvaluatedShifts = EvaluatedShifts()
-    overall: FiguresByTime = FiguresByTime()
-    by: Annotated[dict[str, list[ConditionFigures]], declare("Condition -> figures in its bins.")] = {}
-    bounds: ImpossibleBounds = ImpossibleBounds()
-    reserve: ReserveRisk = ReserveRisk()
-    legs: Annotated[
-        dict[str, list[ForecastBin]],
-        declare(
-            "Single legs: `without a charge` or `charged later` in the shift, and of these the last `to the next "
-            "charge`, by the time until their end; the last bin is `all`."
-        ),
-    ] = {}
-    charges: Annotated[dict[str, list[ForecastBin]], declare("Around planned charges, by the time ahead.")] = {}
-    columns: Annotated[ForecastColumns, declare("Every forecast.")] = field(
-        name="forecasts", default_factory=ForecastColumns
-    )
-    examples: list[ExampleShift] = []
-    notes: Annotated[list[str], declare("Remarks for the reader.")] = []
+    about: EvaluatedShifts
+    overall: FiguresByTime
+    by: Annotated[dict[str, list[ConditionFigures]], declare("Condition -> figures in its bins.")]
+    bounds: ImpossibleBounds
+    reserve: ReserveRisk
+    legs: Annotated[dict[str, list[ForecastBin]], declare("Single legs by the time until their end, last `all`.")]
+    charges: Annotated[dict[str, list[ForecastBin]], declare("Around planned charges, by the time ahead.")]
+    columns: Annotated[ForecastColumns, declare("Every forecast.")] = field(name="forecasts")
+    examples: list[ExampleShift]
+    notes: Annotated[list[str], declare("Remarks for the reader.")]
 
     @property
     def forecasts(self) -> pd.DataFrame:

@@ -43,7 +43,7 @@ def make_judged(fleet, bias=0.0, width=8.0, n=400, change=0.0):
     )  # fmt: skip
     forecasts = cases[["vehicle_id", "time_s", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct"]].drop_duplicates("time_s")
     forecasts = forecasts.assign(soc_mean_pct=forecasts["soc_mean_pct"] + change)
-    bounds = ImpossibleBounds(n=10)
+    bounds = ImpossibleBounds(n=10, above=0, largest=0.0)
     return Judged(fleet, 1, 86400.0 * 10, cases, cases[:0], cases[:0], forecasts, bounds, 1.0)
 
 

@@ -12,13 +12,7 @@ from rich.console import Console
 from socast.core.errors import SettingsError
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.evaluate.soc.legs import LegRecorder
-from socast.core.evaluate.soc.records import (
-    ClusteredShare,
-    FiguresByTime,
-    ForecastBin,
-    ForecastFigures,
-    SocEvaluation,
-)
+from socast.core.evaluate.soc.records import ClusteredShare, ForecastBin
 from socast.core.evaluate.soc.report import evaluate_soc
 from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.stats.clustered import LEAST_CLUSTERS
@@ -161,7 +155,7 @@ def test_tables_show_figures_of_result(result):
         (line,) = (line for line in out.splitlines() if line.startswith(f" {hours} h "))
         assert f"{group.mae_pct.value:.2f} ± {group.mae_pct.ci95:.2f}" in line
         assert format_share(group.coverage) in line
-        assert f"{group.get_baseline_error('rating').value:.2f}" in line
+        assert f"{group.baselines['rating'].mae_pct.value:.2f}" in line
         assert hours == "0" or compare_with_best(group.best) in line
     assert "Evaluated from 2018-01-03 to 2018-01-08; 8 shifts ended before the first interval" in " ".join(out.split())
     assert out.index("By temperature") < out.index("Alarms") < out.index("Errors of the forecasts")
@@ -217,7 +211,10 @@ def test_risk_figure_shows_forecast_and_observed_risk():
 def coverages(*clusters):
     """Return shares of groups that rest on so many vehicle-days; of one alone there is no interval."""
     ends = {"low": 0.6, "high": 0.95}
-    return {f"group {n}": ClusteredShare(value=0.8, clusters=n, **(ends if n > 1 else {})) for n in clusters}
+    return {
+        f"group {n}": ClusteredShare(value=0.8, clusters=n, **(ends if n > 1 else dict.fromkeys(ends)))
+        for n in clusters
+    }
 
 
 def test_figure_of_few_vehicle_days_shows_only_interval():
@@ -236,12 +233,13 @@ def test_groups_keep_their_order_even_if_too_small():
     assert made.layout.xaxis.categoryarray == ("group 40", "group 2", "group 50")
 
 
-def test_interval_of_width_or_error_never_goes_below_zero():
+def test_interval_of_width_or_error_never_goes_below_zero(result):
     hours = {}
     for ahead, value, ci95 in (("1", 4.0, 5.0), ("2", 20.0, 1.0), ("4", 1.0, None)):
         width = EstimatedValue(value=value, ci95=ci95)
-        hours[ahead] = ForecastFigures(width_pct=width, mae_pct=width)
-    result = SocEvaluation(overall=FiguresByTime(hours=hours))
+        none = {name: replace(each, mae_pct=EstimatedValue()) for name, each in result.overall.pooled.baselines.items()}
+        hours[ahead] = replace(result.overall.pooled, width_pct=width, mae_pct=width, baselines=none)
+    result = replace(result, overall=replace(result.overall, hours=hours))
     for trace in (drawn.draw_width(result).data[0], drawn.draw_errors(result).data[0]):
         assert trace.error_y.array == (5.0, 1.0, None)
         assert trace.error_y.arrayminus == (4.0, 1.0, None)
@@ -295,7 +293,7 @@ def test_legs_are_shown_only_if_any_were_queried(result):
     assert out.count("minutes ahead") == 1
     (line,) = (line for line in out.splitlines() if line.startswith(" below 30 "))
     assert format_share(bins[0].coverage) in line
-    assert f"{bins[0].get_baseline_error('rating').value:.2f}" in line
+    assert f"{bins[0].baselines['rating'].mae_pct.value:.2f}" in line
 
 
 def test_share_of_few_vehicle_days_is_not_shown(result):

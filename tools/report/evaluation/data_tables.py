@@ -19,12 +19,7 @@ from socast.tools.report.cells import (
     format_percent,
     format_published,
 )
-from socast.tools.report.evaluation.result import (
-    get_value,
-    get_vehicle_name,
-    list_clusters,
-    list_vehicle_models,
-)
+from socast.tools.report.evaluation.result import get_value, get_vehicle_name, list_clusters, list_vehicle_models
 
 MEASURED_BY: Final = MappingProxyType({"vi": "voltage and current", "soc": "state of charge"})
 """Sources of the measured energy of a ride -> their names for readers."""
@@ -35,13 +30,7 @@ AVERAGE_NOTE: Final = "* Unweighted mean over the clusters that have a figure."
 
 
 def tabulate_data(result: RecipeEvaluation) -> list[ReportTable]:
-    """Return the tables of the data that have a row.
-
-    Returns
-    -------
-    list of ReportTable
-        Ride filter, numbers of rides, mean consumption, and mean consumption of the test sets.
-    """
+    """Return the tables of the data that have a row."""
     tables = (
         tabulate_ride_filter(result),
         tabulate_rides(result),
@@ -52,13 +41,7 @@ def tabulate_data(result: RecipeEvaluation) -> list[ReportTable]:
 
 
 def tabulate_ride_filter(result: RecipeEvaluation) -> ReportTable:
-    """Return the number of rides, and how many the filter left out for which reason.
-
-    Returns
-    -------
-    ReportTable
-        One row per reason, with count and share of all rides. The notes name dates, cars, energy sources and draws.
-    """
+    """Return the number of rides, and how many the filter left out for which reason."""
     about, total = result.about, result.about.rides
     rows: list[Row] = []
     if total is not None:
@@ -101,10 +84,7 @@ def tabulate_rides(result: RecipeEvaluation) -> ReportTable:
 
 
 def tabulate_consumption(result: RecipeEvaluation) -> ReportTable:
-    """Return the mean consumption by vehicle model and cluster of distance, as Table 3 of the paper.
-
-    Units: returns [kWh].
-    """
+    """Return the mean consumption by vehicle model and cluster of distance, as Table 3 of the paper. [kWh]"""
     return tabulate_by_cluster(
         result,
         result.consumption,
@@ -114,10 +94,7 @@ def tabulate_consumption(result: RecipeEvaluation) -> ReportTable:
 
 
 def tabulate_test_consumption(result: RecipeEvaluation) -> ReportTable:
-    """Return the mean consumption in the test sets by vehicle model and cluster, as Table 4 of the paper.
-
-    Units: returns [kWh].
-    """
+    """Return the mean consumption in the test sets by vehicle model and cluster, as Table 4 of the paper. [kWh]"""
     table = tabulate_by_cluster(
         result,
         result.test_consumption,
@@ -133,11 +110,9 @@ def tabulate_by_cluster(
     title: str,
     paper: Callable[[str, str], PublishedFigure | None],
 ) -> ReportTable:
-    """Return a table of energies by vehicle model and cluster of distance.
+    """Return a table of energies by vehicle model and cluster of distance. [kWh]
 
     The table has an average column and a weighted row where the evaluation has figures for them.
-
-    Units: energies [kWh], returns [kWh].
 
     Parameters
     ----------

@@ -58,10 +58,7 @@ def tabulate_all_errors(result: RecipeEvaluation) -> list[ReportTable]:
 
 
 def tabulate_errors(result: RecipeEvaluation, recipe: str) -> ReportTable:
-    """Return the mean absolute errors of a model by vehicle model and cluster, as Tables 5 to 11 of the paper.
-
-    Units: returns [kWh].
-    """
+    """Return the mean absolute errors of a model by vehicle model and cluster, as Tables 5 to 11 of the paper. [kWh]"""
     number_there = published.get_table_number(recipe)
     where = f" (Table {number_there})" if number_there else " (not in the paper)"
     table = tabulate_by_cluster(
@@ -86,10 +83,7 @@ def tabulate_summaries(result: RecipeEvaluation) -> list[ReportTable]:
 
 
 def tabulate_average_errors(result: RecipeEvaluation) -> ReportTable:
-    """Return the average error of each model on each vehicle model, as Figure 3 of the paper.
-
-    Units: returns [kWh].
-    """
+    """Return the average error of each model on each vehicle model, as Figure 3 of the paper. [kWh]"""
     keys, recipes = list_vehicle_models(result), [r for r in get_recipes(result) if result.mae.get(r)]
     columns = [
         mark_least(
@@ -110,10 +104,7 @@ def tabulate_average_errors(result: RecipeEvaluation) -> ReportTable:
 
 
 def tabulate_reductions(result: RecipeEvaluation) -> ReportTable:
-    """Return by how much the average error of each model is below that of the basic physical model.
-
-    Units: returns [%].
-    """
+    """Return by how much the average error of each model is below that of the basic physical model. [%]"""
     keys = list_vehicle_models(result)
     others = {recipe: shares for recipe, shares in result.reduction.items() if recipe != PHYSICAL}
     rows = _share_rows(result, others, (*keys, AVERAGE), published.get_reduction)
@@ -127,10 +118,7 @@ def tabulate_reductions(result: RecipeEvaluation) -> ReportTable:
 
 
 def tabulate_relative_errors(result: RecipeEvaluation) -> ReportTable:
-    """Return error over consumption by cluster of distance, as Figure 2 of the paper.
-
-    Units: returns [%].
-    """
+    """Return error over consumption by cluster of distance, as Figure 2 of the paper. [%]"""
     columns = list_clusters(result, result.relative.values())
     rows = _share_rows(result, result.relative, columns, published.get_relative_error)
     note = (
@@ -142,13 +130,7 @@ def tabulate_relative_errors(result: RecipeEvaluation) -> ReportTable:
 
 
 def tabulate_bias_and_rmse(result: RecipeEvaluation) -> ReportTable:
-    """Return bias and root mean square error of each model on each vehicle model.
-
-    Returns
-    -------
-    ReportTable
-        Root mean square errors, with the bias (mean of predicted less measured) in parentheses. [kWh]
-    """
+    """Return bias and root mean square error of each model on each vehicle model. [kWh]"""
     keys = list_vehicle_models(result)
     names = [r for r in get_recipes(result) if result.bias.get(r) or result.rmse.get(r)]
     rows = tuple(
@@ -170,10 +152,7 @@ def tabulate_bias_and_rmse(result: RecipeEvaluation) -> ReportTable:
 
 
 def tabulate_bands(result: RecipeEvaluation) -> ReportTable:
-    """Return the share of rides that each model predicts within bands of relative error.
-
-    Units: returns [%].
-    """
+    """Return the share of rides that each model predicts within bands of relative error. [%]"""
     limits = list(dict.fromkeys(limit for row in result.bands.values() for limit in row))
     rows = _share_rows(result, result.bands, limits)
     heads = tuple(f"within ±{limit} %" for limit in limits)
@@ -181,10 +160,7 @@ def tabulate_bands(result: RecipeEvaluation) -> ReportTable:
 
 
 def tabulate_differences(result: RecipeEvaluation, vehicle_model: str) -> ReportTable:
-    """Return the difference scores of all pairs of models on a vehicle model.
-
-    Units: returns [kWh].
-    """
+    """Return the difference scores of all pairs of models on a vehicle model. [kWh]"""
     scores = result.difference.get(vehicle_model, {})
     names = list_compared(result, scores)
     rows = tuple(
@@ -203,13 +179,7 @@ def list_compared(result: RecipeEvaluation, scores: Mapping[str, DifferenceScore
 
 
 def get_difference(scores: Mapping[str, DifferenceScore], a: str, b: str) -> tuple[float, float | None] | None:
-    """Return the difference score of two models, in whichever order the result stores the pair.
-
-    Returns
-    -------
-    tuple or None
-        Error of `a` less error of `b` [kWh], and its p-value where the result has one. None where the pair is unknown.
-    """
+    """Return the error of a model less that of another [kWh], and its p-value; None where the pair is unknown."""
     for key, sign in ((f"{a}|{b}", 1.0), (f"{b}|{a}", -1.0)):
         if key in scores and (value := scores[key].value) is not None:
             return sign * value, scores[key].p

@@ -69,13 +69,7 @@ class Drawing(NamedTuple):
 
 
 def build_illustrations(result: RecipeEvaluation, section: str) -> list[Illustration]:
-    """Return the figures of a section that have something to show.
-
-    Returns
-    -------
-    list of Illustration
-        Figures with at least one point; empty for sections without figures.
-    """
+    """Return the figures of a section that have something to show."""
     made = MAKERS.get(section)
     return [one for one in made(result) if any(_has_points(trace) for trace in one.figure.data)] if made else []
 

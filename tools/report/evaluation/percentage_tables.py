@@ -66,25 +66,13 @@ def tabulate_percentages(result: RecipeEvaluation) -> list[ReportTable]:
 
 
 def get_reductions(result: RecipeEvaluation, recipe: str) -> dict[str, float | None]:
-    """Return by which share the average error of a model is below that of each baseline, the mean over vehicle models.
-
-    Returns
-    -------
-    dict
-        Baseline -> share, None where it is unknown. [1]
-    """
+    """Return by which share the average error of a model is below that of each baseline, None where unknown. [1]"""
     shares = {BASELINES[0]: result.reduction, **result.reduction_by_baseline}
     return {name: shares.get(name, {}).get(recipe, {}).get(AVERAGE) for name in BASELINES}
 
 
 def get_new_vehicle_reductions(result: RecipeEvaluation, recipe: str) -> dict[str, float | None]:
-    """Return the same shares on vehicle models that were left out of training, baselines included.
-
-    Returns
-    -------
-    dict
-        Baseline -> mean over vehicle models of the share, None where it is unknown. [1]
-    """
+    """Return the same shares on vehicle models that were left out of training, baselines included. [1]"""
     reductions: dict[str, float | None] = {}
     for name in BASELINES:
         pairs = [
@@ -103,17 +91,12 @@ def find_best_on_new_vehicles(result: RecipeEvaluation) -> str | None:
 
 
 def tabulate_baseline_reductions(result: RecipeEvaluation, *, new_vehicles: bool = False) -> ReportTable:
-    """Return by how much the error of each model is below that of each baseline.
+    """Return by how much the error of each model is below that of each baseline. [%]
 
     Parameters
     ----------
     new_vehicles : bool
         Whether the errors are those on vehicle models left out of training, instead of those by ride.
-
-    Returns
-    -------
-    ReportTable
-        One column per baseline, the mean over vehicle models of the reduction of the average error. [%]
     """
     reduce = get_new_vehicle_reductions if new_vehicles else get_reductions
     by_recipe = {recipe: reduce(result, recipe) for recipe in get_recipes(result) if recipe != BASELINES[0]}
@@ -145,13 +128,7 @@ def make_baseline_table(title: str, baselines: Sequence[str], rows: tuple[Row, .
 
 
 def tabulate_percentages_of(result: RecipeEvaluation, kind: str) -> ReportTable:
-    """Return the errors of each model in kWh, in percent, and over the noise floor, for one kind of split.
-
-    Returns
-    -------
-    ReportTable
-        One row per model; without rows where the result does not have this split.
-    """
+    """Return the errors of each model in kWh, in percent, and over the noise floor, for one kind of split."""
     figures = result.percentage.get_split(kind)
     errors = {recipe: figures.recipes[recipe] for recipe in get_recipes(result) if recipe in figures.recipes}
     least = min((each.mae_kwh.value for each in errors.values() if each.mae_kwh.value is not None), default=None)
@@ -179,13 +156,7 @@ def _describe_rides(result: RecipeEvaluation, figures: SplitErrors) -> str:
 
 
 def tabulate_literature(result: RecipeEvaluation) -> ReportTable:
-    """Return the errors that other work published, above the best model here.
-
-    Returns
-    -------
-    ReportTable
-        One row per published error, and one per kind of split for the model of least wMAPE.
-    """
+    """Return the errors that other work published, above the best model here."""
     rows = [
         Row(entry.setting, (Cell(format_percent(entry.share)), Cell(entry.measure), Cell(entry.source)))
         for entry in LITERATURE

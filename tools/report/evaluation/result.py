@@ -43,13 +43,7 @@ def get_mapping(result: Any, *path: str) -> Mapping[str, Any]:
 
 
 def get_number(value: Any) -> float | None:
-    """Return a value as a number.
-
-    Returns
-    -------
-    float or None
-        The number; None where there is none, and for a bool.
-    """
+    """Return a value as a number; None where there is none, and for a bool."""
     value = value.get("value") if isinstance(value, Mapping) else getattr(value, "value", value)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
@@ -102,13 +96,7 @@ def get_value(figure: EstimatedValue | float | None) -> float | None:
 
 
 def list_clusters(result: RecipeEvaluation, rows: Iterable[Mapping[str, EstimatedValue | float | None]]) -> list[str]:
-    """Return the clusters of distance that have a figure in at least one row, shortest first.
-
-    Returns
-    -------
-    list of str
-        Clusters in the order of the result; clusters that it does not list come last, by their lower end.
-    """
+    """Return the clusters of distance that have a figure in any row, in the order of the result, others last."""
     filled = {
         cluster
         for row in rows
@@ -146,13 +134,7 @@ def find_best(result: RecipeEvaluation) -> str | None:
 
 
 def select_principal(result: RecipeEvaluation) -> list[str]:
-    """Return the models for tables that have no room for all of them.
-
-    Returns
-    -------
-    list of str
-        Recipes of the basic and the fitted physical model, the paper's best, the best here, and the segment model.
-    """
+    """Return the basic and the fitted physical model, the paper's best, the best here, and the segment model."""
     chosen = {PHYSICAL, FITTED, INTERACTIONS, SEGMENTS, find_best(result)}
     return [recipe for recipe in get_recipes(result) if recipe in chosen]
 

@@ -126,13 +126,7 @@ def build_sections(result: RecipeEvaluation) -> list[Section]:
 
 
 def tabulate_headline(result: RecipeEvaluation) -> ReportTable:
-    """Return by how much the errors of the principal models are below those of each baseline.
-
-    Returns
-    -------
-    ReportTable
-        One column per baseline, so that a reduction below the basic physical model never stands alone. [%]
-    """
+    """Return by how much the errors of the principal models are below those of each baseline. [%]"""
     best = dict.fromkeys(recipe for recipe in (INTERACTIONS, find_best(result)) if recipe)
     unseen = dict.fromkeys(recipe for recipe in (FITTED, find_best_on_new_vehicles(result)) if recipe)
     paper = {INTERACTIONS: "reduction", FITTED: "new_vehicle_reduction"}

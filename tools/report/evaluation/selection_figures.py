@@ -26,8 +26,8 @@ def draw_elimination(result: RecipeEvaluation) -> go.Figure:
     are removed one after the other.
     """
     rfecv, rfe = result.selection.rfecv, result.selection.rfe
-    scores = [each for each in rfecv.scores if each.mae is not None] if rfecv else []
-    steps = [each for each in rfe.steps if each.loss.value is not None] if rfe else []
+    scores = [each for each in rfecv.scores or () if each.mae is not None] if rfecv else []
+    steps = [each for each in rfe.steps or () if each.loss.value is not None] if rfe else []
     made = make_stacked_figure(
         ("RFECV: cross-validated error", "RFE: increase of the error over that with all terms"), 640
     )

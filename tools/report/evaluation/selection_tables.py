@@ -18,10 +18,7 @@ def tabulate_selection(result: RecipeEvaluation) -> list[ReportTable]:
 
 
 def tabulate_removed_terms(result: RecipeEvaluation) -> ReportTable:
-    """Return the terms that recursive elimination removed, with cross-validation (RFECV) and without (RFE).
-
-    Units: returns [kWh].
-    """
+    """Return the terms that recursive elimination removed, with cross-validation (RFECV) and without (RFE). [kWh]"""
     selection = result.selection
     rows: list[Row] = []
     if selection.constant:
@@ -52,7 +49,7 @@ def tabulate_removed_terms(result: RecipeEvaluation) -> ReportTable:
 def tabulate_steps(result: RecipeEvaluation) -> ReportTable:
     """Return the loss as terms are removed one after the other, up to `BEYOND` terms after the last removable one."""
     shown = next((each for each in (result.selection.margin, result.selection.rfe) if each and each.steps), None)
-    steps = shown.steps[: len(shown.removed) + BEYOND] if shown else []
+    steps = (shown.steps or [])[: len(shown.removed) + BEYOND] if shown else []
     return tabulate_records(
         "Order in which terms are removed",
         {f"{i}  {step.term}": step for i, step in enumerate(steps, start=1)},

@@ -27,10 +27,7 @@ def tabulate_all_splits(result: RecipeEvaluation) -> list[ReportTable]:
 
 
 def tabulate_splits(result: RecipeEvaluation, present: list[str]) -> ReportTable:
-    """Return the average errors of all splits side by side.
-
-    Units: returns [kWh].
-    """
+    """Return the average errors of all splits side by side. [kWh]"""
     means = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
     names = [recipe for recipe, errors in means.items() if errors[0] is not None]
     columns = [
@@ -58,10 +55,7 @@ def tabulate_splits(result: RecipeEvaluation, present: list[str]) -> ReportTable
 
 
 def tabulate_changes(result: RecipeEvaluation, split: str) -> ReportTable:
-    """Return by how much errors grow on each vehicle model where cars or dates are held out instead of rides.
-
-    Units: returns [%].
-    """
+    """Return by how much errors grow on each vehicle model where cars or dates are held out instead of rides. [%]"""
     keys = list_vehicle_models(result)
     rows = tuple(
         Row(
@@ -91,13 +85,7 @@ def describe_best_models(result: RecipeEvaluation, present: list[str]) -> str:
 
 
 def compute_means_by_split(result: RecipeEvaluation, recipe: str, present: list[str]) -> list[float | None]:
-    """Return the mean error of a model by each split.
-
-    Returns
-    -------
-    list of float or None
-        Mean over the vehicle models for which every split has a figure; None where there is no such model. [kWh]
-    """
+    """Return the mean error of a model by each split. [kWh]"""
     shared = [
         key
         for key in list_vehicle_models(result)

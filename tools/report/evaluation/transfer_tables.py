@@ -39,13 +39,7 @@ def tabulate_transfer(result: RecipeEvaluation) -> list[ReportTable]:
 
 
 def tabulate_new_vehicle(result: RecipeEvaluation) -> ReportTable:
-    """Return the mean absolute errors on vehicle models left out of training, as Table 12 of the paper.
-
-    Returns
-    -------
-    ReportTable
-        Errors by vehicle model [kWh], and the mean reduction against the basic physical model [%].
-    """
+    """Return the mean absolute errors on vehicle models left out of training, as Table 12 of the paper."""
     names, keys = _tested(result)
 
     def cell(recipe: str, key: str) -> Cell:
@@ -74,10 +68,7 @@ def tabulate_new_vehicle(result: RecipeEvaluation) -> ReportTable:
 
 
 def tabulate_new_vehicle_relative(result: RecipeEvaluation) -> ReportTable:
-    """Return error over consumption on vehicle models left out of training, as Table 13 of the paper.
-
-    Units: returns [%].
-    """
+    """Return error over consumption on vehicle models left out of training, as Table 13 of the paper. [%]"""
     names, keys = _tested(result)
 
     def cell(recipe: str, key: str) -> Cell:
@@ -92,13 +83,7 @@ def tabulate_new_vehicle_relative(result: RecipeEvaluation) -> ReportTable:
 
 
 def tabulate_few_shot(result: RecipeEvaluation, vehicle_model: str) -> ReportTable:
-    """Return the error on a new vehicle model against the number of its rides seen in training.
-
-    Returns
-    -------
-    ReportTable
-        Mean absolute errors, one row per number of rides and one column per model. [kWh]
-    """
+    """Return the error on a new vehicle model against the number of its rides seen in training. [kWh]"""
     points = {recipe: index_points(curve) for recipe, curve in result.few_shot[vehicle_model].items()}
     line = points.get(FITTED, {})
     rows = tuple(

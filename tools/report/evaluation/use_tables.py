@@ -8,6 +8,7 @@ from typing import Final
 from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.records import BinErrors, IntervalCoverage, RecipeEvaluation
 from socast.core.formatting import format_range
+from socast.core.records import list_shown
 from socast.tools.report.cells import (
     Cell,
     ReportTable,
@@ -39,10 +40,6 @@ UNITS: Final[Mapping[str, str]] = MappingProxyType({"distance": ", km", "tempera
 MANY_BINS: Final = 20
 """Number of bins above which only the spread over bins is reported."""
 
-UNSEEN: Final[Mapping[str, str]] = MappingProxyType(
-    {"by_vehicle": "cars unseen", "by_date": "last dates unseen", "new_vehicle": "vehicle model unseen"}
-)
-"""Keys of coverage where cars, dates or a vehicle model were held out as a whole -> their names for readers."""
 NOMINAL: Final = 0.9
 """Nominal coverage of prediction intervals."""
 LEAST_COVERAGE: Final = 0.85
@@ -52,13 +49,7 @@ COVERAGE_RANGE: Final = (0.88, 0.92)
 
 
 def tabulate_places(result: RecipeEvaluation) -> list[ReportTable]:
-    """Return the tables of errors by distance, temperature, season and driver.
-
-    Returns
-    -------
-    list of ReportTable
-        Tables that have a row; a property with more than `MANY_BINS` bins has a table of its spread.
-    """
+    """Return the tables of errors by distance, temperature, season and driver."""
     axes = [axis for axis in AXES if result.by.get(axis)]
     tables = [
         tabulate_spread(result, axis)
@@ -91,10 +82,7 @@ def get_bins(result: RecipeEvaluation, axis: str, recipe: str) -> list[BinErrors
 
 
 def tabulate_errors_by_bin(result: RecipeEvaluation, axis: str) -> ReportTable:
-    """Return mean absolute error and bias of the principal models in each bin of a property.
-
-    Units: returns [kWh].
-    """
+    """Return mean absolute error and bias of the principal models in each bin of a property. [kWh]"""
     by_recipe = {
         recipe: {each.bin: each for each in bins}
         for recipe in select_principal(result)
@@ -115,13 +103,7 @@ def tabulate_errors_by_bin(result: RecipeEvaluation, axis: str) -> ReportTable:
 
 
 def tabulate_spread(result: RecipeEvaluation, axis: str) -> ReportTable:
-    """Return how the errors of each model spread over the bins of a property, such as drivers.
-
-    Returns
-    -------
-    ReportTable
-        Number of bins, and least, 10 %, median, 90 % and largest mean absolute error. [kWh]
-    """
+    """Return how the errors of each model spread over the bins of a property, such as drivers. [kWh]"""
     rows = []
     for recipe in get_recipes(result):
         errors = [each.mae for each in get_bins(result, axis, recipe) if each.mae is not None]
@@ -155,13 +137,7 @@ def get_coverage(result: RecipeEvaluation) -> dict[str, IntervalCoverage]:
 
 
 def tabulate_coverage(result: RecipeEvaluation) -> ReportTable:
-    """Return the share of rides inside their 90 % interval: overall, by cluster of distance, by season.
-
-    Returns
-    -------
-    ReportTable
-        Coverage, marked where it is outside of its limits [%], and mean width of the interval [kWh].
-    """
+    """Return the share of rides inside their 90 % interval: overall, by cluster of distance, by season."""
     coverage = get_coverage(result)
     distances = list_clusters(result, (each.cluster for each in coverage.values()))
     seasons = list(dict.fromkeys(season for each in coverage.values() for season in each.season))
@@ -187,15 +163,12 @@ def tabulate_coverage(result: RecipeEvaluation) -> ReportTable:
 
 
 def tabulate_coverage_unseen(result: RecipeEvaluation) -> ReportTable:
-    """Return the share of rides inside their interval by vehicle model, and for unseen cars, dates and vehicle models.
-
-    Units: returns [%].
-    """
+    """Return the coverage of intervals by vehicle model, and for unseen cars, dates and vehicle models. [%]"""
     coverage = get_coverage(result)
     keys = [key for key in list_vehicle_models(result) if any(key in each.vehicle_model for each in coverage.values())]
     unseen = {
-        kind: head
-        for kind, head in UNSEEN.items()
+        kind: shown.head
+        for kind, shown in list_shown(IntervalCoverage).items()
         if any(getattr(each, kind) is not None for each in coverage.values())
     }
     rows = tuple(
@@ -219,10 +192,7 @@ def tabulate_coverage_unseen(result: RecipeEvaluation) -> ReportTable:
 
 
 def tabulate_buffers(result: RecipeEvaluation) -> ReportTable:
-    """Return the buffers that keep 95 % and 99 % of rides above their reserve.
-
-    Units: returns [kWh].
-    """
+    """Return the buffers that keep 95 % and 99 % of rides above their reserve. [kWh]"""
     buffers = {recipe: result.buffer_kwh[recipe] for recipe in get_recipes(result) if result.buffer_kwh.get(recipe)}
     shares = list(dict.fromkeys(share for row in buffers.values() for share in row))
     values = [[row.get(share) for row in buffers.values()] for share in shares]
@@ -239,10 +209,7 @@ def tabulate_buffers(result: RecipeEvaluation) -> ReportTable:
 
 
 def tabulate_buffers_by_cluster(result: RecipeEvaluation) -> ReportTable:
-    """Return the buffers of the principal models by distance, for the largest share of rides.
-
-    Units: returns [kWh].
-    """
+    """Return the buffers of the principal models by distance, for the largest share of rides. [kWh]"""
     every = result.buffer_by_cluster
     buffers = {recipe: every[recipe] for recipe in select_principal(result) if every.get(recipe)}
     most = max((share for of in buffers.values() for row in of.values() for share in row), key=float, default="")

@@ -86,7 +86,7 @@ def draw_errors(result: SocEvaluation) -> go.Figure:
     x, groups = [int(hours) for hours in result.overall.hours], list(result.overall.hours.values())
     lines = {"forecast": (FORECAST, [group.mae_pct for group in groups])}
     lines |= {
-        meaning: (LOOKS[name], [group.get_baseline_error(name) for group in groups])
+        meaning: (LOOKS[name], [group.baselines[name].mae_pct for group in groups])
         for name, meaning in BASELINES.items()
     }
     among = [value for _, values in lines.values() for value in values]
@@ -115,15 +115,11 @@ def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[Clustered
     enough = [share.clusters >= LEAST_CLUSTERS for share in shares]
     values = [_percent(share.value) if known else None for share, known in zip(shares, enough, strict=True)]
     points = draw_curve(name, look, list(x), values).update(mode="markers", error_y=_bars(shares))
-    alone = [
-        (place, [_percent(share.low), _percent(share.high)])
-        for place, share, known in zip(x, shares, enough, strict=True)
-        if not known
-    ]
+    alone = [(place, share) for place, share, known in zip(x, shares, enough, strict=True) if not known]
     lines = go.Scatter(
         name=f"{name}: interval of too few vehicle-days",
         x=[place for one, _ in alone for place in (one, one, None)],
-        y=[end for _, ends in alone for end in (*ends, None)],
+        y=[end for _, share in alone for end in (_percent(share.low), _percent(share.high), None)],
         mode="lines",
         line={"color": look.colour, "dash": look.dash, "width": 2},
         showlegend=False,
@@ -145,10 +141,8 @@ def _draw_estimates(
 
 def _bars(shares: Sequence[ClusteredShare]) -> dict[str, Any]:
     """Return the error bars of shares."""
-    low, high = (
-        [_reach(share.value, share.low) for share in shares],
-        [_reach(share.value, share.high) for share in shares],
-    )
+    low = [_reach(share.value, share.low) for share in shares]
+    high = [_reach(share.value, share.high) for share in shares]
     return {"symmetric": False, "arrayminus": low, "array": high, "thickness": 1, "width": 3}
 
 
@@ -163,10 +157,8 @@ def _reach(share: float | None, end: float | None) -> float:
 
 def draw_width(result: SocEvaluation) -> go.Figure:
     """Return a figure of the width of the interval against the time ahead."""
-    x, widths = (
-        [int(hours) for hours in result.overall.hours],
-        [each.width_pct for each in result.overall.hours.values()],
-    )
+    x = [int(hours) for hours in result.overall.hours]
+    widths = [each.width_pct for each in result.overall.hours.values()]
     made = make_figure([_draw_estimates("width", FORECAST, x, widths, widths)], 380)
     made.update_layout(showlegend=False)
     made.update_xaxes(title_text=BEFORE, tickvals=x)

@@ -5,6 +5,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
 
+from socast.core.evaluate.records import EstimatedValue
 from socast.core.evaluate.soc.baselines import BASELINES
 from socast.core.evaluate.soc.records import (
     BestBaseline,
@@ -79,17 +80,16 @@ def format_share(share: ClusteredShare) -> str:
     if not share.clusters:
         return UNKNOWN
     value = format_percent(share.value) if share.clusters >= LEAST_CLUSTERS else TOO_FEW
-    return value + (
-        "" if share.low is None or share.high is None else f" ({100 * share.low:.1f} to {100 * share.high:.1f})"
-    )
+    if share.low is None or share.high is None:
+        return value
+    return f"{value} ({100 * share.low:.1f} to {100 * share.high:.1f})"
 
 
-def format_skill(skill: Any) -> str:
+def format_skill(skill: EstimatedValue) -> str:
     """Return a skill with its interval.
 
     Examples
     --------
-    >>> from socast.core.evaluate.records import EstimatedValue
     >>> format_skill(EstimatedValue(value=0.412, ci95=0.12))
     '+41 ± 12 %'
     """
@@ -147,7 +147,7 @@ def format_hours(hours: str) -> str:
 
 def _list_baseline_errors(groups: Iterable[ForecastFigures], names: Iterable[str]) -> list[tuple[str, list[str]]]:
     """Return the columns of the errors of baselines."""
-    return [(HEADS[name], [format_estimate(of.get_baseline_error(name).value, 2) for of in groups]) for name in names]
+    return [(HEADS[name], [format_estimate(of.baselines[name].mae_pct.value, 2) for of in groups]) for name in names]
 
 
 def tabulate_intervals(result: SocEvaluation) -> ReportTable:
@@ -170,21 +170,13 @@ def tabulate_conditions(result: SocEvaluation) -> list[ReportTable]:
     notes = (PERCENT_NOTE, "All columns but the last two pool all times ahead.", COVERAGE_NOTE, BEST_NOTE)
     tables = []
     for name, bins in result.by.items():
-        at = [part.hours.get(SHOWN_AT, ForecastFigures()) for part in bins]
-        more = [
-            (f"MAE, {SHOWN_AT} h", [format_estimate(each.mae_pct.value, 2) for each in at]),
-            (f"to best, {SHOWN_AT} h", [compare_with_best(each.best) for each in at]),
-        ]
+        at = [part.hours.get(SHOWN_AT) for part in bins]
+        errors = [format_estimate(each.mae_pct.value, 2) if each else UNKNOWN for each in at]
+        best = [compare_with_best(each.best if each else None) for each in at]
+        more = [(f"MAE, {SHOWN_AT} h", errors), (f"to best, {SHOWN_AT} h", best)]
+        options = {"fields": ("vehicle_days", *FIGURES), "more": more, "label": partial(format_bin, name)}
         groups = {part.bin: part.pooled for part in bins}
-        made = tabulate_figures(
-            f"By {name}",
-            f"{name}{UNITS.get(name, '')}",
-            groups,
-            notes,
-            fields=("vehicle_days", *FIGURES),
-            more=more,
-            label=partial(format_bin, name),
-        )
+        made = tabulate_figures(f"By {name}", f"{name}{UNITS.get(name, '')}", groups, notes, **options)
         if len(bins) > 1:
             tables.append(made)
     return tables

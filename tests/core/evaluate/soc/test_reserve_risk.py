@@ -6,10 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from socast.core.evaluate.soc.baselines import (
-    BASELINES,
-    compute_baselines,
-)
+from socast.core.evaluate.soc.baselines import BASELINES, compute_baselines
 from socast.core.evaluate.soc.cases import select_cases
 from socast.core.evaluate.soc.reserve_risk import (
     LEVELS,
