@@ -1,11 +1,10 @@
 """Evaluate models and forecasts on measured rides.
 
-Every function returns what the command of the same purpose writes with `--json`, as a record or a dict.
+Every function returns what the command of the same purpose writes with `--json`, as a record.
 """
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -17,9 +16,10 @@ from socast.core.evaluate.compare.ride_trace import find_ride as _find
 from socast.core.evaluate.compare.ride_trace import trace_ride as _trace
 from socast.core.evaluate.paper.protocol import evaluate as _evaluate
 from socast.core.evaluate.paper.protocol import select_recipes as _choose_recipes
+from socast.core.evaluate.paper.records import RecipeEvaluation
+from socast.core.evaluate.soc.records import SocEvaluation
 from socast.core.models import EXTENDED_PHYSICAL, LinearModel
 from socast.core.pipeline import Pipeline
-from socast.core.records import to_json_values as _plain
 from socast.core.stats.splits import REPEATS
 from socast.stream.loop import feed as _feed
 from socast.stream.mcap_reader import McapSource
@@ -39,7 +39,7 @@ def evaluate_recipes(
     repeats: int = REPEATS,
     left_out_of_training: Sequence[str] = (),
     jobs: int = 1,
-) -> dict[str, Any]:
+) -> RecipeEvaluation:
     """Fit recipes on splits of rides and return their errors on the rides held out.
 
     Parameters
@@ -61,8 +61,9 @@ def evaluate_recipes(
 
     Returns
     -------
-    dict
-        Errors by recipe, split, vehicle model and condition.
+    RecipeEvaluation
+        The parts that `socast evaluate --json` writes, as attributes; DataFrames `errors` (one row for each recipe and
+        vehicle model) and `percentages`; `to_json()` for plain values.
 
     Raises
     ------
@@ -148,7 +149,7 @@ def trace_ride(rides: pd.DataFrame, windows: pd.DataFrame, ride: str, models: Ma
 
 def evaluate_soc_forecasts(
     *recordings: str | Path, model: LinearModel = EXTENDED_PHYSICAL, truth: str | Path | None = None
-) -> dict[str, Any]:
+) -> SocEvaluation:
     """Replay recordings and evaluate the forecasts of the state of charge at each shift's end.
 
     Fleet statistics are learned during the replay, so every forecast rests only on what came before it.
@@ -162,6 +163,12 @@ def evaluate_soc_forecasts(
     truth : str or Path, optional
         Truth of a simulation with conditions; outcomes are then what a healthy display shows.
 
+    Returns
+    -------
+    SocEvaluation
+        The parts that `socast evaluate-soc --json` writes, as attributes; DataFrames `errors` (one row for each time
+        ahead) and `forecasts`; `to_json()` for plain values.
+
     Raises
     ------
     RecordingError
@@ -174,5 +181,4 @@ def evaluate_soc_forecasts(
     for _ in _feed(collector.cut(merge_sources([McapSource(path) for path in recordings])), collector.pipeline):
         collector.pipeline.forecasts()
         collector()
-    result: dict[str, Any] = _plain(collector.evaluated(displays))
-    return result
+    return collector.evaluated(displays)

@@ -5,11 +5,12 @@ downhill that regains some, has a relative error without a bound. Rides below `L
 MAPE, and their share is reported. wMAPE, the sum of errors over the sum of energy, counts every ride.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from socast.core.batch import Floats
+from socast.core.evaluate.records import RelativeErrors, hold_estimate
 from socast.core.stats.clustered import compute_clustered_mean, compute_clustered_ratio
 from socast.core.stats.scores import UNKNOWN, Codes, compute_relative_errors
 
@@ -17,7 +18,7 @@ LEAST_ENERGY: Final = 0.1
 """Least measured energy of a ride that MAPE counts, that of about 500 m in town. [kWh]"""
 
 
-def compute_relative_figures(measured: Floats, predicted: Floats, clusters: Codes, floor: float) -> dict[str, Any]:
+def compute_relative_figures(measured: Floats, predicted: Floats, clusters: Codes, floor: float) -> RelativeErrors:
     """Return the errors of predictions in kWh, as shares of the energy, and over the noise floor.
 
     Units: measured [kWh], predicted [kWh].
@@ -29,27 +30,22 @@ def compute_relative_figures(measured: Floats, predicted: Floats, clusters: Code
     floor : float
         Error that measurement noise alone causes; NaN where it is unknown. [kWh]
 
-    Returns
-    -------
-    dict
-        `mae_kwh`, `wmape` and `mape` with intervals, and `over_floor`, the mean absolute error over the floor [1].
-
     Examples
     --------
     >>> measured, predicted = np.array([1.0, 3.0, 0.0]), np.array([1.5, 3.0, 0.1])
-    >>> figures = compute_relative_figures(measured, predicted, np.arange(3), floor=0.1)
-    >>> [round(figures[name]["value"], 3) for name in ("mae_kwh", "wmape", "mape")], round(figures["over_floor"], 3)
+    >>> errors = compute_relative_figures(measured, predicted, np.arange(3), floor=0.1)
+    >>> [round(each.value, 3) for each in (errors.mae_kwh, errors.wmape, errors.mape)], round(errors.over_floor, 3)
     ([0.2, 0.15, 0.25], 2.0)
     """
     error, relative = np.abs(predicted - measured), compute_relative_errors(measured, predicted, LEAST_ENERGY)
     known = ~np.isnan(relative)
     mae = compute_clustered_mean(error, clusters)
-    return {
-        "mae_kwh": mae.figures(),
-        "wmape": compute_clustered_ratio(error, measured, clusters).figures(),
-        "mape": (compute_clustered_mean(relative[known], clusters[known]) if known.any() else UNKNOWN).figures(),
-        "over_floor": divide_by_floor(mae.value, floor),
-    }
+    return RelativeErrors(
+        mae_kwh=hold_estimate(mae),
+        wmape=hold_estimate(compute_clustered_ratio(error, measured, clusters)),
+        mape=hold_estimate(compute_clustered_mean(relative[known], clusters[known]) if known.any() else UNKNOWN),
+        over_floor=divide_by_floor(mae.value, floor),
+    )
 
 
 def divide_by_floor(error: float, floor: float) -> float:

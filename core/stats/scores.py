@@ -81,10 +81,6 @@ class Estimate(NamedTuple):
             return 1.0 if self.value == 0.0 else 0.0
         return float(2.0 * stdtr(self.freedom, -abs(self.value) / self.error)) if self.freedom > 0 else nan
 
-    def figures(self) -> dict[str, float]:
-        """Return `value` and `ci95`, named as in the results."""
-        return {"value": self.value, "ci95": self.ci95}
-
 
 UNKNOWN: Final = Estimate(nan, nan, nan)
 

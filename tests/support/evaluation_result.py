@@ -4,9 +4,12 @@ import math
 from itertools import combinations, pairwise
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from socast.core.evaluate.binning import SEASONS
+from socast.core.evaluate.paper.records import RecipeEvaluation
+from socast.core.records import to_json_values
 
 RECIPES = {
     "basic_physical": "Basic Physical Model",
@@ -36,6 +39,11 @@ ALL_CLUSTERS = (*CLUSTERS, "25-30", "30+")
 TEMPERATURES = ("below -30", *(f"{low} to {high}" for low, high in pairwise(range(-30, 31, 10))), "from 30")
 BASELINES = ("basic_physical", "basic_rescaled", "basic_rescaled_power", "telematics_regression")
 BEYOND_PAPER = ("hybrid_ridge", "hybrid_trees")
+
+
+def hold(values: dict[str, Any]) -> RecipeEvaluation:
+    """Return the result of an evaluation from its JSON values, some of which may be missing."""
+    return msgspec.convert(to_json_values(values), RecipeEvaluation)
 
 
 def evaluation(seed: int = 1) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from math import radians, sqrt
+from math import nan, radians, sqrt
 from pathlib import Path
 from typing import Any, Final
 
@@ -172,7 +172,8 @@ def measure_forecasts(messages: Sequence[Message], elevation_map: ElevationMap |
         forecasts.pipeline.push(part)
         forecasts()
     forecasts.pipeline.finish()
-    return float(forecasts.evaluated()["overall"]["pooled"]["mae_pct"]["value"])
+    error = forecasts.evaluated().overall.pooled.mae_pct.value
+    return nan if error is None else error
 
 
 def measure_fleet(seed: int, keep: Path | None = None, say: Callable[[str], None] = print) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from socast.core.batch import Floats
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.evaluate.binning import bin_values
 from socast.core.evaluate.soc.baselines import PERSONS, REGRESSION
+from socast.core.evaluate.soc.records import ImpossibleBounds
 from socast.core.evaluate.soc.report import TEMPERATURES, compute_interval_score
 from socast.core.evaluate.soc.reserve_risk import PLANNED, tabulate_levels
 from socast.core.stats.clustered import compute_clustered_share
@@ -58,8 +59,7 @@ class Judged:
         Legs with outcome and baselines.
     forecasts : DataFrame
         `COMPARED` of all forecasts.
-    bounds : dict
-        Of `socast.core.evaluate.soc.outcomes.count_impossible_bounds`.
+    bounds : ImpossibleBounds
     seconds : float
         Time that simulation and forecasts took. [s]
     to_charge, over_charge : DataFrame
@@ -73,7 +73,7 @@ class Judged:
     unlearned: pd.DataFrame
     legs: pd.DataFrame
     forecasts: pd.DataFrame
-    bounds: dict[str, Any]
+    bounds: ImpossibleBounds
     seconds: float
     to_charge: pd.DataFrame = field(default_factory=pd.DataFrame)
     over_charge: pd.DataFrame = field(default_factory=pd.DataFrame)
@@ -306,8 +306,8 @@ def _width(fleet: str, where: str, rows: pd.DataFrame) -> Line:
 
 def _check_bounds(fleet: str, judged: Sequence[Judged]) -> Line:
     """Return how often an upper bound was above the present charge without a charge ahead."""
-    above, n = (sum(one.bounds[name] for one in judged) for name in ("above", "n"))
-    largest = max(one.bounds["largest"] for one in judged)
+    above, n = (sum(getattr(one.bounds, name) for one in judged) for name in ("above", "n"))
+    largest = max(one.bounds.largest for one in judged)
     told = f"{above:,} of {n:,}, at most by {largest:.1f}"
     return Line(fleet, "upper bound above the present charge", "never", told, _verdict(above == 0))
 

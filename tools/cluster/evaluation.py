@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from socast.core.evaluate.paper.protocol import EvaluationPlan, plan_evaluation, select_recipes, tabulate_runs
+from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.core.evaluate.paper.runs import call_in_one_thread
 from socast.core.evaluate.paper.selection import MARGIN
 from socast.core.vehicles import add_vehicles
@@ -48,7 +49,7 @@ class EvaluationJob:
     run: str = ""
 
 
-def evaluate_by_workers(job: EvaluationJob, workers: Workers) -> dict[str, Any]:
+def evaluate_by_workers(job: EvaluationJob, workers: Workers) -> RecipeEvaluation:
     """Return the whole evaluation of recipes; its runs are tasks."""
     plan, job = plan_job(job), replace(job, run=str(workers.scratch))
     tasks = [(job, key) for key in plan.calls]

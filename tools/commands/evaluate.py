@@ -5,15 +5,17 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated
 
 import joblib
 import typer
+from msgspec.structs import replace
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from socast.core.errors import SettingsError
 from socast.core.evaluate.paper.protocol import SEGMENTS, tabulate_runs
+from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.core.evaluate.paper.runs import run_in_parallel
 from socast.core.evaluate.paper.selection import MARGIN
 from socast.core.fit import segment_network
@@ -103,8 +105,9 @@ def evaluate_tables(
             tuple(file.resolve() for file in source.vehicle_files),
         )
         result = _evaluate(job, jobs, place)
-    result["about"]["seconds"] = round(time.perf_counter() - began, 1)
-    write_json(json_file, "evaluate", result)
+    seconds = round(time.perf_counter() - began, 1)
+    result = replace(result, about=replace(result.about, seconds=seconds))
+    write_json(json_file, "evaluate", result.to_json())
     _report(result, html_file, json_file)
 
 
@@ -116,7 +119,7 @@ def window_columns(names: Collection[str] = ()) -> list[str]:
     return list(dict.fromkeys([KEY, "window", *of_segments, *of_recipes]))
 
 
-def _evaluate(job: EvaluationJob, jobs: int | None, place: ClusterPlace | None) -> dict[str, Any]:
+def _evaluate(job: EvaluationJob, jobs: int | None, place: ClusterPlace | None) -> RecipeEvaluation:
     """Return the evaluation, by processes of this command or by workers."""
     if place is None:
         plan = plan_job(job)
@@ -148,7 +151,7 @@ def running() -> Iterator[Callable[[int, int], None]]:
         yield lambda done, of: progress.update(task, completed=done, total=of)
 
 
-def _report(result: dict[str, Any], html_file: Path | None, json_file: Path | None) -> None:
+def _report(result: RecipeEvaluation, html_file: Path | None, json_file: Path | None) -> None:
     """Write the HTML page and print the tables."""
     from socast.tools.report import page  # noqa: PLC0415 - figures take seconds to import
     from socast.tools.report.evaluation import terminal  # noqa: PLC0415 - figures take seconds to import

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import pandas as pd
 import typer
@@ -13,9 +13,9 @@ from socast.core.errors import SettingsError
 from socast.core.evaluate.soc.legs import RIDE_COLUMNS, LegRecorder, match_legs_to_rides
 from socast.core.evaluate.soc.plans import PlanRecorder
 from socast.core.evaluate.soc.query_times import QueryTimes
+from socast.core.evaluate.soc.records import SocEvaluation
 from socast.core.evaluate.soc.report import evaluate_soc
 from socast.core.pipeline import Pipeline
-from socast.core.records import to_json_values
 from socast.core.settings import Settings
 from socast.core.wire.messages import Message
 from socast.stream.elevation_files import open_elevation
@@ -94,7 +94,7 @@ class SocForecasts:
         legs = match_legs_to_rides(self._questions.table(), pd.concat(self._rides), shifts)
         return SocTables(pd.concat(self._outlooks, ignore_index=True), shifts, legs, self._plans.table())
 
-    def evaluated(self, displays: pd.DataFrame | None = None) -> dict[str, Any]:
+    def evaluated(self, displays: pd.DataFrame | None = None) -> SocEvaluation:
         """Return the evaluation of all forecasts, see `socast.core.evaluate.soc.report.evaluate_soc`."""
         return evaluate_soc(*self.tables(), displays)
 
@@ -155,6 +155,6 @@ def evaluate_recordings(
     run_forecasts(forecasts.pipeline, sources, forecasts.cut(merge_sources(sources)), also=forecasts)
     warn_outside(forecasts.pipeline.quality())
     warn_of_losses(sources)
-    result = to_json_values(forecasts.evaluated(displays))
-    write_json(json_file, "evaluate-soc", result)
+    result = forecasts.evaluated(displays)
+    write_json(json_file, "evaluate-soc", result.to_json())
     show_report("soc.page", result, html_file, json_file)

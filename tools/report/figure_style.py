@@ -11,7 +11,8 @@ import plotly.graph_objects as go
 import plotly.io
 from plotly.subplots import make_subplots
 
-from socast.tools.report.evaluation.result import WAYS, Result, get_recipes, get_title, list_vehicle_models
+from socast.core.evaluate.paper.records import RecipeEvaluation
+from socast.tools.report.evaluation.result import WAYS, get_recipes, get_title, list_vehicle_models
 
 plotly.io.templates.default = None  # `LAYOUT` stands for it
 
@@ -82,13 +83,13 @@ def get_style(place: int) -> Style:
     return Style(*(kinds[place % len(kinds)] for kinds in (COLOURS, DASHES, SYMBOLS, PATTERNS)))
 
 
-def get_recipe_style(result: Result, recipe: str) -> Style:
+def get_recipe_style(result: RecipeEvaluation, recipe: str) -> Style:
     """Return the style of a model, the same in every figure."""
     names = [*get_recipes(result), *WAYS]
     return get_style(names.index(recipe) if recipe in names else len(names))
 
 
-def get_vehicle_style(result: Result, vehicle_model: str) -> Style:
+def get_vehicle_style(result: RecipeEvaluation, vehicle_model: str) -> Style:
     """Return the style of a vehicle model, the same in every figure."""
     keys = list_vehicle_models(result)
     return get_style(2 + (keys.index(vehicle_model) if vehicle_model in keys else len(keys)))
@@ -99,7 +100,7 @@ def escape_label(text: str) -> str:
     return escape(text, quote=False)
 
 
-def format_recipe_label(result: Result, recipe: str, width: int = 30) -> str:
+def format_recipe_label(result: RecipeEvaluation, recipe: str, width: int = 30) -> str:
     """Return the title of a model, in lines of about `width` characters."""
     lines = [""]
     for word in get_title(result, recipe).split():

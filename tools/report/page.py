@@ -13,11 +13,10 @@ from plotly.offline import get_plotlyjs
 
 from socast.core.errors import SettingsError
 from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.records import EvaluatedTable, RecipeEvaluation
 from socast.core.files import write_whole
-from socast.core.records import to_json_values
 from socast.tools.report.cells import Cell, ReportTable, Row
 from socast.tools.report.evaluation.illustrations import Drawing, Illustration, build_illustrations
-from socast.tools.report.evaluation.result import Result, get_mapping
 from socast.tools.report.evaluation.sections import Section, build_sections
 from socast.tools.terminal.output import REPORT_VERSIONS
 
@@ -35,7 +34,7 @@ UNIT_SPACE: Final = re.compile(
 NO_BREAK: Final = "\u00a0"
 
 
-def write(result: Any, path: Path) -> None:
+def write(result: RecipeEvaluation, path: Path) -> None:
     """Write the result of an evaluation as a self-contained page."""
     save(render_page(result), path)
 
@@ -48,16 +47,11 @@ def save(text: str, path: Path) -> None:
         raise SettingsError(f"{path} cannot be written: {error.strerror}; name a file in an existing folder") from error
 
 
-def render_page(result: Any) -> str:
+def render_page(result: RecipeEvaluation) -> str:
     """Return the page of an evaluation."""
-    values = to_json_values(result)
+    about, sections = result.about, build_sections(result)
     return render_document(
-        "evaluate",
-        TITLE,
-        _lead(values),
-        build_sections(values),
-        lambda key: build_illustrations(values, key),
-        _foot(values),
+        "evaluate", TITLE, _lead(about), sections, lambda key: build_illustrations(result, key), _foot(about)
     )
 
 
@@ -127,10 +121,9 @@ def _shipped(name: str) -> str:
     return resources.files("socast.tools.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def _lead(result: Result) -> str:
+def _lead(about: EvaluatedTable) -> str:
     """Return how many rides were evaluated, and what the figures of the paper are."""
-    about = get_mapping(result, "about")
-    rides = f"{about['fit']:,} rides. " if isinstance(about.get("fit"), int | float) else ""
+    rides = "" if about.fit is None else f"{about.fit:,} rides. "
     text = (
         f"{rides}Figures in parentheses and outlines are from “{published.load_paper().title}”. They are "
         "from other data (the rides of one company), for orientation only."
@@ -138,11 +131,9 @@ def _lead(result: Result) -> str:
     return f"<p>{escape_text(text)}</p>"
 
 
-def _foot(result: Result) -> str:
+def _foot(about: EvaluatedTable) -> str:
     """Return the notes of the evaluation and the name of the command."""
-    about = get_mapping(result, "about")
-    notes = [*(result.get("notes") or ()), *(about.get("notes") or ())]
-    items = "".join(f"<li>{escape_text(str(note))}</li>" for note in notes)
+    items = "".join(f"<li>{escape_text(note)}</li>" for note in about.notes)
     return (f"<ul>{items}</ul>" if items else "") + "<p>Made by <code>socast evaluate</code>.</p>"
 
 

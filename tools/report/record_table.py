@@ -62,6 +62,9 @@ def tabulate_records(
     *,
     corner: str = "",
     fields: Sequence[str] = (),
+    more: Sequence[tuple[str, Sequence[str]]] = (),
+    label: Callable[[str], str] = str,
+    total: str = "",
     notes: tuple[str, ...] = (),
     strong: Callable[[str, int, Any], bool] = lambda *_: False,
     numbered: bool = False,
@@ -77,6 +80,12 @@ def tabulate_records(
         Kind of the records.
     fields : sequence of str
         Fields to show, in order; by default all that declare a head.
+    more : sequence of (str, sequence of str)
+        Further columns: their heads, and the text for each record.
+    label : callable
+        Function of the name of a row that returns it as shown.
+    total : str
+        Name of the row that sums up the others.
     strong : callable
         Function of the field, the place of the record and its value that returns whether a cell is emphasised.
     numbered : bool
@@ -99,9 +108,14 @@ def tabulate_records(
 
     rows = tuple(
         Row(
-            f"{f'{place}. ' if numbered else ''}{row_name}",
-            tuple(make_cell(name, shown, place, record) for name, shown in columns),
+            f"{f'{place}. ' if numbered else ''}{label(row_name)}",
+            (
+                *(make_cell(name, shown, place, record) for name, shown in columns),
+                *(Cell(texts[place - 1]) for _, texts in more),
+            ),
+            total=row_name == total,
         )
         for place, (row_name, record) in enumerate(zip(names, every, strict=True), start=1)
     )
-    return ReportTable(title, corner, tuple(shown.head for _, shown in columns), rows, notes)
+    heads = (*(shown.head for _, shown in columns), *(head for head, _ in more))
+    return ReportTable(title, corner, heads, rows, notes)

@@ -22,8 +22,8 @@ from socast.core.evaluate.compare.records import (
     PropertyContrast,
     SetContrast,
     TermContrast,
-    hold_estimate,
 )
+from socast.core.evaluate.records import hold_estimate
 from socast.core.evaluate.ride_filter import IDENTITY_COLUMNS
 from socast.core.models import LinearModel
 from socast.core.stats.clustered import compute_clustered_mean, compute_clustered_ratio, subtract

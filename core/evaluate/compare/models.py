@@ -21,16 +21,15 @@ from socast.core.evaluate.compare.records import (
     ComparedModel,
     Comparison,
     ConditionBin,
-    EstimatedValue,
     PairDifference,
     PredictionErrors,
     RideEnergies,
     RideSample,
     WorstRide,
     WorstRides,
-    hold_estimate,
 )
 from socast.core.evaluate.paper.held_out import word_limited
+from socast.core.evaluate.records import hold_estimate
 from socast.core.evaluate.relative_errors import compute_relative_figures, compute_share_below_least
 from socast.core.evaluate.ride_filter import find_exclusion_reasons, name_rides
 from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance
@@ -243,16 +242,15 @@ def compute_errors(compared: ComparedRides, predicted: Floats) -> PredictionErro
     """Return the errors of predictions. [kWh]"""
     error = predicted - compared.measured
     off = compute_clustered_mean(error, compared.clusters)
-    figures = compute_relative_figures(compared.measured, predicted, compared.clusters, compared.noise_floor)
+    errors = compute_relative_figures(compared.measured, predicted, compared.clusters, compared.noise_floor)
     return PredictionErrors(
         rides=len(error),
         bias_kwh=hold_estimate(off),
         rmse_kwh=scores.compute_rmse(compared.measured, predicted),
-        over_floor=figures.pop("over_floor"),
-        relative=figures["wmape"]["value"],
+        relative=errors.wmape.value,
         relative_bias=_divide_by_mean(off.value, compared.measured),
         within={**scores.compute_band_shares(compared.measured, predicted)},
-        **{name: EstimatedValue(**value) for name, value in figures.items()},
+        **msgspec.structs.asdict(errors),
     )
 
 

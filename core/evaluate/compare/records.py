@@ -4,19 +4,12 @@ from typing import Annotated
 
 import pandas as pd
 
+from socast.core.evaluate.records import EstimatedValue, RelativeErrors, make_estimate_frame
 from socast.core.records import PartialRecord, Record, declare, make_frame
 from socast.core.stats.multiple_testing import SIGNIFICANCE
-from socast.core.stats.scores import Estimate
 
 Values = list[float | None]
 """One value for each ride, window or bin; None where it is unknown."""
-
-
-class EstimatedValue(Record, frozen=True):
-    """Hold a value with its uncertainty."""
-
-    value: float | None = None
-    ci95: Annotated[float | None, declare("Half width of the 95 % interval, clustered by vehicle-day.")] = None
 
 
 class RideSample(Record, frozen=True):
@@ -37,16 +30,12 @@ class RideSample(Record, frozen=True):
     per_100km_kwh: Annotated[EstimatedValue, declare("Measured energy per distance. [kWh/100 km]")] = EstimatedValue()
 
 
-class PredictionErrors(Record, frozen=True):
+class PredictionErrors(RelativeErrors, frozen=True):
     """Hold the errors of the predictions of a model."""
 
     rides: Annotated[int, declare("Number of rides.")] = 0
-    mae_kwh: Annotated[EstimatedValue, declare("Mean absolute error. [kWh]")] = EstimatedValue()
     bias_kwh: Annotated[EstimatedValue, declare("Mean of predicted less measured. [kWh]")] = EstimatedValue()
     rmse_kwh: Annotated[float | None, declare("Root mean square error. [kWh]")] = None
-    wmape: Annotated[EstimatedValue, declare("Sum of errors over energy. [1]", "wMAPE", "share")] = EstimatedValue()
-    mape: Annotated[EstimatedValue, declare("Mean of errors over energy. [1]", "MAPE", "share")] = EstimatedValue()
-    over_floor: Annotated[float | None, declare("Error over the noise floor. [1]", "over noise", "ratio")] = None
     relative: Annotated[float | None, declare("Mean absolute error over mean consumption. [1]")] = None
     relative_bias: Annotated[float | None, declare("Bias over mean consumption. [1]")] = None
     within: Annotated[dict[str, float | None], declare("Relative error in % -> share of rides within it. [1]")] = {}
@@ -385,15 +374,10 @@ class Comparison(PartialRecord, frozen=True):
         """Errors of the models, one row each; `_ci95` ends the half widths of 95 % intervals. [kWh], [1]"""
         names = PredictionErrors.__struct_fields__
         rows = [{"model": label} | {n: one.to_json()[n] for n in names} for label, one in self.models.items()]
-        return pd.json_normalize(rows, sep="_").rename(columns=lambda name: name.removesuffix("_value"))
+        return make_estimate_frame(rows)
 
     @property
     def worst_rides(self) -> pd.DataFrame:
         """Rides of largest error of each model, one row each, the largest first. [kWh]"""
         parts = {name: make_frame(one.worst.absolute) for name, one in self.models.items()}
         return pd.concat(parts, names=["model"]).reset_index("model").reset_index(drop=True)
-
-
-def hold_estimate(estimate: Estimate) -> EstimatedValue:
-    """Return an estimate as a record."""
-    return EstimatedValue(value=estimate.value, ci95=estimate.ci95)

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 
 from socast.core.errors import SocastError
+from socast.core.evaluate.paper.records import AccessoryPoint, AccessoryPower
 from socast.core.evaluate.ride_filter import LEAST_RIDES, EvaluatedRides
 from socast.core.fit.recipes import RECIPES
 from socast.core.models import BASIC_PHYSICAL
@@ -16,18 +17,8 @@ BIN_K: Final = 2.0
 """Width of a bin of outside temperature. [K]"""
 
 
-def compute_figure_1(evaluated: EvaluatedRides) -> dict[str, Any]:
-    """Return, for each vehicle model, its accessory power by temperature and the fitted curve.
-
-    Accessory power is what rides used beyond the basic physical model.
-
-    Returns
-    -------
-    dict
-        Vehicle model to `points` and `curve`. Each point has `ambient_c`, `power_w` and `rides` of a temperature bin;
-        the curve has the seven numbers of `socast.core.vehicles.AccessoryCurve` in K and W. Powers are those of a
-        vehicle whose accessory scale is 1.
-    """
+def compute_figure_1(evaluated: EvaluatedRides) -> dict[str, AccessoryPower]:
+    """Return the accessory power of each vehicle model: what its rides used beyond the basic physical model."""
     rides: Any = evaluated.rides
     try:
         fits = RECIPES[RECIPE].fit(rides).fits
@@ -47,9 +38,9 @@ def compute_figure_1(evaluated: EvaluatedRides) -> dict[str, Any]:
         rides = np.bincount(codes - first, minlength=bins)
         sums = [compute_group_means(values[of_model], codes - first, bins) for values in (ambient, beyond, time)]
         points = [
-            {"ambient_c": sums[0][b], "power_w": sums[1][b] / sums[2][b], "rides": int(rides[b])}
+            AccessoryPoint(ambient_c=sums[0][b], power_w=sums[1][b] / sums[2][b], rides=rides[b])
             for b in range(bins)
             if rides[b] >= LEAST_RIDES
         ]
-        figure[name] = {"points": points, "curve": msgspec.to_builtins(fits[name].curve)}
+        figure[name] = AccessoryPower(points=points, curve=msgspec.to_builtins(fits[name].curve))
     return figure

@@ -1,14 +1,16 @@
 """Compute errors by vehicle model, distance, temperature, season and driver, and the coverage of intervals."""
 
-from collections.abc import Sequence
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from typing import Final
 
+import msgspec
 import numpy as np
 import pandas as pd
 
 from socast.core.batch import Floats
 from socast.core.evaluate.binning import Binning, bin_seasons
 from socast.core.evaluate.paper.held_out import HeldOutPredictions
+from socast.core.evaluate.paper.records import BinErrors, IntervalCoverage, Numbers
 from socast.core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, EvaluatedRides
 from socast.core.stats import scores
 from socast.core.stats.scores import Codes
@@ -56,9 +58,7 @@ def _enough(codes: Codes, rows: Codes) -> Codes:
     return np.where((codes >= 0) & (rides[np.maximum(codes, 0)] >= LEAST_RIDES), codes, -1)[rows]
 
 
-def compute_errors_by_bin(
-    held: HeldOutPredictions, evaluated: EvaluatedRides
-) -> dict[str, dict[str, list[dict[str, Any]]]]:
+def compute_errors_by_bin(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, dict[str, list[BinErrors]]]:
     """Return the errors of each recipe in each of the bins of `bin_evaluated_rides`.
 
     A ride that was held out in several repeats counts in each of them, so `n` is a number of predictions.
@@ -67,65 +67,80 @@ def compute_errors_by_bin(
     energy = evaluated.energy[rows]
     return {
         name: {
-            recipe: scores.compute_bin_errors(energy, held.all_of(recipe), _enough(codes, rows), labels)
+            recipe: msgspec.convert(
+                scores.compute_bin_errors(energy, held.all_of(recipe), _enough(codes, rows), labels), list[BinErrors]
+            )
             for recipe in held.recipes
         }
         for name, (codes, labels) in bin_evaluated_rides(evaluated).items()
     }
 
 
-def compute_overall_errors(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Any]:
-    """Return the errors of each recipe over all held-out rides."""
-    rows = held.pooled
-    energy, model, cluster = evaluated.energy[rows], evaluated.model[rows], _enough(evaluated.cluster, rows)
-    errors: dict[str, Any] = {"bias": {}, "rmse": {}, "bands": {}, "buffer_kwh": {}, "buffer_by_cluster": {}}
-    for recipe in held.recipes:
-        predicted = held.all_of(recipe)
-        by_model = [(name, model == i) for i, name in enumerate(evaluated.vehicle_models)]
-        errors["bias"][recipe] = {name: scores.compute_bias(energy[at], predicted[at]) for name, at in by_model}
-        errors["rmse"][recipe] = {name: scores.compute_rmse(energy[at], predicted[at]) for name, at in by_model}
-        errors["bands"][recipe] = scores.compute_band_shares(energy, predicted)
-        errors["buffer_kwh"][recipe] = _buffers(energy, predicted)
-        errors["buffer_by_cluster"][recipe] = {
-            name: _buffers(energy[cluster == i], predicted[cluster == i])
-            for i, name in enumerate(CLUSTERS)
-            if np.any(cluster == i)
-        }
-    return errors
+def compute_errors_by_vehicle_model(
+    held: HeldOutPredictions, evaluated: EvaluatedRides, measure: Callable[[Floats, Floats], float]
+) -> Numbers:
+    """Return an error of each recipe over the held-out rides of each vehicle model."""
+    energy, model = evaluated.energy[held.pooled], evaluated.model[held.pooled]
+    rides_of = {name: model == i for i, name in enumerate(evaluated.vehicle_models)}
+    return {
+        recipe: {name: measure(energy[at], held.all_of(recipe)[at]) for name, at in rides_of.items()}
+        for recipe in held.recipes
+    }
 
 
-def _buffers(measured: Floats, predicted: Floats) -> dict[str, float]:
+def compute_bands(held: HeldOutPredictions, evaluated: EvaluatedRides) -> Numbers:
+    """Return the share of held-out rides that each recipe predicts within bands of relative error. [1]"""
+    energy = evaluated.energy[held.pooled]
+    return {recipe: {**scores.compute_band_shares(energy, held.all_of(recipe))} for recipe in held.recipes}
+
+
+def compute_buffers(held: HeldOutPredictions, evaluated: EvaluatedRides) -> Numbers:
+    """Return the buffer of each recipe for each of `BUFFER_SHARES`. [kWh]"""
+    energy = evaluated.energy[held.pooled]
+    return {recipe: _buffers(energy, held.all_of(recipe)) for recipe in held.recipes}
+
+
+def compute_buffers_by_cluster(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Numbers]:
+    """Return the buffer of each recipe in each cluster of distance with enough rides. [kWh]"""
+    energy, cluster = evaluated.energy[held.pooled], _enough(evaluated.cluster, held.pooled)
+    rides_of = {name: cluster == i for i, name in enumerate(CLUSTERS) if np.any(cluster == i)}
+    return {
+        recipe: {name: _buffers(energy[at], held.all_of(recipe)[at]) for name, at in rides_of.items()}
+        for recipe in held.recipes
+    }
+
+
+def _buffers(measured: Floats, predicted: Floats) -> dict[str, float | None]:
     """Return the buffer for each of `BUFFER_SHARES`. [kWh]"""
     return {str(share): scores.compute_buffer(measured, predicted, share / 100.0) for share in BUFFER_SHARES}
 
 
-def compute_interval_coverage(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, dict[str, Any]]:
-    """Return the share of rides inside their interval and its mean width, for each recipe with intervals.
-
-    Returns
-    -------
-    dict
-        Recipe to `overall` coverage, coverage by `cluster`, `season` and `vehicle_model` where at least `LEAST_RIDES`
-        were held out, and `width_kwh`.
-    """
+def compute_interval_coverage(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, IntervalCoverage]:
+    """Return the share of rides inside their interval and its mean width, for each recipe with intervals."""
     rows = held.pooled
     energy = evaluated.energy[rows]
     season, seasons = bin_seasons(evaluated.rides["winter"].to_numpy(np.float64))
-    coverage: dict[str, dict[str, Any]] = {}
+    coverage = {}
     for recipe in held.bounds:
         lower, upper = held.all_bounds(recipe)
         inside = ((lower <= energy) & (energy <= upper)).astype(np.float64)
-        coverage[recipe] = {
-            "overall": scores.compute_coverage(energy, lower, upper),
-            "cluster": _shares(inside, _enough(evaluated.cluster, rows), CLUSTERS),
-            "season": _shares(inside, _enough(season, rows), seasons),
-            "vehicle_model": _shares(inside, _enough(evaluated.model, rows), evaluated.vehicle_models),
-            "width_kwh": float(np.mean(upper - lower)) if len(energy) else np.nan,
-        }
+        coverage[recipe] = IntervalCoverage(
+            overall=scores.compute_coverage(energy, lower, upper),
+            cluster=_shares(inside, _enough(evaluated.cluster, rows), CLUSTERS),
+            season=_shares(inside, _enough(season, rows), seasons),
+            vehicle_model=_shares(inside, _enough(evaluated.model, rows), evaluated.vehicle_models),
+            width_kwh=float(np.mean(upper - lower)) if len(energy) else None,
+        )
     return coverage
 
 
-def _shares(inside: Floats, groups: Codes, names: Sequence[str]) -> dict[str, float]:
+def compute_overall_coverage(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, float]:
+    """Return the share of rides inside their interval, for each recipe with intervals. [1]"""
+    energy = evaluated.energy[held.pooled]
+    return {recipe: scores.compute_coverage(energy, *held.all_bounds(recipe)) for recipe in held.bounds}
+
+
+def _shares(inside: Floats, groups: Codes, names: Sequence[str]) -> dict[str, float | None]:
     """Return the share inside, for each group that has any."""
     means = scores.compute_group_means(inside, groups, len(names))
     return {name: float(mean) for name, mean in zip(names, means, strict=True) if not np.isnan(mean)}

@@ -3,13 +3,15 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isnan
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from socast.core.batch import Floats
+from socast.core.evaluate.paper.records import EstimateTable
 from socast.core.evaluate.paper.runs import Prediction
 from socast.core.evaluate.paper.vehicle_weights import weigh_vehicle_models
+from socast.core.evaluate.records import EstimatedValue, hold_estimate
 from socast.core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
 from socast.core.stats.scores import Codes, Estimate, average_over_repeats, combine_strata, compute_group_means
 
@@ -154,15 +156,16 @@ def average_over_vehicle_models(cells: list[list[Estimate]], evaluated: Evaluate
     ]
 
 
-def tabulate_estimates(cells: list[list[Estimate]], evaluated: EvaluatedRides) -> dict[str, Any]:
+def tabulate_estimates(cells: list[list[Estimate]], evaluated: EvaluatedRides) -> EstimateTable:
     """Return a table of the paper: vehicle model to cluster to figure, with `average`, and the row `weighted`."""
     average = average_over_clusters(cells)
-    rows: dict[str, Any] = {}
-    for model, row, mean in zip(evaluated.vehicle_models, cells, average, strict=True):
-        rows[model] = {**_row(row), "average": mean.figures()}
+    rows = {
+        model: {**_row(row), "average": hold_estimate(mean)}
+        for model, row, mean in zip(evaluated.vehicle_models, cells, average, strict=True)
+    }
     return rows | {"weighted": _row(average_over_vehicle_models(cells, evaluated))}
 
 
-def _row(estimates: Sequence[Estimate]) -> dict[str, dict[str, float]]:
-    """Return the figures of estimates by cluster."""
-    return {name: estimate.figures() for name, estimate in zip(CLUSTERS[:SCORED_CLUSTERS], estimates, strict=True)}
+def _row(estimates: Sequence[Estimate]) -> dict[str, EstimatedValue]:
+    """Return estimates by cluster."""
+    return {name: hold_estimate(estimate) for name, estimate in zip(CLUSTERS[:SCORED_CLUSTERS], estimates, strict=True)}

@@ -12,6 +12,7 @@ has the smaller error at each point. This choice uses the test errors and so fav
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
+from math import inf
 from typing import Any, Final, NamedTuple
 from zlib import crc32
 
@@ -21,6 +22,7 @@ from socast.core.batch import Floats
 from socast.core.errors import SettingsError, SocastError
 from socast.core.evaluate.paper.held_out import HeldOutPredictions
 from socast.core.evaluate.paper.published import find_paper_key
+from socast.core.evaluate.paper.records import LearningPoint, NewVehicleErrors
 from socast.core.evaluate.paper.results import REFERENCE, compute_pooled_average, compute_reductions
 from socast.core.evaluate.paper.runs import EvaluatedRecipe, FittedModel
 from socast.core.evaluate.ride_filter import LEAST_RIDES, SCORED_CLUSTERS, EvaluatedRides
@@ -98,14 +100,8 @@ def split_by_vehicle_model(evaluated: EvaluatedRides, untrained: Collection[str]
 
 def compute_tables_12_and_13(
     held: Mapping[str, HeldOutPredictions], evaluated: EvaluatedRides
-) -> dict[str, dict[str, dict[str, float]]]:
-    """Return the errors on left-out vehicle models.
-
-    Returns
-    -------
-    dict
-        Recipe to vehicle model to `mae`, `relative`, `basic` and `reduction`; and to `average`, their means.
-    """
+) -> dict[str, dict[str, NewVehicleErrors]]:
+    """Return the errors of each recipe on left-out vehicle models, and their means as `average`."""
     recipes = (
         [r for r in next(iter(held.values())).recipes if all(r in h.recipes for h in held.values())] if held else []
     )
@@ -113,16 +109,16 @@ def compute_tables_12_and_13(
     means = {r: [compute_pooled_average(held[name], evaluated, r)[at[name]] for name in held] for r in recipes}
     used = [_consumption(evaluated, i) for i in at.values()]
     reduced = compute_reductions(means, list(held))
-    tables: dict[str, dict[str, dict[str, float]]] = {}
+    tables = {}
     for recipe in recipes:
-        rows = {}
+        rows: dict[str, dict[str, Any]] = {}
         for i, name in enumerate(held):
-            figures = {"mae": means[recipe][i], "relative": means[recipe][i] / used[i]}
+            error = means[recipe][i]
+            rows[name] = {"mae": error, "relative": error / used[i]}
             if REFERENCE in means:
-                figures |= {"basic": means[REFERENCE][i], "reduction": reduced[recipe][name]}
-            rows[name] = figures
-        keys = next(iter(rows.values()))
-        tables[recipe] = rows | {"average": {key: float(np.mean([row[key] for row in rows.values()])) for key in keys}}
+                rows[name] |= {"basic": means[REFERENCE][i], "reduction": reduced[recipe][name]}
+        mean = {key: float(np.mean([row[key] for row in rows.values()])) for key in next(iter(rows.values()))}
+        tables[recipe] = {name: NewVehicleErrors(**row) for name, row in (rows | {"average": mean}).items()}
     return tables
 
 
@@ -213,25 +209,27 @@ def _average(error: Floats, evaluated: EvaluatedRides, tested: Positions) -> flo
     return float(np.nanmean(means)) if np.any(~np.isnan(means)) else np.nan
 
 
-def tabulate_learning_curves(curves: Mapping[tuple[str, str], Floats | str]) -> tuple[dict[str, Any], list[str]]:
+def tabulate_learning_curves(
+    curves: Mapping[tuple[str, str], Floats | str],
+) -> tuple[dict[str, dict[str, list[LearningPoint]]], list[str]]:
     """Return the curves by vehicle model and learner, and notes on those that failed."""
-    table: dict[str, Any] = {}
+    table: dict[str, dict[str, list[LearningPoint]]] = {}
     notes = []
     for (name, learner), errors in curves.items():
         if isinstance(errors, str):
             notes.append(f"{learner} on a few rides of {name}: {errors}")
             continue
-        points = [average_over_repeats(errors[:, j], 0.0).figures() for j in range(errors.shape[1])]
+        points = [average_over_repeats(errors[:, j], 0.0) for j in range(errors.shape[1])]
         table.setdefault(name, {})[learner] = [
-            {"rides": count, "mae": point["value"], "ci95": point["ci95"]}
+            LearningPoint(rides=count, mae=point.value, ci95=point.ci95)
             for count, point in zip(RIDE_COUNTS, points, strict=False)
         ]
     return {name: _select_benchmark(rows) | rows for name, rows in table.items()}, notes
 
 
-def _select_benchmark(rows: Mapping[str, list[dict[str, Any]]]) -> dict[str, list[dict[str, Any]]]:
+def _select_benchmark(rows: Mapping[str, list[LearningPoint]]) -> dict[str, list[LearningPoint]]:
     """Return the benchmark: at each point the smaller error of both ways."""
     if BENCHMARK_UNCHANGED not in rows or BENCHMARK_REFITTED not in rows:
         return {}
     pairs = zip(rows[BENCHMARK_UNCHANGED], rows[BENCHMARK_REFITTED], strict=True)
-    return {BENCHMARK: [min(pair, key=lambda point: float(point["mae"])) for pair in pairs]}
+    return {BENCHMARK: [min(pair, key=lambda point: inf if point.mae is None else point.mae) for pair in pairs]}

@@ -1,7 +1,7 @@
 """Run the whole evaluation: sections 3 to 5 of the paper on a ride table, and analyses beyond the paper.
 
-`evaluate` draws the splits, runs every recipe on each of them in parallel, and returns the result: a plain dict that
-`--json` writes and reports read. The same seed gives the same result for any number of processes.
+`evaluate` draws the splits, runs every recipe on each of them in parallel, and returns the result. The same seed gives
+the same result for any number of processes.
 """
 
 from collections.abc import Callable, Collection, Hashable, Mapping
@@ -10,11 +10,18 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from msgspec.structs import replace
 
 from socast.core.errors import ModelError, SettingsError, suggest_names
 from socast.core.evaluate.paper import breakdown, new_vehicle, percentage_errors, results, selection
 from socast.core.evaluate.paper.accessories import compute_figure_1
-from socast.core.evaluate.paper.held_out import HeldOutPredictions, select_comparable
+from socast.core.evaluate.paper.held_out import (
+    HeldOutPredictions,
+    average_over_clusters,
+    select_comparable,
+    tabulate_estimates,
+)
+from socast.core.evaluate.paper.records import IntervalCoverage, RecipeEvaluation, RemovableTerms
 from socast.core.evaluate.paper.runs import EvaluatedRecipe, Prediction, Progress, plan_runs, run_in_parallel
 from socast.core.evaluate.ride_filter import EvaluatedRides, filter_rides
 from socast.core.fit.recipes import RECIPES
@@ -22,8 +29,7 @@ from socast.core.fit.segment_network import SegmentRecipe, build_segments
 from socast.core.fit.window_recipe import RecipeWithWindows, WindowRecipe
 from socast.core.models import BUILT_IN_MODELS, HILLS_OF_BUILT_IN
 from socast.core.models.features import list_raw_columns
-from socast.core.records import to_json_values
-from socast.core.stats.scores import compute_widening
+from socast.core.stats.scores import compute_bias, compute_rmse, compute_widening
 from socast.core.stats.splits import REPEATS, TEST_SHARE, Split, split_by_date, split_by_ride, split_by_vehicle
 
 SEGMENTS: Final = "segment_network"
@@ -131,7 +137,7 @@ def evaluate(
     removal_margin: float = selection.MARGIN,
     jobs: int = 1,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> RecipeEvaluation:
     """Return the whole evaluation of recipes on a ride table.
 
     Parameters
@@ -153,7 +159,7 @@ def evaluate(
     return tabulate_runs(plan, run_in_parallel(plan.calls, jobs, progress))
 
 
-def tabulate_runs(plan: EvaluationPlan, done: Mapping[Any, Any]) -> dict[str, Any]:
+def tabulate_runs(plan: EvaluationPlan, done: Mapping[Any, Any]) -> RecipeEvaluation:
     """Return the whole evaluation from the results of its runs."""
     table, recipes, splits = plan.table, plan.recipes, plan.splits
     held = {kind: _select_held_out(done, kind, splits[kind], recipes, table) for kind in ("ride", "vehicle", "date")}
@@ -161,17 +167,18 @@ def tabulate_runs(plan: EvaluationPlan, done: Mapping[Any, Any]) -> dict[str, An
         raise ModelError(f"no recipe can be evaluated: {held['ride'].notes[0]}")
     new = {name: _select_held_out(done, "new", {name: split}, recipes, table) for name, split in splits["new"].items()}
     curves, failed = new_vehicle.tabulate_learning_curves({key[1:]: done[key] for key in plan.calls if key[0] == "few"})
-    found = _compute_tables(table, held, new, plan.seed, plan.repeats)
-    found["few_shot"] = curves
-    found["selection"] = next((done[key] for key in plan.calls if key[0] == "selection"), {})
-    found["recipes"] = {name: recipe.title for name, recipe in recipes.items() if name in held["ride"].recipes}
-    found["about"]["left_out_of_training"] = list(plan.untrained)
     wide = [] if plan.repeats >= FEWEST_REPEATS else [_describe_width(plan.repeats, held["ride"].overlap)]
     unfitted = [name for name in BUILT_IN_MODELS if name in held["ride"].recipes]
     hills = [f"{', '.join(unfitted)}: {HILLS_OF_BUILT_IN}"] if unfitted else []
     notes = wide + _list_notes(splits, held, new) + _list_untested(table, splits["new"]) + failed + hills
-    found["about"]["notes"] = notes
-    return to_json_values(found)
+    found = _compute_tables(plan, held, new)
+    return replace(
+        found,
+        about=replace(found.about, left_out_of_training=list(plan.untrained), notes=notes),
+        recipes={name: recipe.title for name, recipe in recipes.items() if name in held["ride"].recipes},
+        few_shot=curves,
+        selection=next((done[key] for key in plan.calls if key[0] == "selection"), RemovableTerms()),
+    )
 
 
 def _check_columns(recipes: Mapping[str, EvaluatedRecipe], table: EvaluatedRides) -> None:
@@ -212,42 +219,53 @@ def _select_held_out(
 
 
 def _compute_tables(
-    table: EvaluatedRides,
-    held: Mapping[Kind, HeldOutPredictions],
-    new: Mapping[Any, HeldOutPredictions],
-    seed: int,
-    repeats: int,
-) -> dict[str, Any]:
-    """Return every table that follows from predictions."""
-    ride = held["ride"]
-    tables: dict[str, Any] = {"about": results.describe_evaluation(table, seed, repeats, TEST_SHARE)}
-    tables |= results.compute_tables_2_and_3(table)
-    tables |= results.compute_tables_4_to_11(ride, table)
-    tables |= results.compute_difference_scores(ride, table)
-    tables |= breakdown.compute_overall_errors(ride, table)
-    tables["by"] = breakdown.compute_errors_by_bin(ride, table)
-    tables["coverage"] = breakdown.compute_interval_coverage(ride, table)
-    for kind in ("vehicle", "date"):
-        for recipe, figures in breakdown.compute_interval_coverage(held[kind], table).items():
-            tables["coverage"].setdefault(recipe, {})[f"by_{kind}"] = figures["overall"]
-    for recipe, figures in breakdown.compute_interval_coverage(concatenate_held_out(new), table).items():
-        tables["coverage"].setdefault(recipe, {})["new_vehicle"] = figures["overall"]
-    tables["splits"] = {"ride": _select_averages(tables["mae"], table)} | {
-        kind: {
-            recipe: dict(
-                zip(table.vehicle_models, results.compute_pooled_average(held[kind], table, recipe), strict=True)
-            )
-            for recipe in held[kind].recipes
-        }
+    plan: EvaluationPlan, held: Mapping[Kind, HeldOutPredictions], new: Mapping[Any, HeldOutPredictions]
+) -> RecipeEvaluation:
+    """Return the tables that follow from predictions on the splits of `held`, and on `new` vehicle models."""
+    table, ride = plan.table, held["ride"]
+    errors, used = results.estimate_errors(ride, table), results.estimate_consumption(ride, table)
+    averages = {recipe: [mean.value for mean in average_over_clusters(cells)] for recipe, cells in errors.items()}
+    pooled = {
+        kind: {recipe: results.compute_pooled_average(held[kind], table, recipe) for recipe in held[kind].recipes}
         for kind in ("vehicle", "date")
     }
-    tables["percentage"] = percentage_errors.compute_percentage_errors(held, table)
-    tables["reduction_by_baseline"] = percentage_errors.compute_reductions_by_baseline(
-        {recipe: list(of.values()) for recipe, of in tables["splits"]["ride"].items()}, table.vehicle_models
+    return RecipeEvaluation(
+        about=results.describe_evaluation(table, plan.seed, plan.repeats, TEST_SHARE),
+        rides=results.count_rides(table),
+        consumption=results.compute_consumption(table),
+        test_consumption=tabulate_estimates(used, table),
+        mae={recipe: tabulate_estimates(cells, table) for recipe, cells in errors.items()},
+        relative=results.compute_errors_over_consumption(errors, used, table),
+        reduction=results.compute_reductions(averages, table.vehicle_models),
+        reduction_by_baseline=percentage_errors.compute_reductions_by_baseline(averages, table.vehicle_models),
+        **results.compare_recipes(ride, table)._asdict(),
+        bias=breakdown.compute_errors_by_vehicle_model(ride, table, compute_bias),
+        rmse=breakdown.compute_errors_by_vehicle_model(ride, table, compute_rmse),
+        bands=breakdown.compute_bands(ride, table),
+        buffer_kwh=breakdown.compute_buffers(ride, table),
+        buffer_by_cluster=breakdown.compute_buffers_by_cluster(ride, table),
+        by=breakdown.compute_errors_by_bin(ride, table),
+        coverage=_compute_coverage(table, held, new),
+        splits={
+            kind: {recipe: dict(zip(table.vehicle_models, row, strict=True)) for recipe, row in rows.items()}
+            for kind, rows in ({"ride": averages} | pooled).items()
+        },
+        percentage=percentage_errors.compute_percentage_errors(held, table),
+        new_vehicle=new_vehicle.compute_tables_12_and_13(new, table),
+        curve=compute_figure_1(table),
     )
-    tables["new_vehicle"] = new_vehicle.compute_tables_12_and_13(new, table)
-    tables["curve"] = compute_figure_1(table)
-    return tables
+
+
+def _compute_coverage(
+    table: EvaluatedRides, held: Mapping[Kind, HeldOutPredictions], new: Mapping[Any, HeldOutPredictions]
+) -> dict[str, IntervalCoverage]:
+    """Return the coverage of intervals on unseen rides, and over all rides where cars, dates or models are unseen."""
+    coverage = breakdown.compute_interval_coverage(held["ride"], table)
+    unseen = {"by_vehicle": held["vehicle"], "by_date": held["date"], "new_vehicle": concatenate_held_out(new)}
+    for name, predictions in unseen.items():
+        for recipe, share in breakdown.compute_overall_coverage(predictions, table).items():
+            coverage[recipe] = replace(coverage.get(recipe, IntervalCoverage()), **{name: share})
+    return coverage
 
 
 def concatenate_held_out(parts: Mapping[Any, HeldOutPredictions]) -> HeldOutPredictions:
@@ -262,11 +280,6 @@ def concatenate_held_out(parts: Mapping[Any, HeldOutPredictions]) -> HeldOutPred
         overlap=np.nan,
         notes=tuple(note for h in held for note in h.notes),
     )
-
-
-def _select_averages(mae: Mapping[str, Any], table: EvaluatedRides) -> dict[str, dict[str, float]]:
-    """Return only the post-stratified averages."""
-    return {recipe: {m: rows[m]["average"]["value"] for m in table.vehicle_models} for recipe, rows in mae.items()}
 
 
 def _list_untested(table: EvaluatedRides, tested: Mapping[Hashable, Split]) -> list[str]:

@@ -1,7 +1,7 @@
-"""Compute the result of an evaluation from predictions: a plain dict, which `--json` writes and reports read."""
+"""Compute the tables of an evaluation from predictions."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -14,8 +14,8 @@ from socast.core.evaluate.paper.held_out import (
     compute_absolute_errors,
     compute_cell_means,
     estimate_cells,
-    tabulate_estimates,
 )
+from socast.core.evaluate.paper.records import DifferenceScore, EvaluatedTable, Numbers, TestedDifference
 from socast.core.evaluate.ride_filter import CLUSTERS, SCORED_CLUSTERS, EvaluatedRides
 from socast.core.stats import multiple_testing
 from socast.core.stats.scores import Estimate, average_over_repeats, combine_strata, compute_group_means
@@ -25,86 +25,97 @@ REFERENCE: Final = "basic_physical"
 ALL: Final = "all"
 """Key of all vehicle models together in the difference score."""
 
+Cells = list[list[Estimate]]
+"""Estimates by vehicle model and cluster."""
 
-def describe_evaluation(evaluated: EvaluatedRides, seed: int, repeats: int, test_share: float) -> dict[str, Any]:
+
+class ComparedRecipes(NamedTuple):
+    """Hold the differences between recipes, and which recipes dominate: parts of `RecipeEvaluation`."""
+
+    difference: dict[str, dict[str, DifferenceScore]]
+    dominates: dict[str, list[str]]
+    dominates_average: dict[str, list[str]]
+
+
+def describe_evaluation(evaluated: EvaluatedRides, seed: int, repeats: int, test_share: float) -> EvaluatedTable:
     """Return which rides were evaluated, and how they were split."""
     dates = evaluated.rides["date"]
+    return EvaluatedTable(
+        rides=evaluated.read,
+        fit=len(evaluated.rides),
+        unfit=evaluated.unfit,
+        seed=seed,
+        repeats=repeats,
+        test_share=test_share,
+        vehicle_models=list(evaluated.vehicle_models),
+        clusters=list(CLUSTERS[:SCORED_CLUSTERS]),
+        first_date=str(dates.min()),
+        last_date=str(dates.max()),
+        energy_source=_sources(evaluated.rides),
+        vehicles=evaluated.rides["vehicle_id"].nunique(),
+    )
+
+
+def _sources(rides: pd.DataFrame) -> dict[str, float | None]:
+    """Return the share of rides whose energy was measured by voltage and current, and by the state of charge."""
     return {
-        "rides": evaluated.read,
-        "fit": len(evaluated.rides),
-        "unfit": evaluated.unfit,
-        "seed": seed,
-        "repeats": repeats,
-        "test_share": test_share,
-        "vehicle_models": list(evaluated.vehicle_models),
-        "clusters": list(CLUSTERS[:SCORED_CLUSTERS]),
-        "first_date": str(dates.min()),
-        "last_date": str(dates.max()),
-        "energy_source": _sources(evaluated.rides),
-        "vehicles": int(evaluated.rides["vehicle_id"].nunique()),
+        name: float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
+        for name in ("vi", "soc")
+        if f"energy_{name}_kwh" in rides
     }
 
 
-def _sources(rides: pd.DataFrame) -> dict[str, float]:
-    """Return the share of rides whose energy was measured by voltage and current, and by the state of charge."""
-    shares = {}
-    for name in ("vi", "soc"):
-        if f"energy_{name}_kwh" in rides:
-            shares[name] = float((rides["energy_kwh"] == rides[f"energy_{name}_kwh"]).mean())
-    return shares
+def count_rides(evaluated: EvaluatedRides) -> dict[str, dict[str, int]]:
+    """Return the number of rides by vehicle model and cluster, with `total` (Table 2)."""
+    return {
+        name: {**dict(zip(CLUSTERS, row.tolist(), strict=True)), "total": int(row.sum())}
+        for name, row in zip(evaluated.vehicle_models, evaluated.count(), strict=True)
+    }
 
 
-def compute_tables_2_and_3(evaluated: EvaluatedRides) -> dict[str, Any]:
-    """Return `rides` and `consumption`: number and mean energy of rides by vehicle model and cluster."""
+def compute_consumption(evaluated: EvaluatedRides) -> Numbers:
+    """Return the mean energy of rides by vehicle model and cluster, with `average` (Table 3). [kWh]"""
     models, many = len(evaluated.vehicle_models), len(CLUSTERS)
-    count = evaluated.count()
-    means = compute_group_means(evaluated.energy, evaluated.model * many + evaluated.cluster, models * many).reshape(
-        models, many
-    )
-    rides, consumption = {}, {}
-    for i, name in enumerate(evaluated.vehicle_models):
-        rides[name] = {**dict(zip(CLUSTERS, count[i].tolist(), strict=True)), "total": int(count[i].sum())}
-        known = means[i][~np.isnan(means[i])]
-        consumption[name] = {**dict(zip(CLUSTERS, means[i].tolist(), strict=True)), "average": float(known.mean())}
-    return {"rides": rides, "consumption": consumption}
+    means = compute_group_means(evaluated.energy, evaluated.model * many + evaluated.cluster, models * many)
+    return {
+        name: {**dict(zip(CLUSTERS, row.tolist(), strict=True)), "average": float(row[~np.isnan(row)].mean())}
+        for name, row in zip(evaluated.vehicle_models, means.reshape(models, many), strict=True)
+    }
 
 
-def compute_tables_4_to_11(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Any]:
-    """Return `test_consumption`, `mae`, and what follows from them: `reduction` and `relative`."""
-    used = estimate_cells(
-        compute_cell_means(held, evaluated, [evaluated.energy[rows] for rows in held.rows]), held.overlap
-    )
-    grids = {
+def estimate_consumption(held: HeldOutPredictions, evaluated: EvaluatedRides) -> Cells:
+    """Return the mean energy of held-out rides, by vehicle model and cluster (Table 4). [kWh]"""
+    energy = [evaluated.energy[rows] for rows in held.rows]
+    return estimate_cells(compute_cell_means(held, evaluated, energy), held.overlap)
+
+
+def estimate_errors(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Cells]:
+    """Return the mean absolute error of each recipe, by vehicle model and cluster (Tables 5 to 11). [kWh]"""
+    return {
         r: estimate_cells(
             compute_cell_means(held, evaluated, compute_absolute_errors(held, evaluated, r)), held.overlap
         )
         for r in held.recipes
     }
-    tables: dict[str, Any] = {
-        "test_consumption": tabulate_estimates(used, evaluated),
-        "mae": {recipe: tabulate_estimates(estimates, evaluated) for recipe, estimates in grids.items()},
-        "relative": {
-            recipe: {
-                name: error.value / mean.value
-                for name, error, mean in zip(
-                    CLUSTERS[:SCORED_CLUSTERS],
-                    average_over_vehicle_models(estimates, evaluated),
-                    average_over_vehicle_models(used, evaluated),
-                    strict=True,
-                )
-            }
-            for recipe, estimates in grids.items()
-        },
+
+
+def compute_errors_over_consumption(errors: Mapping[str, Cells], used: Cells, evaluated: EvaluatedRides) -> Numbers:
+    """Return error over consumption by cluster, over all vehicle models (Figure 2). [1]"""
+    means = average_over_vehicle_models(used, evaluated)
+    return {
+        recipe: {
+            name: error.value / mean.value
+            for name, error, mean in zip(
+                CLUSTERS[:SCORED_CLUSTERS], average_over_vehicle_models(cells, evaluated), means, strict=True
+            )
+        }
+        for recipe, cells in errors.items()
     }
-    means = {
-        recipe: [average.value for average in average_over_clusters(estimates)] for recipe, estimates in grids.items()
-    }
-    return tables | {"reduction": compute_reductions(means, evaluated.vehicle_models)}
 
 
 def compute_reductions(
     means: Mapping[str, Sequence[float]], vehicle_models: Sequence[str], reference: str = REFERENCE
-) -> dict[str, dict[str, float]]:
+) -> Numbers:
     """Return by which share the error of each recipe is below the reference's, and the mean over vehicle models.
 
     Parameters
@@ -124,16 +135,8 @@ def compute_reductions(
     return reductions
 
 
-def compute_difference_scores(held: HeldOutPredictions, evaluated: EvaluatedRides) -> dict[str, Any]:
-    """Return `difference` and `dominates` of each vehicle model and of all together.
-
-    Returns
-    -------
-    dict
-        `difference`: for each pair `a|b` the `value`, `ci95` and `p` of the mean over rides of the error of a less
-        that of b; `average` holds the same for the post-stratified average over clusters. `p` is adjusted over all
-        pairs. `dominates` follows from the mean over rides, `dominates_average` from the average over clusters.
-    """
+def compare_recipes(held: HeldOutPredictions, evaluated: EvaluatedRides) -> ComparedRecipes:
+    """Return the difference scores of each vehicle model and of all together, and which recipes dominate there."""
     ridden = {r: _per_ride(held, evaluated, compute_absolute_errors(held, evaluated, r)) for r in held.recipes}
     scored = {r: compute_cell_means(held, evaluated, compute_absolute_errors(held, evaluated, r)) for r in held.recipes}
     pairs = multiple_testing.list_pairs(held.recipes)
@@ -155,18 +158,18 @@ def compute_difference_scores(held: HeldOutPredictions, evaluated: EvaluatedRide
         {pair: combine_strata([of[0][pair] for of in by_model], weights) for pair in pairs},
         {pair: combine_strata([of[1][pair] for of in by_model]) for pair in pairs},
     )
-    result: dict[str, Any] = {"difference": {}, "dominates": {}, "dominates_average": {}}
+    result = ComparedRecipes({}, {}, {})
     names = [*evaluated.vehicle_models, ALL]
     for i, (name, (rides, average)) in enumerate(zip(names, [*by_model, together], strict=True)):
         of_model = slice(i, i + 1) if name != ALL else slice(None)
-        result["difference"][name] = _pairs(rides, average)
+        result.difference[name] = _pairs(rides, average)
         mean = {r: _mean(ridden[r][:, of_model], weights[of_model]) for r in held.recipes}
-        result["dominates"][name] = multiple_testing.select_dominating(mean, rides)
+        result.dominates[name] = multiple_testing.select_dominating(mean, rides)
         mean = {
             r: combine_strata(average_over_clusters(estimate_cells(scored[r][:, of_model], held.overlap))).value
             for r in held.recipes
         }
-        result["dominates_average"][name] = multiple_testing.select_dominating(mean, average)
+        result.dominates_average[name] = multiple_testing.select_dominating(mean, average)
     return result
 
 
@@ -187,15 +190,16 @@ def _mean(values: Floats, weights: Sequence[float]) -> float:
     return combine_strata(parts, weights).value
 
 
-def _pairs(rides: Mapping[Any, Estimate], average: Mapping[Any, Estimate]) -> dict[str, Any]:
+def _pairs(rides: Mapping[Any, Estimate], average: Mapping[Any, Estimate]) -> dict[str, DifferenceScore]:
     """Return the differences of all pairs, by `a|b`."""
     p, p_average = multiple_testing.adjust_differences(rides), multiple_testing.adjust_differences(average)
     return {
-        "|".join(pair): {
-            **rides[pair].figures(),
-            "p": p[pair],
-            "average": {**average[pair].figures(), "p": p_average[pair]},
-        }
+        "|".join(pair): DifferenceScore(
+            value=rides[pair].value,
+            ci95=rides[pair].ci95,
+            p=p[pair],
+            average=TestedDifference(value=average[pair].value, ci95=average[pair].ci95, p=p_average[pair]),
+        )
         for pair in rides
     }
 

@@ -31,6 +31,7 @@ from sklearn.feature_selection import RFE, RFECV
 from sklearn.model_selection import KFold
 
 from socast.core.batch import Floats
+from socast.core.evaluate.paper.records import EliminationStep, RemovableTerms, RemovalLoss, TermElimination, TermScore
 from socast.core.evaluate.ride_filter import EvaluatedRides
 from socast.core.fit.block_sums import build_design
 from socast.core.fit.fitting import ROUNDING
@@ -109,6 +110,14 @@ class Design(NamedTuple):
         return Design(self.table[rows], self.energy[rows], [self.strata[i] for i in rows.tolist()])
 
 
+class TermRanking(NamedTuple):
+    """Hold the order of elimination, the terms that cross-validation cuts, and its error by number of terms."""
+
+    order: Codes
+    cut: Codes
+    scores: list[TermScore]
+
+
 def plan_selection(
     evaluated: EvaluatedRides, recipes: Mapping[str, Any], seed: int, margin: float = MARGIN
 ) -> dict[str, Callable[[], Any]]:
@@ -121,40 +130,29 @@ def plan_selection(
 
 def find_removable_terms(
     recipe: LinearRecipe, evaluated: EvaluatedRides, seed: int, margin: float = MARGIN
-) -> dict[str, Any]:
+) -> RemovableTerms:
     """Return the terms that can be removed from a recipe.
 
     Parameters
     ----------
     margin : float
         Largest loss of elimination with a margin, over the error of the full model. [1]
-
-    Returns
-    -------
-    dict
-        `constant`: terms that do not vary within any vehicle model. `rfecv`: `removed` terms; `scores`, the
-        cross-validated error by number of terms in the half that ranks; `loss`, the cost of removing them in the other
-        half. `rfe`: `removed` terms; `steps`, each with the next term and the `loss` with it and all before it removed;
-        `loss` of all removed terms, None where there are none. `margin`: the same of elimination with a margin, and the
-        `share` and the `largest` loss [kWh] that it allows. A loss is a difference of mean absolute errors [kWh] with
-        its `ci95`, `p` and `upper95`. The dict is empty where there are too few rides.
     """
     terms = tuple(term for term in recipe.terms if term.columns)
     rides, halves = _halves(evaluated, len(terms), seed)
     if not len(rides):
-        return {}
+        return RemovableTerms()
     whole = _design(recipe, terms, evaluated, rides, halves)
     varies = np.ptp(whole.table[:, 1:], axis=0) > 0.0
     whole = whole._replace(table=whole.table[:, np.append(True, varies)])
     names = np.array([term.name for term in terms])
     physical = np.array([term.columns[0].startswith((EFFECT_PREFIX, ACCESSORIES_COLUMN)) for term in terms])[varies]
-    removable = rank_terms(whole.part(halves.train), names[varies].tolist(), seed)
-    losses = _add_losses(removable, names[varies], physical, whole.part(halves.test), seed, margin)
-    return {"constant": names[~varies].tolist()} | losses
+    ranking = rank_terms(whole.part(halves.train), seed)
+    return _add_losses(ranking, names, varies, physical, whole.part(halves.test), seed, margin)
 
 
-def rank_terms(rides: Design, names: Sequence[str], seed: int) -> dict[str, Any]:
-    """Return the `order` in which terms are eliminated, those `cut` by cross-validation, and its `scores`."""
+def rank_terms(rides: Design, seed: int) -> TermRanking:
+    """Return the order in which terms are eliminated, and those that cross-validation cuts."""
     options: dict[str, Any] = {"importance_getter": "importance_"}
     order = RFE(VehicleModelRegression(), n_features_to_select=2, **options).fit(rides.table, rides.energy)
     folds = KFold(FOLDS, shuffle=True, random_state=seed)
@@ -162,38 +160,40 @@ def rank_terms(rides: Design, names: Sequence[str], seed: int) -> dict[str, Any]
     tried = RFECV(VehicleModelRegression(), cv=folds, scoring=score, min_features_to_select=2, **options)
     tried.fit(rides.table, rides.energy)
     results = tried.cv_results_
-    return {
-        "order": np.argsort(-order.ranking_[1:], kind="stable")[: len(names) - 1],
-        "cut": np.flatnonzero(~tried.support_[1:]),
-        "scores": [
-            {"terms": int(n) - 1, "mae": -float(mean)}
+    return TermRanking(
+        np.argsort(-order.ranking_[1:], kind="stable")[: rides.table.shape[1] - 2],
+        np.flatnonzero(~tried.support_[1:]),
+        [
+            TermScore(terms=int(n) - 1, mae=-float(mean))
             for n, mean in zip(results["n_features"], results["mean_test_score"], strict=True)
         ],
-    }
+    )
 
 
 def _add_losses(
-    removable: Mapping[str, Any],
-    names: NDArray[np.str_],
+    ranking: TermRanking,
+    every: NDArray[np.str_],
+    varies: NDArray[np.bool_],
     physical: NDArray[np.bool_],
     design: Design,
     seed: int,
     margin: float,
-) -> dict[str, Any]:
-    """Return `rfecv`, `rfe` and `margin` with their cost on rides that did not rank the terms."""
-    order = removable["order"]
+) -> RemovableTerms:
+    """Return the removable terms with their cost on rides that did not rank the terms."""
+    order, cut, names = ranking.order, ranking.cut, every[varies]
     last = order[np.argsort(physical[order], kind="stable")]
-    sets = [removable["cut"], *_nest(order), *_nest(last)]
-    error, (price, *steps) = compute_losses(design, sets, seed)
+    error, (price, *steps) = compute_losses(design, [cut, *_nest(order), *_nest(last)], seed)
     largest = margin * error
     worse = [loss.value > 0.0 and loss.p < SIGNIFICANCE for loss in steps[: len(order)]]
     too_much = [not loss.upper95 <= largest for loss in steps[len(order) :]]
-    return {
-        "rfecv": {"removed": names[removable["cut"]].tolist(), "scores": removable["scores"], "loss": _figures(price)},
-        "rfe": _tabulate_steps(names[order], steps[: len(order)], worse),
-        "margin": {"share": margin, "largest": largest, "error": error}
-        | _tabulate_steps(names[last], steps[len(order) :], too_much),
-    }
+    return RemovableTerms(
+        constant=every[~varies].tolist(),
+        rfecv=TermElimination(removed=names[cut].tolist(), scores=ranking.scores, loss=_hold_loss(price)),
+        rfe=TermElimination(**_tabulate_steps(names[order], steps[: len(order)], worse)),
+        margin=TermElimination(
+            share=margin, largest=largest, error=error, **_tabulate_steps(names[last], steps[len(order) :], too_much)
+        ),
+    )
 
 
 def _nest(order: Codes) -> list[Codes]:
@@ -202,12 +202,14 @@ def _nest(order: Codes) -> list[Codes]:
 
 
 def _tabulate_steps(names: NDArray[np.str_], steps: Sequence[Estimate], refused: Sequence[bool]) -> dict[str, Any]:
-    """Return the terms removed before the first refused step, their loss, and all steps."""
+    """Return the fields of a `TermElimination` that ends before the first refused step."""
     gone = next((i for i, applies in enumerate(refused) if applies), len(steps))
     return {
         "removed": names[:gone].tolist(),
-        "loss": _figures(steps[gone - 1]) if gone else None,
-        "steps": [{"term": str(name), "loss": _figures(loss)} for name, loss in zip(names, steps, strict=True)],
+        "loss": _hold_loss(steps[gone - 1]) if gone else None,
+        "steps": [
+            EliminationStep(term=str(name), loss=_hold_loss(loss)) for name, loss in zip(names, steps, strict=True)
+        ],
     }
 
 
@@ -271,6 +273,6 @@ def _design(
     return Design(np.column_stack([model.astype(np.float64), columns]), evaluated.energy[rides], strata)
 
 
-def _figures(loss: Estimate) -> dict[str, float]:
-    """Return the figures of a loss."""
-    return {**loss.figures(), "p": loss.p, "upper95": loss.upper95}
+def _hold_loss(loss: Estimate) -> RemovalLoss:
+    """Return a loss as a record."""
+    return RemovalLoss(value=loss.value, ci95=loss.ci95, p=loss.p, upper95=loss.upper95)

@@ -4,12 +4,13 @@ Where a recording is simulated, the outcome of a shift is what a healthy display
 what the car reported last.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
 
 from socast.core.evaluate.soc.cases import normalise_keys
+from socast.core.evaluate.soc.records import ImpossibleBounds
 
 MOST_APART: Final = 3600.0
 """Largest difference between the begin of a shift and that of its display. [s]"""
@@ -49,14 +50,8 @@ def replace_outcomes(shifts: pd.DataFrame, displays: pd.DataFrame) -> pd.DataFra
     return shifts.assign(soc_end_pct=end, soc_lowest_pct=lowest, fault=fault.to_numpy())
 
 
-def count_impossible_bounds(outlooks: pd.DataFrame, plans: pd.DataFrame | None = None) -> dict[str, Any]:
-    """Return how many forecasts without a charge ahead have an upper bound above the present charge.
-
-    Returns
-    -------
-    dict
-        `n` forecasts without a planned charge ahead; number `above` the present charge; the `largest` excess [%].
-    """
+def count_impossible_bounds(outlooks: pd.DataFrame, plans: pd.DataFrame | None = None) -> ImpossibleBounds:
+    """Return how many forecasts without a charge ahead have an upper bound above the present charge."""
     made = normalise_keys(outlooks).dropna(subset=["soc_pct", "soc_p95_pct"]).sort_values("time_s", kind="stable")
     charge_ahead = np.zeros(len(made), bool)
     if plans is not None and len(plans):
@@ -64,8 +59,4 @@ def count_impossible_bounds(outlooks: pd.DataFrame, plans: pd.DataFrame | None =
         matched = pd.merge_asof(made[["vehicle_id", "time_s"]], told, on="time_s", by="vehicle_id")
         charge_ahead = (matched["charge_ahead"] == True).to_numpy(bool)  # noqa: E712 (unknown is not True)
     excess = (made["soc_p95_pct"] - made["soc_pct"]).to_numpy(np.float64)[~charge_ahead]
-    return {
-        "n": len(excess),
-        "above": int(np.sum(excess > TOLERANCE)),
-        "largest": float(excess.max(initial=0.0)),
-    }
+    return ImpossibleBounds(n=len(excess), above=int(np.sum(excess > TOLERANCE)), largest=excess.max(initial=0.0))

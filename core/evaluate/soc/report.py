@@ -16,13 +16,28 @@ from numpy.typing import NDArray
 from socast.core.batch import Floats, Ints
 from socast.core.errors import ModelError
 from socast.core.evaluate.binning import bin_values
+from socast.core.evaluate.records import EstimatedValue, hold_estimate
 from socast.core.evaluate.soc.baselines import BASELINES, PERSONS, compute_baselines, compute_leg_baselines
 from socast.core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY, ForecastCases, normalise_keys, select_cases
 from socast.core.evaluate.soc.legs import MINUTES
 from socast.core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
 from socast.core.evaluate.soc.planned_charges import select_charge_cases
-from socast.core.evaluate.soc.reserve_risk import evaluate_reserve_risk
-from socast.core.stats.clustered import compute_clustered_mean, compute_clustered_share
+from socast.core.evaluate.soc.records import (
+    BaselineErrors,
+    BestBaseline,
+    ConditionFigures,
+    EvaluatedShifts,
+    ExampleShift,
+    FiguresByTime,
+    ForecastBin,
+    ForecastColumns,
+    ForecastFigures,
+    ImpossibleBounds,
+    RegressionIntervals,
+    SocEvaluation,
+)
+from socast.core.evaluate.soc.reserve_risk import evaluate_reserve_risk, hold_share
+from socast.core.stats.clustered import compute_clustered_mean
 from socast.core.stats.scores import Codes
 
 NOMINAL: Final = 0.90
@@ -38,8 +53,8 @@ MOST_POINTS: Final = 240
 """Maximum number of forecasts in an example."""
 EXAMPLE_HOURS_AHEAD: Final = 2
 """Time ahead of the forecasts by which examples are selected. [h]"""
-EXAMPLE_COLUMNS: Final = ("soc", "soc_mean", "soc_p05", "soc_p95")
-"""Columns of forecasts that an example contains, without `_pct`."""
+EXAMPLE_COLUMNS: Final = ("soc_pct", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct")
+"""Columns of forecasts that an example contains."""
 FIGURE_COLUMNS: Final = (
     *("soc_end_pct", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct", "regression_p05", "regression_p95"),
     *BASELINES,
@@ -86,17 +101,8 @@ def evaluate_soc(
     legs: pd.DataFrame | None = None,
     plans: pd.DataFrame | None = None,
     displays: pd.DataFrame | None = None,
-) -> dict[str, Any]:
-    """Return the errors and the reliability of the forecasts of a pipeline.
-
-    Returns
-    -------
-    dict
-        `about`: counts and dates of the forecasts. `overall`: figures, `pooled` over times ahead and by `hours`. `by`:
-        figures by condition. `bounds`: upper bounds that are impossible. `reserve`: risk of ending below a reserve.
-        `legs`: figures of single legs. `charges`: around planned ones. `forecasts`: columns with one entry per case.
-        `examples`: single shifts. `notes`: remarks for the reader.
-    """
+) -> SocEvaluation:
+    """Return the errors and the reliability of the forecasts of a pipeline."""
     if displays is not None:
         shifts = replace_outcomes(shifts, displays)
     selected = select_cases(outlooks, shifts)
@@ -110,90 +116,65 @@ def evaluate_soc(
     gathered, hours = FigureCases.gather(cases), cases["hours"].to_numpy(np.int64)
     bounds = count_impossible_bounds(outlooks, plans)
     charges = select_charge_cases(outlooks, shifts, plans)
-    return {
-        "about": _about(selected),
-        "overall": compute_figures_by_time(gathered, hours),
-        "by": compute_figures_by_condition(cases, gathered),
-        "bounds": bounds,
-        "reserve": evaluate_reserve_risk(cases),
-        "legs": {} if legs is None or not len(legs) else compute_leg_figures(legs, outlooks, shifts, plans),
-        "charges": {name: compute_charge_figures(group) for name, group in charges.items()},
-        "forecasts": {
-            "vehicle_id": cases["vehicle_id"].tolist(),
-            "shift": cases["shift"].tolist(),
-            "hours": cases["hours"].tolist(),
-            **{name: cases[f"{name}_pct"].tolist() for name in ("soc", "soc_mean", "soc_p05", "soc_p95", "soc_end")},
-            **{name: cases[name].tolist() for name in BASELINES},
-        },
-        "examples": select_examples(cases, outlooks),
-        "notes": [*_notes(cases), *_warn_of_bounds(bounds)],
-    }
+    names = ("soc", "soc_mean", "soc_p05", "soc_p95", "soc_end")
+    columns = {name: cases[f"{name}_pct"].tolist() for name in names}
+    columns |= {name: cases[name].tolist() for name in ("vehicle_id", "shift", "hours", *BASELINES)}
+    return SocEvaluation(
+        about=_about(selected),
+        overall=FiguresByTime(**compute_figures_by_time(gathered, hours)),
+        by=compute_figures_by_condition(cases, gathered),
+        bounds=bounds,
+        reserve=evaluate_reserve_risk(cases),
+        legs={} if legs is None or not len(legs) else compute_leg_figures(legs, outlooks, shifts, plans),
+        charges={name: compute_charge_figures(group) for name, group in charges.items()},
+        columns=ForecastColumns(**columns),
+        examples=select_examples(cases, outlooks),
+        notes=[*_notes(cases), *_warn_of_bounds(bounds)],
+    )
 
 
 def compute_figures_by_time(cases: FigureCases, hours: Ints) -> dict[str, Any]:
-    """Return the figures of cases, pooled over times ahead and for each time ahead.
-
-    Units: hours [h].
-
-    Returns
-    -------
-    dict
-        `pooled`: figures of all cases. `hours`: time ahead [h] -> figures, for each time ahead that has a case.
-        `compute_forecast_figures` describes the figures.
-    """
+    """Return the fields of `FiguresByTime`, for each time ahead that has a case. [h]"""
     each = {str(ahead): cases.only(hours == ahead) for ahead in HOURS_AHEAD}
     return {
-        "pooled": compute_forecast_figures(cases),
-        "hours": {ahead: compute_forecast_figures(group) for ahead, group in each.items() if len(group)},
+        "pooled": ForecastFigures(**compute_forecast_figures(cases)),
+        "hours": {
+            ahead: ForecastFigures(**compute_forecast_figures(group)) for ahead, group in each.items() if len(group)
+        },
     }
 
 
 def compute_leg_figures(
     legs: pd.DataFrame, outlooks: pd.DataFrame, shifts: pd.DataFrame, plans: pd.DataFrame | None = None
-) -> dict[str, list[dict[str, Any]]]:
-    """Return the figures of single legs by the time until their end.
-
-    Returns
-    -------
-    dict
-        `without a charge` and `charged later`: legs of shifts without and with a charge after the forecast. `to the
-        next charge`: the last of the latter in each query. Each has a list of figures by `bin` of the time until the
-        end; the last bin is `all`.
-    """
+) -> dict[str, list[ForecastBin]]:
+    """Return the figures of single legs by the time until their end."""
     cases = pd.concat([legs, compute_leg_baselines(legs, outlooks, shifts, plans)], axis=1)
     figures = {}
     later = cases[cases["charges"]]
     last = later.sort_values("leg", kind="stable").drop_duplicates(["vehicle_id", "time_s"], keep="last").sort_index()
     groups = {"without a charge": cases[~cases["charges"]], "charged later": later, "to the next charge": last}
     for name, group in groups.items():
-        band, gathered = bin_values(group["minutes"].to_numpy(np.float64), MINUTES), FigureCases.gather(group)
-        bins = [
-            {"bin": band.labels[code], **compute_forecast_figures(gathered.only(band.codes == code))}
-            for code in np.unique(band.codes).tolist()
-        ]
-        figures[name] = [*bins, {"bin": "all", **compute_forecast_figures(gathered)}] if bins else []
+        band = bin_values(group["minutes"].to_numpy(np.float64), MINUTES)
+        labels = {code: band.labels[code] for code in np.unique(band.codes).tolist()}
+        figures[name] = _bin_figures(group, band.codes, labels) if labels else []
     return figures
 
 
-def compute_charge_figures(cases: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return the figures of forecasts around planned charges by `bin` of the time ahead; the last bin is `all`."""
-    hours, gathered = cases["hours"].to_numpy(), FigureCases.gather(cases)
-    bins = [
-        {"bin": f"{each} h", **compute_forecast_figures(gathered.only(hours == each))} for each in sorted(set(hours))
-    ]
-    return [*bins, {"bin": "all", **compute_forecast_figures(gathered)}]
+def compute_charge_figures(cases: pd.DataFrame) -> list[ForecastBin]:
+    """Return the figures of forecasts around planned charges by the time ahead."""
+    hours = cases["hours"].to_numpy()
+    return _bin_figures(cases, hours, {each: f"{each} h" for each in sorted(set(hours))})
 
 
-def compute_figures_by_condition(cases: pd.DataFrame, gathered: FigureCases) -> dict[str, list[dict[str, Any]]]:
-    """Return the figures in each band of temperature, for each vehicle model, and with and without a plan.
+def _bin_figures(cases: pd.DataFrame, codes: NDArray[Any], labels: Mapping[int, str]) -> list[ForecastBin]:
+    """Return the figures of cases in each bin; the last bin is `all`."""
+    gathered = FigureCases.gather(cases)
+    groups = {label: gathered.only(codes == code) for code, label in labels.items()} | {"all": gathered}
+    return [ForecastBin(bin=label, **compute_forecast_figures(group)) for label, group in groups.items()]
 
-    Returns
-    -------
-    dict
-        `temperature`, `new weather` (distance of the temperature from those met on earlier days, in K), `shifts seen`
-        (of the fleet), `display` (its fault, if any has one), `vehicle model` and `plan`: lists of figures by `bin`,
-        see `compute_figures_by_time`.
-    """
+
+def compute_figures_by_condition(cases: pd.DataFrame, gathered: FigureCases) -> dict[str, list[ConditionFigures]]:
+    """Return the figures in the bins of each condition: weather, vehicle model, with and without a plan, and others."""
     novelty = bin_values(cases["novelty_k"].to_numpy(np.float64), NOVELTIES)
     seen = bin_values(cases["seen"].to_numpy(np.float64), SEEN)
     fault = pd.Categorical(cases["fault"].replace("", HEALTHY))
@@ -210,7 +191,9 @@ def compute_figures_by_condition(cases: pd.DataFrame, gathered: FigureCases) -> 
     hours = cases["hours"].to_numpy(np.int64)
     return {
         name: [
-            {"bin": labels[code], **compute_figures_by_time(gathered.only(codes == code), hours[codes == code])}
+            ConditionFigures(
+                bin=labels[code], **compute_figures_by_time(gathered.only(codes == code), hours[codes == code])
+            )
             for code in np.unique(codes[codes >= 0]).tolist()
         ]
         for name, (codes, labels) in bins.items()
@@ -219,20 +202,7 @@ def compute_figures_by_condition(cases: pd.DataFrame, gathered: FigureCases) -> 
 
 
 def compute_forecast_figures(cases: FigureCases) -> dict[str, Any]:
-    """Return error, coverage and width of forecasts, and the errors of baselines on the same cases.
-
-    Returns
-    -------
-    dict
-        `n` forecasts of `shifts` on `vehicle_days`; `mae_pct`, `bias_pct` (forecast less outcome) and `width_pct` with
-        intervals; `interval_score_pct`, see `compute_interval_score`; `coverage`, and the shares `below` and `above`
-        the interval; `baselines` and `regression`, see below; `best`, the baseline of a person with the least error on
-        cases that all of them cover.
-
-        Each baseline has its error, the forecasts' error on the same cases (`forecast_mae_pct`), and `less_pct`, the
-        baseline's error less the forecasts' error. `regression` has the figures of the intervals of the regression, and
-        those of the forecasts on the same cases (`forecast_...`).
-    """
+    """Return the fields of `ForecastFigures` for some cases."""
     became, clusters = cases.numbers["soc_end_pct"], cases.cluster
     mean, low, high = (cases.numbers[f"soc_{name}_pct"] for name in ("mean", "p05", "p95"))
     error = np.abs(mean - became)
@@ -240,16 +210,29 @@ def compute_forecast_figures(cases: FigureCases) -> dict[str, Any]:
         "n": len(cases),
         "shifts": len(np.unique(cases.shift)),
         "vehicle_days": len(np.unique(clusters)),
-        "mae_pct": compute_clustered_mean(error, clusters).figures(),
-        "bias_pct": compute_clustered_mean(mean - became, clusters).figures(),
-        "coverage": compute_clustered_share((low <= became) & (became <= high), clusters),
+        "mae_pct": _average(error, clusters),
+        "bias_pct": _average(mean - became, clusters),
         "below": float(np.mean(became < low)),
         "above": float(np.mean(became > high)),
-        "width_pct": compute_clustered_mean(high - low, clusters).figures(),
-        "interval_score_pct": compute_clustered_mean(compute_interval_score(low, high, became), clusters).figures(),
+        **_evaluate_interval(cases, "soc_p05_pct", "soc_p95_pct"),
         "regression": _against_regression(cases),
         "baselines": {name: _against(cases.numbers[name], became, error, clusters) for name in BASELINES},
         "best": _best(cases, became, error, clusters),
+    }
+
+
+def _average(values: Floats, clusters: Codes) -> EstimatedValue:
+    """Return a mean with its interval, clustered by vehicle-day."""
+    return hold_estimate(compute_clustered_mean(values, clusters))
+
+
+def _evaluate_interval(cases: FigureCases, lower: str, upper: str, prefix: str = "") -> dict[str, Any]:
+    """Return coverage, width and score of intervals between two columns, by the names of their fields."""
+    low, high, became, clusters = *(cases.numbers[name] for name in (lower, upper, "soc_end_pct")), cases.cluster
+    return {
+        f"{prefix}coverage": hold_share((low <= became) & (became <= high), clusters),
+        f"{prefix}width_pct": _average(high - low, clusters),
+        f"{prefix}interval_score_pct": _average(compute_interval_score(low, high, became), clusters),
     }
 
 
@@ -269,53 +252,44 @@ def compute_interval_score(low: Floats, high: Floats, became: Floats) -> Floats:
     return np.asarray(high - low + 2.0 / (1.0 - NOMINAL) * missed)
 
 
-def _against_regression(cases: FigureCases) -> dict[str, Any]:
+def _against_regression(cases: FigureCases) -> RegressionIntervals:
     """Return the figures of the intervals of the regression and of the forecasts, where both are known."""
     both = cases.only(~np.isnan(cases.numbers["regression_p05"]) & ~np.isnan(cases.numbers["soc_p05_pct"]))
-    became, clusters = both.numbers["soc_end_pct"], both.cluster
-    columns = {"": "regression", "forecast_": "soc"}
-    figures: dict[str, Any] = {"n": len(both)}
-    for prefix, name in columns.items():
-        low, high = (both.numbers[f"{name}_{end}" + ("_pct" if prefix else "")] for end in ("p05", "p95"))
-        figures |= {
-            f"{prefix}coverage": compute_clustered_share((low <= became) & (became <= high), clusters),
-            f"{prefix}width_pct": compute_clustered_mean(high - low, clusters).figures(),
-            f"{prefix}interval_score_pct": compute_clustered_mean(
-                compute_interval_score(low, high, became), clusters
-            ).figures(),
-        }
-    return figures
+    figures: dict[str, Any] = {}
+    for prefix, low, high in (("", "regression_p05", "regression_p95"), ("forecast_", "soc_p05_pct", "soc_p95_pct")):
+        figures |= _evaluate_interval(both, low, high, prefix)
+    return RegressionIntervals(n=len(both), **figures)
 
 
-def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any]:
+def _against(expected: Floats, became: Floats, error: Floats, clusters: Codes) -> BaselineErrors:
     """Return the error of a baseline, and the error of the forecasts on the same cases."""
     known = np.isfinite(expected)
     its, forecast_error, of = np.abs(expected - became)[known], error[known], clusters[known]
-    return {
-        "n": int(known.sum()),
-        "mae_pct": compute_clustered_mean(its, of).figures(),
-        "bias_pct": compute_clustered_mean((expected - became)[known], of).figures(),
-        "forecast_mae_pct": compute_clustered_mean(forecast_error, of).figures(),
-        "less_pct": compute_clustered_mean(its - forecast_error, of).figures(),
-        "share_less": _share_less(its, forecast_error),
-    }
+    return BaselineErrors(
+        n=int(known.sum()),
+        mae_pct=_average(its, of),
+        bias_pct=_average((expected - became)[known], of),
+        forecast_mae_pct=_average(forecast_error, of),
+        less_pct=_average(its - forecast_error, of),
+        share_less=_share_less(its, forecast_error),
+    )
 
 
-def _best(cases: FigureCases, became: Floats, error: Floats, clusters: Codes) -> dict[str, Any] | None:
+def _best(cases: FigureCases, became: Floats, error: Floats, clusters: Codes) -> BestBaseline | None:
     """Return the person's baseline with the least error on cases that all of them cover, and the forecasts' error."""
     known = np.isfinite([cases.numbers[name] for name in PERSONS]).all(axis=0)
     if not known.any():
         return None
     errors = {name: np.abs(cases.numbers[name] - became)[known] for name in PERSONS}
     name = min(errors, key=lambda one: float(errors[one].mean()))
-    return {
-        "name": name,
-        "n": int(known.sum()),
-        "vehicle_days": len(np.unique(clusters[known])),
-        "mae_pct": float(errors[name].mean()),
-        "forecast_mae_pct": float(error[known].mean()),
-        "share_less": _share_less(errors[name], error[known]),
-    }
+    return BestBaseline(
+        name=name,
+        n=int(known.sum()),
+        vehicle_days=len(np.unique(clusters[known])),
+        mae_pct=float(errors[name].mean()),
+        forecast_mae_pct=float(error[known].mean()),
+        share_less=_share_less(errors[name], error[known]),
+    )
 
 
 def _share_less(its: Floats, forecast_error: Floats) -> float:
@@ -323,22 +297,22 @@ def _share_less(its: Floats, forecast_error: Floats) -> float:
     return 1.0 - float(forecast_error.mean() / its.mean()) if len(its) and its.mean() > 0.0 else nan
 
 
-def _about(selected: ForecastCases) -> dict[str, Any]:
+def _about(selected: ForecastCases) -> EvaluatedShifts:
     """Return counts and dates of the evaluated forecasts."""
     cases = selected.cases
     dates = pd.to_datetime(cases["begin_s"], unit="s").dt.strftime("%Y-%m-%d")
-    return {
-        "shifts": selected.shifts,
-        "judged_shifts": len(cases[SHIFT_KEY].drop_duplicates()),
-        "warm_up_shifts": selected.warm_up,
-        "forecasts": len(cases),
-        "left_out": selected.left_out,
-        "vehicles": int(cases["vehicle_id"].nunique()),
-        "vehicle_days": int(cases["cluster"].nunique()),
-        "vehicle_models": sorted(map(str, cases["vehicle_model"].unique())),
-        "first_date": str(dates.min()),
-        "last_date": str(dates.max()),
-    }
+    return EvaluatedShifts(
+        shifts=selected.shifts,
+        judged_shifts=len(cases[SHIFT_KEY].drop_duplicates()),
+        warm_up_shifts=selected.warm_up,
+        forecasts=len(cases),
+        left_out=selected.left_out,
+        vehicles=cases["vehicle_id"].nunique(),
+        vehicle_days=cases["cluster"].nunique(),
+        vehicle_models=sorted(map(str, cases["vehicle_model"].unique())),
+        first_date=str(dates.min()),
+        last_date=str(dates.max()),
+    )
 
 
 def _notes(cases: pd.DataFrame) -> list[str]:
@@ -352,26 +326,19 @@ def _notes(cases: pd.DataFrame) -> list[str]:
     return notes
 
 
-def _warn_of_bounds(bounds: Mapping[str, Any]) -> list[str]:
+def _warn_of_bounds(bounds: ImpossibleBounds) -> list[str]:
     """Return a remark on upper bounds that no outcome can reach."""
-    if not bounds["above"]:
+    if not bounds.above:
         return []
-    above, largest = f"{bounds['above']:,} of {bounds['n']:,}", f"{bounds['largest']:.1f} %"
+    above, largest = f"{bounds.above:,} of {bounds.n:,}", f"{bounds.largest:.1f} %"
     return [f"{above} upper bounds without a charge ahead are above the present charge, by up to {largest}"]
 
 
-def select_examples(cases: pd.DataFrame, outlooks: pd.DataFrame) -> list[dict[str, Any]]:
+def select_examples(cases: pd.DataFrame, outlooks: pd.DataFrame) -> list[ExampleShift]:
     """Return example shifts: the coldest, the warmest, and those with the median and the worst forecast.
 
     They are selected among shifts with a forecast at `EXAMPLE_HOURS_AHEAD`. Where all times ahead are shorter, the
     longest of them is used.
-
-    Returns
-    -------
-    list of dict
-        `why`: reason of the selection. `vehicle_id`, `vehicle_model`, `shift`, `date`, `ambient_c` [°C], `soc_end_pct`
-        and `reserve_soc_pct` [%]: values of the shift. `hours_ahead` of its end [h] and `EXAMPLE_COLUMNS` [%]: its
-        forecasts.
     """
     ahead = min(EXAMPLE_HOURS_AHEAD, int(cases["hours"].max()))
     at_time = cases[cases["hours"] == ahead].reset_index(drop=True)
@@ -388,21 +355,17 @@ def select_examples(cases: pd.DataFrame, outlooks: pd.DataFrame) -> list[dict[st
     return [_example(why, at_time.iloc[place], made) for place, why in chosen.items()]
 
 
-def _example(why: str, case: "pd.Series[Any]", outlooks: pd.DataFrame) -> dict[str, Any]:
+def _example(why: str, case: "pd.Series[Any]", outlooks: pd.DataFrame) -> ExampleShift:
     """Return a shift and at most `MOST_POINTS` of its forecasts."""
     of_shift = outlooks[(outlooks[SHIFT_KEY[0]] == case[SHIFT_KEY[0]]) & (outlooks[SHIFT_KEY[1]] == case[SHIFT_KEY[1]])]
     of_shift = of_shift[of_shift["time_s"] <= case["end_s"]].sort_values("time_s", kind="stable")
     of_shift = of_shift.iloc[np.unique(np.linspace(0, len(of_shift) - 1, min(MOST_POINTS, len(of_shift))).astype(int))]
     reserve = of_shift["reserve_soc_pct"].dropna()
-    return {
-        "why": why,
-        "vehicle_id": case["vehicle_id"],
-        "vehicle_model": case["vehicle_model"],
-        "shift": case["shift"],
-        "date": str(pd.Timestamp(case["begin_s"], unit="s").date()),
-        "ambient_c": case["ambient_c"],
-        "soc_end_pct": case["soc_end_pct"],
-        "reserve_soc_pct": reserve.iloc[-1] if len(reserve) else np.nan,
-        "hours_ahead": ((case["end_s"] - of_shift["time_s"]) / 3600.0).tolist(),
-        **{f"{name}_pct": of_shift[f"{name}_pct"].tolist() for name in EXAMPLE_COLUMNS},
-    }
+    return ExampleShift(
+        why=why,
+        date=str(pd.Timestamp(case["begin_s"], unit="s").date()),
+        **{name: case[name] for name in ("vehicle_id", "vehicle_model", "shift", "ambient_c", "soc_end_pct")},
+        reserve_soc_pct=reserve.iloc[-1] if len(reserve) else None,
+        hours_ahead=((case["end_s"] - of_shift["time_s"]) / 3600.0).tolist(),
+        **{name: of_shift[name].tolist() for name in EXAMPLE_COLUMNS},
+    )

@@ -11,16 +11,26 @@ Baselines have no risk. Each is given the risk that follows from its earlier err
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, Final
+from typing import Final
 
+import msgspec
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from socast.core.batch import Floats
+from socast.core.evaluate.records import EstimatedValue, hold_estimate
 from socast.core.evaluate.soc.baselines import BASELINES, REGRESSION, compute_empirical_risk
 from socast.core.evaluate.soc.cases import HOURS_AHEAD, SHIFT_KEY
+from socast.core.evaluate.soc.records import (
+    AlarmFigures,
+    BaselineRisk,
+    ClusteredShare,
+    ReserveRisk,
+    RiskClass,
+    RiskFigures,
+)
 from socast.core.stats.clustered import compute_clustered_ratio, compute_clustered_share
 from socast.core.stats.scores import Codes
 
@@ -38,16 +48,8 @@ BOUND: Final = float(ndtri(0.95))
 """Distance from the mean of a normal distribution to its 95th percentile, in standard deviations."""
 
 
-def evaluate_reserve_risk(cases: pd.DataFrame) -> dict[str, Any]:
+def evaluate_reserve_risk(cases: pd.DataFrame) -> ReserveRisk:
     """Return the reliability of risks and the performance of alarms.
-
-    Returns
-    -------
-    dict
-        `alarm`: risk from which on an alarm is raised. `reliability`, by class of risk and pooled over times ahead: of
-        the plan's reserve, and of all other `levels`. `told`: reliability in the classes `TOLD` over all other levels,
-        of the forecasts (`risk`) and of the regression. `levels`: figures of `evaluate_risk` by level and time ahead.
-        `overall`: the same by time ahead, without the plan's reserve.
 
     Notes
     -----
@@ -58,13 +60,13 @@ def evaluate_reserve_risk(cases: pd.DataFrame) -> dict[str, Any]:
     hours = [h for h in HOURS_AHEAD if h > 0]
     of_levels = rows[rows["level"] != PLANNED]
     each = {name: rows[rows["level"] == name] for name in (PLANNED, *map(str, LEVELS))}
-    return {
-        "alarm": ALARM,
-        "reliability": {PLANNED: compute_reliability(each[PLANNED]), "levels": compute_reliability(of_levels)},
-        "told": {name: compute_reliability(of_levels, TOLD, name) for name in ("risk", REGRESSION)},
-        "levels": {name: evaluate_by_hours(group, hours) for name, group in each.items() if len(group)},
-        "overall": evaluate_by_hours(of_levels, hours),
-    }
+    return ReserveRisk(
+        alarm=ALARM,
+        reliability={PLANNED: compute_reliability(each[PLANNED]), "levels": compute_reliability(of_levels)},
+        told={name: compute_reliability(of_levels, TOLD, name) for name in ("risk", REGRESSION)},
+        levels={name: evaluate_by_hours(group, hours) for name, group in each.items() if len(group)},
+        overall=evaluate_by_hours(of_levels, hours),
+    )
 
 
 def tabulate_levels(cases: pd.DataFrame) -> pd.DataFrame:
@@ -124,23 +126,14 @@ def compute_risk_below(cases: pd.DataFrame, level: float) -> Floats:
     return risk
 
 
-def evaluate_by_hours(rows: pd.DataFrame, hours: list[int]) -> dict[str, Any]:
+def evaluate_by_hours(rows: pd.DataFrame, hours: list[int]) -> dict[str, RiskFigures]:
     """Return the figures of `evaluate_risk` at each time ahead that has cases, and `pooled` over all."""
     by_hours = {str(h): evaluate_risk(group) for h in hours if len(group := rows[rows["hours"] == h])}
     return by_hours | ({"pooled": evaluate_risk(rows)} if len(rows) else {})
 
 
-def evaluate_risk(rows: pd.DataFrame) -> dict[str, Any]:
-    """Return the scores of risks, and of the alarms that follow from them.
-
-    Returns
-    -------
-    dict
-        `n` cases of `shifts`, of which so many `fell`; `alarms` (see `evaluate_alarms`); `brier` score of the risk;
-        `brier_base` of a constant risk equal to the share that fell; and `skill` over it. `baselines`: for each
-        baseline, where it has a risk, `n`, `fell`, `brier`, `alarms`, the forecasts' `forecast_brier` and
-        `forecast_alarms` on the same cases, and their `skill` over the baseline.
-    """
+def evaluate_risk(rows: pd.DataFrame) -> RiskFigures:
+    """Return the scores of risks, and of the alarms that follow from them."""
     fell, risk = rows["fell"].to_numpy(bool), _numbers(rows, "risk")
     clusters = rows["cluster"].to_numpy(np.int64)
     squares, share = (risk - fell) ** 2, float(fell.mean())
@@ -149,77 +142,68 @@ def evaluate_risk(rows: pd.DataFrame) -> dict[str, Any]:
         its = _numbers(rows, name)
         known = np.isfinite(its)
         lost = (its - fell)[known] ** 2
-        persons[name] = {
-            "n": int(known.sum()),
-            "fell": int(fell[known].sum()),
-            "brier": float(lost.mean()) if known.any() else np.nan,
-            "forecast_brier": float(squares[known].mean()) if known.any() else np.nan,
-            "skill": compute_skill(squares[known], lost, clusters[known]),
-            "alarms": evaluate_alarms(its[known], fell[known], clusters[known]),
-            "forecast_alarms": evaluate_alarms(risk[known], fell[known], clusters[known]),
-        }
-    return {
-        "n": len(rows),
-        "shifts": int(rows["shift"].nunique()),
-        "fell": int(fell.sum()),
-        "alarms": evaluate_alarms(risk, fell, clusters),
-        "brier": float(squares.mean()),
-        "brier_base": share * (1.0 - share),
-        "skill": compute_skill(squares, (share - fell) ** 2, clusters),
-        "baselines": persons,
-    }
+        persons[name] = BaselineRisk(
+            n=known.sum(),
+            fell=fell[known].sum(),
+            brier=lost.mean() if known.any() else None,
+            forecast_brier=squares[known].mean() if known.any() else None,
+            skill=compute_skill(squares[known], lost, clusters[known]),
+            alarms=evaluate_alarms(its[known], fell[known], clusters[known]),
+            forecast_alarms=evaluate_alarms(risk[known], fell[known], clusters[known]),
+        )
+    return RiskFigures(
+        n=len(rows),
+        shifts=rows["shift"].nunique(),
+        fell=fell.sum(),
+        alarms=evaluate_alarms(risk, fell, clusters),
+        brier=squares.mean(),
+        brier_base=share * (1.0 - share),
+        skill=compute_skill(squares, (share - fell) ** 2, clusters),
+        baselines=persons,
+    )
 
 
-def compute_skill(squares: Floats, reference: Floats, clusters: Codes) -> dict[str, float]:
-    """Return by which share a mean square is below that of a reference, with half its 95 % interval."""
-    return compute_clustered_ratio(reference - squares, reference, clusters).figures()
+def compute_skill(squares: Floats, reference: Floats, clusters: Codes) -> EstimatedValue:
+    """Return by which share a mean square is below that of a reference."""
+    return hold_estimate(compute_clustered_ratio(reference - squares, reference, clusters))
 
 
-def evaluate_alarms(risk: Floats, fell: NDArray[np.bool_], clusters: Codes) -> dict[str, Any]:
-    """Return the performance of alarms.
+def hold_share(holds: NDArray[np.bool_], clusters: Codes) -> ClusteredShare:
+    """Return the share of cases of which a condition holds."""
+    return msgspec.convert(compute_clustered_share(holds, clusters), ClusteredShare)
 
-    Returns
-    -------
-    dict
-        Number `caught` and `missed` of the cases that fell, and `false_alarms` of those that did not; `hit_rate`, the
-        share of cases that fell with an alarm, and `false_alarm_rate`, the share of the others with one, with
-        intervals.
-    """
+
+def evaluate_alarms(risk: Floats, fell: NDArray[np.bool_], clusters: Codes) -> AlarmFigures:
+    """Return the performance of alarms."""
     warned = risk >= ALARM
-    return {
-        "caught": int(np.sum(warned & fell)),
-        "missed": int(np.sum(~warned & fell)),
-        "false_alarms": int(np.sum(warned & ~fell)),
-        "hit_rate": compute_clustered_share(warned[fell], clusters[fell]),
-        "false_alarm_rate": compute_clustered_share(warned[~fell], clusters[~fell]),
-    }
+    return AlarmFigures(
+        caught=int(np.sum(warned & fell)),
+        missed=int(np.sum(~warned & fell)),
+        false_alarms=int(np.sum(warned & ~fell)),
+        hit_rate=hold_share(warned[fell], clusters[fell]),
+        false_alarm_rate=hold_share(warned[~fell], clusters[~fell]),
+    )
 
 
 def compute_reliability(
     rows: pd.DataFrame, edges: Sequence[float] = BINS, risk_column: str = "risk"
-) -> list[dict[str, Any]]:
-    """Return, for each class of risk that has cases, how often these fell below the level.
-
-    Returns
-    -------
-    list of dict
-        Edges `low` and `high`; `n` cases of `shifts`; `told`, the mean risk; and `fell`, the share that fell, with its
-        interval.
-    """
+) -> list[RiskClass]:
+    """Return, for each class of risk that has cases, how often these fell below the level."""
     rows = rows[rows[risk_column].notna()]
     risk, clusters = _numbers(rows, risk_column), rows["cluster"].to_numpy(np.int64)
     place = np.clip(np.searchsorted(edges, risk, side="right") - 1, 0, len(edges) - 2)
-    classes = []
-    for code, (low, high) in enumerate(pairwise(edges)):
-        mine = place == code
-        if mine.any():
-            fell = compute_clustered_share(rows["fell"].to_numpy(bool)[mine], clusters[mine])
-            shifts = int(rows["shift"][mine].nunique())
-            mean_risk = float(risk[mine].mean())
-            classes.append(
-                {"low": low, "high": high, "n": int(mine.sum()), "shifts": shifts, "told": mean_risk, "fell": fell}
-            )
-    return classes
+    return [
+        RiskClass(
+            low=low,
+            high=high,
+            n=mine.sum(),
+            shifts=rows["shift"][mine].nunique(),
+            told=risk[mine].mean(),
+            fell=hold_share(rows["fell"].to_numpy(bool)[mine], clusters[mine]),
+        )
+        for code, (low, high) in enumerate(pairwise(edges))
+        if (mine := place == code).any()
+    ]
 
 
 def _lowest(cases: pd.DataFrame) -> Floats:

@@ -16,17 +16,17 @@ PREDICTED = np.array([1.2, 1.5, 0.15, 0.0])
 
 def test_figures_match_hand_computed_values():
     figures = compute_relative_figures(MEASURED, PREDICTED, np.arange(4), floor=0.05)
-    assert figures["mae_kwh"]["value"] == pytest.approx((0.2 + 0.5 + 0.1 + 0.2) / 4)
-    assert figures["wmape"]["value"] == pytest.approx(1.0 / 2.85)
-    assert figures["mape"]["value"] == pytest.approx((0.2 + 0.25) / 2)
-    assert figures["over_floor"] == pytest.approx(5.0)
+    assert figures.mae_kwh.value == pytest.approx((0.2 + 0.5 + 0.1 + 0.2) / 4)
+    assert figures.wmape.value == pytest.approx(1.0 / 2.85)
+    assert figures.mape.value == pytest.approx((0.2 + 0.25) / 2)
+    assert figures.over_floor == pytest.approx(5.0)
 
 
 def test_rides_of_almost_no_energy_are_left_out_of_mape_and_counted():
     assert compute_share_below_least(MEASURED) == 0.5
     assert compute_share_below_least(np.array([LEAST_ENERGY])) == 0.0
     figures = compute_relative_figures(MEASURED[2:], PREDICTED[2:], np.arange(2), floor=0.05)
-    assert np.isnan(figures["mape"]["value"])
+    assert figures.mape.value is None
 
 
 def test_interval_is_wider_where_clusters_are_alike():
@@ -35,8 +35,8 @@ def test_interval_is_wider_where_clusters_are_alike():
     apart = compute_relative_figures(measured, predicted, np.arange(40), floor=0.1)
     alike = compute_relative_figures(measured, predicted, np.repeat(np.arange(4), 10), floor=0.1)
     for measure in ("mae_kwh", "wmape", "mape"):
-        assert alike[measure]["value"] == pytest.approx(apart[measure]["value"])
-        assert alike[measure]["ci95"] > 3.0 * apart[measure]["ci95"]
+        assert getattr(alike, measure).value == pytest.approx(getattr(apart, measure).value)
+        assert getattr(alike, measure).ci95 > 3.0 * getattr(apart, measure).ci95
 
 
 @pytest.mark.parametrize("floor", [0.0, np.nan])

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from socast.core.evaluate.soc.records import ImpossibleBounds
 from socast.tools.bench import soc_forecasts, soc_goals
 from socast.tools.bench.soc_forecasts import list_fleets, main
 from socast.tools.bench.soc_goals import Judged
@@ -42,7 +43,7 @@ def make_judged(fleet, bias=0.0, width=8.0, n=400, change=0.0):
     )  # fmt: skip
     forecasts = cases[["vehicle_id", "time_s", "soc_mean_pct", "soc_p05_pct", "soc_p95_pct"]].drop_duplicates("time_s")
     forecasts = forecasts.assign(soc_mean_pct=forecasts["soc_mean_pct"] + change)
-    bounds = {"n": 10, "above": 0, "largest": 0.0}
+    bounds = ImpossibleBounds(n=10, above=0, largest=0.0)
     return Judged(fleet, 1, 86400.0 * 10, cases, cases[:0], cases[:0], forecasts, bounds, 1.0)
 
 

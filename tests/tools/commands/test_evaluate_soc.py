@@ -6,13 +6,15 @@ from io import StringIO
 
 import numpy as np
 import pytest
+from msgspec.structs import asdict, replace
 from rich.console import Console
 
 from socast.core.errors import SettingsError
+from socast.core.evaluate.records import EstimatedValue
 from socast.core.evaluate.soc.legs import LegRecorder
+from socast.core.evaluate.soc.records import ClusteredShare, ForecastBin
 from socast.core.evaluate.soc.report import evaluate_soc
 from socast.core.models import EXTENDED_PHYSICAL
-from socast.core.records import to_json_values
 from socast.core.stats.clustered import LEAST_CLUSTERS
 from socast.stream.mcap_reader import McapSource
 from socast.tools.cli import main
@@ -39,7 +41,7 @@ FEW = make_frames(cars=1, days=2, hours=0.4, warm_up=0)
 
 @pytest.fixture(scope="module")
 def result():
-    return to_json_values(evaluate_soc(*SMALL))
+    return evaluate_soc(*SMALL)
 
 
 def printed(result):
@@ -89,7 +91,7 @@ def test_command_prints_and_writes_same_result(run, result, tmp_path):
     assert code == 0, streams.err
     written = json.loads((tmp_path / "s.json").read_text())
     assert written.pop("format") == {"report": "evaluate-soc", "version": 1}
-    assert written == result
+    assert written == result.to_json()
     assert printed(result) in streams.out
     assert f"report in {tmp_path / 's.html'}" in streams.out
 
@@ -149,12 +151,12 @@ def test_real_drives_in_synthetic_shifts_are_evaluated_against_their_end(tmp_pat
 
 def test_tables_show_figures_of_result(result):
     out = printed(result)
-    for hours, group in result["overall"]["hours"].items():
+    for hours, group in result.overall.hours.items():
         (line,) = (line for line in out.splitlines() if line.startswith(f" {hours} h "))
-        assert f"{group['mae_pct']['value']:.2f} ± {group['mae_pct']['ci95']:.2f}" in line
-        assert format_share(group["coverage"]) in line
-        assert f"{group['baselines']['rating']['mae_pct']['value']:.2f}" in line
-        assert hours == "0" or compare_with_best(group) in line
+        assert f"{group.mae_pct.value:.2f} ± {group.mae_pct.ci95:.2f}" in line
+        assert format_share(group.coverage) in line
+        assert f"{group.baselines['rating'].mae_pct.value:.2f}" in line
+        assert hours == "0" or compare_with_best(group.best) in line
     assert "Evaluated from 2018-01-03 to 2018-01-08; 8 shifts ended before the first interval" in " ".join(out.split())
     assert out.index("By temperature") < out.index("Alarms") < out.index("Errors of the forecasts")
     assert [row.name for row in tabulate_by_time(result).rows] == ["0 h", "1 h", "2 h", "4 h", "6 h", "all"]
@@ -183,21 +185,21 @@ def test_axes_have_units_and_curves_differ_in_more_than_colour(result):
 
 def test_scatter_shows_each_shift_once_at_its_values(result):
     inside, outside, _ = drawn.draw_scatter(result).data
-    group = result["overall"]["hours"]["2"]
-    assert len(inside.x) + len(outside.x) == group["n"]
-    assert len(inside.x) / group["n"] == pytest.approx(group["coverage"]["value"])
+    group = result.overall.hours["2"]
+    assert len(inside.x) + len(outside.x) == group.n
+    assert len(inside.x) / group.n == pytest.approx(group.coverage.value)
 
 
 def test_risk_figure_shows_forecast_and_observed_risk():
-    result = to_json_values(evaluate_soc(*make_frames(cars=6, days=9)))
+    result = evaluate_soc(*make_frames(cars=6, days=9))
     *traces, equal = drawn.draw_risk(result).data
     levels, plan = (trace for trace in traces if trace.mode == "markers")
     few = {"levels" if trace.name.startswith("levels") else "plan" for trace in traces if trace.mode == "lines"}
     for points, key in ((levels, "levels"), (plan, "plan")):
-        classes = result["reserve"]["reliability"][key]
-        assert list(points.x) == pytest.approx([100.0 * risk_class["told"] for risk_class in classes])
+        classes = result.reserve.reliability[key]
+        assert list(points.x) == pytest.approx([100.0 * risk_class.told for risk_class in classes])
         shown = [
-            100.0 * risk_class["fell"]["value"] if risk_class["fell"]["clusters"] >= LEAST_CLUSTERS else None
+            100.0 * risk_class.fell.value if risk_class.fell.clusters >= LEAST_CLUSTERS else None
             for risk_class in classes
         ]
         assert list(points.y) == shown
@@ -207,10 +209,10 @@ def test_risk_figure_shows_forecast_and_observed_risk():
 
 
 def coverages(*clusters):
-    """Return groups whose shares rest on so many vehicle-days; of one alone there is no interval."""
+    """Return shares of groups that rest on so many vehicle-days; of one alone there is no interval."""
     ends = {"low": 0.6, "high": 0.95}
     return {
-        f"group {n}": {"coverage": {"value": 0.8, "clusters": n} | (ends if n > 1 else dict.fromkeys(ends))}
+        f"group {n}": ClusteredShare(value=0.8, clusters=n, **(ends if n > 1 else dict.fromkeys(ends)))
         for n in clusters
     }
 
@@ -231,13 +233,13 @@ def test_groups_keep_their_order_even_if_too_small():
     assert made.layout.xaxis.categoryarray == ("group 40", "group 2", "group 50")
 
 
-def test_interval_of_width_or_error_never_goes_below_zero():
-    known = {"value": 4.0, "ci95": 5.0}
-    hours = {
-        hours: {"width_pct": width, "mae_pct": width, "baselines": {}}
-        for hours, width in (("1", known), ("2", {"value": 20.0, "ci95": 1.0}), ("4", {"value": 1.0, "ci95": None}))
-    }
-    result = {"overall": {"hours": hours}}
+def test_interval_of_width_or_error_never_goes_below_zero(result):
+    hours = {}
+    for ahead, value, ci95 in (("1", 4.0, 5.0), ("2", 20.0, 1.0), ("4", 1.0, None)):
+        width = EstimatedValue(value=value, ci95=ci95)
+        none = {name: replace(each, mae_pct=EstimatedValue()) for name, each in result.overall.pooled.baselines.items()}
+        hours[ahead] = replace(result.overall.pooled, width_pct=width, mae_pct=width, baselines=none)
+    result = replace(result, overall=replace(result.overall, hours=hours))
     for trace in (drawn.draw_width(result).data[0], drawn.draw_errors(result).data[0]):
         assert trace.error_y.array == (5.0, 1.0, None)
         assert trace.error_y.arrayminus == (4.0, 1.0, None)
@@ -245,11 +247,11 @@ def test_interval_of_width_or_error_never_goes_below_zero():
 
 
 def test_comparison_with_best_omits_few_vehicle_days(result):
-    of_model = result["by"]["vehicle model"]
-    assert all(group["hours"]["2"]["best"]["vehicle_days"] == group["hours"]["2"]["n"] == 12 for group in of_model)
+    of_model = result.by["vehicle model"]
+    assert all(group.hours["2"].best.vehicle_days == group.hours["2"].n == 12 for group in of_model)
     (table,) = (table for table in tabulate_conditions(result) if table.title == "By vehicle model")
     assert [row.cells[-1].text for row in table.rows] == ["–", "–"]
-    many = to_json_values(evaluate_soc(*make_frames(cars=4, days=17)))
+    many = evaluate_soc(*make_frames(cars=4, days=17))
     (table,) = (table for table in tabulate_conditions(many) if table.title == "By vehicle model")
     assert all(re.fullmatch(r"[+−][\d.]+ %", row.cells[-1].text) for row in table.rows)
 
@@ -258,13 +260,13 @@ def test_alarms_are_listed_by_level(result):
     table = risk_tables.tabulate_alarms(result)
     names = [row.name for row in table.rows]
     assert names[-2:] == ["20 to 60 %, 1 h", "20 to 60 %, 2 h"]
-    group = result["reserve"]["overall"]["2"]
-    assert [cell.text for cell in table.rows[-1].cells[:2]] == [str(group["n"]), str(group["fell"])]
-    assert table.rows[-1].cells[2].text.startswith(f"{group['alarms']['caught']}: ")
+    group = result.reserve.overall["2"]
+    assert [cell.text for cell in table.rows[-1].cells[:2]] == [str(group.n), str(group.fell)]
+    assert table.rows[-1].cells[2].text.startswith(f"{group.alarms.caught}: ")
     missed = {row.name: int(row.cells[3].text) for row in table.rows}
-    of_plan = result["reserve"]["levels"].get("plan", {})
+    of_plan = result.reserve.levels.get("plan", {})
     for hours in {"1", "2"} & of_plan.keys():
-        assert missed.get(f"the plan's reserve, {hours} h", 0) == of_plan[hours]["alarms"]["missed"]
+        assert missed.get(f"the plan's reserve, {hours} h", 0) == of_plan[hours].alarms.missed
 
 
 def test_truth_without_displays_is_refused(tmp_path):
@@ -278,7 +280,7 @@ def test_truth_without_displays_is_refused(tmp_path):
 
 
 def test_regression_stands_beside_the_forecasts():
-    out = printed(to_json_values(evaluate_soc(*make_frames(cars=6, days=20))))
+    out = printed(evaluate_soc(*make_frames(cars=6, days=20)))
     assert "Intervals beside those of the regression" in out
     assert "Risk beside that of the regression" in out
     assert "By shifts seen" in out
@@ -286,32 +288,32 @@ def test_regression_stands_beside_the_forecasts():
 
 def test_legs_are_shown_only_if_any_were_queried(result):
     assert "Leg by leg" not in printed(result)
-    bins = [{"bin": name, **result["overall"]["hours"]["1"]} for name in ("below 30", "all")]
-    out = printed(result | {"legs": {"without a charge": bins, "charged later": []}})
+    bins = [ForecastBin(bin=name, **asdict(result.overall.hours["1"])) for name in ("below 30", "all")]
+    out = printed(replace(result, legs={"without a charge": bins, "charged later": []}))
     assert out.count("minutes ahead") == 1
     (line,) = (line for line in out.splitlines() if line.startswith(" below 30 "))
-    assert format_share(bins[0]["coverage"]) in line
-    assert f"{bins[0]['baselines']['rating']['mae_pct']['value']:.2f}" in line
+    assert format_share(bins[0].coverage) in line
+    assert f"{bins[0].baselines['rating'].mae_pct.value:.2f}" in line
 
 
 def test_share_of_few_vehicle_days_is_not_shown(result):
     out = printed(result)
-    for part in result["by"]["temperature"]:
-        few = part["pooled"]["vehicle_days"] < 30
-        (line,) = (line for line in out.splitlines() if line.startswith(f" {part['bin'].replace('-', '−')} "))
+    for part in result.by["temperature"]:
+        few = part.pooled.vehicle_days < 30
+        (line,) = (line for line in out.splitlines() if line.startswith(f" {part.bin.replace('-', '−')} "))
         assert ("too few" in line) == few
-    assert any(part["pooled"]["vehicle_days"] < 30 for part in result["by"]["temperature"])
+    assert any(part.pooled.vehicle_days < 30 for part in result.by["temperature"])
 
 
 def test_fan_of_example_ends_at_end_of_shift(result):
-    for shift in result["examples"]:
+    for shift in result.examples:
         upper, lower, mean, _, became = drawn.draw_example(shift).data
-        assert became.y == (shift["soc_end_pct"],)
+        assert became.y == (shift.soc_end_pct,)
         assert all(low <= m <= high for low, m, high in zip(lower.y, mean.y, upper.y, strict=True))
 
 
 def test_few_short_shifts_are_shown_as_far_as_known(tmp_path):
-    result = to_json_values(evaluate_soc(*FEW))
+    result = evaluate_soc(*FEW)
     out = printed(result)
     assert [row.name for row in tabulate_by_time(result).rows] == ["0 h", "all"]
     assert " 0 h " in out
@@ -321,8 +323,8 @@ def test_few_short_shifts_are_shown_as_far_as_known(tmp_path):
 
 def test_unusual_names_are_shown_unchanged(tmp_path):
     tables = [table.replace({"taxi-1": ODD, "nissan-leaf-2016": ODD}) for table in SMALL]
-    result = to_json_values(evaluate_soc(*tables))
+    result = evaluate_soc(*tables)
     assert "R&D's" in printed(result)
-    assert any("no official rating is known of" in note for note in result["notes"])
+    assert any("no official rating is known of" in note for note in result.notes)
     report.write(result, tmp_path / "odd.html")
     assert "<b>R&D" not in (tmp_path / "odd.html").read_text()

@@ -225,7 +225,7 @@ def test_recording_gives_the_same_rides_as_messages_in_memory(name, tmp_path):
 def evaluate_by_date(name: str, recipes: str) -> dict[str, float]:
     """Return the mean error of each recipe on the last fifth of the dates. [kWh]"""
     result = evaluate(import_data_set(name).rides, select_recipes(recipes, None, 0), repeats=2)
-    return {recipe: next(iter(errors.values())) for recipe, errors in result["splits"]["date"].items()}
+    return {recipe: next(iter(errors.values())) for recipe, errors in result.splits["date"].items()}
 
 
 def test_fitted_models_predict_the_leaf_better_than_physics():

@@ -1,6 +1,5 @@
 """Test the report of an evaluation: its content, notes on the paper's data, and odd or missing parts."""
 
-import copy
 import re
 from collections import defaultdict
 from functools import partial
@@ -15,7 +14,7 @@ from rich.console import Console
 from socast.core.errors import SettingsError
 from socast.core.evaluate.binning import SEASONS
 from socast.core.evaluate.paper import published
-from socast.core.records import to_json_values
+from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.tools.report.cells import PAPER_NOTE, UNKNOWN
 from socast.tools.report.evaluation import selection_figures
 from socast.tools.report.evaluation.illustrations import MAKERS, PAPER_CAPTION, build_illustrations
@@ -24,9 +23,9 @@ from socast.tools.report.evaluation.terminal import print_section, show
 from socast.tools.report.figure_style import get_style
 from socast.tools.report.page import render_page, write
 from socast.tools.terminal.output import REPORT_VERSIONS
-from tests.support.evaluation_result import CLUSTERS, RECIPES, VEHICLES, evaluation
+from tests.support.evaluation_result import CLUSTERS, RECIPES, VEHICLES, evaluation, hold
 from tests.support.html_pages import read_page
-from tests.support.read_parts import find_read_parts
+from tests.support.read_parts import find_read_fields
 
 pytestmark = pytest.mark.long
 FEW_RECIPES = ("basic_physical", "fitted_physical", "hybrid_trees")
@@ -43,7 +42,7 @@ def printed(result, width=120):
 
 def printed_changes(result, before):
     """Return the terminal output of a result without the sections that another result has too."""
-    known = build_sections(to_json_values(before))
+    known = build_sections(before)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             "socast.tools.report.evaluation.terminal.print_section",
@@ -69,16 +68,20 @@ def drawn(result, sections=MAKERS):
 
 @pytest.fixture(scope="module")
 def result():
-    return evaluation()
+    return hold(evaluation())
 
 
 @pytest.fixture(scope="module")
-def readers():
+def small():
+    return hold(smaller(evaluation()))
+
+
+@pytest.fixture(scope="module")
+def readers(small):
     """Return the sections whose figures read each part of a result; no other figure can depend on the part."""
     found = defaultdict(list)
     for section in MAKERS:
-        parts = find_read_parts(partial(build_illustrations, section=section), to_json_values(smaller(evaluation())))
-        for (part,) in {path[:1] for path in parts}:
+        for part in find_read_fields(partial(build_illustrations, section=section), small):
             found[part].append(section)
     return found
 
@@ -90,7 +93,7 @@ def html(result):
 
 @pytest.fixture(scope="module")
 def every_figure(result):
-    return drawn(to_json_values(result))
+    return drawn(result)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +105,7 @@ def test_page_is_well_formed_and_its_links_have_targets(html):
     reader = read_page(html)
     assert len(reader.ids) == len(set(reader.ids))
     assert set(reader.links) <= set(reader.ids)
-    assert {section.key for section in build_sections(evaluation())} <= set(reader.links)
+    assert {section.key for section in build_sections(hold(evaluation()))} <= set(reader.links)
 
 
 def test_page_carries_its_report_name_and_format_version(html):
@@ -153,9 +156,7 @@ def test_figures_are_readable_without_colour(every_figure):
 
 
 def test_tables_and_figures_with_values_of_paper_state_other_data(result, html, every_figure, terminal):
-    beside = [
-        table for section in build_sections(to_json_values(result)) for table in section.tables if table.beside_paper
-    ]
+    beside = [table for section in build_sections(result) for table in section.tables if table.beside_paper]
     assert {f"Table {n}" for n in range(2, 14)} <= set(re.findall(r"Table \d+", " ".join(t.title for t in beside)))
     assert all(PAPER_NOTE in table.all_notes for table in beside)
     assert html.count(PAPER_NOTE.replace("'", "&#x27;")) == len(beside)
@@ -181,18 +182,18 @@ def test_figure_3_shows_averages_of_paper_as_outlines(every_figure):
 
 
 def test_error_tables_have_layout_of_paper(result):
-    tables = next(section.tables for section in build_sections(to_json_values(result)) if section.key == "errors")
+    tables = next(section.tables for section in build_sections(result) if section.key == "errors")
     assert len(tables) == len(RECIPES)
     assert all(table.columns == (*(f"{c.replace('-', ' to ')} km" for c in CLUSTERS), "average *") for table in tables)
     assert all(table.rows[-1].name == "Weighted average" for table in tables)
     basic = tables[0].rows[0].cells[0]
-    figure = result["mae"]["basic_physical"]["kia-soul-ev-2015"]["0-5"]
-    assert basic.text == f"{figure['value']:.3f} ± {figure['ci95']:.4f}"
+    figure = result.mae["basic_physical"]["kia-soul-ev-2015"]["0-5"]
+    assert basic.text == f"{figure.value:.3f} ± {figure.ci95:.4f}"
 
 
 def test_terminal_output_fits_120_columns_and_has_every_table(result, terminal):
     assert max(len(line) for line in terminal.splitlines()) <= 120
-    for section in build_sections(to_json_values(result)):
+    for section in build_sections(result):
         for table in section.tables:
             assert section.folded or table.title[:60] in terminal
 
@@ -216,8 +217,8 @@ def odd_report():
     for entries in result["by"]["driver"].values():
         del entries[5:]
         entries[0]["bin"] = odd("driver")
-    html = render_page(result)
-    return html, read_page(html), printed(result, width=1000)
+    html = render_page(hold(result))
+    return html, read_page(html), printed(hold(result), width=1000)
 
 
 @pytest.mark.parametrize("where", ["recipe", "vehicle", "reason", "driver", "note"])
@@ -240,62 +241,54 @@ def renamed(value, old, new):
 
 
 @pytest.mark.parametrize("part", list(evaluation()))
-def test_result_with_missing_or_null_part_is_reported(part, readers):
-    result = smaller(evaluation())
-    assert drawn({key: value for key, value in result.items() if key != part}, readers[part]) is not None
-    assert "The paper" in printed_changes(result | {part: None}, result)
+def test_result_with_missing_part_is_reported(part, small, readers):
+    result = hold({key: value for key, value in smaller(evaluation()).items() if key != part})
+    assert drawn(result, readers[part]) is not None
+    assert "The paper" in printed_changes(result, small)
 
 
-@pytest.mark.parametrize(
-    "part", ["mae", "coverage", "by", "new_vehicle", "few_shot", "difference", "selection", "curve"]
-)
-def test_part_with_null_figures_has_no_drawing(part, readers):
+@pytest.mark.parametrize("part", ["mae", "coverage", "by", "new_vehicle", "few_shot", "difference", "selection"])
+def test_part_with_null_figures_has_no_drawing(part, small, readers):
     whole = smaller(evaluation())
-    result = whole | {part: nulled(whole[part])}
+    result = hold(whole | {part: nulled(whole[part])})
     assert readers[part]
-    assert not {
-        key
-        for key in drawn(to_json_values(result), readers[part])
-        if key.startswith((part.replace("_", "-"), f"{part}-"))
-    }
-    assert "None" not in printed_changes(result, whole)
+    assert not {key for key in drawn(result, readers[part]) if key.startswith((part.replace("_", "-"), f"{part}-"))}
+    assert "None" not in printed_changes(result, small)
 
 
 def nulled(value):
-    """Return a part of a result with its numbers replaced by None."""
+    """Return a part of a result with its numbers replaced by None, but for counts."""
     if isinstance(value, dict):
         return {key: nulled(item) for key, item in value.items()}
     if isinstance(value, list):
         return [nulled(item) for item in value]
-    return value if isinstance(value, str) else None
+    return value if isinstance(value, str | int) else None
 
 
 def test_empty_result_gives_page_and_terminal_output():
-    assert "Evaluation of consumption models" in "".join(read_page(render_page({})).text)
-    assert "The paper" in printed({})
+    assert "Evaluation of consumption models" in "".join(read_page(render_page(RecipeEvaluation())).text)
+    assert "The paper" in printed(RecipeEvaluation())
 
 
 def test_non_finite_values_are_not_shown():
     result = smaller(evaluation())
     result["mae"]["hybrid_trees"]["kia-soul-ev-2015"]["0-5"] = {"value": float("nan"), "ci95": float("inf")}
-    assert "nan" not in printed(result).replace("dominan", "")
-    assert "NaN" not in render_page(result).rpartition("<section")[0].partition("<main")[2]
+    assert "nan" not in printed(hold(result)).replace("dominan", "")
+    assert "NaN" not in render_page(hold(result)).rpartition("<section")[0].partition("<main")[2]
 
 
-def test_reporting_does_not_change_result():
-    result = smaller(evaluation())
-    before = copy.deepcopy(result)
-    render_page(result)
-    printed(result)
-    assert result == before
+def test_reporting_does_not_change_result(small):
+    render_page(small)
+    printed(small)
+    assert small == hold(smaller(evaluation()))
 
 
 def test_best_of_column_is_emphasised_and_dominance_is_marked(result):
-    table = next(t for s in build_sections(to_json_values(result)) for t in s.tables if t.title.endswith("(Figure 3)"))
+    table = next(t for s in build_sections(result) for t in s.tables if t.title.endswith("(Figure 3)"))
     assert {row.name for row in table.rows if row.cells[0].strong} == {RECIPES["hybrid_trees"]}
     for mark, score in (("●", "dominates"), ("○", "dominates_average")):
         marked = {row.name for row in table.rows if mark in row.cells[0].text}
-        assert marked == {RECIPES[recipe] for recipe in result[score]["kia-soul-ev-2015"]}
+        assert marked == {RECIPES[recipe] for recipe in getattr(result, score)["kia-soul-ev-2015"]}
 
 
 def test_coverage_outside_its_limits_is_marked():
@@ -303,9 +296,7 @@ def test_coverage_outside_its_limits_is_marked():
     result["coverage"]["hybrid_trees"]["cluster"]["0-5"] = 0.849
     result["coverage"]["hybrid_trees"]["season"][SEASONS[0]] = 0.851
     result["coverage"]["hybrid_trees"]["overall"] = 0.93
-    table = next(
-        t for s in build_sections(to_json_values(result)) for t in s.tables if t.title.startswith("Rides inside")
-    )
+    table = next(t for s in build_sections(hold(result)) for t in s.tables if t.title.startswith("Rides inside"))
     cells = dict(zip(table.columns, (cell.text for cell in table.rows[-1].cells), strict=True))
     assert cells["0 to 5 km"] == "84.9 % ↓"
     assert cells[SEASONS[0]] == "85.1 %"
@@ -313,12 +304,7 @@ def test_coverage_outside_its_limits_is_marked():
 
 
 def test_loss_of_elimination_is_shown(result):
-    table = next(
-        t
-        for s in build_sections(to_json_values(result))
-        for t in s.tables
-        if t.title.startswith("Terms that can be removed")
-    )
+    table = next(t for s in build_sections(result) for t in s.tables if t.title.startswith("Terms that can be removed"))
     rows = {row.name.partition(":")[0]: row.cells[-1].text for row in table.rows}
     assert rows["RFE"] == "+0.0006 ± 0.0005"
 
@@ -328,11 +314,11 @@ def test_narrow_tables_have_columns_of_principal_models():
     result["coverage"] = dict.fromkeys(RECIPES, result["coverage"]["hybrid_trees"])
     chosen = ["basic_physical", "fitted_physical", "hybrid_interactions", "segment_network", "hybrid_trees"]
     titles = [RECIPES[recipe] for recipe in chosen]
-    tables = {t.title: t for s in build_sections(to_json_values(result)) for t in s.tables}
+    tables = {t.title: t for s in build_sections(hold(result)) for t in s.tables}
     assert tables["Mean absolute error by distance, kWh"].columns[1:] == tuple(titles)
     inside = [row.name.partition(": ")[2] for row in tables["At a glance"].rows if row.name.startswith("Rides inside")]
     assert inside == titles
-    heads = printed(result).partition("Mean absolute error by distance, kWh")[2].splitlines()[2:6]
+    heads = printed(hold(result)).partition("Mean absolute error by distance, kWh")[2].splitlines()[2:6]
     words = {word.strip() for line in heads for word in line.split()}
     assert words >= {word for title in titles for word in title.split()}
 
@@ -340,7 +326,7 @@ def test_narrow_tables_have_columns_of_principal_models():
 def test_errors_above_fitted_physical_model_on_new_vehicle_are_marked():
     result = smaller(evaluation())
     result["few_shot"]["kia-soul-ev-2015"]["hybrid_trees"][0]["mae"] = 99.0
-    tables = [t for s in build_sections(to_json_values(result)) if s.key == "transfer" for t in s.tables]
+    tables = [t for s in build_sections(hold(result)) if s.key == "transfer" for t in s.tables]
     table = next(t for t in tables if t.title.startswith("Kia"))
     marked = [cell.text.endswith("↑") for row in table.rows for cell in row.cells]
     assert marked.index(True) == table.columns.index(RECIPES["hybrid_trees"])
@@ -351,18 +337,18 @@ def test_split_tables_state_whether_best_models_differ():
     result = smaller(evaluation())
     for key in FEW_VEHICLES:
         result["splits"]["date"]["hybrid_trees"][key] = 9.0
-    table = next(t for s in build_sections(to_json_values(result)) if s.key == "splits" for t in s.tables)
+    table = next(t for s in build_sections(hold(result)) if s.key == "splits" for t in s.tables)
     assert any(note.startswith("They differ on the best model") for note in table.notes)
     for key in FEW_VEHICLES:
         result["splits"]["date"]["hybrid_trees"][key] = 0.01
-    table = next(t for s in build_sections(to_json_values(result)) if s.key == "splits" for t in s.tables)
+    table = next(t for s in build_sections(hold(result)) if s.key == "splits" for t in s.tables)
     assert any(note.startswith("The same model is best") for note in table.notes)
 
 
 @given(value=st.floats(-50, 50), p=st.floats(0, 1))
 def test_difference_matrix_is_antisymmetric(value, p):
     pairs = {"basic_physical|fitted_physical": {"value": value, "ci95": 0.1, "p": p}}
-    made = selection_figures.draw_difference_matrix({"recipes": RECIPES, "difference": {"x": pairs}}, "x")
+    made = selection_figures.draw_difference_matrix(hold({"recipes": RECIPES, "difference": {"x": pairs}}), "x")
     (heat,) = made.data
     assert heat.customdata[0][1] == 1000.0 * value == -heat.customdata[1][0]
     assert heat.z[0][1] == -heat.z[1][0]
@@ -396,12 +382,12 @@ def test_figures_are_plotly_figures(every_figure):
     assert UNKNOWN not in {trace.name for one in every_figure.values() for trace in one.figure.data}
 
 
-def test_page_is_written(tmp_path):
+def test_page_is_written(small, tmp_path):
     path = tmp_path / "report.html"
-    write(smaller(evaluation()), path)
+    write(small, path)
     assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
 
 def test_unwritable_page_raises_error_of_one_line(tmp_path):
     with pytest.raises(SettingsError, match=r"report\.html cannot be written: No such file"):
-        write({}, tmp_path / "nowhere" / "report.html")
+        write(RecipeEvaluation(), tmp_path / "nowhere" / "report.html")

@@ -19,6 +19,7 @@ def tabulate_relative_errors(result: Comparison) -> ReportTable:
         result.models,
         ComparedModel,
         corner="model",
+        fields=("wmape", "mape", "over_floor"),
         notes=(PERCENT_NOTE, measured, FLOOR_NOTE),
         strong=lambda name, _, value: name == "wmape" and least is not None and value.value == least,
         formats={"share": format_share, "ratio": format_ratio},

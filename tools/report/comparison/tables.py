@@ -12,12 +12,12 @@ from socast.core.evaluate.compare.records import (
     ConditionBin,
     ContrastBin,
     DatasetContrast,
-    EstimatedValue,
     PairDifference,
     PropertyContrast,
     TermContrast,
     WorstRide,
 )
+from socast.core.evaluate.records import EstimatedValue
 from socast.core.formatting import format_range
 from socast.core.stats.multiple_testing import SIGNIFICANCE
 from socast.core.stats.scores import BANDS

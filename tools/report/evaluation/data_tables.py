@@ -1,11 +1,13 @@
 """Build the tables of the data: the rides that the filter kept, and Tables 2 to 4 of the paper."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.published import AVERAGE, WEIGHTED, PublishedFigure
+from socast.core.evaluate.paper.records import EstimateTable, EvaluatedTable, Numbers, RecipeEvaluation
+from socast.core.evaluate.records import EstimatedValue
 from socast.tools.report.cells import (
     UNKNOWN,
     Cell,
@@ -17,15 +19,7 @@ from socast.tools.report.cells import (
     format_percent,
     format_published,
 )
-from socast.tools.report.evaluation.result import (
-    Result,
-    get_mapping,
-    get_number,
-    get_part,
-    get_vehicle_name,
-    list_clusters,
-    list_vehicle_models,
-)
+from socast.tools.report.evaluation.result import get_value, get_vehicle_name, list_clusters, list_vehicle_models
 
 MEASURED_BY: Final = MappingProxyType({"vi": "voltage and current", "soc": "state of charge"})
 """Sources of the measured energy of a ride -> their names for readers."""
@@ -35,14 +29,8 @@ AVERAGE_NOTE: Final = "* Unweighted mean over the clusters that have a figure."
 """Note below tables that have a column of averages."""
 
 
-def tabulate_data(result: Result) -> list[ReportTable]:
-    """Return the tables of the data that have a row.
-
-    Returns
-    -------
-    list of ReportTable
-        Ride filter, numbers of rides, mean consumption, and mean consumption of the test sets.
-    """
+def tabulate_data(result: RecipeEvaluation) -> list[ReportTable]:
+    """Return the tables of the data that have a row."""
     tables = (
         tabulate_ride_filter(result),
         tabulate_rides(result),
@@ -52,23 +40,16 @@ def tabulate_data(result: Result) -> list[ReportTable]:
     return [table for table in tables if table.rows]
 
 
-def tabulate_ride_filter(result: Result) -> ReportTable:
-    """Return the number of rides, and how many the filter left out for which reason.
-
-    Returns
-    -------
-    ReportTable
-        One row per reason, with count and share of all rides. The notes name dates, cars, energy sources and draws.
-    """
-    about = get_mapping(result, "about")
-    total = get_number(about.get("rides"))
+def tabulate_ride_filter(result: RecipeEvaluation) -> ReportTable:
+    """Return the number of rides, and how many the filter left out for which reason."""
+    about, total = result.about, result.about.rides
     rows: list[Row] = []
     if total is not None:
         published_count = format_count(published.get_statement("rides").value)
         rows.append(Row("rides", (Cell(format_count(total), published_count), Cell(""))))
-    for reason, count in get_mapping(about, "unfit").items():
+    for reason, count in about.unfit.items():
         rows.append(_counted(f"left out: {reason.replace('_', ' ')}", count, total))
-    removed = sum(get_number(count) or 0.0 for count in get_mapping(about, "unfit").values())
+    removed = sum(about.unfit.values())
     if removed:
         published_count = format_count(published.get_statement("rides_removed").value)
         share = published.get_statement("rides_removed").value / published.get_statement("rides").value
@@ -79,51 +60,44 @@ def tabulate_ride_filter(result: Result) -> ReportTable:
                 total=True,
             )
         )
-    if get_number(about.get("fit")) is not None:
-        rows.append(_counted("evaluated", about["fit"], total, last=True))
+    if about.fit is not None:
+        rows.append(_counted("evaluated", about.fit, total, last=True))
     return ReportTable("Rides and the filter (section 3)", "rides", ("count", "share"), tuple(rows), _origin(about))
 
 
-def tabulate_rides(result: Result) -> ReportTable:
+def tabulate_rides(result: RecipeEvaluation) -> ReportTable:
     """Return the number of rides by vehicle model and cluster of distance, as Table 2 of the paper."""
-    rides = get_mapping(result, "rides")
-    columns = [*list_clusters(result, rides.values()), "total"]
+    columns = [*list_clusters(result, result.rides.values()), "total"]
     rows = tuple(
         Row(
             get_vehicle_name(key),
             tuple(
-                Cell(format_count(get_part(rides, key, c)), _paper_count(published.get_ride_count(key, c)))
+                Cell(format_count(result.rides[key].get(c)), _paper_count(published.get_ride_count(key, c)))
                 for c in columns
             ),
         )
         for key in list_vehicle_models(result)
-        if key in rides
+        if key in result.rides
     )
     note = "Table 2 of the paper adds up to the rides before any was removed."
     return ReportTable("Rides by distance (Table 2)", "vehicle model", format_heads(columns), rows, (note,))
 
 
-def tabulate_consumption(result: Result) -> ReportTable:
-    """Return the mean consumption by vehicle model and cluster of distance, as Table 3 of the paper.
-
-    Units: returns [kWh].
-    """
+def tabulate_consumption(result: RecipeEvaluation) -> ReportTable:
+    """Return the mean consumption by vehicle model and cluster of distance, as Table 3 of the paper. [kWh]"""
     return tabulate_by_cluster(
         result,
-        get_mapping(result, "consumption"),
+        result.consumption,
         "Mean consumption of a ride, kWh (Table 3)",
         published.get_consumption,
     )
 
 
-def tabulate_test_consumption(result: Result) -> ReportTable:
-    """Return the mean consumption in the test sets by vehicle model and cluster, as Table 4 of the paper.
-
-    Units: returns [kWh].
-    """
+def tabulate_test_consumption(result: RecipeEvaluation) -> ReportTable:
+    """Return the mean consumption in the test sets by vehicle model and cluster, as Table 4 of the paper. [kWh]"""
     table = tabulate_by_cluster(
         result,
-        get_mapping(result, "test_consumption"),
+        result.test_consumption,
         "Mean consumption of a ride in the test sets, kWh (Table 4)",
         published.get_test_consumption,
     )
@@ -131,13 +105,14 @@ def tabulate_test_consumption(result: Result) -> ReportTable:
 
 
 def tabulate_by_cluster(
-    result: Result, energies: Mapping[str, Any], title: str, paper: Callable[[str, str], PublishedFigure | None]
+    result: RecipeEvaluation,
+    energies: EstimateTable | Numbers,
+    title: str,
+    paper: Callable[[str, str], PublishedFigure | None],
 ) -> ReportTable:
-    """Return a table of energies by vehicle model and cluster of distance.
+    """Return a table of energies by vehicle model and cluster of distance. [kWh]
 
     The table has an average column and a weighted row where the evaluation has figures for them.
-
-    Units: energies [kWh], returns [kWh].
 
     Parameters
     ----------
@@ -145,13 +120,13 @@ def tabulate_by_cluster(
         Returns the paper's figure of a vehicle model and a cluster, None where the paper has none.
     """
     columns = list_clusters(result, energies.values())
-    if any(AVERAGE in get_mapping(row) for row in energies.values()):
+    if any(AVERAGE in row for row in energies.values()):
         columns.append(AVERAGE)
     keys = [key for key in (*list_vehicle_models(result), WEIGHTED) if key in energies]
     rows = tuple(
         Row(
             "Weighted average" if key == WEIGHTED else get_vehicle_name(key),
-            tuple(_beside(get_part(energies, key, column), paper(key, column)) for column in columns),
+            tuple(_beside(energies[key].get(column), paper(key, column)) for column in columns),
             total=key == WEIGHTED,
         )
         for key in keys
@@ -166,9 +141,9 @@ def format_heads(columns: list[str]) -> tuple[str, ...]:
     return tuple(special.get(column) or format_cluster(column) for column in columns)
 
 
-def _beside(value: Any, figure: PublishedFigure | None) -> Cell:
+def _beside(value: EstimatedValue | float | None, figure: PublishedFigure | None) -> Cell:
     """Return a cell with the figure of this evaluation and that of the paper, an empty cell where there is neither."""
-    if get_number(value) is None and figure is None:
+    if get_value(value) is None and figure is None:
         return Cell("")
     return Cell(format_energy(value), format_published(figure))
 
@@ -178,28 +153,28 @@ def _paper_count(figure: PublishedFigure | None) -> str:
     return "" if figure is None else format_count(figure.value)
 
 
-def _counted(name: str, count: Any, total: float | None, *, last: bool = False) -> Row:
+def _counted(name: str, count: int, total: int | None, *, last: bool = False) -> Row:
     """Return a row with a count and its share of the total."""
-    return Row(name, (Cell(format_count(count)), Cell(_share(get_number(count), total))), total=last)
+    return Row(name, (Cell(format_count(count)), Cell(_share(count, total))), total=last)
 
 
-def _share(value: float | None, total: float | None) -> str:
-    """Return a value as a share of the total, `UNKNOWN` where either is unknown."""
-    return format_percent(value / total) if value is not None and total else UNKNOWN
+def _share(value: int, total: int | None) -> str:
+    """Return a value as a share of the total, `UNKNOWN` where that is unknown."""
+    return format_percent(value / total) if total else UNKNOWN
 
 
-def _origin(about: Mapping[str, Any]) -> tuple[str, ...]:
+def _origin(about: EvaluatedTable) -> tuple[str, ...]:
     """Return notes on the dates of the rides, the source of their energy, and how test sets were drawn."""
     notes: list[str] = []
-    if about.get("first_date"):
-        cars = f", {format_count(about['vehicles'])} cars" if get_number(about.get("vehicles")) is not None else ""
-        notes.append(f"From {about['first_date']} to {about.get('last_date')}{cars}.")
-    if sources := get_mapping(about, "energy_source"):
-        used = {MEASURED_BY.get(name, name): share for name, share in sources.items() if get_number(share)}
+    if about.first_date:
+        cars = "" if about.vehicles is None else f", {format_count(about.vehicles)} cars"
+        notes.append(f"From {about.first_date} to {about.last_date}{cars}.")
+    if about.energy_source:
+        used = {MEASURED_BY.get(name, name): share for name, share in about.energy_source.items() if share}
         shares = ", ".join(f"{name} {format_percent(share)}" for name, share in used.items())
         notes.append(f"Energy measured by: {shares}.")
-    repeats, share = get_number(about.get("repeats")), get_number(about.get("test_share"))
-    if repeats is not None and share is not None:
-        drawn = f"{repeats:.0f} draws of {format_percent(share, 0)} test rides within each cluster and vehicle model"
-        notes.append(f"{drawn}, seed {about.get('seed')}.")
+    if about.repeats is not None:
+        share = format_percent(about.test_share, 0)
+        drawn = f"{about.repeats} draws of {share} test rides within each cluster and vehicle model"
+        notes.append(f"{drawn}, seed {about.seed}.")
     return tuple(notes)

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL
+from socast.core.evaluate.paper.records import DifferenceScore, Numbers, RecipeEvaluation
 from socast.core.stats.multiple_testing import CO_DOMINANCE_MARGIN, SIGNIFICANCE
 from socast.tools.report.cells import (
     UNKNOWN,
@@ -22,11 +23,7 @@ from socast.tools.report.cells import (
 )
 from socast.tools.report.evaluation.data_tables import tabulate_by_cluster
 from socast.tools.report.evaluation.result import (
-    Result,
     get_average_error,
-    get_mapping,
-    get_number,
-    get_part,
     get_recipes,
     get_title,
     get_vehicle_name,
@@ -55,28 +52,25 @@ DOMINATES_NOTE: Final = (
 """Note that explains the marks `DOMINATES`."""
 
 
-def tabulate_all_errors(result: Result) -> list[ReportTable]:
+def tabulate_all_errors(result: RecipeEvaluation) -> list[ReportTable]:
     """Return a table of errors for each model, in the layout of the paper."""
     return [table for recipe in get_recipes(result) if (table := tabulate_errors(result, recipe)).rows]
 
 
-def tabulate_errors(result: Result, recipe: str) -> ReportTable:
-    """Return the mean absolute errors of a model by vehicle model and cluster, as Tables 5 to 11 of the paper.
-
-    Units: returns [kWh].
-    """
+def tabulate_errors(result: RecipeEvaluation, recipe: str) -> ReportTable:
+    """Return the mean absolute errors of a model by vehicle model and cluster, as Tables 5 to 11 of the paper. [kWh]"""
     number_there = published.get_table_number(recipe)
     where = f" (Table {number_there})" if number_there else " (not in the paper)"
     table = tabulate_by_cluster(
         result,
-        get_mapping(result, "mae", recipe),
+        result.mae.get(recipe, {}),
         f"{get_title(result, recipe)}: mean absolute error, kWh{where}",
         lambda key, cluster: published.get_mae(recipe, key, cluster),
     )
     return table._replace(notes=(*table.notes, INTERVAL_NOTE, WEIGHTED_NOTE))
 
 
-def tabulate_summaries(result: Result) -> list[ReportTable]:
+def tabulate_summaries(result: RecipeEvaluation) -> list[ReportTable]:
     """Return the tables that compare all models: average and relative errors, bias, root mean square and bands."""
     tables = (
         tabulate_average_errors(result),
@@ -88,16 +82,13 @@ def tabulate_summaries(result: Result) -> list[ReportTable]:
     return [table for table in tables if table.rows]
 
 
-def tabulate_average_errors(result: Result) -> ReportTable:
-    """Return the average error of each model on each vehicle model, as Figure 3 of the paper.
-
-    Units: returns [kWh].
-    """
-    keys, recipes = list_vehicle_models(result), [r for r in get_recipes(result) if get_mapping(result, "mae", r)]
+def tabulate_average_errors(result: RecipeEvaluation) -> ReportTable:
+    """Return the average error of each model on each vehicle model, as Figure 3 of the paper. [kWh]"""
+    keys, recipes = list_vehicle_models(result), [r for r in get_recipes(result) if result.mae.get(r)]
     columns = [
         mark_least(
             [_average_cell(result, recipe, key) for recipe in recipes],
-            [get_average_error(result, r, key) for r in recipes],
+            [get_average_error(result, r, key).value for r in recipes],
         )
         for key in keys
     ]
@@ -105,22 +96,18 @@ def tabulate_average_errors(result: Result) -> ReportTable:
         Row(get_title(result, recipe), tuple(column[i] for column in columns)) for i, recipe in enumerate(recipes)
     )
     notes = ["Bold: the least of its column. ± is half of the 95 % confidence interval."]
-    if get_mapping(result, "dominates"):
+    if result.dominates:
         notes.append(DOMINATES_NOTE)
         notes += [_said(result, finding) for finding in published.get_findings("dominates")]
     heads = tuple(get_vehicle_name(key) for key in keys)
     return ReportTable("Average error over clusters, kWh (Figure 3)", "model", heads, rows, tuple(notes))
 
 
-def tabulate_reductions(result: Result) -> ReportTable:
-    """Return by how much the average error of each model is below that of the basic physical model.
-
-    Units: returns [%].
-    """
-    reductions = get_mapping(result, "reduction")
+def tabulate_reductions(result: RecipeEvaluation) -> ReportTable:
+    """Return by how much the average error of each model is below that of the basic physical model. [%]"""
     keys = list_vehicle_models(result)
-    names = [recipe for recipe in get_recipes(result) if recipe in reductions and recipe != PHYSICAL]
-    rows = _share_rows(result, reductions, names, (*keys, AVERAGE), published.get_reduction)
+    others = {recipe: shares for recipe, shares in result.reduction.items() if recipe != PHYSICAL}
+    rows = _share_rows(result, others, (*keys, AVERAGE), published.get_reduction)
     stated = format_percent(published.get_statement("reduction").value, 2)
     note = (
         f"The paper's percentages are computed from its rounded averages. Its text states {stated} for the "
@@ -130,15 +117,10 @@ def tabulate_reductions(result: Result) -> ReportTable:
     return ReportTable("Reduction of the average error against the basic physical model", "model", heads, rows, (note,))
 
 
-def tabulate_relative_errors(result: Result) -> ReportTable:
-    """Return error over consumption by cluster of distance, as Figure 2 of the paper.
-
-    Units: returns [%].
-    """
-    errors = get_mapping(result, "relative")
-    columns = list_clusters(result, errors.values())
-    names = [recipe for recipe in get_recipes(result) if recipe in errors]
-    rows = _share_rows(result, errors, names, columns, published.get_relative_error)
+def tabulate_relative_errors(result: RecipeEvaluation) -> ReportTable:
+    """Return error over consumption by cluster of distance, as Figure 2 of the paper. [%]"""
+    columns = list_clusters(result, result.relative.values())
+    rows = _share_rows(result, result.relative, columns, published.get_relative_error)
     note = (
         "The paper shows these as a curve only. Its figures here are computed from the weighted rows of Tables 4 to 11."
     )
@@ -147,23 +129,17 @@ def tabulate_relative_errors(result: Result) -> ReportTable:
     return ReportTable(name, "model", heads, rows, (note,))
 
 
-def tabulate_bias_and_rmse(result: Result) -> ReportTable:
-    """Return bias and root mean square error of each model on each vehicle model.
-
-    Returns
-    -------
-    ReportTable
-        Root mean square errors, with the bias (mean of predicted less measured) in parentheses. [kWh]
-    """
+def tabulate_bias_and_rmse(result: RecipeEvaluation) -> ReportTable:
+    """Return bias and root mean square error of each model on each vehicle model. [kWh]"""
     keys = list_vehicle_models(result)
-    names = [r for r in get_recipes(result) if get_mapping(result, "bias", r) or get_mapping(result, "rmse", r)]
+    names = [r for r in get_recipes(result) if result.bias.get(r) or result.rmse.get(r)]
     rows = tuple(
         Row(
             get_title(result, recipe),
             tuple(
                 Cell(
-                    f"{format_energy(get_part(result, 'rmse', recipe, key))} "
-                    f"({format_signed(get_part(result, 'bias', recipe, key))})"
+                    f"{format_energy(result.rmse.get(recipe, {}).get(key))} "
+                    f"({format_signed(result.bias.get(recipe, {}).get(key))})"
                 )
                 for key in keys
             ),
@@ -175,26 +151,18 @@ def tabulate_bias_and_rmse(result: Result) -> ReportTable:
     return ReportTable("Root mean square error and bias, kWh", "model", heads, rows, (note,))
 
 
-def tabulate_bands(result: Result) -> ReportTable:
-    """Return the share of rides that each model predicts within bands of relative error.
-
-    Units: returns [%].
-    """
-    shares = get_mapping(result, "bands")
-    limits = list(dict.fromkeys(limit for row in shares.values() for limit in get_mapping(row)))
-    names = [recipe for recipe in get_recipes(result) if recipe in shares]
-    rows = _share_rows(result, shares, names, limits)
+def tabulate_bands(result: RecipeEvaluation) -> ReportTable:
+    """Return the share of rides that each model predicts within bands of relative error. [%]"""
+    limits = list(dict.fromkeys(limit for row in result.bands.values() for limit in row))
+    rows = _share_rows(result, result.bands, limits)
     heads = tuple(f"within ±{limit} %" for limit in limits)
     return ReportTable("Rides predicted within a band around their measured energy", "model", heads, rows)
 
 
-def tabulate_differences(result: Result, vehicle_model: str) -> ReportTable:
-    """Return the difference scores of all pairs of models on a vehicle model.
-
-    Units: returns [kWh].
-    """
-    scores = get_mapping(result, "difference", vehicle_model)
-    names = [a for a in get_recipes(result) if any(get_difference(scores, a, b) for b in get_recipes(result))]
+def tabulate_differences(result: RecipeEvaluation, vehicle_model: str) -> ReportTable:
+    """Return the difference scores of all pairs of models on a vehicle model. [kWh]"""
+    scores = result.difference.get(vehicle_model, {})
+    names = list_compared(result, scores)
     rows = tuple(
         Row(f"{i}  {get_title(result, a)}", tuple(_difference_cell(scores, a, b) for b in names))
         for i, a in enumerate(names, start=1)
@@ -205,24 +173,22 @@ def tabulate_differences(result: Result, vehicle_model: str) -> ReportTable:
     return ReportTable(name, "model", heads, rows, (note,))
 
 
-def get_difference(scores: Any, a: str, b: str) -> tuple[float, float | None] | None:
-    """Return the difference score of two models, in whichever order the result stores the pair.
+def list_compared(result: RecipeEvaluation, scores: Mapping[str, DifferenceScore]) -> list[str]:
+    """Return the models that are compared with any other."""
+    return [a for a in get_recipes(result) if any(get_difference(scores, a, b) for b in get_recipes(result))]
 
-    Returns
-    -------
-    tuple or None
-        Error of `a` less error of `b` [kWh], and its p-value where the result has one. None where the pair is unknown.
-    """
+
+def get_difference(scores: Mapping[str, DifferenceScore], a: str, b: str) -> tuple[float, float | None] | None:
+    """Return the error of a model less that of another [kWh], and its p-value; None where the pair is unknown."""
     for key, sign in ((f"{a}|{b}", 1.0), (f"{b}|{a}", -1.0)):
-        value = get_number(get_part(scores, key))
-        if value is not None:
-            return sign * value, get_number(get_part(scores, key, "p"))
+        if key in scores and (value := scores[key].value) is not None:
+            return sign * value, scores[key].p
     return None
 
 
-def _difference_cell(score: Any, a: str, b: str) -> Cell:
+def _difference_cell(scores: Mapping[str, DifferenceScore], a: str, b: str) -> Cell:
     """Return a cell with a difference score, emphasised and with a star where it is significant."""
-    known = get_difference(score, a, b)
+    known = get_difference(scores, a, b)
     if known is None:
         return Cell("" if a == b else UNKNOWN)
     value, p = known
@@ -230,17 +196,16 @@ def _difference_cell(score: Any, a: str, b: str) -> Cell:
     return Cell(f"{format_signed(value)}{'*' if significant else ''}", strong=significant)
 
 
-def _average_cell(result: Result, recipe: str, key: str) -> Cell:
+def _average_cell(result: RecipeEvaluation, recipe: str, key: str) -> Cell:
     """Return a cell with an average error, the marks of dominance, and the paper's figure."""
-    marks = "".join(mark for score, mark in DOMINATES.items() if recipe in (get_part(result, score, key) or ()))
-    text = f"{format_energy(get_part(result, 'mae', recipe, key, AVERAGE))} {marks}".rstrip()
+    marks = "".join(mark for score, mark in DOMINATES.items() if recipe in getattr(result, score).get(key, ()))
+    text = f"{format_energy(get_average_error(result, recipe, key))} {marks}".rstrip()
     return Cell(text, format_published(published.get_mae(recipe, key, AVERAGE)))
 
 
 def _share_rows(
-    result: Result,
-    shares: Mapping[str, Any],
-    names: Sequence[str],
+    result: RecipeEvaluation,
+    shares: Numbers,
     columns: Sequence[str],
     paper: Callable[[str, str], float | None] = lambda _recipe, _column: None,
 ) -> tuple[Row, ...]:
@@ -249,15 +214,16 @@ def _share_rows(
         Row(
             get_title(result, recipe),
             tuple(
-                Cell(format_percent(get_part(shares, recipe, column)), format_published_share(paper(recipe, column)))
+                Cell(format_percent(shares[recipe].get(column)), format_published_share(paper(recipe, column)))
                 for column in columns
             ),
         )
-        for recipe in names
+        for recipe in get_recipes(result)
+        if recipe in shares
     )
 
 
-def _said(result: Result, finding: published.PaperFinding) -> str:
+def _said(result: RecipeEvaluation, finding: published.PaperFinding) -> str:
     """Return a sentence with a finding of the paper: the vehicle model, the models and what it says of them."""
     key = finding.vehicle_model
     where = "" if key is None else f" on the {published.load_paper().vehicle_models[key].name}"

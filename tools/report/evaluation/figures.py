@@ -9,15 +9,12 @@ import plotly.graph_objects as go
 from socast.core.columns import ZERO_CELSIUS
 from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL
+from socast.core.evaluate.paper.records import AccessoryPoint, RecipeEvaluation
 from socast.core.formatting import format_minus, format_range
 from socast.core.vehicles import AccessoryCurve
 from socast.tools.report.cells import format_cluster
 from socast.tools.report.evaluation.result import (
-    Result,
-    get_half_width,
-    get_mapping,
-    get_number,
-    get_part,
+    get_average_error,
     get_recipes,
     get_vehicle_name,
     list_clusters,
@@ -31,7 +28,8 @@ from socast.tools.report.evaluation.use_tables import (
     MANY_BINS,
     NOMINAL,
     format_bin,
-    get_bin_errors,
+    get_bins,
+    get_coverage,
     list_bins,
 )
 from socast.tools.report.figure_style import (
@@ -58,22 +56,18 @@ AXIS_UNITS: Mapping[str, str] = {"distance": "Distance [km]", "temperature": "Ou
 """Properties by which errors are reported -> titles of their axes, for those with a unit."""
 
 
-def draw_accessory_curve(result: Result, vehicle_model: str) -> go.Figure:
+def draw_accessory_curve(result: RecipeEvaluation, vehicle_model: str) -> go.Figure:
     """Return a figure of accessory power against outside temperature, as Figure 1 of the paper.
 
     The figure shows the means of temperature bins, the fitted curve, and its choke points.
     """
     look = get_vehicle_style(result, vehicle_model)
     traces: list[Any] = []
-    points = [
-        p for p in get_part(result, "curve", vehicle_model, "points") or () if get_number(p.get("power_w")) is not None
-    ]
-    if points:
-        traces.append(_points(points, look))
-    curve = {name: get_number(value) for name, value in get_mapping(result, "curve", vehicle_model, "curve").items()}
-    if curve and None not in curve.values():
-        seen_at = [p["ambient_c"] for p in points]
-        traces += _five_segments(AccessoryCurve(**curve), look, seen_at)  # type: ignore[arg-type]
+    power = result.curve[vehicle_model]
+    if power.points:
+        traces.append(_points(power.points, look))
+    if power.curve:
+        traces += _five_segments(AccessoryCurve(**power.curve), look, [point.ambient_c for point in power.points])
     made = make_figure(traces, 340)
     made.update_xaxes(title_text="Outside temperature [°C]")
     powers = [0.0, *(y for trace in traces for y in trace.y)]
@@ -82,13 +76,13 @@ def draw_accessory_curve(result: Result, vehicle_model: str) -> go.Figure:
     return made
 
 
-def _points(points: Sequence[Mapping[str, Any]], look: Style) -> go.Scatter:
+def _points(points: Sequence[AccessoryPoint], look: Style) -> go.Scatter:
     """Return the means of temperature bins, with larger markers for more rides."""
-    rides = np.array([get_number(p.get("rides")) or 1.0 for p in points])
+    rides = np.array([point.rides for point in points], dtype=np.float64)
     return go.Scatter(
         name="mean of a bin",
-        x=[p["ambient_c"] for p in points],
-        y=[p["power_w"] / 1000.0 for p in points],
+        x=[point.ambient_c for point in points],
+        y=[point.power_w / 1000.0 for point in points],
         mode="markers",
         marker={
             "symbol": "circle-open",
@@ -127,17 +121,17 @@ def _five_segments(fitted: AccessoryCurve, look: Style, ambient_c: Sequence[floa
     ]
 
 
-def draw_relative_errors(result: Result) -> go.Figure:
+def draw_relative_errors(result: RecipeEvaluation) -> go.Figure:
     """Return a figure of error over consumption against distance, as Figure 2 of the paper.
 
     The upper panel shows this evaluation, the lower panel the paper.
     """
-    errors = get_mapping(result, "relative")
+    errors = result.relative
     columns = list_clusters(result, errors.values())
     made = make_stacked_figure(("here", PAPER_NAME), 680)
     for recipe in (name for name in get_recipes(result) if name in errors):
         look, name = get_recipe_style(result, recipe), format_recipe_label(result, recipe)
-        here = [_times(get_number(get_part(errors, recipe, c)), 100.0) for c in columns]
+        here = [_times(errors[recipe].get(c), 100.0) for c in columns]
         theirs = [_times(published.get_relative_error(recipe, c), 100.0) for c in columns]
         made.add_trace(draw_curve(name, look, _label_clusters(columns), here, legendgroup=recipe), row=1, col=1)
         if any(value is not None for value in theirs):
@@ -148,68 +142,55 @@ def draw_relative_errors(result: Result) -> go.Figure:
     return made
 
 
-def draw_average_errors(result: Result) -> go.Figure:
+def draw_average_errors(result: RecipeEvaluation) -> go.Figure:
     """Return a figure of the average error of each model on each vehicle model, as Figure 3 of the paper.
 
     Outlines show the paper's figures.
     """
-    names = [recipe for recipe in get_recipes(result) if get_mapping(result, "mae", recipe)]
+    names = [recipe for recipe in get_recipes(result) if result.mae.get(recipe)]
     keys = list_vehicle_models(result)
     traces: list[Any] = []
     for i, key in enumerate(keys):
         look, rows = get_vehicle_style(result, key), [place + _offset(i, len(keys)) for place in range(len(names))]
-        cells = [get_part(result, "mae", recipe, key, AVERAGE) for recipe in names]
-        traces.append(
-            draw_dots(
-                escape_label(get_vehicle_name(key)),
-                look,
-                [get_number(c) for c in cells],
-                rows,
-                [get_half_width(c) for c in cells],
-            )
-        )
+        cells, name = [get_average_error(result, recipe, key) for recipe in names], escape_label(get_vehicle_name(key))
+        traces.append(draw_dots(name, look, [c.value for c in cells], rows, [c.ci95 for c in cells]))
         theirs = [published.get_mae(recipe, key, AVERAGE) for recipe in names]
         if any(theirs):
             values = [None if f is None else f.value for f in theirs]
-            traces.append(
-                draw_dots(f"{escape_label(get_vehicle_name(key))}, {PAPER_NAME}", look, values, rows, outline=True)
-            )
+            traces.append(draw_dots(f"{name}, {PAPER_NAME}", look, values, rows, outline=True))
     return _by_model(result, names, traces, "Average error over clusters [kWh]", 16 + 10 * len(keys))
 
 
-def draw_splits(result: Result) -> go.Figure:
+def draw_splits(result: RecipeEvaluation) -> go.Figure:
     """Return a figure of the average error of each model by what was held out."""
-    present = [split for split in SPLITS if get_mapping(result, "splits", split)]
+    present = [split for split in SPLITS if result.splits.get(split)]
     means = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
     names = [recipe for recipe, values in means.items() if values and values[0] is not None]
     series = {f"by {split}": [means[recipe][i] for recipe in names] for i, split in enumerate(present)}
     return _draw_series(result, names, series, "Average error, mean over vehicle models [kWh]")
 
 
-def draw_bands(result: Result) -> go.Figure:
+def draw_bands(result: RecipeEvaluation) -> go.Figure:
     """Return a figure of the share of rides that each model predicts within bands of relative error."""
-    shares = get_mapping(result, "bands")
-    names = [recipe for recipe in get_recipes(result) if recipe in shares]
-    limits = list(dict.fromkeys(limit for recipe in names for limit in get_mapping(shares, recipe)))
+    names = [recipe for recipe in get_recipes(result) if recipe in result.bands]
+    limits = list(dict.fromkeys(limit for recipe in names for limit in result.bands[recipe]))
     series = {
-        f"within ±{limit} %": [_times(get_number(get_part(shares, recipe, limit)), 100.0) for recipe in names]
-        for limit in limits
+        f"within ±{limit} %": [_times(result.bands[recipe].get(limit), 100.0) for recipe in names] for limit in limits
     }
     return _draw_series(result, names, series, "Share of rides [%]")
 
 
-def draw_buffers(result: Result) -> go.Figure:
+def draw_buffers(result: RecipeEvaluation) -> go.Figure:
     """Return a figure of the buffer that keeps a share of rides above their reserve, for each model."""
-    buffers = get_mapping(result, "buffer_kwh")
-    names = [recipe for recipe in get_recipes(result) if get_mapping(buffers, recipe)]
-    shares = list(dict.fromkeys(share for recipe in names for share in get_mapping(buffers, recipe)))
+    names = [recipe for recipe in get_recipes(result) if result.buffer_kwh.get(recipe)]
+    shares = list(dict.fromkeys(share for recipe in names for share in result.buffer_kwh[recipe]))
     rows = [format_recipe_label(result, recipe) for recipe in names]
     traces: list[Any] = [
         draw_bars(
             f"{share} % of rides",
             get_style(2 * i + 1),
             rows,
-            [get_number(get_part(buffers, recipe, share)) for recipe in names],
+            [result.buffer_kwh[recipe].get(share) for recipe in names],
         )
         for i, share in enumerate(shares)
     ]
@@ -221,7 +202,7 @@ def draw_buffers(result: Result) -> go.Figure:
     return made
 
 
-def draw_errors_by(result: Result, axis: str) -> go.Figure:
+def draw_errors_by(result: RecipeEvaluation, axis: str) -> go.Figure:
     """Return a figure of mean absolute error and bias against distance, temperature, season or driver.
 
     The upper panel shows the mean absolute error, the lower panel the bias. Values are sorted where there are more than
@@ -230,10 +211,10 @@ def draw_errors_by(result: Result, axis: str) -> go.Figure:
     shown, labels = set(select_principal(result)) - {PHYSICAL}, list_bins(result, axis)
     ranked = len(labels) > MANY_BINS
     made = make_stacked_figure(("mean absolute error", "bias: predicted less measured"), 640)
-    for recipe in (name for name in get_recipes(result) if get_bin_errors(result, axis, name)):
-        look, bins = get_recipe_style(result, recipe), {str(e["bin"]): e for e in get_bin_errors(result, axis, recipe)}
+    for recipe in (name for name in get_recipes(result) if get_bins(result, axis, name)):
+        look, bins = get_recipe_style(result, recipe), {each.bin: each for each in get_bins(result, axis, recipe)}
         for row, figure_name in enumerate(("mae", "bias"), start=1):
-            values = [get_number(get_part(bins, name, figure_name)) for name in labels]
+            values = [getattr(bins.get(name), figure_name, None) for name in labels]
             x: list[Any] = [escape_label(format_bin(axis, name)) for name in labels]
             if ranked:
                 values = [*sorted(value for value in values if value is not None)]
@@ -252,23 +233,19 @@ def draw_errors_by(result: Result, axis: str) -> go.Figure:
     return made
 
 
-def draw_coverage(result: Result) -> go.Figure:
+def draw_coverage(result: RecipeEvaluation) -> go.Figure:
     """Return a figure of the share of rides inside their prediction interval.
 
     The shares are overall, by cluster of distance, by season and by vehicle model.
     """
-    coverage = get_mapping(result, "coverage")
-    names = [recipe for recipe in get_recipes(result) if get_mapping(coverage, recipe)]
-    distances = list_clusters(result, (get_mapping(coverage, recipe, "cluster") for recipe in names))
+    coverage = get_coverage(result)
+    distances = list_clusters(result, (each.cluster for each in coverage.values()))
     traces = []
-    for recipe in names:
-        values = {"overall": get_part(coverage, recipe, "overall")}
-        values |= {escape_label(format_cluster(c)): get_part(coverage, recipe, "cluster", c) for c in distances}
-        values |= dict(get_mapping(coverage, recipe, "season"))
-        values |= {
-            escape_label(get_vehicle_name(key)): v for key, v in get_mapping(coverage, recipe, "vehicle_model").items()
-        }
-        shares = [_times(get_number(value), 100.0) for value in values.values()]
+    for recipe, each in coverage.items():
+        values = {"overall": each.overall}
+        values |= {escape_label(format_cluster(c)): each.cluster.get(c) for c in distances} | each.season
+        values |= {escape_label(get_vehicle_name(key)): share for key, share in each.vehicle_model.items()}
+        shares = [_times(value, 100.0) for value in values.values()]
         trace = draw_curve(format_recipe_label(result, recipe), get_recipe_style(result, recipe), list(values), shares)
         traces.append(trace.update(mode="markers", offsetgroup=recipe))
     made = make_figure(traces, 400)
@@ -282,7 +259,7 @@ def draw_coverage(result: Result) -> go.Figure:
 
 
 def _draw_series(
-    result: Result, names: Sequence[str], series: Mapping[str, Sequence[float | None]], unit: str
+    result: RecipeEvaluation, names: Sequence[str], series: Mapping[str, Sequence[float | None]], unit: str
 ) -> go.Figure:
     """Return a figure with one row per model, which holds one dot of each series."""
     traces = [
@@ -294,7 +271,9 @@ def _draw_series(
     return _by_model(result, names, traces, unit, 34)
 
 
-def _by_model(result: Result, names: Sequence[str], traces: list[Any], unit: str, row_height: int) -> go.Figure:
+def _by_model(
+    result: RecipeEvaluation, names: Sequence[str], traces: list[Any], unit: str, row_height: int
+) -> go.Figure:
     """Return a figure with one row of dots per model."""
     made = make_figure(traces, 90 + row_height * len(names))
     made.update_xaxes(title_text=unit, rangemode="tozero")

@@ -6,16 +6,14 @@ from typing import Any, Final, NamedTuple
 import plotly.graph_objects as go
 
 from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.core.stats.multiple_testing import SIGNIFICANCE
 from socast.tools.report.evaluation import figures, selection_figures, transfer_figures
 from socast.tools.report.evaluation.result import (
     ALL,
     FITTED,
-    Result,
     find_best,
-    get_mapping,
-    get_number,
-    get_part,
+    get_new_vehicle_errors,
     get_title,
     get_vehicle_name,
     list_vehicle_models,
@@ -70,14 +68,8 @@ class Drawing(NamedTuple):
     small: bool = False
 
 
-def build_illustrations(result: Result, section: str) -> list[Illustration]:
-    """Return the figures of a section that have something to show.
-
-    Returns
-    -------
-    list of Illustration
-        Figures with at least one point; empty for sections without figures.
-    """
+def build_illustrations(result: RecipeEvaluation, section: str) -> list[Illustration]:
+    """Return the figures of a section that have something to show."""
     made = MAKERS.get(section)
     return [one for one in made(result) if any(_has_points(trace) for trace in one.figure.data)] if made else []
 
@@ -89,7 +81,7 @@ def _has_points(trace: Any) -> bool:
     return any(x is not None and y is not None for x, y in zip(trace.x, trace.y, strict=True))
 
 
-def _data(result: Result) -> list[Illustration]:
+def _data(result: RecipeEvaluation) -> list[Illustration]:
     """Return the accessory curves of all vehicle models."""
     return [
         Illustration(
@@ -101,11 +93,11 @@ def _data(result: Result) -> list[Illustration]:
             small=True,
         )
         for i, key in enumerate(list_vehicle_models(result))
-        if get_mapping(result, "curve", key)
+        if key in result.curve
     ]
 
 
-def _summary(result: Result) -> list[Illustration]:
+def _summary(result: RecipeEvaluation) -> list[Illustration]:
     """Return the figures that compare all models."""
     winner = get_title(result, find_best(result) or "")
     return [
@@ -132,7 +124,7 @@ def _summary(result: Result) -> list[Illustration]:
     ]
 
 
-def _difference(result: Result) -> list[Illustration]:
+def _difference(result: RecipeEvaluation) -> list[Illustration]:
     """Return the difference scores of all vehicle models together and of each."""
     return [
         Illustration(
@@ -143,19 +135,19 @@ def _difference(result: Result) -> list[Illustration]:
             selection_figures.draw_difference_matrix(result, key),
         )
         for i, key in enumerate((ALL, *list_vehicle_models(result)))
-        if get_mapping(result, "difference", key)
+        if result.difference.get(key)
     ]
 
 
-def _dominating(result: Result, key: str) -> str:
+def _dominating(result: RecipeEvaluation, key: str) -> str:
     """Return a sentence that names the models that dominate a vehicle model."""
-    names = [get_title(result, recipe) for recipe in get_part(result, "dominates", key) or ()]
+    names = [get_title(result, recipe) for recipe in result.dominates.get(key, ())]
     if not names:
         return ""
     return f"{names[0]} dominates." if len(names) == 1 else f"{' and '.join(names)} co-dominate."
 
 
-def _places(result: Result) -> list[Illustration]:
+def _places(result: RecipeEvaluation) -> list[Illustration]:
     """Return the errors by distance, temperature, season and driver."""
     return [
         Illustration(
@@ -165,7 +157,7 @@ def _places(result: Result) -> list[Illustration]:
             figures.draw_errors_by(result, axis),
         )
         for axis in AXES
-        if get_mapping(result, "by", axis)
+        if result.by.get(axis)
     ]
 
 
@@ -177,7 +169,7 @@ def _by_caption(ranked: bool) -> str:
     return f"Above: mean absolute error. Below: bias, positive where too much is predicted. {shown}"
 
 
-def _reserve(result: Result) -> list[Illustration]:
+def _reserve(result: RecipeEvaluation) -> list[Illustration]:
     """Return the coverage of intervals, and the buffers above the reserve."""
     return [
         Illustration(
@@ -197,7 +189,7 @@ def _reserve(result: Result) -> list[Illustration]:
     ]
 
 
-def _splits(result: Result) -> list[Illustration]:
+def _splits(result: RecipeEvaluation) -> list[Illustration]:
     """Return the errors by what was held out."""
     return [
         Illustration(
@@ -210,7 +202,7 @@ def _splits(result: Result) -> list[Illustration]:
     ]
 
 
-def _transfer(result: Result) -> list[Illustration]:
+def _transfer(result: RecipeEvaluation) -> list[Illustration]:
     """Return the errors on vehicle models left out of training, and after some of their rides."""
     keys = list_vehicle_models(result)
     beside = any(published.get_new_vehicle_mae(FITTED, key) for key in keys)
@@ -224,10 +216,7 @@ def _transfer(result: Result) -> list[Illustration]:
             small=True,
         )
         for i, key in enumerate(keys)
-        if any(
-            get_number(get_part(errors, key, "mae")) is not None
-            for errors in get_mapping(result, "new_vehicle").values()
-        )
+        if any(get_new_vehicle_errors(result, recipe, key).mae is not None for recipe in result.new_vehicle)
     ]
     few = [
         Illustration(
@@ -238,12 +227,12 @@ def _transfer(result: Result) -> list[Illustration]:
             transfer_figures.draw_few_shot(result, key),
             small=True,
         )
-        for i, key in enumerate(get_mapping(result, "few_shot"))
+        for i, key in enumerate(result.few_shot)
     ]
     return left_out + few
 
 
-def _selection(result: Result) -> list[Illustration]:
+def _selection(result: RecipeEvaluation) -> list[Illustration]:
     """Return the errors as terms are eliminated."""
     return [
         Illustration(
@@ -257,7 +246,7 @@ def _selection(result: Result) -> list[Illustration]:
     ]
 
 
-MAKERS: Final[dict[str, Callable[[Result], list[Illustration]]]] = {
+MAKERS: Final[dict[str, Callable[[RecipeEvaluation], list[Illustration]]]] = {
     "data": _data,
     "summary": _summary,
     "difference": _difference,

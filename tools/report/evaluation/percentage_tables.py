@@ -1,24 +1,25 @@
 """Build the tables of errors in percent, over the noise floor, below the baselines, and beside the literature."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 from socast.core.evaluate.literature import LITERATURE
 from socast.core.evaluate.paper.published import AVERAGE
+from socast.core.evaluate.paper.records import PercentageErrors, RecipeEvaluation, SplitErrors
+from socast.core.evaluate.records import EstimatedValue, RelativeErrors
 from socast.core.fit.recipes import BASELINES
-from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_energy, format_percent, mark_least
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_energy, format_percent
 from socast.tools.report.evaluation.result import (
-    Result,
     compute_mean,
-    get_half_width,
-    get_mapping,
-    get_number,
-    get_part,
+    find_least,
+    get_new_vehicle_errors,
     get_recipes,
     get_title,
     list_vehicle_models,
 )
+from socast.tools.report.record_table import FORMATS, tabulate_records
 
 HELD_OUT: Final[Mapping[str, str]] = MappingProxyType(
     {"ride": "unseen rides", "vehicle": "unseen cars", "date": "unseen dates"}
@@ -53,7 +54,7 @@ FLOOR_NOTE: Final = (
 )
 
 
-def tabulate_percentages(result: Result) -> list[ReportTable]:
+def tabulate_percentages(result: RecipeEvaluation) -> list[ReportTable]:
     """Return the tables of reductions, of percentage errors by what was held out, and of the literature."""
     tables = [
         tabulate_baseline_reductions(result),
@@ -61,59 +62,41 @@ def tabulate_percentages(result: Result) -> list[ReportTable]:
         *(tabulate_percentages_of(result, kind) for kind in HELD_OUT),
     ]
     shown = [table for table in tables if table.rows]
-    return [*shown, tabulate_literature(result)] if get_mapping(result, "percentage") else shown
+    return [*shown, tabulate_literature(result)] if result.percentage != PercentageErrors() else shown
 
 
-def get_reductions(result: Result, recipe: str) -> dict[str, float | None]:
-    """Return by which share the average error of a model is below that of each baseline, the mean over vehicle models.
-
-    Returns
-    -------
-    dict
-        Baseline -> share, None where it is unknown. [1]
-    """
-    shares = {BASELINES[0]: get_mapping(result, "reduction"), **get_mapping(result, "reduction_by_baseline")}
-    return {name: get_number(get_part(shares.get(name), recipe, AVERAGE)) for name in BASELINES}
+def get_reductions(result: RecipeEvaluation, recipe: str) -> dict[str, float | None]:
+    """Return by which share the average error of a model is below that of each baseline, None where unknown. [1]"""
+    shares = {BASELINES[0]: result.reduction, **result.reduction_by_baseline}
+    return {name: shares.get(name, {}).get(recipe, {}).get(AVERAGE) for name in BASELINES}
 
 
-def get_new_vehicle_reductions(result: Result, recipe: str) -> dict[str, float | None]:
-    """Return the same shares on vehicle models that were left out of training, baselines included.
-
-    Returns
-    -------
-    dict
-        Baseline -> mean over vehicle models of the share, None where it is unknown. [1]
-    """
-    errors = {name: get_mapping(result, "new_vehicle", name) for name in (*BASELINES, recipe)}
+def get_new_vehicle_reductions(result: RecipeEvaluation, recipe: str) -> dict[str, float | None]:
+    """Return the same shares on vehicle models that were left out of training, baselines included. [1]"""
     reductions: dict[str, float | None] = {}
     for name in BASELINES:
         pairs = [
-            (get_number(get_part(errors[recipe], key, "mae")), get_number(get_part(errors[name], key, "mae")))
+            (get_new_vehicle_errors(result, recipe, key).mae, get_new_vehicle_errors(result, name, key).mae)
             for key in list_vehicle_models(result)
         ]
         reductions[name] = compute_mean(1.0 - error / base for error, base in pairs if error is not None and base)
     return reductions
 
 
-def find_best_on_new_vehicles(result: Result) -> str | None:
+def find_best_on_new_vehicles(result: RecipeEvaluation) -> str | None:
     """Return the recipe of least error below the basic model's on left-out vehicle models, None where none is known."""
-    shares = {r: get_new_vehicle_reductions(result, r)[BASELINES[0]] for r in get_mapping(result, "new_vehicle")}
+    shares = {r: get_new_vehicle_reductions(result, r)[BASELINES[0]] for r in result.new_vehicle}
     known = {recipe: share for recipe, share in shares.items() if share is not None and recipe != BASELINES[0]}
     return max(known, key=known.__getitem__, default=None)
 
 
-def tabulate_baseline_reductions(result: Result, *, new_vehicles: bool = False) -> ReportTable:
-    """Return by how much the error of each model is below that of each baseline.
+def tabulate_baseline_reductions(result: RecipeEvaluation, *, new_vehicles: bool = False) -> ReportTable:
+    """Return by how much the error of each model is below that of each baseline. [%]
 
     Parameters
     ----------
     new_vehicles : bool
         Whether the errors are those on vehicle models left out of training, instead of those by ride.
-
-    Returns
-    -------
-    ReportTable
-        One column per baseline, the mean over vehicle models of the reduction of the average error. [%]
     """
     reduce = get_new_vehicle_reductions if new_vehicles else get_reductions
     by_recipe = {recipe: reduce(result, recipe) for recipe in get_recipes(result) if recipe != BASELINES[0]}
@@ -144,66 +127,45 @@ def make_baseline_table(title: str, baselines: Sequence[str], rows: tuple[Row, .
     return ReportTable(title, "model", heads, rows, notes)
 
 
-def tabulate_percentages_of(result: Result, kind: str) -> ReportTable:
-    """Return the errors of each model in kWh, in percent, and over the noise floor, for one kind of split.
-
-    Returns
-    -------
-    ReportTable
-        One row per model; without rows where the result does not have this split.
-    """
-    figures = get_mapping(result, "percentage", kind)
-    errors = get_mapping(figures, "recipes")
-    recipes = [recipe for recipe in get_recipes(result) if recipe in errors]
-    values = [get_number(get_part(errors, recipe, "mae_kwh")) for recipe in recipes]
-    first = mark_least([Cell(format_energy(get_part(errors, recipe, "mae_kwh"))) for recipe in recipes], values)
-    rows = tuple(
-        Row(
-            get_title(result, recipe),
-            (
-                error,
-                Cell(format_share(get_part(errors, recipe, "wmape"))),
-                Cell(format_share(get_part(errors, recipe, "mape"))),
-                Cell(format_ratio(get_part(errors, recipe, "over_floor"))),
-            ),
-        )
-        for recipe, error in zip(recipes, first, strict=True)
+def tabulate_percentages_of(result: RecipeEvaluation, kind: str) -> ReportTable:
+    """Return the errors of each model in kWh, in percent, and over the noise floor, for one kind of split."""
+    figures = result.percentage.get_split(kind)
+    errors = {recipe: figures.recipes[recipe] for recipe in get_recipes(result) if recipe in figures.recipes}
+    least = min((each.mae_kwh.value for each in errors.values() if each.mae_kwh.value is not None), default=None)
+    return tabulate_records(
+        f"Errors on {HELD_OUT[kind]}, in percent",
+        errors,
+        RelativeErrors,
+        corner="model",
+        label=partial(get_title, result),
+        notes=(PERCENT_NOTE, _describe_rides(result, figures), FLOOR_NOTE),
+        strong=lambda name, _, value: name == "mae_kwh" and value.value is not None and value.value == least,
+        formats={**FORMATS, "share": format_share, "ratio": format_ratio},
     )
-    heads = ("MAE, kWh", "wMAPE", "MAPE", "over noise")
-    notes = (PERCENT_NOTE, _describe_rides(result, figures), FLOOR_NOTE)
-    return ReportTable(f"Errors on {HELD_OUT[kind]}, in percent", "model", heads, rows, notes)
 
 
-def _describe_rides(result: Result, figures: Mapping[str, Any]) -> str:
+def _describe_rides(result: RecipeEvaluation, figures: SplitErrors) -> str:
     """Return a note on the mean energy of the rides, on those that MAPE leaves out, and on the noise floor."""
-    least = get_number(get_part(result, "percentage", "least_energy_kwh"))
+    least = result.percentage.least_energy_kwh
     return (
-        f"Mean energy of a ride {format_energy(figures.get('energy_kwh'))} kWh; measurement noise alone "
-        f"{format_energy(figures.get('noise_floor_kwh'))} kWh. MAPE leaves out rides below "
-        f"{UNKNOWN if least is None else f'{least:g}'} kWh, {format_percent(figures.get('below_least'))} of all, whose "
+        f"Mean energy of a ride {format_energy(figures.energy_kwh)} kWh; measurement noise alone "
+        f"{format_energy(figures.noise_floor_kwh)} kWh. MAPE leaves out rides below "
+        f"{UNKNOWN if least is None else f'{least:g}'} kWh, {format_percent(figures.below_least)} of all, whose "
         "relative error has no bound."
     )
 
 
-def tabulate_literature(result: Result) -> ReportTable:
-    """Return the errors that other work published, above the best model here.
-
-    Returns
-    -------
-    ReportTable
-        One row per published error, and one per kind of split for the model of least wMAPE.
-    """
+def tabulate_literature(result: RecipeEvaluation) -> ReportTable:
+    """Return the errors that other work published, above the best model here."""
     rows = [
         Row(entry.setting, (Cell(format_percent(entry.share)), Cell(entry.measure), Cell(entry.source)))
         for entry in LITERATURE
     ]
     for kind, unseen in HELD_OUT.items():
-        errors = get_mapping(result, "percentage", kind, "recipes")
-        known = {r: share for r, of in errors.items() if (share := get_number(get_part(of, "wmape"))) is not None}
-        if known:
-            best = min(known, key=known.__getitem__)
-            shares = (get_part(errors, best, measure) for measure in ("wmape", "mape"))
-            text = " / ".join(format_percent(get_number(share)) for share in shares)
+        errors = result.percentage.get_split(kind).recipes
+        best = find_least({recipe: each.wmape.value for recipe, each in errors.items()})
+        if best is not None:
+            text = f"{format_percent(errors[best].wmape)} / {format_percent(errors[best].mape)}"
             cells = (Cell(text), Cell("wMAPE / MAPE"), Cell(get_title(result, best)))
             rows.append(Row(f"here, {unseen}", cells, total=True))
     note = (
@@ -215,21 +177,20 @@ def tabulate_literature(result: Result) -> ReportTable:
     return ReportTable("Beside the literature", "vehicles", heads, tuple(rows), (note, *sources))
 
 
-def format_share(estimate: Any) -> str:
+def format_share(estimate: EstimatedValue) -> str:
     """Return a share in percent, with its interval where it has one.
 
     Examples
     --------
-    >>> format_share({"value": 0.0712, "ci95": 0.0041}), format_share(0.5), format_share(None)
-    ('7.1 ± 0.4 %', '50.0 %', '–')
+    >>> format_share(EstimatedValue(value=0.0712, ci95=0.0041)), format_share(EstimatedValue(value=0.5))
+    ('7.1 ± 0.4 %', '50.0 %')
     """
-    known, width = get_number(estimate), get_half_width(estimate)
-    if known is None or width is None:
-        return format_percent(known)
-    return f"{100.0 * known:.1f} ± {100.0 * width:.1f} %"
+    if estimate.value is None or estimate.ci95 is None:
+        return format_percent(estimate.value)
+    return f"{100.0 * estimate.value:.1f} ± {100.0 * estimate.ci95:.1f} %"
 
 
-def format_ratio(value: Any) -> str:
+def format_ratio(value: float | None) -> str:
     """Return a ratio with a multiplication sign.
 
     Examples
@@ -237,5 +198,4 @@ def format_ratio(value: Any) -> str:
     >>> format_ratio(1.634), format_ratio(None)
     ('1.63 ×', '–')
     """
-    known = get_number(value)
-    return UNKNOWN if known is None else f"{known:.2f} ×"
+    return UNKNOWN if value is None else f"{value:.2f} ×"

@@ -1,17 +1,17 @@
-"""Read the result of an evaluation, of which any part may be missing.
+"""Read the result of an evaluation: names for readers, orders, and the best model.
 
-A result is the mapping that `socast evaluate --json` writes. Any part of it may be missing or null: an evaluation of
-few rides has no few-shot curves, and a model without intervals has no coverage. Reports leave missing parts out.
+Any part of a result may be empty: an evaluation of few rides has no few-shot curves, and a model without intervals has
+no coverage. Reports leave empty parts out.
 """
 
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL, WEIGHTED
+from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL
+from socast.core.evaluate.paper.records import NewVehicleErrors, RecipeEvaluation
+from socast.core.evaluate.records import EstimatedValue
 from socast.core.vehicles import load_catalogue
-
-Result = Mapping[str, Any]
 
 FITTED: Final = "fitted_physical"
 """Recipe of the fitted physical model, the reference for errors on a new vehicle model."""
@@ -35,46 +35,15 @@ NOT_CLUSTERS: Final = ("total", AVERAGE)
 """Columns beside the clusters of distance."""
 
 
-def get_part(result: Any, *path: str) -> Any:
-    """Return the value along a path of keys, None where the path ends early.
-
-    Returns
-    -------
-    Any
-        Value at the end of the path, or None.
-
-    Examples
-    --------
-    >>> get_part({"mae": {"hybrid": {"a": 1.0}}}, "mae", "hybrid", "a"), get_part({"mae": None}, "mae", "hybrid")
-    (1.0, None)
-    """
-    for key in path:
-        if not isinstance(result, Mapping):
-            return None
-        result = result.get(key)
-    return result
-
-
 def get_mapping(result: Any, *path: str) -> Mapping[str, Any]:
-    """Return the mapping along a path of keys, an empty one where there is none.
-
-    Returns
-    -------
-    mapping
-        Mapping at the end of the path, empty where the value is missing or no mapping.
-    """
-    part = get_part(result, *path)
-    return part if isinstance(part, Mapping) else {}
+    """Return the mapping along a path of keys, an empty one where there is none."""
+    for key in path:
+        result = result.get(key) if isinstance(result, Mapping) else None
+    return result if isinstance(result, Mapping) else {}
 
 
 def get_number(value: Any) -> float | None:
-    """Return a value as a number.
-
-    Returns
-    -------
-    float or None
-        The number; None where there is none, and for a bool.
-    """
+    """Return a value as a number; None where there is none, and for a bool."""
     value = value.get("value") if isinstance(value, Mapping) else getattr(value, "value", value)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
@@ -90,33 +59,21 @@ def compute_mean(values: Iterable[float | None]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
-def get_recipes(result: Result) -> dict[str, str]:
-    """Return the recipes of the models and their titles, in the order of the result.
-
-    Returns
-    -------
-    dict
-        Recipe -> title; the recipes that have errors where the result has no titles.
-    """
-    titles = get_mapping(result, "recipes")
-    return {str(name): str(title or name) for name, title in titles.items()} or {
-        n: n for n in get_mapping(result, "mae")
-    }
+def get_recipes(result: RecipeEvaluation) -> dict[str, str]:
+    """Return the recipes of the models and their titles; the recipes alone where the result has no titles."""
+    return result.recipes or {name: name for name in result.mae}
 
 
-def get_title(result: Result, recipe: str) -> str:
+def get_title(result: RecipeEvaluation, recipe: str) -> str:
     """Return the title of a model, or its recipe where the result has no title."""
     if recipe in WAYS:
         return f"{get_title(result, FITTED)}, {WAYS[recipe]}"
     return get_recipes(result).get(recipe, recipe)
 
 
-def list_vehicle_models(result: Result) -> list[str]:
+def list_vehicle_models(result: RecipeEvaluation) -> list[str]:
     """Return the keys of the vehicle models, in the order of the result."""
-    named = get_part(result, "about", "vehicle_models")
-    names = list(named) if named else list(get_mapping(result, "rides"))
-    rows = names or [key for recipe in get_mapping(result, "mae").values() for key in get_mapping(recipe)]
-    return [str(key) for key in dict.fromkeys(rows) if key != WEIGHTED]
+    return result.about.vehicle_models or list(result.rides)
 
 
 def get_vehicle_name(key: str) -> str:
@@ -133,49 +90,51 @@ def get_vehicle_name(key: str) -> str:
     return known.name.partition(",")[0] if known else key
 
 
-def list_clusters(result: Result, rows: Iterable[Any]) -> list[str]:
-    """Return the clusters of distance that have a figure in at least one row, shortest first.
+def get_value(figure: EstimatedValue | float | None) -> float | None:
+    """Return a number, or the value of an estimate."""
+    return figure.value if isinstance(figure, EstimatedValue) else figure
 
-    Returns
-    -------
-    list of str
-        Clusters in the order of the result; clusters that it does not list come last, by their lower end.
-    """
+
+def list_clusters(result: RecipeEvaluation, rows: Iterable[Mapping[str, EstimatedValue | float | None]]) -> list[str]:
+    """Return the clusters of distance that have a figure in any row, in the order of the result, others last."""
     filled = {
         cluster
         for row in rows
-        for cluster, value in get_mapping(row).items()
-        if cluster not in NOT_CLUSTERS and get_number(value) is not None
+        for cluster, value in row.items()
+        if cluster not in NOT_CLUSTERS and get_value(value) is not None
     }
-    order = {str(name): place for place, name in enumerate(get_part(result, "about", "clusters") or ())}
+    order = {name: place for place, name in enumerate(result.about.clusters)}
     return sorted(filled, key=lambda name: (order.get(name, len(order)), _lower_end(name), name))
 
 
-def get_average_error(result: Result, recipe: str, vehicle_model: str) -> float | None:
+def get_average_error(result: RecipeEvaluation, recipe: str, vehicle_model: str) -> EstimatedValue:
     """Return the average error of a model on a vehicle model. [kWh]"""
-    return get_number(get_part(result, "mae", recipe, vehicle_model, AVERAGE))
+    return result.mae.get(recipe, {}).get(vehicle_model, {}).get(AVERAGE, EstimatedValue())
 
 
-def compute_overall_error(result: Result, recipe: str) -> float | None:
+def get_new_vehicle_errors(result: RecipeEvaluation, recipe: str, vehicle_model: str) -> NewVehicleErrors:
+    """Return the errors of a model on a vehicle model left out of training."""
+    return result.new_vehicle.get(recipe, {}).get(vehicle_model, NewVehicleErrors())
+
+
+def compute_overall_error(result: RecipeEvaluation, recipe: str) -> float | None:
     """Return the plain mean over vehicle models of a model's average error. [kWh]"""
-    return compute_mean(get_average_error(result, recipe, key) for key in list_vehicle_models(result))
+    return compute_mean(get_average_error(result, recipe, key).value for key in list_vehicle_models(result))
 
 
-def find_best(result: Result) -> str | None:
-    """Return the recipe of the model with the least overall error, None where no error is known."""
-    errors = {recipe: compute_overall_error(result, recipe) for recipe in get_recipes(result)}
-    known = {recipe: error for recipe, error in errors.items() if error is not None}
+def find_least(errors: Mapping[str, float | None]) -> str | None:
+    """Return the name of the least known error, None where none is known."""
+    known = {name: error for name, error in errors.items() if error is not None}
     return min(known, key=known.__getitem__, default=None)
 
 
-def select_principal(result: Result) -> list[str]:
-    """Return the models for tables that have no room for all of them.
+def find_best(result: RecipeEvaluation) -> str | None:
+    """Return the recipe of the model with the least overall error, None where no error is known."""
+    return find_least({recipe: compute_overall_error(result, recipe) for recipe in get_recipes(result)})
 
-    Returns
-    -------
-    list of str
-        Recipes of the basic and the fitted physical model, the paper's best, the best here, and the segment model.
-    """
+
+def select_principal(result: RecipeEvaluation) -> list[str]:
+    """Return the basic and the fitted physical model, the paper's best, the best here, and the segment model."""
     chosen = {PHYSICAL, FITTED, INTERACTIONS, SEGMENTS, find_best(result)}
     return [recipe for recipe in get_recipes(result) if recipe in chosen]
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from socast.core.evaluate.paper import published
 from socast.core.evaluate.paper.published import PHYSICAL, PaperStatement
+from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.tools.report.cells import Cell, ReportTable, Row, format_change, format_energy, format_percent
 from socast.tools.report.evaluation.data_tables import tabulate_data
 from socast.tools.report.evaluation.error_tables import tabulate_all_errors, tabulate_differences, tabulate_summaries
@@ -20,12 +21,8 @@ from socast.tools.report.evaluation.result import (
     ALL,
     FITTED,
     INTERACTIONS,
-    Result,
     compute_overall_error,
     find_best,
-    get_mapping,
-    get_number,
-    get_part,
     get_title,
     list_vehicle_models,
     select_principal,
@@ -63,7 +60,7 @@ class Section(NamedTuple):
     closed: bool = False
 
 
-def build_sections(result: Result) -> list[Section]:
+def build_sections(result: RecipeEvaluation) -> list[Section]:
     """Return the sections that have at least one table with a row."""
     matrices = [tabulate_differences(result, key) for key in (ALL, *list_vehicle_models(result))]
     sections = [
@@ -128,14 +125,8 @@ def build_sections(result: Result) -> list[Section]:
     return [section for section in sections if any(table.rows for table in section.tables)]
 
 
-def tabulate_headline(result: Result) -> ReportTable:
-    """Return by how much the errors of the principal models are below those of each baseline.
-
-    Returns
-    -------
-    ReportTable
-        One column per baseline, so that a reduction below the basic physical model never stands alone. [%]
-    """
+def tabulate_headline(result: RecipeEvaluation) -> ReportTable:
+    """Return by how much the errors of the principal models are below those of each baseline. [%]"""
     best = dict.fromkeys(recipe for recipe in (INTERACTIONS, find_best(result)) if recipe)
     unseen = dict.fromkeys(recipe for recipe in (FITTED, find_best_on_new_vehicles(result)) if recipe)
     paper = {INTERACTIONS: "reduction", FITTED: "new_vehicle_reduction"}
@@ -165,9 +156,8 @@ def _percent(statement: PaperStatement | None) -> str:
     return "" if statement is None else format_percent(statement.value, 2)
 
 
-def tabulate_overview(result: Result) -> ReportTable:
+def tabulate_overview(result: RecipeEvaluation) -> ReportTable:
     """Return a table of the principal figures, with the paper's beside them."""
-    coverage = get_mapping(result, "coverage")
     rows = [
         _percentage(result),
         _beyond_the_paper(result),
@@ -178,10 +168,10 @@ def tabulate_overview(result: Result) -> ReportTable:
         *(
             _row(
                 f"Rides inside their 90 % interval: {get_title(result, recipe)}",
-                format_percent(get_part(coverage, recipe, "overall")),
+                format_percent(result.coverage[recipe].overall),
             )
             for recipe in select_principal(result)
-            if recipe in coverage
+            if recipe in result.coverage
         ),
     ]
     return ReportTable("At a glance", "figure", ("here",), tuple(row for row in rows if row is not None))
@@ -192,19 +182,16 @@ def _row(name: str, here: str, paper: str = "") -> Row:
     return Row(name, (Cell(here, paper),))
 
 
-def _percentage(result: Result) -> Row | None:
+def _percentage(result: RecipeEvaluation) -> Row | None:
     """Return a row with the percentage errors of the best model on unseen rides, cars and dates."""
-    best = find_best(result)
-    known = {
-        unseen: share
-        for kind, unseen in HELD_OUT.items()
-        if (share := get_number(get_part(result, "percentage", kind, "recipes", best or "", "wmape"))) is not None
-    }
+    best = find_best(result) or ""
+    errors = {unseen: result.percentage.get_split(kind).recipes.get(best) for kind, unseen in HELD_OUT.items()}
+    known = {unseen: each.wmape for unseen, each in errors.items() if each and each.wmape.value is not None}
     here = ", ".join(f"{unseen} {format_percent(share)}" for unseen, share in known.items())
-    return _row(f"Error over energy (wMAPE): {get_title(result, best)}", here) if best is not None and here else None
+    return _row(f"Error over energy (wMAPE): {get_title(result, best)}", here) if here else None
 
 
-def _beyond_the_paper(result: Result) -> Row | None:
+def _beyond_the_paper(result: RecipeEvaluation) -> Row | None:
     """Return a row that compares the best model with the best model of the paper, None where they are the same."""
     winner, reference = find_best(result), compute_overall_error(result, INTERACTIONS)
     if winner is None or winner == INTERACTIONS or reference is None:
@@ -213,9 +200,9 @@ def _beyond_the_paper(result: Result) -> Row | None:
     return _row(label, format_change(compute_overall_error(result, winner), reference))
 
 
-def _unbeaten(result: Result) -> Row | None:
+def _unbeaten(result: RecipeEvaluation) -> Row | None:
     """Return a row with the models that dominate or co-dominate on every vehicle model."""
-    dominating = [get_part(result, "dominates", key) or () for key in list_vehicle_models(result)]
+    dominating = [result.dominates.get(key, []) for key in list_vehicle_models(result)]
     names = [get_title(result, r) for r in (dominating[0] if dominating else ()) if all(r in of for of in dominating)]
     paper = f"{get_title(result, INTERACTIONS)}, or it and others"
     return (
@@ -225,16 +212,16 @@ def _unbeaten(result: Result) -> Row | None:
     )
 
 
-def _relative(result: Result, cluster: str, statement: PaperStatement) -> Row | None:
+def _relative(result: RecipeEvaluation, cluster: str, statement: PaperStatement) -> Row | None:
     """Return a row with error over consumption in a cluster of distance."""
-    share = get_number(get_part(result, "relative", INTERACTIONS, cluster))
+    share = result.relative.get(INTERACTIONS, {}).get(cluster)
     label = f"Error over consumption, rides of {cluster.replace('-', '–')} km: {get_title(result, INTERACTIONS)}"
     return None if share is None else _row(label, format_percent(share), f"about {format_percent(statement.value, 0)}")
 
 
-def _buffer(result: Result) -> Row | None:
+def _buffer(result: RecipeEvaluation) -> Row | None:
     """Return a row with the buffers that the best model of the paper needs."""
-    buffers = get_mapping(result, "buffer_kwh", INTERACTIONS)
+    buffers = result.buffer_kwh.get(INTERACTIONS, {})
     if not buffers:
         return None
     here = ", ".join(f"{format_energy(energy)} kWh for {share} % of rides" for share, energy in buffers.items())

@@ -4,18 +4,10 @@ import math
 
 import plotly.graph_objects as go
 
+from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.core.formatting import format_minus
 from socast.core.stats.multiple_testing import SIGNIFICANCE
-from socast.tools.report.evaluation.error_tables import get_difference
-from socast.tools.report.evaluation.result import (
-    Result,
-    get_half_width,
-    get_mapping,
-    get_number,
-    get_part,
-    get_recipes,
-)
-from socast.tools.report.evaluation.selection_tables import format_terms
+from socast.tools.report.evaluation.error_tables import get_difference, list_compared
 from socast.tools.report.figure_style import (
     DIVERGING,
     draw_curve,
@@ -27,25 +19,25 @@ from socast.tools.report.figure_style import (
 )
 
 
-def draw_elimination(result: Result) -> go.Figure:
+def draw_elimination(result: RecipeEvaluation) -> go.Figure:
     """Return a figure of the errors as terms are eliminated.
 
     The upper panel shows the cross-validated error against the number of terms kept, the lower panel the loss as terms
     are removed one after the other.
     """
-    scores = [s for s in get_part(result, "selection", "rfecv", "scores") or () if get_number(s.get("mae")) is not None]
-    steps = [s for s in get_part(result, "selection", "rfe", "steps") or () if get_number(s.get("loss")) is not None]
+    rfecv, rfe = result.selection.rfecv, result.selection.rfe
+    scores = [each for each in rfecv.scores or () if each.mae is not None] if rfecv else []
+    steps = [each for each in rfe.steps or () if each.loss.value is not None] if rfe else []
     made = make_stacked_figure(
         ("RFECV: cross-validated error", "RFE: increase of the error over that with all terms"), 640
     )
     if scores:
-        trace = draw_curve("RFECV", get_style(2), [s["terms"] for s in scores], [s["mae"] for s in scores])
+        trace = draw_curve("RFECV", get_style(2), [s.terms for s in scores], [s.mae for s in scores])
         made.add_trace(trace.update(showlegend=False), row=1, col=1)
     if steps:
-        losses = [s["loss"] for s in steps]
-        x, y = list(range(1, len(steps) + 1)), [get_number(loss) for loss in losses]
-        trace = draw_curve("RFE", get_style(4), x, y, [get_half_width(loss) for loss in losses])
-        trace.update(showlegend=False, text=[escape_label(format_terms([s.get("term")])) for s in steps])
+        x, y = list(range(1, len(steps) + 1)), [s.loss.value for s in steps]
+        trace = draw_curve("RFE", get_style(4), x, y, [s.loss.ci95 for s in steps])
+        trace.update(showlegend=False, text=[escape_label(s.term) for s in steps])
         made.add_trace(trace, row=2, col=1)
     made.update_xaxes(title_text="Terms kept [number]", row=1)
     made.update_xaxes(title_text="Terms removed [number]", row=2)
@@ -54,16 +46,14 @@ def draw_elimination(result: Result) -> go.Figure:
     return made
 
 
-def draw_difference_matrix(result: Result, vehicle_model: str) -> go.Figure:
+def draw_difference_matrix(result: RecipeEvaluation, vehicle_model: str) -> go.Figure:
     """Return a figure of the difference scores of all pairs of models.
 
     A score is the error of the row's model less that of the column's model [Wh]; a star marks significant scores.
     Shades follow the square root of the score, so that small differences between good models remain visible.
     """
-    differences = get_mapping(result, "difference", vehicle_model)
-    names = [
-        r for r in get_recipes(result) if any(get_difference(differences, r, other) for other in get_recipes(result))
-    ]
+    differences = result.difference.get(vehicle_model, {})
+    names = list_compared(result, differences)
     scores = [[get_difference(differences, a, b) for b in names] for a in names]
     values = [[None if score is None else 1000.0 * score[0] for score in row] for row in scores]
     shades = [[None if v is None else math.copysign(math.sqrt(abs(v)), v) for v in row] for row in values]

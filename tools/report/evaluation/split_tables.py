@@ -2,13 +2,11 @@
 
 from typing import Final
 
+from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.tools.report.cells import Cell, ReportTable, Row, format_change, format_energy, mark_least
 from socast.tools.report.evaluation.result import (
-    Result,
     compute_mean,
-    get_mapping,
-    get_number,
-    get_part,
+    find_least,
     get_recipes,
     get_title,
     get_vehicle_name,
@@ -19,20 +17,17 @@ SPLITS: Final = ("ride", "vehicle", "date")
 """Units that are held out together; the paper holds out the first one."""
 
 
-def tabulate_all_splits(result: Result) -> list[ReportTable]:
+def tabulate_all_splits(result: RecipeEvaluation) -> list[ReportTable]:
     """Return the tables of average errors by what was held out, and of the changes on each vehicle model."""
-    present = [split for split in SPLITS if get_mapping(result, "splits", split)]
+    present = [split for split in SPLITS if result.splits.get(split)]
     if not present:
         return []
     changed = [tabulate_changes(result, split) for split in present[1:] if present[0] == SPLITS[0]]
     return [tabulate_splits(result, present), *changed]
 
 
-def tabulate_splits(result: Result, present: list[str]) -> ReportTable:
-    """Return the average errors of all splits side by side.
-
-    Units: returns [kWh].
-    """
+def tabulate_splits(result: RecipeEvaluation, present: list[str]) -> ReportTable:
+    """Return the average errors of all splits side by side. [kWh]"""
     means = {recipe: compute_means_by_split(result, recipe, present) for recipe in get_recipes(result)}
     names = [recipe for recipe, errors in means.items() if errors[0] is not None]
     columns = [
@@ -59,11 +54,8 @@ def tabulate_splits(result: Result, present: list[str]) -> ReportTable:
     return ReportTable("Held out by ride, by vehicle, by date: average error, kWh", "model", heads, rows, notes)
 
 
-def tabulate_changes(result: Result, split: str) -> ReportTable:
-    """Return by how much errors grow on each vehicle model where cars or dates are held out instead of rides.
-
-    Units: returns [%].
-    """
+def tabulate_changes(result: RecipeEvaluation, split: str) -> ReportTable:
+    """Return by how much errors grow on each vehicle model where cars or dates are held out instead of rides. [%]"""
     keys = list_vehicle_models(result)
     rows = tuple(
         Row(
@@ -74,33 +66,26 @@ def tabulate_changes(result: Result, split: str) -> ReportTable:
             ),
         )
         for recipe in get_recipes(result)
-        if get_mapping(result, "splits", split, recipe)
+        if result.splits.get(split, {}).get(recipe)
     )
     heads = tuple(get_vehicle_name(key) for key in keys)
     return ReportTable(f"Held out by {split}: average error against that by ride", "model", heads, rows)
 
 
-def describe_best_models(result: Result, present: list[str]) -> str:
+def describe_best_models(result: RecipeEvaluation, present: list[str]) -> str:
     """Return a sentence that names the best model of each split."""
     winners: dict[str, str] = {}
     for place, split in enumerate(present):
         errors = {recipe: compute_means_by_split(result, recipe, present)[place] for recipe in get_recipes(result)}
-        known = {recipe: error for recipe, error in errors.items() if error is not None}
-        if known:
-            winners[split] = get_title(result, min(known, key=known.__getitem__))
+        if (best := find_least(errors)) is not None:
+            winners[split] = get_title(result, best)
     if len(set(winners.values())) <= 1:
         return f"The same model is best by each: {next(iter(winners.values()), 'none')}."
     return "They differ on the best model: " + "; ".join(f"by {s}, {name}" for s, name in winners.items()) + "."
 
 
-def compute_means_by_split(result: Result, recipe: str, present: list[str]) -> list[float | None]:
-    """Return the mean error of a model by each split.
-
-    Returns
-    -------
-    list of float or None
-        Mean over the vehicle models for which every split has a figure; None where there is no such model. [kWh]
-    """
+def compute_means_by_split(result: RecipeEvaluation, recipe: str, present: list[str]) -> list[float | None]:
+    """Return the mean error of a model by each split. [kWh]"""
     shared = [
         key
         for key in list_vehicle_models(result)
@@ -109,6 +94,6 @@ def compute_means_by_split(result: Result, recipe: str, present: list[str]) -> l
     return [compute_mean(_error(result, split, recipe, key) for key in shared) for split in present]
 
 
-def _error(result: Result, split: str, recipe: str, key: str) -> float | None:
+def _error(result: RecipeEvaluation, split: str, recipe: str, key: str) -> float | None:
     """Return the average error of a model on a vehicle model by a split. [kWh]"""
-    return get_number(get_part(result, "splits", split, recipe, key))
+    return result.splits.get(split, {}).get(recipe, {}).get(key)

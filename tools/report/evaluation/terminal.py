@@ -1,13 +1,13 @@
 """Print the report of an evaluation in the terminal."""
 
-from typing import Any, Final
+from typing import Final
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from socast.core.evaluate.paper import published
-from socast.core.records import to_json_values
+from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.tools.report.cells import PAPER_NOTE, Cell, ReportTable
 from socast.tools.report.evaluation.sections import Section, build_sections
 from socast.tools.terminal.rich_table import Column, make_table
@@ -16,12 +16,12 @@ LAST: Final = "glance"
 """Key of the section that is printed last, where readers look first."""
 
 
-def show(result: Any, console: Console) -> None:
+def show(result: RecipeEvaluation, console: Console) -> None:
     """Print the tables of an evaluation, with the principal figures last."""
-    shown = [section for section in build_sections(to_json_values(result)) if not section.folded]
+    shown = [section for section in build_sections(result) if not section.folded]
     for section in sorted(shown, key=lambda section: section.key == LAST):
         print_section(section, console)
-    for line in _notes(to_json_values(result)):
+    for line in (*result.about.notes, f"“The paper” is “{published.load_paper().title}”."):
         console.print(Text(line, style="yellow"))
 
 
@@ -59,10 +59,3 @@ def _cell(cell: Cell) -> Text:
         text.append("\n" if cell.text else "")
         text.append(f"({cell.paper})", style="not bold dim")
     return text
-
-
-def _notes(result: Any) -> list[str]:
-    """Return the notes of the evaluation, and the title of the paper."""
-    about = result.get("about") or {}
-    notes = [str(note) for note in (*(result.get("notes") or ()), *(about.get("notes") or ()))]
-    return [*notes, f"“The paper” is “{published.load_paper().title}”."]

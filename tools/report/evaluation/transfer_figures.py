@@ -5,16 +5,9 @@ from typing import Any
 import plotly.graph_objects as go
 
 from socast.core.evaluate.paper import published
-from socast.tools.report.evaluation.result import (
-    FITTED,
-    Result,
-    get_half_width,
-    get_mapping,
-    get_number,
-    get_part,
-    get_recipes,
-)
-from socast.tools.report.evaluation.transfer_tables import get_few_shot_errors
+from socast.core.evaluate.paper.records import RecipeEvaluation
+from socast.tools.report.evaluation.result import FITTED, get_new_vehicle_errors, get_recipes
+from socast.tools.report.evaluation.transfer_tables import index_points
 from socast.tools.report.figure_style import (
     PAPER_NAME,
     add_reference_line,
@@ -31,43 +24,37 @@ NO_RIDES = 0.3
 """Position of zero rides on a logarithmic axis of rides seen."""
 
 
-def draw_new_vehicle(result: Result, vehicle_model: str) -> go.Figure:
+def draw_new_vehicle(result: RecipeEvaluation, vehicle_model: str) -> go.Figure:
     """Return a figure of the errors of all models on a vehicle model left out of training, as Table 12 of the paper."""
-    by_recipe = get_mapping(result, "new_vehicle")
-    names = [
-        recipe
-        for recipe in get_recipes(result)
-        if get_number(get_part(by_recipe, recipe, vehicle_model, "mae")) is not None
-    ]
-    rows = [format_recipe_label(result, recipe) for recipe in names]
+    every = {recipe: get_new_vehicle_errors(result, recipe, vehicle_model).mae for recipe in get_recipes(result)}
+    errors = {recipe: error for recipe, error in every.items() if error is not None}
+    rows = [format_recipe_label(result, recipe) for recipe in errors]
     look = get_vehicle_style(result, vehicle_model)
-    errors = [get_number(get_part(by_recipe, recipe, vehicle_model, "mae")) for recipe in names]
-    traces: list[Any] = [draw_bars("here", look._replace(pattern=""), rows, errors, opacity=0.5)]
-    theirs = [published.get_new_vehicle_mae(recipe, vehicle_model) for recipe in names]
+    traces: list[Any] = [draw_bars("here", look._replace(pattern=""), rows, list(errors.values()), opacity=0.5)]
+    theirs = [published.get_new_vehicle_mae(recipe, vehicle_model) for recipe in errors]
     if any(theirs):
         values = [None if f is None else f.value for f in theirs]
         traces.append(draw_dots(PAPER_NAME, look._replace(symbol="diamond"), values, rows, outline=True))
-    made = make_figure(traces, 90 + 32 * len(names))
-    if (line := get_number(get_part(by_recipe, FITTED, vehicle_model, "mae"))) is not None:
-        add_reference_line(made, "fitted physical", line)
+    made = make_figure(traces, 90 + 32 * len(errors))
+    if FITTED in errors:
+        add_reference_line(made, "fitted physical", errors[FITTED])
     made.update_xaxes(title_text="Mean absolute error [kWh]", rangemode="tozero")
     made.update_yaxes(title_text="Model", type="category", autorange="reversed")
     return made
 
 
-def draw_few_shot(result: Result, vehicle_model: str) -> go.Figure:
+def draw_few_shot(result: RecipeEvaluation, vehicle_model: str) -> go.Figure:
     """Return a figure of the error on a new vehicle model against the number of its rides seen.
 
     The curve of the fitted physical model is thicker than the others.
     """
     traces, numbers = [], set()
-    for recipe in get_mapping(result, "few_shot", vehicle_model):
-        points = get_few_shot_errors(result, vehicle_model, recipe)
+    for recipe, curve in result.few_shot[vehicle_model].items():
+        points = index_points(curve)
         numbers |= set(points)
-        x = [n or NO_RIDES for n in points]
-        spreads = [get_half_width(point) for point in points.values()]
-        name = format_recipe_label(result, recipe)
-        trace = draw_curve(name, get_recipe_style(result, recipe), x, [get_number(p) for p in points.values()], spreads)
+        x, y = [n or NO_RIDES for n in points], [point.value for point in points.values()]
+        name, spreads = format_recipe_label(result, recipe), [point.ci95 for point in points.values()]
+        trace = draw_curve(name, get_recipe_style(result, recipe), x, y, spreads)
         traces.append(trace.update(line={"width": 4}) if recipe == FITTED else trace)
     made = make_figure(traces, 360)
     made.update_layout(showlegend=True)

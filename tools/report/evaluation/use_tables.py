@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from statistics import quantiles
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 from socast.core.evaluate.paper import published
+from socast.core.evaluate.paper.records import BinErrors, IntervalCoverage, RecipeEvaluation
 from socast.core.formatting import format_range
+from socast.core.records import list_shown
 from socast.tools.report.cells import (
     Cell,
     ReportTable,
@@ -19,10 +21,6 @@ from socast.tools.report.cells import (
     mark_least,
 )
 from socast.tools.report.evaluation.result import (
-    Result,
-    get_mapping,
-    get_number,
-    get_part,
     get_recipes,
     get_title,
     get_vehicle_name,
@@ -42,10 +40,6 @@ UNITS: Final[Mapping[str, str]] = MappingProxyType({"distance": ", km", "tempera
 MANY_BINS: Final = 20
 """Number of bins above which only the spread over bins is reported."""
 
-UNSEEN: Final[Mapping[str, str]] = MappingProxyType(
-    {"by_vehicle": "cars unseen", "by_date": "last dates unseen", "new_vehicle": "vehicle model unseen"}
-)
-"""Keys of coverage where cars, dates or a vehicle model were held out as a whole -> their names for readers."""
 NOMINAL: Final = 0.9
 """Nominal coverage of prediction intervals."""
 LEAST_COVERAGE: Final = 0.85
@@ -54,15 +48,9 @@ COVERAGE_RANGE: Final = (0.88, 0.92)
 """Range of the coverage of a 90 % interval over all rides."""
 
 
-def tabulate_places(result: Result) -> list[ReportTable]:
-    """Return the tables of errors by distance, temperature, season and driver.
-
-    Returns
-    -------
-    list of ReportTable
-        Tables that have a row; a property with more than `MANY_BINS` bins has a table of its spread.
-    """
-    axes = [axis for axis in AXES if get_mapping(result, "by", axis)]
+def tabulate_places(result: RecipeEvaluation) -> list[ReportTable]:
+    """Return the tables of errors by distance, temperature, season and driver."""
+    axes = [axis for axis in AXES if result.by.get(axis)]
     tables = [
         tabulate_spread(result, axis)
         if len(list_bins(result, axis)) > MANY_BINS
@@ -72,11 +60,9 @@ def tabulate_places(result: Result) -> list[ReportTable]:
     return [table for table in tables if table.rows]
 
 
-def list_bins(result: Result, axis: str) -> list[str]:
+def list_bins(result: RecipeEvaluation, axis: str) -> list[str]:
     """Return the names of the bins of a property, in the order of the result."""
-    return list(
-        dict.fromkeys(str(b["bin"]) for recipe in get_recipes(result) for b in get_bin_errors(result, axis, recipe))
-    )
+    return list(dict.fromkeys(each.bin for recipe in get_recipes(result) for each in get_bins(result, axis, recipe)))
 
 
 def format_bin(axis: str, name: str) -> str:
@@ -90,54 +76,37 @@ def format_bin(axis: str, name: str) -> str:
     return (format_range(name) if axis in UNITS else name).removesuffix(" °C")
 
 
-def get_bin_errors(result: Result, axis: str, recipe: str) -> list[Mapping[str, Any]]:
-    """Return the errors of a model in each bin of a property.
-
-    Returns
-    -------
-    list of mapping
-        `bin`, number `n`, `mae` and `bias` [kWh]; empty where the result has none.
-    """
-    entries = get_part(result, "by", axis, recipe)
-    return [entry for entry in entries or () if isinstance(entry, Mapping) and "bin" in entry]
+def get_bins(result: RecipeEvaluation, axis: str, recipe: str) -> list[BinErrors]:
+    """Return the errors of a model in each bin of a property; empty where the result has none."""
+    return result.by.get(axis, {}).get(recipe, [])
 
 
-def tabulate_errors_by_bin(result: Result, axis: str) -> ReportTable:
-    """Return mean absolute error and bias of the principal models in each bin of a property.
-
-    Units: returns [kWh].
-    """
-    names = [recipe for recipe in select_principal(result) if get_bin_errors(result, axis, recipe)]
+def tabulate_errors_by_bin(result: RecipeEvaluation, axis: str) -> ReportTable:
+    """Return mean absolute error and bias of the principal models in each bin of a property. [kWh]"""
     by_recipe = {
-        recipe: {str(entry["bin"]): entry for entry in get_bin_errors(result, axis, recipe)} for recipe in names
+        recipe: {each.bin: each for each in bins}
+        for recipe in select_principal(result)
+        if (bins := get_bins(result, axis, recipe))
     }
     rows = tuple(
         Row(
             format_bin(axis, label),
-            (Cell(_rides(by_recipe, label)), *(_error_and_bias(by_recipe[recipe].get(label)) for recipe in names)),
+            (Cell(_rides(by_recipe, label)), *(_error_and_bias(bins.get(label)) for bins in by_recipe.values())),
         )
         for label in list_bins(result, axis)
     )
-    heads = ("predictions", *(get_title(result, recipe) for recipe in names))
+    heads = ("predictions", *(get_title(result, recipe) for recipe in by_recipe))
     note = "In parentheses, bias: mean of predicted less measured."
     return ReportTable(
         f"Mean absolute error by {AXES[axis]}, kWh", f"{AXES[axis]}{UNITS.get(axis, '')}", heads, rows, (note,)
     )
 
 
-def tabulate_spread(result: Result, axis: str) -> ReportTable:
-    """Return how the errors of each model spread over the bins of a property, such as drivers.
-
-    Returns
-    -------
-    ReportTable
-        Number of bins, and least, 10 %, median, 90 % and largest mean absolute error. [kWh]
-    """
+def tabulate_spread(result: RecipeEvaluation, axis: str) -> ReportTable:
+    """Return how the errors of each model spread over the bins of a property, such as drivers. [kWh]"""
     rows = []
     for recipe in get_recipes(result):
-        errors = [
-            mae for entry in get_bin_errors(result, axis, recipe) if (mae := get_number(entry.get("mae"))) is not None
-        ]
+        errors = [each.mae for each in get_bins(result, axis, recipe) if each.mae is not None]
         if len(errors) > 1:
             deciles = quantiles(errors, n=10, method="inclusive")
             figures = (min(errors), deciles[0], deciles[4], deciles[8], max(errors))
@@ -151,7 +120,7 @@ def tabulate_spread(result: Result, axis: str) -> ReportTable:
     return ReportTable(f"Mean absolute error by {AXES[axis]}, kWh", "model", heads, tuple(rows))
 
 
-def tabulate_reserve(result: Result) -> list[ReportTable]:
+def tabulate_reserve(result: RecipeEvaluation) -> list[ReportTable]:
     """Return the tables of the coverage of intervals, and of the buffers that keep rides above their reserve."""
     tables = (
         tabulate_coverage(result),
@@ -162,29 +131,27 @@ def tabulate_reserve(result: Result) -> list[ReportTable]:
     return [table for table in tables if table.rows]
 
 
-def tabulate_coverage(result: Result) -> ReportTable:
-    """Return the share of rides inside their 90 % interval: overall, by cluster of distance, by season.
+def get_coverage(result: RecipeEvaluation) -> dict[str, IntervalCoverage]:
+    """Return the coverage of the models that have intervals, in their order."""
+    return {recipe: result.coverage[recipe] for recipe in get_recipes(result) if recipe in result.coverage}
 
-    Returns
-    -------
-    ReportTable
-        Coverage, marked where it is outside of its limits [%], and mean width of the interval [kWh].
-    """
-    coverage = get_mapping(result, "coverage")
-    names = [recipe for recipe in get_recipes(result) if get_mapping(coverage, recipe)]
-    distances = list_clusters(result, (get_mapping(coverage, recipe, "cluster") for recipe in names))
-    seasons = list(dict.fromkeys(season for recipe in names for season in get_mapping(coverage, recipe, "season")))
+
+def tabulate_coverage(result: RecipeEvaluation) -> ReportTable:
+    """Return the share of rides inside their 90 % interval: overall, by cluster of distance, by season."""
+    coverage = get_coverage(result)
+    distances = list_clusters(result, (each.cluster for each in coverage.values()))
+    seasons = list(dict.fromkeys(season for each in coverage.values() for season in each.season))
     rows = tuple(
         Row(
             get_title(result, recipe),
             (
-                _covered(get_part(coverage, recipe, "overall"), *COVERAGE_RANGE),
-                *(_covered(get_part(coverage, recipe, "cluster", c), LEAST_COVERAGE) for c in distances),
-                *(_covered(get_part(coverage, recipe, "season", s), LEAST_COVERAGE) for s in seasons),
-                Cell(format_energy(get_part(coverage, recipe, "width_kwh"))),
+                _covered(each.overall, *COVERAGE_RANGE),
+                *(_covered(each.cluster.get(c), LEAST_COVERAGE) for c in distances),
+                *(_covered(each.season.get(s), LEAST_COVERAGE) for s in seasons),
+                Cell(format_energy(each.width_kwh)),
             ),
         )
-        for recipe in names
+        for recipe, each in coverage.items()
     )
     heads = ("overall", *(format_cluster(c) for c in distances), *seasons, "width, kWh")
     low, high = COVERAGE_RANGE
@@ -195,26 +162,24 @@ def tabulate_coverage(result: Result) -> ReportTable:
     return ReportTable("Rides inside their 90 % prediction interval", "model", heads, rows, (note,))
 
 
-def tabulate_coverage_unseen(result: Result) -> ReportTable:
-    """Return the share of rides inside their interval by vehicle model, and for unseen cars, dates and vehicle models.
-
-    Units: returns [%].
-    """
-    coverage = get_mapping(result, "coverage")
-    names = [recipe for recipe in get_recipes(result) if get_mapping(coverage, recipe)]
-    keys = [
-        k for k in list_vehicle_models(result) if any(k in get_mapping(coverage, r, "vehicle_model") for r in names)
-    ]
-    unseen = {kind: head for kind, head in UNSEEN.items() if any(kind in get_mapping(coverage, r) for r in names)}
+def tabulate_coverage_unseen(result: RecipeEvaluation) -> ReportTable:
+    """Return the coverage of intervals by vehicle model, and for unseen cars, dates and vehicle models. [%]"""
+    coverage = get_coverage(result)
+    keys = [key for key in list_vehicle_models(result) if any(key in each.vehicle_model for each in coverage.values())]
+    unseen = {
+        kind: shown.head
+        for kind, shown in list_shown(IntervalCoverage).items()
+        if any(getattr(each, kind) is not None for each in coverage.values())
+    }
     rows = tuple(
         Row(
             get_title(result, recipe),
             (
-                *(_covered(get_part(coverage, recipe, "vehicle_model", key), LEAST_COVERAGE) for key in keys),
-                *(_covered(get_part(coverage, recipe, kind), *COVERAGE_RANGE) for kind in unseen),
+                *(_covered(each.vehicle_model.get(key), LEAST_COVERAGE) for key in keys),
+                *(_covered(getattr(each, kind), *COVERAGE_RANGE) for kind in unseen),
             ),
         )
-        for recipe in names
+        for recipe, each in coverage.items()
     )
     heads = (*(get_vehicle_name(key) for key in keys), *unseen.values())
     return ReportTable(
@@ -226,22 +191,13 @@ def tabulate_coverage_unseen(result: Result) -> ReportTable:
     )
 
 
-def tabulate_buffers(result: Result) -> ReportTable:
-    """Return the buffers that keep 95 % and 99 % of rides above their reserve.
-
-    Units: returns [kWh].
-    """
-    buffers = get_mapping(result, "buffer_kwh")
-    names = [recipe for recipe in get_recipes(result) if get_mapping(buffers, recipe)]
-    shares = list(dict.fromkeys(share for recipe in names for share in get_mapping(buffers, recipe)))
-    columns = [
-        mark_least(
-            [Cell(format_energy(get_part(buffers, r, share))) for r in names],
-            [get_number(get_part(buffers, r, share)) for r in names],
-        )
-        for share in shares
-    ]
-    rows = tuple(Row(get_title(result, recipe), tuple(c[i] for c in columns)) for i, recipe in enumerate(names))
+def tabulate_buffers(result: RecipeEvaluation) -> ReportTable:
+    """Return the buffers that keep 95 % and 99 % of rides above their reserve. [kWh]"""
+    buffers = {recipe: result.buffer_kwh[recipe] for recipe in get_recipes(result) if result.buffer_kwh.get(recipe)}
+    shares = list(dict.fromkeys(share for row in buffers.values() for share in row))
+    values = [[row.get(share) for row in buffers.values()] for share in shares]
+    columns = [mark_least([Cell(format_energy(value)) for value in column], column) for column in values]
+    rows = tuple(Row(get_title(result, recipe), tuple(c[i] for c in columns)) for i, recipe in enumerate(buffers))
     statement = published.get_statement("buffer")
     note = (
         f"The company in the paper reached {statement.value:g} kWh with the hybrid model with interaction "
@@ -252,39 +208,32 @@ def tabulate_buffers(result: Result) -> ReportTable:
     return ReportTable("Buffer that keeps rides above their reserve, kWh", "model", heads, rows, (note,))
 
 
-def tabulate_buffers_by_cluster(result: Result) -> ReportTable:
-    """Return the buffers of the principal models by distance, for the largest share of rides.
-
-    Units: returns [kWh].
-    """
-    buffers = get_mapping(result, "buffer_by_cluster")
-    names = [recipe for recipe in select_principal(result) if get_mapping(buffers, recipe)]
-    shares = [share for recipe in names for row in get_mapping(buffers, recipe).values() for share in get_mapping(row)]
-    if not shares:
-        return ReportTable("", "", (), ())
-    most = max(shares, key=float)
-    at = {recipe: {c: get_part(buffers, recipe, c, most) for c in get_mapping(buffers, recipe)} for recipe in names}
+def tabulate_buffers_by_cluster(result: RecipeEvaluation) -> ReportTable:
+    """Return the buffers of the principal models by distance, for the largest share of rides. [kWh]"""
+    every = result.buffer_by_cluster
+    buffers = {recipe: every[recipe] for recipe in select_principal(result) if every.get(recipe)}
+    most = max((share for of in buffers.values() for row in of.values() for share in row), key=float, default="")
+    at = {recipe: {cluster: row.get(most) for cluster, row in of.items()} for recipe, of in buffers.items()}
     distances = list_clusters(result, at.values())
     rows = tuple(
-        Row(get_title(result, recipe), tuple(Cell(format_energy(at[recipe].get(c))) for c in distances))
-        for recipe in names
+        Row(get_title(result, recipe), tuple(Cell(format_energy(row.get(c))) for c in distances))
+        for recipe, row in at.items()
     )
     heads = tuple(format_cluster(c) for c in distances)
     return ReportTable(f"Buffer for {most} % of rides by distance, kWh", "model", heads, rows)
 
 
-def _rides(by_recipe: Mapping[str, Mapping[str, Mapping[str, Any]]], label: str) -> str:
+def _rides(by_recipe: Mapping[str, Mapping[str, BinErrors]], label: str) -> str:
     """Return the number of predictions in a bin, from the first model that states it."""
-    return format_count(next((entries[label].get("n") for entries in by_recipe.values() if label in entries), None))
+    return format_count(next((entries[label].n for entries in by_recipe.values() if label in entries), None))
 
 
-def _error_and_bias(entry: Mapping[str, Any] | None) -> Cell:
+def _error_and_bias(entry: BinErrors | None) -> Cell:
     """Return a cell with a mean absolute error, and the bias in parentheses."""
-    return Cell("" if entry is None else f"{format_energy(entry.get('mae'))} ({format_signed(entry.get('bias'))})")
+    return Cell("" if entry is None else f"{format_energy(entry.mae)} ({format_signed(entry.bias)})")
 
 
-def _covered(share: Any, least: float, most: float = 1.0) -> Cell:
+def _covered(share: float | None, least: float, most: float = 1.0) -> Cell:
     """Return a share, marked where it is outside of its limits."""
-    known = get_number(share)
-    mark = "" if known is None or least <= known <= most else " ↓" if known < least else " ↑"
+    mark = "" if share is None or least <= share <= most else " ↓" if share < least else " ↑"
     return Cell(f"{format_percent(share)}{mark}", strong=bool(mark))

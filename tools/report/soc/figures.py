@@ -5,19 +5,14 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
+from socast.core.evaluate.records import EstimatedValue
 from socast.core.evaluate.soc.baselines import BASELINES
+from socast.core.evaluate.soc.records import ClusteredShare, ExampleShift, SocEvaluation
 from socast.core.evaluate.soc.report import NOMINAL
 from socast.core.formatting import format_minus
 from socast.core.stats.clustered import LEAST_CLUSTERS
 from socast.tools.report.evaluation.illustrations import Illustration
-from socast.tools.report.evaluation.result import (
-    Result,
-    get_half_width,
-    get_mapping,
-    get_number,
-    get_part,
-    get_vehicle_name,
-)
+from socast.tools.report.evaluation.result import get_vehicle_name
 from socast.tools.report.figure_style import REFERENCE_LINE, Style, draw_curve, escape_label, get_style, make_figure
 from socast.tools.report.soc.tables import SHOWN_AT, format_bin
 
@@ -37,14 +32,13 @@ WIDEST: Final = 1.5
 SHADE: Final = "rgba(128,128,128,0.25)"
 
 
-def select_interval_widths(biases: Sequence[Any], among: Sequence[Any]) -> list[float | None]:
+def select_interval_widths(estimates: Sequence[EstimatedValue], among: Sequence[EstimatedValue]) -> list[float | None]:
     """Return half widths of intervals; None where an interval would dwarf the figure."""
-    most = WIDEST * max((abs(get_number(bias) or 0.0) for bias in among), default=0.0)
-    widths = [get_half_width(bias) for bias in biases]
-    return [width if width is not None and width <= most else None for width in widths]
+    most = WIDEST * max((abs(each.value or 0.0) for each in among), default=0.0)
+    return [each.ci95 if each.ci95 is not None and each.ci95 <= most else None for each in estimates]
 
 
-def illustrate_time(result: Result) -> list[Illustration]:
+def illustrate_time(result: SocEvaluation) -> list[Illustration]:
     """Return error, coverage and width by the time ahead, and forecasts against outcomes."""
     aim = f"{AIMED[0]:.0f} and {AIMED[1]:.0f} %"
     shown = [
@@ -59,7 +53,7 @@ def illustrate_time(result: Result) -> list[Illustration]:
             "soc-coverage",
             "Coverage by time ahead",
             f"Share of outcomes inside the 90 % interval, with its own 95 % interval; broken lines at {aim}. {FEW}",
-            draw_coverage(_hours(result), BEFORE),
+            draw_coverage({name: each.coverage for name, each in result.overall.hours.items()}, BEFORE),
             small=True,
         ),
         Illustration(
@@ -70,7 +64,7 @@ def illustrate_time(result: Result) -> list[Illustration]:
             small=True,
         ),
     ]
-    if SHOWN_AT in get_mapping(result, "overall", "hours"):
+    if SHOWN_AT in result.overall.hours:
         caption = (
             f"Each point is a shift, {SHOWN_AT} h before its end. Line: forecast equals outcome. Crosses: "
             "outcome outside the 90 % interval."
@@ -87,38 +81,26 @@ def illustrate_time(result: Result) -> list[Illustration]:
     return shown
 
 
-def _hours(result: Result) -> dict[str, Any]:
-    return dict(get_mapping(result, "overall", "hours"))
-
-
-def draw_errors(result: Result) -> go.Figure:
+def draw_errors(result: SocEvaluation) -> go.Figure:
     """Return a figure of the mean absolute error of forecasts and baselines against the time ahead."""
-    by_hours = _hours(result)
-    x = [int(hours) for hours in by_hours]
-    lines = {"forecast": (FORECAST, [get_part(group, "mae_pct") for group in by_hours.values()])}
+    x, groups = [int(hours) for hours in result.overall.hours], list(result.overall.hours.values())
+    lines = {"forecast": (FORECAST, [group.mae_pct for group in groups])}
     lines |= {
-        meaning: (LOOKS[name], [get_part(group, "baselines", name, "mae_pct") for group in by_hours.values()])
+        meaning: (LOOKS[name], [group.baselines[name].mae_pct for group in groups])
         for name, meaning in BASELINES.items()
     }
     among = [value for _, values in lines.values() for value in values]
-    traces = [
-        _from_zero(
-            draw_curve(
-                escape_label(name), look, x, [get_number(v) for v in values], select_interval_widths(values, among)
-            )
-        )
-        for name, (look, values) in lines.items()
-    ]
+    traces = [_draw_estimates(escape_label(name), look, x, values, among) for name, (look, values) in lines.items()]
     made = make_figure(traces, 380)
     made.update_xaxes(title_text=BEFORE, tickvals=x)
     made.update_yaxes(title_text="Mean absolute error [% of charge]", rangemode="tozero")
     return made
 
 
-def draw_coverage(groups: Mapping[str, Any], axis: str) -> go.Figure:
+def draw_coverage(shares: Mapping[str, ClusteredShare], axis: str) -> go.Figure:
     """Return a figure of the coverage of groups, with its interval, and of the target coverage."""
-    x, shares = [escape_label(name) for name in groups], [get_part(group, "coverage") for group in groups.values()]
-    made = make_figure(_points("coverage", FORECAST, x, shares), 380)
+    x = [escape_label(name) for name in shares]
+    made = make_figure(_points("coverage", FORECAST, x, list(shares.values())), 380)
     for share in AIMED:
         made.add_hline(y=share, line=REFERENCE_LINE)
     made.add_hline(y=100.0 * NOMINAL, line={**REFERENCE_LINE, "dash": "solid", "width": 1})
@@ -128,20 +110,16 @@ def draw_coverage(groups: Mapping[str, Any], axis: str) -> go.Figure:
     return made
 
 
-def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[Any]) -> list[Any]:
+def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[ClusteredShare]) -> list[Any]:
     """Return shares as points with their intervals; where there are too few clusters, the interval alone."""
-    enough = [(get_number(get_part(share, "clusters")) or 0.0) >= LEAST_CLUSTERS for share in shares]
-    values = [_percent(share, "value") if known else None for share, known in zip(shares, enough, strict=True)]
+    enough = [share.clusters >= LEAST_CLUSTERS for share in shares]
+    values = [_percent(share.value) if known else None for share, known in zip(shares, enough, strict=True)]
     points = draw_curve(name, look, list(x), values).update(mode="markers", error_y=_bars(shares))
-    alone = [
-        (place, [_percent(share, end) for end in ("low", "high")])
-        for place, share, known in zip(x, shares, enough, strict=True)
-        if not known
-    ]
+    alone = [(place, share) for place, share, known in zip(x, shares, enough, strict=True) if not known]
     lines = go.Scatter(
         name=f"{name}: interval of too few vehicle-days",
         x=[place for one, _ in alone for place in (one, one, None)],
-        y=[end for _, ends in alone for end in (*ends, None)],
+        y=[end for _, share in alone for end in (_percent(share.low), _percent(share.high), None)],
         mode="lines",
         line={"color": look.colour, "dash": look.dash, "width": 2},
         showlegend=False,
@@ -150,68 +128,68 @@ def _points(name: str, look: Style, x: Sequence[Any], shares: Sequence[Any]) -> 
     return [points, lines] if alone else [points]
 
 
-def _from_zero(trace: Any) -> Any:
+def _draw_estimates(
+    name: str, look: Style, x: list[int], values: Sequence[EstimatedValue], among: Sequence[EstimatedValue]
+) -> Any:
     """Return a curve whose intervals end at 0, because no value is negative."""
+    trace = draw_curve(name, look, x, [each.value for each in values], select_interval_widths(values, among))
     if trace.error_y.array is not None:
         reach = [None if up is None else min(up, y) for up, y in zip(trace.error_y.array, trace.y, strict=True)]
         trace.error_y.update(symmetric=False, arrayminus=reach)
     return trace
 
 
-def _bars(shares: Sequence[Any]) -> dict[str, Any]:
+def _bars(shares: Sequence[ClusteredShare]) -> dict[str, Any]:
     """Return the error bars of shares."""
-    low, high = ([_reach(share, end) for share in shares] for end in ("low", "high"))
+    low = [_reach(share.value, share.low) for share in shares]
+    high = [_reach(share.value, share.high) for share in shares]
     return {"symmetric": False, "arrayminus": low, "array": high, "thickness": 1, "width": 3}
 
 
-def _percent(share: Any, end: str) -> float | None:
-    known = get_number(get_part(share, end))
-    return None if known is None else 100.0 * known
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share
 
 
-def _reach(share: Any, end: str) -> float:
+def _reach(share: float | None, end: float | None) -> float:
     """Return the distance of an end of the interval from a share; 0 where unknown. [%]"""
-    value, known = _percent(share, "value"), _percent(share, end)
-    return 0.0 if value is None or known is None else abs(known - value)
+    return 0.0 if share is None or end is None else abs(100.0 * end - 100.0 * share)
 
 
-def draw_width(result: Result) -> go.Figure:
+def draw_width(result: SocEvaluation) -> go.Figure:
     """Return a figure of the width of the interval against the time ahead."""
-    by_hours = _hours(result)
-    widths = [get_part(group, "width_pct") for group in by_hours.values()]
-    x = [int(hours) for hours in by_hours]
-    trace = draw_curve("width", FORECAST, x, [get_number(w) for w in widths], select_interval_widths(widths, widths))
-    made = make_figure([_from_zero(trace)], 380)
+    x = [int(hours) for hours in result.overall.hours]
+    widths = [each.width_pct for each in result.overall.hours.values()]
+    made = make_figure([_draw_estimates("width", FORECAST, x, widths, widths)], 380)
     made.update_layout(showlegend=False)
     made.update_xaxes(title_text=BEFORE, tickvals=x)
     made.update_yaxes(title_text="Width of the 90 % interval [% of charge]", rangemode="tozero")
     return made
 
 
-def draw_scatter(result: Result) -> go.Figure:
+def draw_scatter(result: SocEvaluation) -> go.Figure:
     """Return a figure of forecasts against outcomes at one time ahead; those outside their interval are marked."""
-    forecasts = get_mapping(result, "forecasts")
-    rows = [i for i, hours in enumerate(forecasts["hours"]) if str(hours) == SHOWN_AT]
-    rows = rows[:: -(-len(rows) // MOST_POINTS)]
-    mean, low, high, became = (forecasts[name] for name in ("soc_mean", "soc_p05", "soc_p95", "soc_end"))
-    inside = [row for row in rows if low[row] <= became[row] <= high[row]]
-    outside = sorted(set(rows) - set(inside))
+    shown = result.forecasts[lambda cases: cases["hours"] == int(SHOWN_AT)]
+    shown = shown.iloc[:: -(-len(shown) // MOST_POINTS)]
+    inside = shown["soc_end"].between(shown["soc_p05"], shown["soc_p95"])
     traces = [
         go.Scatter(
             name=name,
-            x=[mean[row] for row in places],
-            y=[became[row] for row in places],
-            text=[escape_label(f"{forecasts['vehicle_id'][row]}, shift {forecasts['shift'][row]}") for row in places],
+            x=cases["soc_mean"].tolist(),
+            y=cases["soc_end"].tolist(),
+            text=[
+                escape_label(f"{car}, shift {n}") for car, n in zip(cases["vehicle_id"], cases["shift"], strict=True)
+            ],
             mode="markers",
             marker={"symbol": symbol, "size": 7, "color": look.colour, "line": {"width": 1}},
             hovertemplate="%{text}: forecast %{x:.1f}, outcome %{y:.1f} %<extra></extra>",
         )
-        for name, symbol, look, places in (
-            ("inside the interval", "circle-open", FORECAST, inside),
-            ("outside", "x", LOOKS["linear"], outside),
+        for name, symbol, look, cases in (
+            ("inside the interval", "circle-open", FORECAST, shown[inside]),
+            ("outside", "x", LOOKS["linear"], shown[~inside]),
         )
     ]
-    ends = [min(min(mean[row], became[row]) for row in rows), max(max(mean[row], became[row]) for row in rows)]
+    both = shown[["soc_mean", "soc_end"]].to_numpy()
+    ends = [float(both.min()), float(both.max())]
     line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
     traces.append(go.Scatter(name="equal", x=ends, y=ends, mode="lines", line=line, hoverinfo="skip"))
     made = make_figure(traces, 400)
@@ -220,22 +198,20 @@ def draw_scatter(result: Result) -> go.Figure:
     return made
 
 
-def illustrate_conditions(result: Result) -> list[Illustration]:
+def illustrate_conditions(result: SocEvaluation) -> list[Illustration]:
     """Return the coverage by temperature and vehicle model, pooled over times ahead."""
     axes = {"temperature": "Mean outside temperature of the shift [°C]", "vehicle model": "Vehicle model"}
     caption = f"Share of outcomes inside the 90 % interval, all times ahead pooled, with its own 95 % interval. {FEW}"
     shown = []
     for i, (name, axis) in enumerate(axes.items()):
-        bins = {
-            format_bin(name, str(part["bin"])): get_part(part, "pooled") for part in get_part(result, "by", name) or ()
-        }
+        bins = {format_bin(name, part.bin): part.pooled.coverage for part in result.by.get(name, ())}
         if len(bins) > 1:
             made = draw_coverage(bins, axis)
             shown.append(Illustration(f"soc-by-{i}", f"Coverage by {name}", caption, made, small=True))
     return shown
 
 
-def illustrate_risk(result: Result) -> list[Illustration]:
+def illustrate_risk(result: SocEvaluation) -> list[Illustration]:
     """Return forecast risk against outcomes."""
     caption = (
         "Each point is a class of forecast risk, pooled over all times ahead, with the 95 % interval of "
@@ -245,27 +221,26 @@ def illustrate_risk(result: Result) -> list[Illustration]:
     return [Illustration("soc-risk", "Forecast risk against outcome", caption, draw_risk(result), small=True)]
 
 
-def draw_risk(result: Result) -> go.Figure:
+def draw_risk(result: SocEvaluation) -> go.Figure:
     """Return a figure of how often shifts fell below a level against the forecast risk."""
     names = {"levels": (FORECAST, "levels"), "plan": (LOOKS["linear"], "the plan's reserve")}
     traces: list[Any] = []
     for key, (look, name) in names.items():
-        classes = get_part(result, "reserve", "reliability", key) or ()
-        forecast_risks = [100.0 * risk_class["told"] for risk_class in classes]
-        points, *alone = _points(name, look, forecast_risks, [get_part(risk_class, "fell") for risk_class in classes])
-        points.update(text=[f"{risk_class['n']:,} cases" for risk_class in classes])
+        classes = result.reserve.reliability.get(key, ())
+        points, *alone = _points(name, look, [100.0 * each.told for each in classes], [each.fell for each in classes])
+        points.update(text=[f"{each.n:,} cases" for each in classes])
         points.update(hovertemplate="%{text}: forecast %{x:.1f}, fell %{y:.1f} %<extra></extra>")
         traces += [points, *alone]
     line = {"width": 1.5, "color": REFERENCE_LINE["color"]}
     equal = go.Scatter(name="equal", x=[0, 100], y=[0, 100], mode="lines", line=line, hoverinfo="skip")
     made = make_figure([*traces, equal], 400)
-    made.add_vline(x=100.0 * result["reserve"]["alarm"], line=REFERENCE_LINE)
+    made.add_vline(x=100.0 * result.reserve.alarm, line=REFERENCE_LINE)
     made.update_xaxes(title_text="Forecast risk of falling below [%]")
     made.update_yaxes(title_text="Share that fell below [%]")
     return made
 
 
-def illustrate_examples(result: Result) -> list[Illustration]:
+def illustrate_examples(result: SocEvaluation) -> list[Illustration]:
     """Return example shifts."""
     caption = (
         "State of charge, and the forecast of its value at the end, as published at each time: mean "
@@ -273,33 +248,32 @@ def illustrate_examples(result: Result) -> list[Illustration]:
     )
     return [
         Illustration(f"soc-example-{i}", _title(shift), caption, draw_example(shift), small=True)
-        for i, shift in enumerate(get_part(result, "examples") or ())
+        for i, shift in enumerate(result.examples)
     ]
 
 
-def _title(shift: Mapping[str, Any]) -> str:
-    ambient = get_number(shift["ambient_c"])
-    warmth = "" if ambient is None else format_minus(f", {ambient:.0f} °C")
-    car = f"{shift['vehicle_id']} ({get_vehicle_name(shift['vehicle_model'])})"
-    return f"{shift['why'].capitalize()}: {car}, {shift['date']}{warmth}"
+def _title(shift: ExampleShift) -> str:
+    warmth = "" if shift.ambient_c is None else format_minus(f", {shift.ambient_c:.0f} °C")
+    car = f"{shift.vehicle_id} ({get_vehicle_name(shift.vehicle_model)})"
+    return f"{shift.why.capitalize()}: {car}, {shift.date}{warmth}"
 
 
-def draw_example(shift: Mapping[str, Any]) -> go.Figure:
+def draw_example(shift: ExampleShift) -> go.Figure:
     """Return a figure of a shift: its state of charge, and how the forecast of its end narrowed."""
-    x: Sequence[Any] = shift["hours_ahead"]
+    x = shift.hours_ahead
     thin = {"width": 1, "color": FORECAST.colour}
-    upper = go.Scatter(name="95 %", x=x, y=shift["soc_p95_pct"], mode="lines", line=thin, showlegend=False)
+    upper = go.Scatter(name="95 %", x=x, y=shift.soc_p95_pct, mode="lines", line=thin, showlegend=False)
     lower = go.Scatter(
-        name="90 % interval", x=x, y=shift["soc_p05_pct"], mode="lines", line=thin, fill="tonexty", fillcolor=SHADE
+        name="90 % interval", x=x, y=shift.soc_p05_pct, mode="lines", line=thin, fill="tonexty", fillcolor=SHADE
     )
-    mean = draw_curve("forecast of the end", FORECAST, list(x), shift["soc_mean_pct"]).update(mode="lines")
-    soc = draw_curve("state of charge", LOOKS["model_mean"], list(x), shift["soc_pct"]).update(mode="lines")
+    mean = draw_curve("forecast of the end", FORECAST, x, shift.soc_mean_pct).update(mode="lines")
+    soc = draw_curve("state of charge", LOOKS["model_mean"], x, shift.soc_pct).update(mode="lines")
     became = go.Scatter(
-        name="the end", x=[0.0], y=[shift["soc_end_pct"]], mode="markers", marker={"symbol": "star", "size": 13}
+        name="the end", x=[0.0], y=[shift.soc_end_pct], mode="markers", marker={"symbol": "star", "size": 13}
     )
     made = make_figure([upper, lower, mean, soc, became.update(marker_color=LOOKS["linear"].colour)], 360)
-    if (reserve := get_number(shift["reserve_soc_pct"])) is not None:
-        made.add_hline(y=reserve, line=REFERENCE_LINE)
+    if shift.reserve_soc_pct is not None:
+        made.add_hline(y=shift.reserve_soc_pct, line=REFERENCE_LINE)
     made.update_xaxes(title_text=BEFORE, autorange="reversed")
     made.update_yaxes(title_text=CHARGE, rangemode="tozero")
     return made

@@ -1,14 +1,12 @@
 """Build the tables of the risk of ending below a reserve: reliability, alarms, and comparison with baselines."""
 
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 from socast.core.evaluate.soc.baselines import BASELINES, LEAST_ERRORS, REGRESSION
+from socast.core.evaluate.soc.records import BaselineRisk, ClusteredShare, RiskClass, RiskFigures, SocEvaluation
 from socast.core.evaluate.soc.reserve_risk import ALARM, LEVELS, PLANNED
-from socast.core.formatting import format_minus
 from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_percent
-from socast.tools.report.evaluation.result import Result, get_half_width, get_mapping, get_number, get_part
-from socast.tools.report.soc.tables import HEADS, SHARE_NOTE, format_share
+from socast.tools.report.soc.tables import HEADS, SHARE_NOTE, format_share, tabulate
 
 SHOWN: Final = ("1", "2")
 """Times ahead at which alarms are shown. [h]"""
@@ -32,19 +30,18 @@ PERSON_NOTE: Final = (
 )
 
 
-def describe_reserve(result: Result) -> str:
+def describe_reserve(result: SocEvaluation) -> str:
     """Return how many forecasts preceded a fall below the reserve, in words."""
-    pooled = get_mapping(result, "reserve", "levels", PLANNED, "pooled")
-    if not pooled:
+    pooled = result.reserve.levels.get(PLANNED, {}).get("pooled")
+    if pooled is None:
         return "No plan named a reserve."
-    fell, n = int(pooled["fell"]), int(pooled["n"])
     return (
-        f"{format_count(fell)} of {format_count(n)} forecasts were of shifts that later fell below the "
+        f"{format_count(pooled.fell)} of {format_count(pooled.n)} forecasts were of shifts that later fell below the "
         "reserve of their plan."
     )
 
 
-def tabulate_risk(result: Result) -> list[ReportTable]:
+def tabulate_risk(result: SocEvaluation) -> list[ReportTable]:
     """Return the tables of the section."""
     of_plan = tabulate_reliability(result, PLANNED, "Forecast risk of falling below the plan's reserve", ())
     of_levels = tabulate_reliability(result, "levels", "Risk of falling below other levels", (LEVEL_NOTE,))
@@ -52,124 +49,81 @@ def tabulate_risk(result: Result) -> list[ReportTable]:
     return [table for table in tables if table.rows]
 
 
-def tabulate_reliability(result: Result, key: str, title: str, notes: tuple[str, ...]) -> ReportTable:
+def _name_classes(classes: list[RiskClass]) -> dict[str, RiskClass]:
+    """Return classes of risk by their edges."""
+    return {f"{format_percent(each.low, 0)} to {format_percent(each.high, 0)}": each for each in classes}
+
+
+def tabulate_reliability(result: SocEvaluation, key: str, title: str, notes: tuple[str, ...]) -> ReportTable:
     """Return how often shifts fell below levels, by forecast risk."""
-    rows = tuple(
-        Row(
-            f"{format_percent(risk_class['low'], 0)} to {format_percent(risk_class['high'], 0)}",
-            (
-                Cell(format_count(risk_class["n"])),
-                Cell(format_count(risk_class["shifts"])),
-                Cell(format_percent(risk_class["told"])),
-                Cell(format_share(risk_class["fell"])),
-            ),
-        )
-        for risk_class in get_part(result, "reserve", "reliability", key) or ()
-    )
-    heads = ("cases", "shifts", "mean forecast risk", "fell below")
-    return ReportTable(title, "risk", heads, rows, (*notes, SHARE_NOTE))
+    classes = _name_classes(result.reserve.reliability.get(key, []))
+    return tabulate(title, classes, RiskClass, corner="risk", notes=(*notes, SHARE_NOTE))
 
 
-def tabulate_told(result: Result) -> ReportTable:
+def tabulate_told(result: SocEvaluation) -> ReportTable:
     """Return how often shifts fell below levels by coarser classes of risk, beside the risk of the regression."""
-    told = {name: get_part(result, "reserve", "told", name) or () for name in ("risk", REGRESSION)}
-    by_class = {name: {(each["low"], each["high"]): each for each in classes} for name, classes in told.items()}
+    ours, theirs = (_name_classes(result.reserve.told.get(name, [])) for name in ("risk", REGRESSION))
     rows = tuple(
         Row(
-            f"{format_percent(low, 0)} to {format_percent(high, 0)}",
+            name,
             tuple(
                 Cell(text)
-                for classes in by_class.values()
-                for each in (classes.get((low, high)),)
-                for text in (format_count(each["n"] if each else 0), format_share(each["fell"]) if each else UNKNOWN)
+                for each in (ours[name], theirs.get(name))
+                for text in (format_count(each.n if each else 0), format_share(each.fell) if each else UNKNOWN)
             ),
         )
-        for low, high in by_class["risk"]
-        if by_class[REGRESSION]
+        for name in ours
+        if theirs
     )
     heads = ("cases", "fell below", "cases, regression", "fell below, regression")
     return ReportTable("Risk beside that of the regression", "risk", heads, rows, (LEVEL_NOTE, SHARE_NOTE))
 
 
-def tabulate_alarms(result: Result) -> ReportTable:
+def tabulate_alarms(result: SocEvaluation) -> ReportTable:
     """Return the performance of alarms, by level and time ahead."""
-    of_levels = get_mapping(result, "reserve", "levels")
-    groups = [(format_level(level), by_hours, False) for level, by_hours in of_levels.items()]
-    groups.append((f"{LEVELS[0]} to {LEVELS[-1]} %", get_mapping(result, "reserve", "overall"), True))
-    rows = tuple(
-        Row(f"{name}, {hours} h", _alarms(by_hours[hours]), total)
-        for name, by_hours, total in groups
+    pooled = f"{LEVELS[0]} to {LEVELS[-1]} %"
+    groups = {format_level(level): by_hours for level, by_hours in result.reserve.levels.items()}
+    shown = {
+        f"{name}, {hours} h": by_hours[hours]
+        for name, by_hours in {**groups, pooled: result.reserve.overall}.items()
         for hours in SHOWN
-        if hours in by_hours and (by_hours[hours]["fell"] or get_part(by_hours[hours], "alarms", "false_alarms"))
+        if hours in by_hours and (by_hours[hours].fell or by_hours[hours].alarms.false_alarms)
+    }
+    alarms = [each.alarms for each in shown.values()]
+    more = (
+        ("caught", [_counted(each.caught, each.hit_rate) for each in alarms]),
+        ("missed", [format_count(each.missed) for each in alarms]),
+        ("false alarms", [_counted(each.false_alarms, each.false_alarm_rate) for each in alarms]),
     )
-    heads = ("cases", "fell below", "caught", "missed", "false alarms")
-    return ReportTable("Alarms", "level, before the end", heads, rows, (ALARM_NOTE, SHARE_NOTE))
+    notes = (ALARM_NOTE, SHARE_NOTE)
+    made: ReportTable = tabulate("Alarms", shown, RiskFigures, corner="level, before the end", more=more, notes=notes)
+    return made._replace(rows=tuple(row._replace(total=row.name.startswith(f"{pooled},")) for row in made.rows))
 
 
-def _alarms(group: Mapping[str, Any]) -> tuple[Cell, ...]:
-    counts = get_mapping(group, "alarms")
-    return (
-        Cell(format_count(group["n"])),
-        Cell(format_count(group["fell"])),
-        Cell(_counted(counts["caught"], counts["hit_rate"])),
-        Cell(format_count(counts["missed"])),
-        Cell(_counted(counts["false_alarms"], counts["false_alarm_rate"])),
-    )
-
-
-def _counted(some: int, share: Any) -> str:
+def _counted(some: int, share: ClusteredShare) -> str:
     rate = format_share(share)
     return UNKNOWN if rate == UNKNOWN else f"{format_count(some)}: {rate}"
 
 
-def tabulate_baselines(result: Result) -> ReportTable:
+def tabulate_baselines(result: SocEvaluation) -> ReportTable:
     """Return the scores of the risk beside those of the baselines."""
-    rows = tuple(
-        Row(f"{HEADS[name]}, {hours} h", _person(group))
+    groups = {
+        f"{HEADS[name]}, {hours} h": group
         for hours in SHOWN
-        for name in BASELINES
-        if (group := get_mapping(result, "reserve", "overall", hours, "baselines", name)) and group["fell"]
-    )
-    heads = (
-        "cases",
-        "fell",
-        "Brier, baseline",
-        "forecast",
-        "skill",
-        "caught, baseline",
-        "forecast",
-        "false alarms, baseline",
-        "forecast",
-    )
-    notes = (PERSON_NOTE, BRIER_NOTE, LEVEL_NOTE)
-    return ReportTable("Forecast risk against baselines", "baseline, before the end", heads, rows, notes)
-
-
-def _person(group: Mapping[str, Any]) -> tuple[Cell, ...]:
-    counts = [
-        get_part(group, whose, what) for what in ("caught", "false_alarms") for whose in ("alarms", "forecast_alarms")
+        for name, group in (result.reserve.overall[hours].baselines if hours in result.reserve.overall else {}).items()
+        if group.fell
+    }
+    more = [
+        (
+            f"{words}, baseline" if whose == "alarms" else "forecast",
+            [format_count(getattr(getattr(group, whose), what)) for group in groups.values()],
+        )
+        for what, words in (("caught", "caught"), ("false_alarms", "false alarms"))
+        for whose in ("alarms", "forecast_alarms")
     ]
-    return (
-        Cell(format_count(group["n"])),
-        Cell(format_count(group["fell"])),
-        *(Cell(f"{group[name]:.4f}") for name in ("brier", "forecast_brier")),
-        Cell(format_skill(group["skill"])),
-        *(Cell(format_count(n)) for n in counts),
-    )
-
-
-def format_skill(skill: Any) -> str:
-    """Return a skill with its interval.
-
-    Examples
-    --------
-    >>> format_skill({"value": 0.412, "ci95": 0.12})
-    '+41 ± 12 %'
-    """
-    value, ci95 = get_number(skill), get_half_width(skill)
-    if value is None:
-        return UNKNOWN
-    return format_minus(f"{100 * value:+.0f}{'' if ci95 is None else f' ± {100 * ci95:.0f}'} %")
+    title, corner = "Forecast risk against baselines", "baseline, before the end"
+    notes = (PERSON_NOTE, BRIER_NOTE, LEVEL_NOTE)
+    return tabulate(title, groups, BaselineRisk, corner=corner, more=more, notes=notes)
 
 
 def format_level(level: str) -> str:

@@ -1,31 +1,39 @@
 """Build the tables of an evaluation of state-of-charge forecasts: by time ahead, by condition, and by leg."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
 
+from socast.core.evaluate.records import EstimatedValue
 from socast.core.evaluate.soc.baselines import BASELINES
+from socast.core.evaluate.soc.records import (
+    BestBaseline,
+    ClusteredShare,
+    ForecastFigures,
+    RegressionIntervals,
+    SocEvaluation,
+)
 from socast.core.formatting import format_minus
 from socast.core.stats.clustered import LEAST_CLUSTERS
+from socast.tools.report import record_table
 from socast.tools.report.cells import (
     UNKNOWN,
-    Cell,
     ReportTable,
-    Row,
     format_change,
-    format_count,
     format_difference,
     format_estimate,
     format_percent,
 )
-from socast.tools.report.evaluation.result import Result, get_mapping, get_number, get_part, get_vehicle_name
+from socast.tools.report.evaluation.result import get_vehicle_name
+from socast.tools.report.record_table import tabulate_records
 
 HEADS: Final[Mapping[str, str]] = MappingProxyType(
     {"linear": "pace", "model_mean": "kWh/km", "rating": "rating", "regression": "regression"}
 )
 """Headings of the errors of baselines."""
-FIGURES: Final = ("n", "MAE", "bias", "coverage", "width")
-"""Headings of the figures of forecasts."""
+FIGURES: Final = ("n", "mae_pct", "bias_pct", "coverage", "width_pct")
+"""Figures of forecasts that every table shows."""
 SHOWN_AT: Final = "2"
 """Time ahead at which conditions are compared with the baselines. [h]"""
 PERCENT_NOTE: Final = (
@@ -59,157 +67,138 @@ BEST_NOTE: Final = (
 )
 
 
-def tabulate_by_time(result: Result) -> ReportTable:
-    """Return errors, coverage and width by the time ahead."""
-    by_hours = get_mapping(result, "overall", "hours")
-    rows = [
-        Row(f"{hours} h", _cells(group if hours != "0" else {**group, "best": None}))
-        for hours, group in by_hours.items()
-    ]
-    rows.append(Row("all", _cells(get_mapping(result, "overall", "pooled")), total=True))
-    heads = (*FIGURES, *HEADS.values(), "to best")
-    meanings = "; ".join(f"{HEADS[name]}: {meaning}" for name, meaning in BASELINES.items())
-    notes = (PERCENT_NOTE, COVERAGE_NOTE, f"Baselines (MAE only): {meanings}.", BEST_NOTE)
-    title = "Forecasts of the state of charge at the shift's end"
-    return ReportTable(title, "before", heads, tuple(rows), notes)
-
-
-def tabulate_intervals(result: Result) -> ReportTable:
-    """Return the intervals of forecasts and regression side by side, by the time ahead."""
-    by_hours = {**get_mapping(result, "overall", "hours"), "all": get_mapping(result, "overall", "pooled")}
-    rows = tuple(
-        Row(
-            hours if hours == "all" else f"{hours} h",
-            (
-                Cell(format_count(get_number(both["n"]) or 0)),
-                *(Cell(format_share(both[f"{whose}coverage"])) for whose in ("forecast_", "")),
-                *(
-                    Cell(format_estimate(get_number(both[f"{whose}{figure}_pct"]), 1))
-                    for figure in ("width", "interval_score")
-                    for whose in ("forecast_", "")
-                ),
-            ),
-            total=hours == "all",
-        )
-        for hours, group in by_hours.items()
-        if hours != "0" and (both := get_mapping(group, "regression")) and both["n"]
-    )
-    heads = ("n", "coverage", "regression", "width", "regression", "interval score", "regression")
-    return ReportTable("Intervals beside those of the regression", "before", heads, rows, (SCORE_NOTE, SHARE_NOTE))
-
-
-def _cells(group: Mapping[str, Any]) -> tuple[Cell, ...]:
-    return (
-        *_figures(group),
-        *(Cell(format_estimate(get_number(get_part(group, "baselines", name, "mae_pct")), 2)) for name in BASELINES),
-        Cell(compare_with_best(group)),
-    )
-
-
-def _figures(group: Mapping[str, Any]) -> tuple[Cell, ...]:
-    return (
-        Cell(format_count(group["n"])),
-        Cell(format_estimate(group["mae_pct"], 2), strong=True),
-        Cell(format_difference(group["bias_pct"], 2)),
-        Cell(format_share(group["coverage"])),
-        Cell(format_estimate(get_number(group["width_pct"]), 1)),
-    )
-
-
-def format_share(share: Any) -> str:
+def format_share(share: ClusteredShare) -> str:
     """Return a share with its interval, and only the interval where vehicle-days are too few.
 
     Examples
     --------
-    >>> format_share({"value": 0.9, "low": 0.871, "high": 0.92, "clusters": 300})
+    >>> format_share(ClusteredShare(value=0.9, low=0.871, high=0.92, clusters=300))
     '90.0 % (87.1 to 92.0)'
-    >>> format_share({"value": 0.571, "low": 0.25, "high": 0.842, "clusters": 7})
+    >>> format_share(ClusteredShare(value=0.571, low=0.25, high=0.842, clusters=7))
     'too few (25.0 to 84.2)'
     """
-    low, high, clusters = (
-        get_number(get_part(share, "low")),
-        get_number(get_part(share, "high")),
-        get_number(get_part(share, "clusters")),
-    )
-    if not clusters:
+    if not share.clusters:
         return UNKNOWN
-    value = format_percent(get_number(share)) if clusters >= LEAST_CLUSTERS else TOO_FEW
-    return value + ("" if low is None or high is None else f" ({100 * low:.1f} to {100 * high:.1f})")
+    value = format_percent(share.value) if share.clusters >= LEAST_CLUSTERS else TOO_FEW
+    if share.low is None or share.high is None:
+        return value
+    return f"{value} ({100 * share.low:.1f} to {100 * share.high:.1f})"
 
 
-def compare_with_best(group: Mapping[str, Any]) -> str:
-    """Return the forecasts' error relative to the best baseline's, where there are enough vehicle-days.
+def format_skill(skill: EstimatedValue) -> str:
+    """Return a skill with its interval.
 
     Examples
     --------
-    >>> best = {"forecast_mae_pct": 0.9, "mae_pct": 1.2, "vehicle_days": 30}
-    >>> compare_with_best({"best": best}), compare_with_best({"best": best | {"vehicle_days": 29}})
-    ('−25.0 %', '–')
-    >>> compare_with_best({"best": None})
-    '–'
+    >>> format_skill(EstimatedValue(value=0.412, ci95=0.12))
+    '+41 ± 12 %'
     """
-    best = get_mapping(group, "best")
-    if not best or best["vehicle_days"] < LEAST_CLUSTERS:
+    if skill.value is None:
         return UNKNOWN
-    return format_change(get_number(get_part(best, "forecast_mae_pct")), get_number(get_part(best, "mae_pct")))
+    return format_minus(f"{100 * skill.value:+.0f}{'' if skill.ci95 is None else f' ± {100 * skill.ci95:.0f}'} %")
 
 
-def tabulate_conditions(result: Result) -> list[ReportTable]:
-    """Return the figures by each condition in which the shifts differ."""
-    heads = ("vehicle-days", *FIGURES, f"MAE, {SHOWN_AT} h", f"to best, {SHOWN_AT} h")
-    tables = []
-    for name, bins in get_mapping(result, "by").items():
-        rows = tuple(Row(format_bin(name, str(part["bin"])), _of_bin(part)) for part in bins)
-        unit = UNITS.get(name, "")
-        notes = (PERCENT_NOTE, "All columns but the last two pool all times ahead.", COVERAGE_NOTE, BEST_NOTE)
-        if len(rows) > 1:
-            tables.append(ReportTable(f"By {name}", f"{name}{unit}", heads, rows, notes))
-    return tables
+FORMATS: Final[Mapping[str, Callable[[Any], str]]] = MappingProxyType(
+    {
+        **record_table.FORMATS,
+        "charge": lambda value: format_estimate(value, 2),
+        "difference": lambda value: format_difference(value, 2),
+        "value": lambda estimate: format_estimate(estimate.value, 1),
+        "clustered share": format_share,
+        "skill": format_skill,
+        "four decimals": lambda value: format_estimate(value, 4),
+    }
+)
+"""Formats of the fields of these tables."""
+tabulate: Final = partial(tabulate_records, formats=FORMATS, total="all")
+"""Return a table of records of this evaluation."""
 
 
-def _of_bin(part: Mapping[str, Any]) -> tuple[Cell, ...]:
-    pooled, at = get_mapping(part, "pooled"), get_mapping(part, "hours", SHOWN_AT)
-    return (
-        Cell(format_count(pooled["vehicle_days"])),
-        *_figures(pooled),
-        Cell(format_estimate(get_number(at.get("mae_pct")), 2)),
-        Cell(compare_with_best(at)),
+def tabulate_figures(
+    title: str, corner: str, groups: Mapping[str, ForecastFigures], notes: tuple[str, ...], **options: Any
+) -> ReportTable:
+    """Return a table of the figures of forecasts."""
+    return tabulate(
+        title,
+        groups,
+        ForecastFigures,
+        corner=corner,
+        notes=notes,
+        strong=lambda name, *_: name == "mae_pct",
+        **{"fields": FIGURES} | options,
     )
 
 
-def tabulate_legs(result: Result) -> list[ReportTable]:
+def tabulate_by_time(result: SocEvaluation) -> ReportTable:
+    """Return errors, coverage and width by the time ahead."""
+    groups = {**result.overall.hours, "all": result.overall.pooled}
+    best = [compare_with_best(group.best if hours != "0" else None) for hours, group in groups.items()]
+    more = [*_list_baseline_errors(groups.values(), HEADS), ("to best", best)]
+    meanings = "; ".join(f"{HEADS[name]}: {meaning}" for name, meaning in BASELINES.items())
+    notes = (PERCENT_NOTE, COVERAGE_NOTE, f"Baselines (MAE only): {meanings}.", BEST_NOTE)
+    title = "Forecasts of the state of charge at the shift's end"
+    return tabulate_figures(title, "before", groups, notes, more=more, label=format_hours)
+
+
+def format_hours(hours: str) -> str:
+    """Return a time ahead with its unit, `all` as it is. [h]"""
+    return hours if hours == "all" else f"{hours} h"
+
+
+def _list_baseline_errors(groups: Iterable[ForecastFigures], names: Iterable[str]) -> list[tuple[str, list[str]]]:
+    """Return the columns of the errors of baselines."""
+    return [(HEADS[name], [format_estimate(of.baselines[name].mae_pct.value, 2) for of in groups]) for name in names]
+
+
+def tabulate_intervals(result: SocEvaluation) -> ReportTable:
+    """Return the intervals of forecasts and regression side by side, by the time ahead."""
+    groups = {**result.overall.hours, "all": result.overall.pooled}
+    both = {hours: group.regression for hours, group in groups.items() if hours != "0" and group.regression.n}
+    title, notes = "Intervals beside those of the regression", (SCORE_NOTE, SHARE_NOTE)
+    return tabulate(title, both, RegressionIntervals, corner="before", label=format_hours, notes=notes)
+
+
+def compare_with_best(best: BestBaseline | None) -> str:
+    """Return the forecasts' error relative to the best baseline's, where there are enough vehicle-days."""
+    if best is None or best.vehicle_days < LEAST_CLUSTERS:
+        return UNKNOWN
+    return format_change(best.forecast_mae_pct, best.mae_pct)
+
+
+def tabulate_conditions(result: SocEvaluation) -> list[ReportTable]:
+    """Return the figures by each condition in which the shifts differ."""
+    notes = (PERCENT_NOTE, "All columns but the last two pool all times ahead.", COVERAGE_NOTE, BEST_NOTE)
+    tables = []
+    for name, bins in result.by.items():
+        at = [part.hours.get(SHOWN_AT) for part in bins]
+        errors = [format_estimate(each.mae_pct.value, 2) if each else UNKNOWN for each in at]
+        best = [compare_with_best(each.best if each else None) for each in at]
+        more = [(f"MAE, {SHOWN_AT} h", errors), (f"to best, {SHOWN_AT} h", best)]
+        options = {"fields": ("vehicle_days", *FIGURES), "more": more, "label": partial(format_bin, name)}
+        groups = {part.bin: part.pooled for part in bins}
+        made = tabulate_figures(f"By {name}", f"{name}{UNITS.get(name, '')}", groups, notes, **options)
+        if len(bins) > 1:
+            tables.append(made)
+    return tables
+
+
+def tabulate_legs(result: SocEvaluation) -> list[ReportTable]:
     """Return the figures of single legs and around planned charges, by the time ahead."""
-    heads = (*FIGURES, *(HEADS[name] for name in LEG_BASELINES))
     titles = {
         "without a charge": "State of charge at the end of single legs",
         "charged later": "The same where the car charged later in the shift",
         "to the next charge": "The last of these legs before the next charge",
-    }
-    charge_titles = {
         "to the charge": "State of charge when the next planned charge begins",
         "over the charge": "State of charge at the end of a shift with a planned charge",
     }
-    legs, charges = get_mapping(result, "legs"), get_mapping(result, "charges")
-    notes = (PERCENT_NOTE, COVERAGE_NOTE)
-    return [
-        *(
-            ReportTable(title, "minutes ahead", heads, tuple(map(_leg_row, legs[key])), (LEG_NOTE, *notes))
-            for key, title in titles.items()
-            if legs.get(key)
-        ),
-        *(
-            ReportTable(title, "time ahead", heads, tuple(map(_leg_row, charges[key])), notes)
-            for key, title in charge_titles.items()
-            if charges.get(key)
-        ),
-    ]
-
-
-def _leg_row(group: Mapping[str, Any]) -> Row:
-    theirs = (
-        Cell(format_estimate(get_number(get_part(group, "baselines", name, "mae_pct")), 2)) for name in LEG_BASELINES
-    )
-    return Row(group["bin"], (*_figures(group), *theirs), total=group["bin"] == "all")
+    parts = {**result.legs, **result.charges}
+    tables = []
+    for key, title in titles.items():
+        if bins := {each.bin: each for each in parts.get(key, ())}:
+            corner, first = ("minutes ahead", (LEG_NOTE,)) if key in result.legs else ("time ahead", ())
+            more = _list_baseline_errors(bins.values(), LEG_BASELINES)
+            tables.append(tabulate_figures(title, corner, bins, (*first, PERCENT_NOTE, COVERAGE_NOTE), more=more))
+    return tables
 
 
 def format_bin(condition: str, name: str) -> str:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from socast.core.errors import ModelError
 from socast.core.evaluate.compare.models import compare_pairs, compare_predictions, find_worst_rides, select_rides
-from socast.core.evaluate.compare.records import EstimatedValue
+from socast.core.evaluate.records import EstimatedValue
 from socast.core.evaluate.relative_errors import LEAST_ENERGY
 from socast.core.fit.ride_blocks import assign_vehicle_days
 from socast.core.models import EXTENDED_PHYSICAL, Term

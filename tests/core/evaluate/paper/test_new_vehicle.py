@@ -125,13 +125,13 @@ def test_tables_12_and_13_average_over_clusters_relative_to_basic_model(table):
         basic, row = (PER_KM[name] - 0.1) * means.mean(), result["per_km"][name]
         others = table.rides[table.rides["vehicle_model"] != name]
         rate = others["energy_kwh"].sum() / others["distance_km"].sum()
-        assert row["basic"] == pytest.approx(basic, rel=0.02)
-        assert row["mae"] == pytest.approx(abs(rate - PER_KM[name]) * means.mean(), rel=0.05)
-        assert row["relative"] == pytest.approx(abs(rate - PER_KM[name]) / PER_KM[name], rel=0.05)
-        assert row["reduction"] == pytest.approx(1.0 - row["mae"] / row["basic"])
-    reductions = [result["per_km"][name]["reduction"] for name in MODELS]
-    assert result["per_km"]["average"]["reduction"] == pytest.approx(np.mean(reductions))
-    assert result["basic_physical"]["average"]["reduction"] == 0.0
+        assert row.basic == pytest.approx(basic, rel=0.02)
+        assert row.mae == pytest.approx(abs(rate - PER_KM[name]) * means.mean(), rel=0.05)
+        assert row.relative == pytest.approx(abs(rate - PER_KM[name]) / PER_KM[name], rel=0.05)
+        assert row.reduction == pytest.approx(1.0 - row.mae / row.basic)
+    reductions = [result["per_km"][name].reduction for name in MODELS]
+    assert result["per_km"]["average"].reduction == pytest.approx(np.mean(reductions))
+    assert result["basic_physical"]["average"].reduction == 0.0
 
 
 def test_learners_are_both_variants_of_fitted_physical_and_adaptable_recipes():
@@ -201,8 +201,8 @@ def test_learning_curves_have_intervals_over_draws_and_notes_on_failures(table):
     curves, notes = tabulate_learning_curves(result)
     assert list(curves[MODELS[0]]) == ["good"]
     points = curves[MODELS[0]]["good"]
-    assert [point["rides"] for point in points] == list(new_vehicle.RIDE_COUNTS)
-    assert points[0]["ci95"] < points[1]["ci95"], "without rides of its own only the test differs between draws"
+    assert [point.rides for point in points] == list(new_vehicle.RIDE_COUNTS)
+    assert points[0].ci95 < points[1].ci95, "without rides of its own only the test differs between draws"
     assert notes == ["broken on a few rides of kia-soul-ev-2015: too few rides: give more"]
 
 
@@ -211,7 +211,7 @@ def test_reference_curve_is_better_variant_at_each_point():
     curves, _ = tabulate_learning_curves(
         {("leaf", new_vehicle.BENCHMARK_UNCHANGED): others, ("leaf", new_vehicle.BENCHMARK_REFITTED): refitted}
     )
-    assert [p["mae"] for p in curves["leaf"]["fitted_physical"]] == pytest.approx([0.2, 0.2, 0.2, 0.2, 0.1, 0.05])
+    assert [p.mae for p in curves["leaf"]["fitted_physical"]] == pytest.approx([0.2, 0.2, 0.2, 0.2, 0.1, 0.05])
     assert list(curves["leaf"]) == ["fitted_physical", "fitted_physical_others", "fitted_physical_refitted"]
 
 

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass, field
 from math import pi, sqrt
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pytest
@@ -14,7 +15,9 @@ from socast.core.evaluate.binning import SEASONS
 from socast.core.evaluate.paper.accessories import compute_figure_1
 from socast.core.evaluate.paper.held_out import select_comparable, word_limited
 from socast.core.evaluate.paper.protocol import evaluate, select_recipes
+from socast.core.evaluate.paper.records import RecipeEvaluation
 from socast.core.evaluate.paper.runs import Prediction
+from socast.core.evaluate.records import EstimatedValue
 from socast.core.evaluate.ride_filter import CLUSTERS, LEAST_RIDES, filter_rides
 from socast.core.models import HILLS_OF_BUILT_IN
 from socast.core.stats.splits import Split
@@ -95,104 +98,112 @@ def result(rides):
     return evaluation
 
 
-def test_result_is_plain_json_with_every_part(result):
-    assert json.loads(json.dumps(result, allow_nan=False)) == result
-    for part in (
-        *("about", "rides", "consumption", "test_consumption", "recipes", "mae", "reduction", "relative"),
-        *("difference", "dominates", "bias", "rmse", "bands", "by", "coverage", "buffer_kwh", "splits", "new_vehicle"),
-        *("few_shot", "selection", "curve"),
-    ):
-        assert part in result
-    assert result["recipes"] == dict.fromkeys(("basic_physical", "close", "true"), "toy")
-    assert result["about"]["vehicle_models"] == sorted(MODELS)
-    assert result["about"]["clusters"] == list(CLUSTERS[:5])
+def test_result_becomes_json_with_every_part_and_back(result):
+    values = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    assert msgspec.convert(values, RecipeEvaluation) == result
+    assert set(values) == set(RecipeEvaluation.__struct_fields__)
+    assert result.recipes == dict.fromkeys(("basic_physical", "close", "true"), "toy")
+    assert result.about.vehicle_models == sorted(MODELS)
+    assert result.about.clusters == list(CLUSTERS[:5])
 
 
 def test_ride_counts_and_consumption_match_ride_table(result, rides):
     for model in MODELS:
         of_model = rides[rides["vehicle_model"] == model]
-        assert result["rides"][model]["total"] == len(of_model)
-        assert result["rides"][model]["5-10"] == of_model["distance_km"].between(5, 10, inclusive="left").sum()
+        assert result.rides[model]["total"] == len(of_model)
+        assert result.rides[model]["5-10"] == of_model["distance_km"].between(5, 10, inclusive="left").sum()
         for cluster in ("0-5", "10-15"):
             low, high = (float(end) for end in cluster.split("-"))
             at = of_model["distance_km"].between(low, high, inclusive="left")
-            assert result["consumption"][model][cluster] == pytest.approx(of_model["energy_kwh"][at].mean())
+            assert result.consumption[model][cluster] == pytest.approx(of_model["energy_kwh"][at].mean())
 
 
 def test_planted_error_lies_within_its_interval(result):
     truth = SD * sqrt(2 / pi)
     for model in MODELS:
-        error = result["mae"]["true"][model]["average"]
-        assert abs(error["value"] - truth) < 1.5 * error["ci95"]
-        assert error["ci95"] < 0.3 * truth
-        assert result["rmse"]["true"][model] == pytest.approx(SD, rel=0.1)
-        assert result["bias"]["basic_physical"][model] == pytest.approx(0.3, abs=0.01)
+        error = result.mae["true"][model]["average"]
+        assert abs(error.value - truth) < 1.5 * error.ci95
+        assert error.ci95 < 0.3 * truth
+        assert result.rmse["true"][model] == pytest.approx(SD, rel=0.1)
+        assert result.bias["basic_physical"][model] == pytest.approx(0.3, abs=0.01)
 
 
 def test_averages_are_plain_means_and_bottom_row_is_weighted_by_all_rides(result):
-    mae, count = result["mae"]["close"], result["rides"]
+    mae, count = result.mae["close"], result.rides
     for model in MODELS:
-        known = [mae[model][c]["value"] for c in CLUSTERS[:5] if mae[model][c]["value"] is not None]
-        assert mae[model]["average"]["value"] == pytest.approx(np.mean(known))
+        known = [mae[model][c].value for c in CLUSTERS[:5] if mae[model][c].value is not None]
+        assert mae[model]["average"].value == pytest.approx(np.mean(known))
     for cluster in ("0-5", "5-10"):
         weights = [count[m]["total"] for m in MODELS]
-        values = [mae[m][cluster]["value"] for m in MODELS]
-        assert mae["weighted"][cluster]["value"] == pytest.approx(np.average(values, weights=weights))
+        values = [mae[m][cluster].value for m in MODELS]
+        assert mae["weighted"][cluster].value == pytest.approx(np.average(values, weights=weights))
 
 
 def test_reductions_are_relative_to_basic_physical_model(result):
-    average = {r: {m: rows[m]["average"]["value"] for m in MODELS} for r, rows in result["mae"].items()}
-    for recipe, shares in result["reduction"].items():
+    average = {r: {m: rows[m]["average"].value for m in MODELS} for r, rows in result.mae.items()}
+    for recipe, shares in result.reduction.items():
         expected = [1 - average[recipe][m] / average["basic_physical"][m] for m in MODELS]
         assert [shares[m] for m in MODELS] == pytest.approx(expected)
         assert shares["average"] == pytest.approx(np.mean(expected))
-    relative = result["relative"]["true"]["5-10"]
-    mean = result["test_consumption"]["weighted"]["5-10"]["value"]
-    assert relative == pytest.approx(result["mae"]["true"]["weighted"]["5-10"]["value"] / mean)
+    relative = result.relative["true"]["5-10"]
+    mean = result.test_consumption["weighted"]["5-10"].value
+    assert relative == pytest.approx(result.mae["true"]["weighted"]["5-10"].value / mean)
+
+
+def test_frames_have_a_row_for_each_recipe_and_vehicle_model_or_kind_of_split(result):
+    errors = result.errors.set_index(["recipe", "vehicle_model"])
+    assert len(errors) == 3 * len(MODELS)
+    for model in MODELS:
+        cell = result.mae["true"][model]["average"]
+        assert tuple(errors.loc["true", model][["mae", "mae_ci95"]]) == (cell.value, cell.ci95)
+        assert errors.loc["close", model]["mae_by_date"] == result.splits["date"]["close"][model]
+    percentages = result.percentages.set_index(["held_out", "recipe"])
+    assert percentages.loc[("date", "true"), "wmape"] == result.percentage.date.recipes["true"].wmape.value
+    assert len(percentages) == 3 * 3
 
 
 def test_planted_best_model_dominates_and_equal_model_codominates(rides, result):
-    assert set(result["dominates"]["all"]) == {"true"}
-    assert result["difference"]["all"]["basic_physical|true"]["p"] < 1e-6
-    assert result["difference"]["all"]["basic_physical|true"]["value"] > 0.0
+    assert set(result.dominates["all"]) == {"true"}
+    assert result.difference["all"]["basic_physical|true"].p < 1e-6
+    assert result.difference["all"]["basic_physical|true"].value > 0.0
     rng = np.random.default_rng(1)
     shaken = rng.normal(0.0, 0.001, len(rides))
     twin = Toy("twin", lambda predicted: per_km()(predicted) + shaken[predicted.index])
     evaluation = evaluate(rides, recipes(HIGH, TRUE, twin), seed=5)
-    assert set(evaluation["dominates"]["all"]) == {"true", "twin"}
+    assert set(evaluation.dominates["all"]) == {"true", "twin"}
 
 
 def test_cluster_with_few_rides_has_no_figure(result):
-    few = [(m, c) for m in MODELS for c in CLUSTERS[:5] if 0 < result["rides"][m][c] < LEAST_RIDES]
-    many = [(m, c) for m in MODELS for c in CLUSTERS[:5] if result["rides"][m][c] >= LEAST_RIDES]
+    few = [(m, c) for m in MODELS for c in CLUSTERS[:5] if 0 < result.rides[m][c] < LEAST_RIDES]
+    many = [(m, c) for m in MODELS for c in CLUSTERS[:5] if result.rides[m][c] >= LEAST_RIDES]
     assert few
     assert many
     for model, cluster in few:
-        assert result["mae"]["true"][model][cluster] == {"value": None, "ci95": None}
+        assert result.mae["true"][model][cluster] == EstimatedValue()
     for model, cluster in many:
-        assert result["mae"]["true"][model][cluster]["ci95"] > 0.0
+        assert result.mae["true"][model][cluster].ci95 > 0.0
 
 
 def test_intervals_cover_planted_errors_and_buffers_are_quantiles(result):
-    covered = result["coverage"]["true"]
-    assert set(result["coverage"]) == {"true"}
-    assert covered["overall"] == pytest.approx(0.9, abs=0.03)
-    assert covered["width_kwh"] == pytest.approx(2 * 1.6449 * SD)
-    for part in ("cluster", "season", "vehicle_model"):
-        assert covered[part]
-        assert all(0.7 <= share <= 1.0 for share in covered[part].values())
-    assert {"by_vehicle", "by_date", "new_vehicle"} <= set(covered)
-    assert result["buffer_kwh"]["true"]["95"] == pytest.approx(1.645 * SD, rel=0.15)
-    assert result["buffer_kwh"]["basic_physical"]["95"] == pytest.approx(1.645 * SD - 0.3, abs=0.03)
+    covered = result.coverage["true"]
+    assert set(result.coverage) == {"true"}
+    assert covered.overall == pytest.approx(0.9, abs=0.03)
+    assert covered.width_kwh == pytest.approx(2 * 1.6449 * SD)
+    for shares in (covered.cluster, covered.season, covered.vehicle_model):
+        assert shares
+        assert all(0.7 <= share <= 1.0 for share in shares.values())
+    assert None not in (covered.by_vehicle, covered.by_date, covered.new_vehicle)
+    assert result.buffer_kwh["true"]["95"] == pytest.approx(1.645 * SD, rel=0.15)
+    assert result.buffer_kwh["basic_physical"]["95"] == pytest.approx(1.645 * SD - 0.3, abs=0.03)
 
 
 def test_errors_are_reported_by_distance_temperature_season_and_driver(result):
-    assert set(result["by"]) == {"distance", "temperature", "season", "driver"}
-    assert [b["bin"] for b in result["by"]["season"]["true"]] == list(SEASONS)
-    assert [b["bin"] for b in result["by"]["driver"]["true"]] == ["ana", "bo"]
-    total = sum(b["n"] for b in result["by"]["driver"]["true"])
-    assert total == sum(b["n"] for b in result["by"]["season"]["true"])
-    assert "0 to 5" in {b["bin"] for b in result["by"]["temperature"]["true"]}
+    assert set(result.by) == {"distance", "temperature", "season", "driver"}
+    assert [b.bin for b in result.by["season"]["true"]] == list(SEASONS)
+    assert [b.bin for b in result.by["driver"]["true"]] == ["ana", "bo"]
+    total = sum(b.n for b in result.by["driver"]["true"])
+    assert total == sum(b.n for b in result.by["season"]["true"])
+    assert "0 to 5" in {b.bin for b in result.by["temperature"]["true"]}
 
 
 def test_predicted_rides_have_no_energy_columns_and_are_not_trained_on(rides):
@@ -219,17 +230,17 @@ def test_splits_by_vehicle_and_by_date_hold_out_cars_and_days(rides):
 
     evaluation = evaluate(rides, recipes(TRUE, Memory("memory", None)), seed=1)
     for model in MODELS:
-        assert evaluation["splits"]["ride"]["memory"][model] < 2.5
-        assert evaluation["splits"]["vehicle"]["memory"][model] == pytest.approx(5.0, abs=0.05)
-        assert evaluation["splits"]["date"]["memory"][model] == pytest.approx(5.0, abs=0.05)
-        assert evaluation["splits"]["vehicle"]["true"][model] < 0.12
+        assert evaluation.splits["ride"]["memory"][model] < 2.5
+        assert evaluation.splits["vehicle"]["memory"][model] == pytest.approx(5.0, abs=0.05)
+        assert evaluation.splits["date"]["memory"][model] == pytest.approx(5.0, abs=0.05)
+        assert evaluation.splits["vehicle"]["true"][model] < 0.12
 
 
 def test_result_depends_on_seed_but_not_on_processes_or_ride_order():
     table, wanted = fleet(400, models=MODELS[:1]), select_recipes("basic_physical,empirical", None)
     one = evaluate(table, wanted, seed=7, repeats=2)
     assert evaluate(table.sample(frac=1.0, random_state=1), wanted, seed=7, repeats=2, jobs=2) == one
-    assert evaluate(table, wanted, seed=8, repeats=2)["mae"] != one["mae"]
+    assert evaluate(table, wanted, seed=8, repeats=2).mae != one.mae
 
 
 def test_vehicle_model_left_out_of_training_changes_new_vehicle_errors_only(rides, result):
@@ -244,21 +255,21 @@ def test_vehicle_model_left_out_of_training_changes_new_vehicle_errors_only(ride
         evaluate(table, recipes(HIGH, Trained("rate", None)), seed=1, repeats=2, left_out_of_training=left_out)
         for left_out in ((), ("nissan-leaf",))
     )
-    assert plain["about"]["left_out_of_training"] == []
-    assert without["about"]["left_out_of_training"] == ["nissan-leaf-2013"]
-    assert without["mae"] == plain["mae"]
-    errors = {name: without["new_vehicle"]["rate"][name]["mae"] for name in (*MODELS, "nissan-leaf-2013")}
-    assert errors.pop("nissan-leaf-2013") == plain["new_vehicle"]["rate"]["nissan-leaf-2013"]["mae"]
+    assert plain.about.left_out_of_training == []
+    assert without.about.left_out_of_training == ["nissan-leaf-2013"]
+    assert without.mae == plain.mae
+    errors = {name: without.new_vehicle["rate"][name].mae for name in (*MODELS, "nissan-leaf-2013")}
+    assert errors.pop("nissan-leaf-2013") == plain.new_vehicle["rate"]["nissan-leaf-2013"].mae
     for name, error in errors.items():
-        assert error < 0.2 * plain["new_vehicle"]["rate"][name]["mae"]
+        assert error < 0.2 * plain.new_vehicle["rate"][name].mae
     two = evaluate(rides, recipes(HIGH, TRUE), seed=1, repeats=2, left_out_of_training=MODELS[:1])
-    assert list(two["new_vehicle"]["true"]) == [MODELS[0], "average"]
-    assert two["about"]["notes"] == [
+    assert list(two.new_vehicle["true"]) == [MODELS[0], "average"]
+    assert two.about.notes == [
         "intervals by ride are 11.3 times as wide over 2 repeats as over many: give --repeats 8 or more",
         f"{MODELS[1]}: not tested as a new vehicle model, for want of rides to test or of others to train on",
         f"basic_physical: {HILLS_OF_BUILT_IN}",
     ]
-    assert result["about"]["notes"] == [f"basic_physical: {HILLS_OF_BUILT_IN}"]
+    assert result.about.notes == [f"basic_physical: {HILLS_OF_BUILT_IN}"]
 
 
 def test_failing_recipe_is_left_out_with_note(rides):
@@ -266,8 +277,8 @@ def test_failing_recipe_is_left_out_with_note(rides):
         raise ModelError("column 'x' is missing: add it")
 
     evaluation = evaluate(rides, recipes(TRUE, Toy("broken", refuse)), seed=1)
-    assert list(evaluation["mae"]) == ["true"]
-    assert evaluation["about"]["notes"] == ["broken: column 'x' is missing: add it"]
+    assert list(evaluation.mae) == ["true"]
+    assert evaluation.about.notes == ["broken: column 'x' is missing: add it"]
     with pytest.raises(ModelError, match="no recipe can be evaluated: broken: column 'x'"):
         evaluate(rides, recipes(Toy("broken", refuse)), seed=1)
 
@@ -299,14 +310,14 @@ def test_one_car_on_one_day_is_evaluated_without_parts_that_need_more():
     table = fleet(200, models=MODELS[:1])
     table = table.assign(vehicle_id="one", date="2018-01-15").drop(columns="driver_id")
     evaluation = evaluate(table, recipes(HIGH, TRUE), seed=1)
-    assert evaluation["dominates"]["all"] == ["true"]
-    assert evaluation["new_vehicle"] == {}
-    assert evaluation["few_shot"] == {}
-    assert evaluation["by"]["driver"]["true"] == []
-    assert "by_vehicle" not in evaluation["coverage"]["true"]
-    assert evaluation["splits"]["vehicle"]["true"][MODELS[0]] is None
-    assert evaluation["splits"]["date"]["true"][MODELS[0]] is None
-    *notes, hills = evaluation["about"]["notes"]
+    assert evaluation.dominates["all"] == ["true"]
+    assert evaluation.new_vehicle == {}
+    assert evaluation.few_shot == {}
+    assert evaluation.by["driver"]["true"] == []
+    assert "by_vehicle" not in evaluation.coverage["true"].to_json()
+    assert evaluation.splits["vehicle"]["true"][MODELS[0]] is None
+    assert evaluation.splits["date"]["true"][MODELS[0]] is None
+    *notes, hills = evaluation.about.notes
     assert len(notes) == 3
     assert hills == f"basic_physical: {HILLS_OF_BUILT_IN}"
 
@@ -354,10 +365,10 @@ def test_figure_1_recovers_planted_curve_and_points_on_it():
     table = table.assign(effect_aero_drag_wind=table["effect_aero_drag"], start_s=table["start_s"] + np.arange(3000))
     table = planted_rides.noisy(table, planted_rides.physical_energy(table), of_day=0.0)
     evaluation = compute_figure_1(filter_rides(table))[MODELS[0]]
-    planted, fitted = planted_rides.PLANTED, AccessoryCurve(**evaluation["curve"])
-    assert sum(point["rides"] for point in evaluation["points"]) <= 3000
-    assert len(evaluation["points"]) > 20
-    for point in evaluation["points"]:
-        at = np.array([point["ambient_c"] + ZERO_CELSIUS])
-        assert point["power_w"] == pytest.approx(planted.power(at)[0], abs=4 * 600.0 / sqrt(point["rides"]) + 60.0)
+    planted, fitted = planted_rides.PLANTED, AccessoryCurve(**evaluation.curve)
+    assert sum(point.rides for point in evaluation.points) <= 3000
+    assert len(evaluation.points) > 20
+    for point in evaluation.points:
+        at = np.array([point.ambient_c + ZERO_CELSIUS])
+        assert point.power_w == pytest.approx(planted.power(at)[0], abs=4 * 600.0 / sqrt(point.rides) + 60.0)
         assert fitted.power(at)[0] == pytest.approx(planted.power(at)[0], abs=150.0)

@@ -31,41 +31,41 @@ def selection():
 
 
 def test_decoy_terms_are_removed_and_planted_terms_stay(selection):
-    assert selection["constant"] == ["nominal_capacity_kwh"]
-    assert set(selection["rfe"]["removed"]) == set(DECOYS)
-    assert not set(selection["rfecv"]["removed"]) & set(PLANTED)
-    assert len(selection["rfecv"]["removed"]) >= 2
+    assert selection.constant == ["nominal_capacity_kwh"]
+    assert set(selection.rfe.removed) == set(DECOYS)
+    assert not set(selection.rfecv.removed) & set(PLANTED)
+    assert len(selection.rfecv.removed) >= 2
 
 
 def test_loss_of_removal_is_reported_for_each_step(selection):
-    steps = selection["rfe"]["steps"]
-    assert {step["term"] for step in steps[: len(DECOYS)]} == set(DECOYS)
+    steps = selection.rfe.steps
+    assert {step.term for step in steps[: len(DECOYS)]} == set(DECOYS)
     assert len(steps) == len(PLANTED) + len(DECOYS) - 1
-    assert steps[len(DECOYS)]["loss"]["value"] > 0.005
-    assert steps[len(DECOYS)]["loss"]["p"] < 1e-3
-    assert selection["rfecv"]["loss"]["value"] < 0.001
-    scores = {score["terms"]: score["mae"] for score in selection["rfecv"]["scores"]}
+    assert steps[len(DECOYS)].loss.value > 0.005
+    assert steps[len(DECOYS)].loss.p < 1e-3
+    assert selection.rfecv.loss.value < 0.001
+    scores = {score.terms: score.mae for score in selection.rfecv.scores}
     assert min(scores) == 1
     assert scores[3] < scores[2] < scores[1]
     assert scores[3] == pytest.approx(0.05 * np.sqrt(2 / np.pi), rel=0.1)
 
 
 def test_total_loss_equals_loss_of_last_removal(selection):
-    assert selection["rfe"]["loss"] == selection["rfe"]["steps"][len(DECOYS) - 1]["loss"]
-    assert set(selection["rfe"]["loss"]) == {"value", "ci95", "p", "upper95"}
+    assert selection.rfe.loss == selection.rfe.steps[len(DECOYS) - 1].loss
+    assert set(selection.rfe.loss.to_json()) == {"value", "ci95", "p", "upper95"}
 
 
 def test_elimination_with_a_margin_removes_decoys_and_states_what_it_allows(selection):
-    margin = selection["margin"]
-    assert set(margin["removed"]) == set(DECOYS)
-    assert margin["largest"] == pytest.approx(0.01 * margin["error"])
-    assert margin["loss"]["upper95"] <= margin["largest"]
-    assert margin["steps"][len(DECOYS)]["loss"]["upper95"] > margin["largest"]
+    margin = selection.margin
+    assert set(margin.removed) == set(DECOYS)
+    assert margin.largest == pytest.approx(0.01 * margin.error)
+    assert margin.loss.upper95 <= margin.largest
+    assert margin.steps[len(DECOYS)].loss.upper95 > margin.largest
 
 
 def test_a_wider_margin_removes_more():
     removed = [
-        len(find_removable_terms(RECIPE, filter_rides(fleet()), 2, share)["margin"]["removed"]) for share in (0.0, 10.0)
+        len(find_removable_terms(RECIPE, filter_rides(fleet()), 2, share).margin.removed) for share in (0.0, 10.0)
     ]
     assert removed[0] <= len(DECOYS) < removed[1]
 
@@ -74,20 +74,20 @@ def test_on_few_rides_elimination_with_a_margin_removes_only_what_it_shows_to_co
     table = fleet(700)
     table["energy_kwh"] += np.random.default_rng(9).normal(0.0, 0.3, len(table))
     found = find_removable_terms(RECIPE, filter_rides(table), 2)
-    assert set(found["rfe"]["removed"]) & set(PLANTED)
-    assert len(found["margin"]["removed"]) < len(found["rfe"]["removed"])
-    shown = [step["loss"]["upper95"] for step in found["margin"]["steps"][: len(found["margin"]["removed"])]]
-    assert all(loss <= found["margin"]["largest"] for loss in shown)
+    assert set(found.rfe.removed) & set(PLANTED)
+    assert len(found.margin.removed) < len(found.rfe.removed)
+    shown = [step.loss.upper95 for step in found.margin.steps[: len(found.margin.removed)]]
+    assert all(loss <= found.margin.largest for loss in shown)
 
 
 def test_terms_of_physics_are_the_last_that_elimination_with_a_margin_takes():
     terms = (*FITTED_TERMS, *(make_term(c) for c in (*PLANTED, *DECOYS)), make_term())
     recipe = LinearRecipe("hybrid_full", "Hybrid", terms)
     found = find_removable_terms(recipe, filter_rides(fleet()), 2)
-    names, physics = [step["term"] for step in found["margin"]["steps"]], {term.name for term in FITTED_TERMS}
+    names, physics = [step.term for step in found.margin.steps], {term.name for term in FITTED_TERMS}
     first = min(names.index(name) for name in physics & set(names))
     assert set(names[first:]) <= physics
-    assert len(names) == len(found["rfe"]["steps"])
+    assert len(names) == len(found.rfe.steps)
 
 
 def test_a_column_of_rounding_is_constant_for_elimination():
@@ -97,7 +97,7 @@ def test_a_column_of_rounding_is_constant_for_elimination():
     table.loc[table.index[::400], "effect_inertia"] = 0.02
     of_rounding = table.assign(effect_inertia=np.where(table["effect_inertia"] < 0.01, table["effect_inertia"], 0.0))
     constant = [
-        find_removable_terms(LinearRecipe("hybrid_full", "Hybrid", terms), filter_rides(rides), 2)["constant"]
+        find_removable_terms(LinearRecipe("hybrid_full", "Hybrid", terms), filter_rides(rides), 2).constant
         for rides in (table, of_rounding)
     ]
     assert constant == [[], ["inertia"]]
@@ -105,9 +105,9 @@ def test_a_column_of_rounding_is_constant_for_elimination():
 
 def test_no_loss_where_no_term_is_removable():
     recipe = LinearRecipe("hybrid_full", "Hybrid", (*(make_term(c) for c in PLANTED), make_term()))
-    rfe = find_removable_terms(recipe, filter_rides(fleet()), seed=2)["rfe"]
-    assert rfe["removed"] == []
-    assert rfe["loss"] is None
+    rfe = find_removable_terms(recipe, filter_rides(fleet()), seed=2).rfe
+    assert rfe.removed == []
+    assert rfe.loss is None
 
 
 def test_one_of_two_collinear_terms_is_removed_without_loss():
@@ -116,13 +116,11 @@ def test_one_of_two_collinear_terms_is_removed_without_loss():
     )
     table = fleet()
     table["energy_kwh"] += 0.5 * table["winter"]
-    steps = {
-        step["term"]: step["loss"] for step in find_removable_terms(recipe, filter_rides(table), seed=2)["rfe"]["steps"]
-    }
+    steps = {step.term: step.loss for step in find_removable_terms(recipe, filter_rides(table), seed=2).rfe.steps}
     first, second = (name for name in steps if name in {"winter", "summer"})
     before = list(steps)[list(steps).index(first) - 1]
-    assert steps[first]["value"] == pytest.approx(steps[before]["value"], abs=1e-9)
-    assert steps[second]["value"] > steps[first]["value"] + 0.1
+    assert steps[first].value == pytest.approx(steps[before].value, abs=1e-9)
+    assert steps[second].value > steps[first].value + 0.1
 
 
 def test_each_vehicle_model_has_separate_coefficients():
@@ -138,7 +136,7 @@ def test_each_vehicle_model_has_separate_coefficients():
 
 
 def test_selection_is_empty_with_few_rides_or_without_full_hybrid_recipe():
-    assert find_removable_terms(RECIPE, filter_rides(fleet(200)), seed=2) == {}
+    assert find_removable_terms(RECIPE, filter_rides(fleet(200)), seed=2).to_json() == {}
     assert plan_selection(filter_rides(fleet(200)), {"basic_physical": RECIPE}, seed=2) == {}
     assert plan_selection(filter_rides(fleet(200)), {"hybrid": RECIPE}, seed=2) == {}
     assert list(plan_selection(filter_rides(fleet(200)), {"hybrid_full": RECIPE}, seed=2)) == ["hybrid_full"]

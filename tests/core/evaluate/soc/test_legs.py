@@ -141,17 +141,17 @@ def test_leg_figures_match_planted_errors():
     legs = of_shifts.assign(
         soc_p05_pct=48.0, soc_p95_pct=52.0, soc_end_pct=50.0 + error, cluster=np.arange(len(of_shifts))
     )
-    matched = evaluate_soc(*frames, legs)["legs"]
-    assert [each["bin"] for each in matched["without a charge"]] == ["below 30", "60 to 120", "all"]
-    assert [each["bin"] for each in matched["charged later"]] == ["60 to 120", "all"]
+    matched = evaluate_soc(*frames, legs).legs
+    assert [each.bin for each in matched["without a charge"]] == ["below 30", "60 to 120", "all"]
+    assert [each.bin for each in matched["charged later"]] == ["60 to 120", "all"]
     for name, mine in (("without a charge", days % 4 != 0), ("charged later", days % 4 == 0)):
         whole = matched[name][-1]
-        assert whole["n"] == mine.sum()
-        assert whole["mae_pct"]["value"] == pytest.approx(np.abs(error[mine]).mean())
-        assert whole["coverage"]["value"] == np.mean(np.abs(error[mine]) <= 2.0)
-        assert whole["baselines"]["linear"]["n"] == 0
-        assert whole["baselines"]["rating"]["n"] == mine.sum()
-    assert evaluate_soc(*frames)["legs"] == {}
+        assert whole.n == mine.sum()
+        assert whole.mae_pct.value == pytest.approx(np.abs(error[mine]).mean())
+        assert whole.coverage.value == np.mean(np.abs(error[mine]) <= 2.0)
+        assert whole.baselines["linear"].n == 0
+        assert whole.baselines["rating"].n == mine.sum()
+    assert evaluate_soc(*frames).legs == {}
 
 
 def test_only_legs_before_the_next_planned_charge_are_recorded():

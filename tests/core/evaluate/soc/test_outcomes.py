@@ -7,6 +7,7 @@ import pytest
 from socast.core.evaluate.soc.cases import select_cases
 from socast.core.evaluate.soc.outcomes import count_impossible_bounds, replace_outcomes
 from socast.core.evaluate.soc.plans import PLAN_COLUMNS, PlanRecorder
+from socast.core.evaluate.soc.records import ImpossibleBounds
 from socast.core.evaluate.soc.report import compute_interval_score, evaluate_soc
 from socast.core.wire.messages import Message
 from tests.support.soc_frames import make_frames
@@ -43,9 +44,9 @@ def test_figures_by_fault_and_by_new_weather_are_told_apart():
     displays = make_displays(frames.shifts)
     displays["fault"] = np.where(displays["vehicle_id"] == "taxi-0", "frozen", None)
     result = evaluate_soc(*frames, displays=displays)
-    assert {part["bin"]: part["pooled"]["shifts"] for part in result["by"]["display"]} == {"frozen": 10, "healthy": 30}
-    assert sum(part["pooled"]["n"] for part in result["by"]["new weather"]) == result["about"]["forecasts"]
-    assert sum(part["pooled"]["n"] for part in result["by"]["shifts seen"]) == result["about"]["forecasts"]
+    assert {part.bin: part.pooled.shifts for part in result.by["display"]} == {"frozen": 10, "healthy": 30}
+    assert sum(part.pooled.n for part in result.by["new weather"]) == result.about.forecasts
+    assert sum(part.pooled.n for part in result.by["shifts seen"]) == result.about.forecasts
 
 
 def test_novelty_is_the_distance_from_what_was_met_on_earlier_days():
@@ -64,17 +65,17 @@ def test_bounds_above_the_present_charge_count_without_a_charge_ahead():
     outlooks = pd.DataFrame(
         {"vehicle_id": "a", "shift": 0, "time_s": [1.0, 2.0, 3.0], "soc_pct": 50.0, "soc_p95_pct": [49.0, 51.5, 60.0]}
     )
-    assert count_impossible_bounds(outlooks) == {"n": 3, "above": 2, "largest": 10.0}
+    assert count_impossible_bounds(outlooks) == ImpossibleBounds(n=3, above=2, largest=10.0)
     plans = pd.DataFrame([("a", 2.5, 1.0, 60.0, True, 80.0)], columns=list(PLAN_COLUMNS))
-    assert count_impossible_bounds(outlooks, plans) == {"n": 2, "above": 1, "largest": 1.5}
+    assert count_impossible_bounds(outlooks, plans) == ImpossibleBounds(n=2, above=1, largest=1.5)
 
 
 def test_impossible_bounds_are_remarked():
     frames = make_frames(cars=2, days=6)
-    assert any("above the present charge" in note for note in evaluate_soc(*frames)["notes"])
+    assert any("above the present charge" in note for note in evaluate_soc(*frames).notes)
     within = frames.outlooks.assign(soc_p95_pct=frames.outlooks[["soc_p95_pct", "soc_pct"]].min(axis=1, skipna=False))
-    assert evaluate_soc(within, frames.shifts)["bounds"]["above"] == 0
-    assert not any("above the present charge" in note for note in evaluate_soc(within, frames.shifts)["notes"])
+    assert evaluate_soc(within, frames.shifts).bounds.above == 0
+    assert not any("above the present charge" in note for note in evaluate_soc(within, frames.shifts).notes)
 
 
 def test_plans_that_cannot_be_read_are_left_out():

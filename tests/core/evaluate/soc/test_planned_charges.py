@@ -87,9 +87,9 @@ def test_person_expects_the_planned_charge_less_the_rides_after_it():
 
 
 def test_report_has_figures_around_charges_only_where_charges_are_planned():
-    figures = evaluate_soc(*make_charged_frames())["charges"]
+    figures = evaluate_soc(*make_charged_frames()).charges
     assert list(figures) == ["to the charge", "over the charge"]
-    assert [each["bin"] for each in figures["to the charge"]] == ["1 h", "2 h", "all"]
-    assert figures["to the charge"][-1]["coverage"]["value"] == 1.0
-    assert figures["to the charge"][-1]["bias_pct"]["value"] == pytest.approx(1.0)
-    assert evaluate_soc(*make_frames())["charges"] == {}
+    assert [each.bin for each in figures["to the charge"]] == ["1 h", "2 h", "all"]
+    assert figures["to the charge"][-1].coverage.value == 1.0
+    assert figures["to the charge"][-1].bias_pct.value == pytest.approx(1.0)
+    assert evaluate_soc(*make_frames()).charges == {}

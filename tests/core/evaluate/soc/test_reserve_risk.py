@@ -6,10 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from socast.core.evaluate.soc.baselines import (
-    BASELINES,
-    compute_baselines,
-)
+from socast.core.evaluate.soc.baselines import BASELINES, compute_baselines
 from socast.core.evaluate.soc.cases import select_cases
 from socast.core.evaluate.soc.reserve_risk import (
     LEVELS,
@@ -52,21 +49,19 @@ def test_alarm_counts_match_hand_calculation():
     risk = np.array([0.9, 0.04, 0.05, 0.0])
     fell = np.array([True, True, False, False])
     counted = evaluate_alarms(risk, fell, np.arange(4))
-    assert {name: counted[name] for name in ("caught", "missed", "false_alarms")} == {
-        "caught": 1, "missed": 1, "false_alarms": 1,
-    }  # fmt: skip
-    assert counted["hit_rate"]["value"] == counted["false_alarm_rate"]["value"] == 0.5
+    assert (counted.caught, counted.missed, counted.false_alarms) == (1, 1, 1)
+    assert counted.hit_rate.value == counted.false_alarm_rate.value == 0.5
 
 
 def test_scores_match_hand_calculation():
     figures = evaluate_risk(rows(np.array([0.9, 0.0]), np.array([True, False]), 0.5))
-    assert figures["brier"] == pytest.approx(0.1**2 / 2)
-    assert figures["brier_base"] == 0.25
-    assert figures["skill"]["value"] == pytest.approx(1.0 - 0.005 / 0.25)
-    for baseline in figures["baselines"].values():
-        assert baseline["brier"] == 0.25
-        assert baseline["forecast_brier"] == figures["brier"]
-        assert baseline["forecast_alarms"] == figures["alarms"]
+    assert figures.brier == pytest.approx(0.1**2 / 2)
+    assert figures.brier_base == 0.25
+    assert figures.skill.value == pytest.approx(1.0 - 0.005 / 0.25)
+    for baseline in figures.baselines.values():
+        assert baseline.brier == 0.25
+        assert baseline.forecast_brier == figures.brier
+        assert baseline.forecast_alarms == figures.alarms
 
 
 def test_cases_are_levels_not_yet_fallen_below(cases):
@@ -94,9 +89,9 @@ def test_reliable_risk_lies_within_intervals_of_outcomes():
     rng = np.random.default_rng(4)
     risk = rng.beta(0.5, 0.5, N)
     classes = compute_reliability(rows(risk, rng.random(N) < risk))
-    assert sum(figures["n"] for figures in classes) == N
-    assert all(figures["low"] <= figures["told"] <= figures["high"] for figures in classes)
-    holds = [figures["fell"]["low"] <= figures["told"] <= figures["fell"]["high"] for figures in classes]
+    assert sum(figures.n for figures in classes) == N
+    assert all(figures.low <= figures.told <= figures.high for figures in classes)
+    holds = [figures.fell.low <= figures.told <= figures.fell.high for figures in classes]
     assert sum(holds) >= len(holds) - 1
 
 
@@ -105,44 +100,44 @@ def test_risk_of_half_the_true_size_lies_below_intervals_of_outcomes():
     risk = rng.uniform(0.02, 0.5, N)
     fell = rng.random(N) < 2.0 * risk
     for figures in compute_reliability(rows(risk, fell)):
-        assert figures["fell"]["low"] > figures["told"]
-    assert evaluate_risk(rows(risk, fell, 2.0 * risk))["baselines"]["linear"]["skill"]["value"] < 0.0
+        assert figures.fell.low > figures.told
+    assert evaluate_risk(rows(risk, fell, 2.0 * risk)).baselines["linear"].skill.value < 0.0
 
 
 def test_exact_forecasts_catch_all_cases_without_false_alarm():
     evaluated = evaluate_reserve_risk(select_with_baselines(make_frames(cars=8, days=20, sd_an_hour=1e-6)))
-    assert set(evaluated["levels"]) == {PLANNED, *map(str, LEVELS)}
-    for of in evaluated["levels"].values():
+    assert set(evaluated.levels) == {PLANNED, *map(str, LEVELS)}
+    for of in evaluated.levels.values():
         for figures in of.values():
-            assert figures["alarms"]["caught"] == figures["fell"]
-            assert figures["alarms"]["missed"] == figures["alarms"]["false_alarms"] == 0
-            assert figures["brier"] == pytest.approx(0.0, abs=1e-9)
-    assert evaluated["levels"]["30"]["4"]["fell"] > 20
+            assert figures.alarms.caught == figures.fell
+            assert figures.alarms.missed == figures.alarms.false_alarms == 0
+            assert figures.brier == pytest.approx(0.0, abs=1e-9)
+    assert evaluated.levels["30"]["4"].fell > 20
 
 
 def test_calibrated_forecasts_are_reliable(evaluated):
-    classes = [figures for figures in evaluated["reliability"]["levels"] if figures["n"] >= 100]
-    holds = [figures["fell"]["low"] - 0.01 <= figures["told"] <= figures["fell"]["high"] + 0.01 for figures in classes]
+    classes = [figures for figures in evaluated.reliability["levels"] if figures.n >= 100]
+    holds = [figures.fell.low - 0.01 <= figures.told <= figures.fell.high + 0.01 for figures in classes]
     assert len(classes) >= 5
     assert sum(holds) >= len(holds) - 1
     for hours in ("1", "2"):
-        figures = evaluated["overall"][hours]
-        assert figures["skill"]["value"] - figures["skill"]["ci95"] > 0.4
-    assert evaluated["overall"]["pooled"]["n"] == sum(evaluated["overall"][h]["n"] for h in ("1", "2", "4", "6"))
+        figures = evaluated.overall[hours]
+        assert figures.skill.value - figures.skill.ci95 > 0.4
+    assert evaluated.overall["pooled"].n == sum(evaluated.overall[h].n for h in ("1", "2", "4", "6"))
 
 
 def test_better_forecasts_have_positive_skill_relative_to_baselines():
-    overall = evaluate_reserve_risk(select_with_baselines(make_frames(cars=12, days=40, sd_an_hour=0.2)))["overall"]
+    overall = evaluate_reserve_risk(select_with_baselines(make_frames(cars=12, days=40, sd_an_hour=0.2))).overall
     for hours in ("1", "2", "4"):
-        for baseline in overall[hours]["baselines"].values():
-            assert baseline["skill"]["value"] - baseline["skill"]["ci95"] > 0.2
-            assert baseline["forecast_alarms"]["false_alarms"] < baseline["alarms"]["false_alarms"]
+        for baseline in overall[hours].baselines.values():
+            assert baseline.skill.value - baseline.skill.ci95 > 0.2
+            assert baseline.forecast_alarms.false_alarms < baseline.alarms.false_alarms
 
 
 def test_much_too_narrow_interval_reduces_skill(evaluated):
     narrow = evaluate_reserve_risk(select_with_baselines(make_frames(cars=12, days=40, narrow=0.2)))
-    assert narrow["overall"]["4"]["brier"] > evaluated["overall"]["4"]["brier"]
-    assert narrow["overall"]["4"]["alarms"]["missed"] > evaluated["overall"]["4"]["alarms"]["missed"]
+    assert narrow.overall["4"].brier > evaluated.overall["4"].brier
+    assert narrow.overall["4"].alarms.missed > evaluated.overall["4"].alarms.missed
 
 
 PERCENT = st.floats(0.0, 100.0)

@@ -3,6 +3,8 @@
 import pytest
 
 from socast.core.evaluate.literature import LITERATURE
+from socast.core.evaluate.paper.records import RecipeEvaluation
+from socast.core.evaluate.records import EstimatedValue
 from socast.core.fit.recipes import BASELINES, RECIPES
 from socast.tools.report.evaluation.percentage_tables import (
     BASELINE_HEADS,
@@ -16,12 +18,12 @@ from socast.tools.report.evaluation.percentage_tables import (
     tabulate_percentages_of,
 )
 from socast.tools.report.evaluation.sections import tabulate_headline, tabulate_overview
-from tests.support.evaluation_result import evaluation
+from tests.support.evaluation_result import evaluation, hold
 
 
 @pytest.fixture(scope="module")
 def result():
-    return evaluation()
+    return hold(evaluation())
 
 
 def test_every_baseline_has_a_recipe_and_a_heading():
@@ -33,7 +35,7 @@ def test_reductions_stand_beside_each_other_for_every_baseline(result):
     table = tabulate_baseline_reductions(result)
     assert table.columns == tuple(f"below {head}" for head in BASELINE_HEADS.values())
     rows = {row.name: [cell.text for cell in row.cells] for row in table.rows}
-    shares = result["reduction_by_baseline"]
+    shares = result.reduction_by_baseline
     best = [f"{100 * shares[name]['hybrid_trees']['average']:.1f} %" for name in BASELINES]
     assert rows["Hybrid Model with Boosted Trees"] == best
     assert rows["Basic Physical Model, Rescaled"][1] == ""
@@ -54,7 +56,7 @@ def test_tables_show_and_explain_only_the_baselines_of_the_evaluation(tabulate):
     for of_baselines in (result["reduction_by_baseline"], result["new_vehicle"]):
         for name in ("basic_rescaled_power", "telematics_regression"):
             of_baselines.pop(name)
-    table = tabulate(result)
+    table = tabulate(hold(result))
     assert table.columns == ("below basic", "below basic, rescaled")
     assert all(len(row.cells) == 2 for row in table.rows)
     assert "Basic, rescaled: one factor" in table.notes[1]
@@ -68,7 +70,7 @@ def test_headline_states_the_reduction_below_every_baseline(result):
         "Hybrid Model (Interaction Terms)",
         "Hybrid Model with Boosted Trees",
         "Fitted Extended Physical Model (Linear Regression), vehicle model unseen",
-        f"{result['recipes'][find_best_on_new_vehicles(result)]}, vehicle model unseen",
+        f"{result.recipes[find_best_on_new_vehicles(result)]}, vehicle model unseen",
     ]
     assert all(cell.text for row in table.rows for cell in row.cells)
     assert [row.cells[0].paper for row in table.rows] == ["51.75 %", "", "30.75 %", ""]
@@ -77,10 +79,8 @@ def test_headline_states_the_reduction_below_every_baseline(result):
 
 def test_reductions_on_unseen_vehicle_models_follow_from_their_errors():
     errors = {"basic_physical": (1.0, 2.0), "basic_rescaled": (0.5, 0.8), "hybrid": (0.25, 0.2)}
-    result = {
-        "about": {"vehicle_models": ["leaf", "soul"]},
-        "new_vehicle": {r: {"leaf": {"mae": a}, "soul": {"mae": b}} for r, (a, b) in errors.items()},
-    }
+    found = {r: {"leaf": {"mae": a}, "soul": {"mae": b}} for r, (a, b) in errors.items()}
+    result = hold({"about": {"vehicle_models": ["leaf", "soul"]}, "new_vehicle": found})
     shares = get_new_vehicle_reductions(result, "hybrid")
     assert shares["basic_physical"] == pytest.approx((0.75 + 0.9) / 2)
     assert shares["basic_rescaled"] == pytest.approx((0.5 + 0.75) / 2)
@@ -107,11 +107,11 @@ def test_literature_stands_beside_the_best_model_of_each_split(result):
 
 
 def test_result_without_percentages_has_no_tables():
-    assert tabulate_percentages({}) == []
-    gone = {"percentage": None, "reduction_by_baseline": None, "new_vehicle": None}
-    (only,) = tabulate_percentages(evaluation() | gone)
+    assert tabulate_percentages(RecipeEvaluation()) == []
+    gone = {"percentage": {}, "reduction_by_baseline": {}, "new_vehicle": {}}
+    (only,) = tabulate_percentages(hold(evaluation() | gone))
     assert only.columns == ("below basic",)
 
 
 def test_share_without_interval_is_shown_without_one():
-    assert format_share({"value": 0.05, "ci95": None}) == "5.0 %"
+    assert format_share(EstimatedValue(value=0.05)) == "5.0 %"
