@@ -37,13 +37,17 @@ from .recordings import read_messages as read_messages
 from .recordings import read_samples as read_samples
 from .recordings import read_tables as read_tables
 from .results import AdditionTrial as AdditionTrial
+from .results import Comparison as Comparison
 from .results import Diagnosis as Diagnosis
+from .results import RecipeEvaluation as RecipeEvaluation
+from .results import SocEvaluation as SocEvaluation
 from .simulation import simulate_fleet as simulate_fleet
 
 __all__ = [
     "AdditionTrial",
     "AskError",
     "CatalogueError",
+    "Comparison",
     "Diagnosis",
     "Effect",
     "EffectError",
@@ -53,10 +57,12 @@ __all__ = [
     "ModelError",
     "Parameter",
     "Pipeline",
+    "RecipeEvaluation",
     "RecipeRegressor",
     "RecordingError",
     "Settings",
     "SettingsError",
+    "SocEvaluation",
     "SocastError",
     "Tables",
     "add_effect",

@@ -3,7 +3,6 @@
 from collections.abc import Collection, Sequence
 
 import pandas as pd
-from msgspec.structs import asdict
 
 from socast.core.diagnose.add.add import add_effect as _add
 from socast.core.diagnose.add.terms import build_term_columns as _build_term_columns
@@ -11,7 +10,7 @@ from socast.core.diagnose.diagnosis import diagnose as _diagnose
 from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.fit.measured_rows import join_tables as _join
 from socast.core.models import LinearModel
-from socast.results import AdditionTrial, Diagnosis
+from socast.results import AdditionTrial, Diagnosis, _show
 from socast.tools.commands.diagnose import word_result as _word_result
 
 __all__ = ["AdditionTrial", "Diagnosis", "add_effect", "diagnose"]
@@ -51,7 +50,7 @@ def diagnose(
         Where a column is missing, or the model is not a sum of terms.
     """
     result = _word_result(_diagnose(rides, windows, model, leave_out=leave_out, least_gain=least_gain))
-    return Diagnosis(**asdict(result))
+    return _show(Diagnosis, result)
 
 
 def add_effect(

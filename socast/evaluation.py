@@ -11,16 +11,15 @@ import pandas as pd
 from socast.core.evaluate.compare.datasets import compare_datasets as _contrast
 from socast.core.evaluate.compare.models import compare_predictions as _compare
 from socast.core.evaluate.compare.models import select_rides as _sample
-from socast.core.evaluate.compare.records import Comparison, DatasetContrast, RideTrace
+from socast.core.evaluate.compare.records import DatasetContrast, RideTrace
 from socast.core.evaluate.compare.ride_trace import find_ride as _find
 from socast.core.evaluate.compare.ride_trace import trace_ride as _trace
 from socast.core.evaluate.paper.protocol import evaluate as _evaluate
 from socast.core.evaluate.paper.protocol import select_recipes as _choose_recipes
-from socast.core.evaluate.paper.records import RecipeEvaluation
-from socast.core.evaluate.soc.records import SocEvaluation
 from socast.core.models import EXTENDED_PHYSICAL, LinearModel
 from socast.core.pipeline import Pipeline
 from socast.core.stats.splits import REPEATS
+from socast.results import Comparison, RecipeEvaluation, SocEvaluation, _show
 from socast.stream.loop import feed as _feed
 from socast.stream.mcap_reader import McapSource
 from socast.stream.source import merge_sources
@@ -74,7 +73,8 @@ def evaluate_recipes(
     """
     names = None if recipes is None else ",".join(recipes)
     chosen = _choose_recipes(names, windows, seed)
-    return _evaluate(rides, chosen, seed=seed, repeats=repeats, left_out_of_training=left_out_of_training, jobs=jobs)
+    result = _evaluate(rides, chosen, seed=seed, repeats=repeats, left_out_of_training=left_out_of_training, jobs=jobs)
+    return _show(RecipeEvaluation, result)
 
 
 def compare_models(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Comparison:
@@ -106,7 +106,7 @@ def compare_models(rides: pd.DataFrame, models: Mapping[str, LinearModel]) -> Co
     >>> result.errors[["model", "rides"]].to_dict("records")
     [{'model': 'basic', 'rides': 57}]
     """
-    return _compare(_sample(rides, models))
+    return _show(Comparison, _compare(_sample(rides, models)))
 
 
 def compare_datasets(first: pd.DataFrame, second: pd.DataFrame, models: Mapping[str, LinearModel]) -> DatasetContrast:
@@ -181,4 +181,4 @@ def evaluate_soc_forecasts(
     for _ in _feed(collector.cut(merge_sources([McapSource(path) for path in recordings])), collector.pipeline):
         collector.pipeline.forecasts()
         collector()
-    return collector.evaluated(displays)
+    return _show(SocEvaluation, collector.evaluated(displays))

@@ -1,39 +1,103 @@
-"""Results as objects: attributes, DataFrames, a figure, and how a notebook shows them."""
+"""Results as objects: attributes, DataFrames, a figure, and how a notebook shows them.
 
-from typing import TYPE_CHECKING, Any
+Each result has the attributes of the record that the command of the same purpose writes with `--json`. Figures and
+tables are those of its HTML page; their modules take a second to import, so they are imported on first use.
+"""
+
+from importlib import import_module as _import
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import pandas as pd
+from msgspec.structs import asdict as _asdict
 
 from socast.core.diagnose.add.error_fall import read_step as _read_step
 from socast.core.diagnose.records import Diagnosis as _Diagnosis
+from socast.core.evaluate.compare.records import Comparison as _Comparison
+from socast.core.evaluate.paper.records import RecipeEvaluation as _RecipeEvaluation
+from socast.core.evaluate.soc.records import SocEvaluation as _SocEvaluation
 from socast.core.models import LinearModel
+from socast.core.records import Record as _Record
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-__all__ = ["AdditionTrial", "Diagnosis"]
+__all__ = ["AdditionTrial", "Comparison", "Diagnosis", "RecipeEvaluation", "SocEvaluation"]
+
+_Result = TypeVar("_Result", bound=_Record)
+
+
+def _show(kind: type[_Result], record: _Record) -> _Result:
+    """Return a record of the core as the result of the same fields that has figures and tables."""
+    return kind(**_asdict(record))
+
+
+def _render(title: str, lines: list[str], sections: list[Any]) -> str:
+    """Return sentences and the tables of sections that are not folded, for a notebook."""
+    tables = [table for section in sections if not (section.folded or section.closed) for table in section.tables]
+    html: str = _import("socast.tools.report.page").render_tables(title, lines, tables)
+    return html
 
 
 class Diagnosis(_Diagnosis, frozen=True):
     """Hold where a model errs, which effects it lacks, how certain that is, and what error remains.
 
-    `headline` and `next_step` are sentences. `errors`, `candidates` and `coefficients` are DataFrames. All other parts
-    are records with the fields that `socast diagnose --json` writes; `to_json()` returns them as plain values.
+    `headline` and `next_step` are sentences. `errors`, `candidates` and `coefficients` are DataFrames. `to_json()`
+    returns everything as plain values.
     """
 
     def plot(self) -> "go.Figure":
         """Return the error of a ride against the measurement noise, as given and with each missing effect. [kWh]"""
-        from socast.tools.report.diagnosis.figures import draw_errors  # noqa: PLC0415 - figures take a second to import
-
-        return draw_errors(self)[0].figure
+        return _import("socast.tools.report.diagnosis.figures").draw_errors(self)[0].figure
 
     def _repr_html_(self) -> str:
-        from socast.tools.report.diagnosis.page import build_sections  # noqa: PLC0415 - figures take a second to import
-        from socast.tools.report.page import render_tables  # noqa: PLC0415
+        sections = _import("socast.tools.report.diagnosis.page").build_sections(self)
+        return _render(f"Diagnosis of {self.model.name}", [*self.headline, *self.next_step], sections)
 
-        lines = [*self.headline, *self.next_step]
-        tables = [table for section in build_sections(self) for table in section.tables]
-        return render_tables(f"Diagnosis of {self.model.name}", lines, tables)
+
+class Comparison(_Comparison, frozen=True):
+    """Hold the errors of models on the same rides, by condition, and their worst rides.
+
+    `errors` and `worst_rides` are DataFrames. `to_json()` returns everything as plain values.
+    """
+
+    def plot(self) -> "go.Figure":
+        """Return predicted against measured energy of each ride, for the first model. [kWh]"""
+        return _import("socast.tools.report.comparison.figures").draw_scatter(self, next(iter(self.models)))
+
+    def _repr_html_(self) -> str:
+        sections = _import("socast.tools.report.comparison.page").build_sections(self, commands=False)
+        return _render(f"Comparison of {', '.join(self.models)}", [], sections)
+
+
+class RecipeEvaluation(_RecipeEvaluation, frozen=True):
+    """Hold the errors of recipes on rides that were held out, by ride, vehicle and date, as in the paper.
+
+    `errors` and `percentages` are DataFrames. `to_json()` returns everything as plain values.
+    """
+
+    def plot(self) -> "go.Figure":
+        """Return the average error of each recipe on each vehicle model. [kWh]"""
+        return _import("socast.tools.report.evaluation.illustrations").build_illustrations(self, "summary")[0].figure
+
+    def _repr_html_(self) -> str:
+        sections = _import("socast.tools.report.evaluation.sections").build_sections(self)
+        return _render("Evaluation of recipes", [], sections)
+
+
+class SocEvaluation(_SocEvaluation, frozen=True):
+    """Hold errors and coverage, in percent of charge, of forecasts of the state of charge at the end of the shift.
+
+    `errors` is a DataFrame. `to_json()` returns everything as plain values.
+    """
+
+    def plot(self) -> "go.Figure":
+        """Return the mean absolute error by the time before the end of the shift, with baselines. [%]"""
+        return _import("socast.tools.report.soc.figures").draw_errors(self)
+
+    def _repr_html_(self) -> str:
+        return _render(
+            "Forecasts of the state of charge", [], _import("socast.tools.report.soc.page").build_sections(self)
+        )
 
 
 class AdditionTrial:

@@ -95,7 +95,8 @@ def feed(
 ) -> Iterator[Sequence[Message]]:
     """Pass each list of messages through a pipeline and yield it, then close the rides in progress.
 
-    Every run of a pipeline is this loop: live operation, replays, warm-up, tables and evaluations.
+    Live operation, replays, warm-up, tables and evaluations are this loop with another source. Only the player of the
+    workbench and the workers of a cluster, which choose their own messages, call the pipeline themselves.
 
     Parameters
     ----------

@@ -16,6 +16,7 @@ EXPORTS = [
     "AdditionTrial",
     "AskError",
     "CatalogueError",
+    "Comparison",
     "Diagnosis",
     "Effect",
     "EffectError",
@@ -25,10 +26,12 @@ EXPORTS = [
     "ModelError",
     "Parameter",
     "Pipeline",
+    "RecipeEvaluation",
     "RecipeRegressor",
     "RecordingError",
     "Settings",
     "SettingsError",
+    "SocEvaluation",
     "SocastError",
     "Tables",
     "add_effect",
@@ -144,17 +147,27 @@ def test_loop_of_diagnosis_lowers_the_error(autumn_tables):
     refused = socast.add_effect(added.model, "demisting", rides, windows)
     assert not refused.accepted
     assert refused.model is added.model
-    for result in (diagnosis, added, refused):
+    compared = socast.compare_models(rides, {"before": quick, "with": added.model})
+    for result in (diagnosis, added, refused, compared):
         assert "<table>" in result._repr_html_()
         assert_axes_are_titled(result.plot())
     assert diagnosis.headline
     assert diagnosis.next_step[0] == "Add headwind, in all vehicles on all dates."
-    compared = socast.compare_models(rides, {"before": quick, "with": added.model})
     before, after = compared.errors["mae_kwh"]
     assert after < before
     assert compared.worst_rides["model"].tolist() == ["before"] * 10 + ["with"] * 10
     assert "base" in socast.trace_ride(rides, windows, rides["ride_key"].iloc[0], {"base": base}).models
     assert socast.compare_datasets(rides, rides, {"base": base}).shared == len(rides)
+
+
+def test_evaluations_have_dataframes_figures_and_tables(tables):
+    of_recipes = socast.evaluate_recipes(tables.rides, ["basic_physical"], repeats=2)
+    of_charge = socast.evaluate_soc_forecasts(SHIFT)
+    for result in (of_recipes, of_charge):
+        assert len(result.errors) > 0
+        assert "<table>" in result._repr_html_()
+        assert "[" in result.plot().layout.xaxis.title.text
+        assert result.to_json()
 
 
 def test_simulated_fleet_is_a_recording_with_its_truth(tmp_path):
