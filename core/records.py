@@ -1,6 +1,6 @@
 """Declare results as records: typed, immutable values whose fields carry their unit and meaning.
 
-A result of a fit, a comparison, a diagnosis or an evaluation is a `Record` of records. What the command line writes
+A result of a comparison, a diagnosis or an evaluation is a `Record` of records. What the command line writes
 with `--json`, the tables of the terminal and of HTML pages, and DataFrames are all made from the declared fields, so a
 new field is declared once.
 """

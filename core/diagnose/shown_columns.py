@@ -1,5 +1,7 @@
 """Columns of rides and windows along which residuals are shown, in units of everyday life."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -50,6 +52,16 @@ NUMBERS: Final = (
     ShownColumn("occupants", "People aboard", "people"),
     ShownColumn("odometer_km", "Odometer", "km"),
 )
+OF_WINDOW: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "distance_km": "Distance in the window",
+        "duration_s": "Length of the window",
+        "gained_m": "Climb in the window",
+        "lost_m": "Descent in the window",
+        "stops": "Stops in the window",
+    }
+)
+"""Columns that hold amounts, and their labels in a table of windows."""
 CATEGORIES: Final = (
     ShownColumn("vehicle_id", "Car", ""),
     ShownColumn("driver_id", "Driver", ""),
@@ -72,7 +84,8 @@ def list_columns(table: pd.DataFrame) -> list[tuple[ShownColumn, Any]]:
     for column in NUMBERS:
         values = read_numbers(table, column)
         if values is not None and len(np.unique(values[np.isfinite(values)])) > 1:
-            known.append((column, values))
+            label = OF_WINDOW.get(column.key, column.label) if "window" in table else column.label
+            known.append((column._replace(label=label), values))
     for column in CATEGORIES:
         if column.key in table:
             names = table[column.key].astype(object).where(table[column.key].notna(), "").astype(str).to_numpy()

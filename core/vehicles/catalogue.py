@@ -1,7 +1,7 @@
 """Read the vehicle catalogue, apply the overrides in vehicle messages, and define the accessory power curve."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from importlib import resources
@@ -13,7 +13,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.columns import ZERO_CELSIUS
-from socast.core.errors import CatalogueError
+from socast.core.errors import CatalogueError, suggest_names
 from socast.core.settings import LIMITS
 from socast.core.wire.messages import Vehicle
 
@@ -235,15 +235,20 @@ def vehicle_model(message: Vehicle) -> VehicleModel | str:
     return replace(known, usable_capacity_kwh=usable, sources={**known.sources, **sources}, **overrides)
 
 
-def read_entry(key: str, table: Any) -> VehicleModel:
-    """Check a table of the catalogue, and return it as a vehicle model."""
+def read_entry(key: str, table: Any, also: Collection[str] = ()) -> VehicleModel:
+    """Check a table of the catalogue, and return it as a vehicle model.
+
+    Parameters
+    ----------
+    also : collection of str
+        Further names that a file may use, which an error message lists.
+    """
     if not isinstance(table, dict):
         raise CatalogueError(f"vehicle catalogue: {key!r} is no table: write [{key}] and its figures below")
     known = {f.name for f in fields(VehicleModel)} - {"key"}
     if unknown := sorted(table.keys() - known):
-        raise CatalogueError(
-            f"vehicle {key}: {unknown[0]!r} is no figure of a vehicle; those are {', '.join(sorted(known))}"
-        )
+        remedy = suggest_names(unknown[0], sorted({*also, *known}))
+        raise CatalogueError(f"vehicle {key}: {unknown[0]!r} is no figure of a vehicle; {remedy}")
     sources = table.get("sources")
     if not isinstance(sources, dict):
         raise CatalogueError(f"vehicle {key}: it has no sources: say in [{key}.sources] where each figure comes from")

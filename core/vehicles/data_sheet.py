@@ -38,7 +38,7 @@ def read_data_sheets(text: str, origin: str) -> Mapping[str, VehicleModel]:
     if not tables:
         raise CatalogueError(f"{origin} holds no vehicle; write [my-car] and its figures below")
     try:
-        return {key: read_entry(key, _complete(key, table)) for key, table in tables.items()}
+        return {key: read_entry(key, _complete(key, table), {DRAG_AREA}) for key, table in tables.items()}
     except CatalogueError as error:
         raise CatalogueError(f"{origin}: {error}") from error
 

@@ -16,7 +16,8 @@ from socast.core.models import LinearModel
 from socast.core.records import to_json_values
 from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_signed
 from socast.tools.report.comparison.failures import illustrate_change
-from socast.tools.report.diagnosis.sentences import describe_coefficient, format_energy
+from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
+from socast.tools.report.diagnosis.sentences import format_energy
 from socast.tools.report.error_fall import CAPTION, draw_error_fall, print_error_fall
 from socast.tools.report.evaluation.illustrations import Drawing, Illustration
 from socast.tools.report.evaluation.result import get_half_width, get_mapping, get_number

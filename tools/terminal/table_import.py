@@ -145,7 +145,7 @@ def _guess(kind: str, files: list[Path], options: TableImport, preset: Preset | 
     check_outputs(files, map_file)
     skipped = SkippedFiles(options.skip_bad)
     tables = _open_all(kind, files, skipped)
-    guessed = guess_map(tables, preset, skipped)
+    guessed = guess_map(tables, preset, skipped)._replace(vehicle_model=options.vehicle_model)
     content = write_map_text(guessed, tables[0]).encode()
     if line := describe_preset(guessed):
         console.print(line, markup=False, highlight=False, soft_wrap=True)

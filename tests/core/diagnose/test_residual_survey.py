@@ -58,3 +58,10 @@ def test_days_that_share_a_residual_do_not_pass_for_many_windows():
     alone = seen._replace(day=np.arange(WINDOWS))
     widths = [survey_columns(each)[0]["bins"]["ci95"][0] for each in (seen, alone)]
     assert widths[0] != pytest.approx(widths[1], rel=0.05)
+
+
+def test_amounts_of_windows_are_labelled_as_such():
+    table = pd.DataFrame({"distance_km": [0.5, 1.0], "average_speed_kmh": [30.0, 60.0]})
+    assert [column.label for column, _ in list_columns(table)] == ["Distance", "Average speed"]
+    of_windows = [column.label for column, _ in list_columns(table.assign(window=[0, 1]))]
+    assert of_windows == ["Distance in the window", "Average speed"]

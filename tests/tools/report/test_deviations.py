@@ -89,6 +89,15 @@ def test_change_that_no_term_holds_is_to_be_checked(changes, held):
     assert f"no term of a model holds {held}" in line
 
 
+def test_cause_of_an_implausible_coefficient_is_doubted():
+    steep = {"value": 0.0091, "ci95": [0.005, 0.013], "unit": "1/K", "low": 0.0, "high": 0.0003, "plausible": False}
+    result = make_change(effect="cold_rolling", coefficient=steep)
+    words = "old rolling alone does not explain it: coefficient 0.0091 1/K, 95 % interval 0.005 to 0.013; NOT plausible"
+    assert any(words in line for line in describe_verdict(result))
+    assert any(words in line for line in describe_deviations(result))
+    assert not any("alone does not explain" in line for line in describe_verdict(make_change()))
+
+
 def test_many_causes_are_counted():
     causes = [{"effect": f"cause_{i}", "probability": 0.2, "shown_by": ""} for i in range(5)]
     assert describe_deviation(make_deviation(causes=causes))[0].endswith(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,8 @@ from socast.tools.importers.table.time_source import GUESSED_ORIGIN, find_time_u
 
 CLOCK_TOLERANCE: Final = 300.0
 """Time by which a row may be later than the last change of its file. [s]"""
+MOST_FILES: Final = 6
+"""Number of files that a check names."""
 UNIT: Final = "unit of the clock"
 OVERLAP: Final = "times of rows"
 """Name of the check that no time is covered twice."""
@@ -35,7 +38,7 @@ _SPANS: Final = (
 def refuse_overlap(reader: RowReader, columns: ColumnMap) -> None:
     """Refuse files whose clocks all start at one origin, and which cover the same time of one car."""
     overlap = reader.spans.find_overlap()
-    if overlap is None or overlap.files < 2 or not columns.time.is_relative:
+    if overlap is None or len(overlap.files) < 2 or not columns.time.is_relative:
         return
     raise ImportFileError(
         f"{_describe_overlap(overlap, reader)}, because their clocks all start at one origin; where their names hold "
@@ -121,16 +124,22 @@ def _describe_overlap(overlap: Overlap, reader: RowReader) -> str:
     """Return what is covered twice, and where it begins."""
     span, car = describe_span(overlap.duration), reader.vehicles[overlap.vehicle]
     what = (
-        f"{overlap.files} files cover the same {span} of {car}"
-        if overlap.files > 1
+        f"{len(overlap.files)} files cover the same {span} of {car}: {_name_files(overlap.files)}"
+        if len(overlap.files) > 1
         else f"one file covers {span} of {car} twice"
     )
     return f"{what}, first at {datetime.fromtimestamp(overlap.start, UTC):%Y-%m-%d %H:%M:%S} UTC"
 
 
+def _name_files(files: Sequence[str]) -> str:
+    """Return the first names of files, and how many follow."""
+    more = f" and {len(files) - MOST_FILES} more" if len(files) > MOST_FILES else ""
+    return f"{', '.join(Path(file).name for file in files[:MOST_FILES])}{more}"
+
+
 def _check_overlap(overlap: Overlap, reader: RowReader) -> Check:
     """Return the check that no time is covered twice, which has failed."""
-    if overlap.files > 1:
+    if len(overlap.files) > 1:
         remedy = "leave out files that are given twice, or give each car a name of its own in [vehicle]"
     else:
         remedy = "its clock steps back: set zone in [time] where it is local time, or divide the file"

@@ -76,6 +76,8 @@ class GuessedMap(NamedTuple):
         Cars whose current and power have the opposite sign.
     parked : (str, tuple of str), optional
         Column and words of rows in which the car is parked.
+    vehicle_model : str, optional
+        Vehicle model of all cars, as the user gives it.
     """
 
     time: GuessedTime
@@ -89,6 +91,7 @@ class GuessedMap(NamedTuple):
     preset: Preset | None
     inverted: tuple[str, ...] = ()
     parked: tuple[str, tuple[str, ...]] | None = None
+    vehicle_model: str | None = None
 
 
 def guess_map(

@@ -155,7 +155,8 @@ def _write_vehicle(guessed: GuessedMap, table: TableFile) -> list[str]:
     if guessed.inverted:
         names = ", ".join(map(_quote, guessed.inverted))
         source += f"\ninverted = [{names}]   # cars whose current and power have the opposite sign"
-    return ["[vehicle]", source, '# model = "nissan-leaf-2013"   # key of the vehicle catalogue', ""]
+    known = f"model = {_quote(guessed.vehicle_model)}" if guessed.vehicle_model else '# model = "nissan-leaf-2013"'
+    return ["[vehicle]", source, f"{known}   # key of the vehicle catalogue", ""]
 
 
 def _write_time(guessed: GuessedMap) -> list[str]:

@@ -31,7 +31,7 @@ class Overlap(NamedTuple):
 
     Parameters
     ----------
-    files : int
+    files : tuple of str
         Files that cover time twice, one where it is a file whose clock steps back.
     duration : float
         Time that is covered twice. [s]
@@ -41,7 +41,7 @@ class Overlap(NamedTuple):
         Place of the first such car.
     """
 
-    files: int
+    files: tuple[str, ...]
     duration: float
     start: float
     vehicle: int
@@ -95,7 +95,7 @@ class TimeSpans:
                 duration += length
                 if second.start < start:
                     start, car = second.start, vehicle
-        return Overlap(len(files), duration, float(start), car) if files else None
+        return Overlap(tuple(sorted(files)), duration, float(start), car) if files else None
 
     def list_steps_back(self) -> dict[int, list[tuple[float, float]]]:
         """Return the first and last times [Unix s] that one file covers twice, of each car that has some."""

@@ -12,6 +12,7 @@ from socast.core.diagnose.deviation_words import (
 )
 from socast.core.diagnose.records import CarDeviation, Diagnosis, RankedCar
 from socast.tools.report.cells import format_percent
+from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
 
 WH: Final = 1000.0
 """Watt-hours in a kilowatt-hour. [Wh/kWh]"""
@@ -64,6 +65,7 @@ def describe_deviation(one: CarDeviation) -> list[str]:
     lines = [word_deviation(one)]
     if not has_certain_size(one):
         lines.append("- the interval of its size contains zero: record more rides before you rely on it")
+    lines += [f"- {doubt}" for doubt in _doubt_cause(one)]
     amounts = []
     if (per_km := one.kwh_per_km) is not None:
         amounts.append(f"{WH * per_km:+.3g} Wh/km")
@@ -79,12 +81,21 @@ def describe_deviation(one: CarDeviation) -> list[str]:
     return [*lines, one.command] if one.command else lines
 
 
+def _doubt_cause(one: CarDeviation) -> list[str]:
+    """Return that the most probable cause would need an implausible coefficient, if it would."""
+    if one.coefficient.plausible:
+        return []
+    cause, words = name_cause(one.effect), describe_coefficient(one.coefficient)
+    return [f"{cause} alone does not explain it: {words}"]
+
+
 def describe_finding(found: CarDeviation) -> list[str]:
     """Return a deviation with the probability that it is real."""
     q = found.q
     lines = [f"Finding: {word_deviation(found, sized=has_certain_share(found))}."]
     if not has_certain_share(found) and found.words:
         lines.append(f"If the cause is {name_cause(found.effect)}, {found.words}.")
+    lines += [f"{doubt[:1].upper()}{doubt[1:]}." for doubt in _doubt_cause(found)]
     if q is not None:
         sure = f"more than {format_percent(MOST_SURE)}" if 1.0 - q > MOST_SURE else format_percent(1.0 - q)
         lines.append(

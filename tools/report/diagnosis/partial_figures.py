@@ -15,7 +15,7 @@ from socast.core.diagnose.records import (
     PartialResidual,
     ResidualBins,
 )
-from socast.tools.report.diagnosis import sentences
+from socast.tools.report.diagnosis.coefficient_words import format_unit
 from socast.tools.report.evaluation.illustrations import Illustration
 from socast.tools.report.figure_style import REFERENCE_LINE, Style, apply_layout, escape_label, get_style
 
@@ -83,13 +83,13 @@ def draw_partial_residuals(result: Diagnosis) -> list[Illustration]:
 
 def describe_coefficient(part: PartialResidual) -> str:
     """Return the meaning of a coefficient, with its unit if it has one."""
-    unit = sentences.format_unit(part.unit)
+    unit = format_unit(part.unit)
     return f"the {part.quantity}{f' [{unit}]' if unit else ''}"
 
 
 def _title_regressor(part: PartialResidual) -> str:
     """Return the title of the axis of the regressor, with its unit."""
-    unit, per = sentences.format_unit(part.unit), part.per
+    unit, per = format_unit(part.unit), part.per
     what = f" per {unit}" if unit else " at a coefficient of 1"
     divided = divide_units(POWER[per], unit)
     return escape_label(f"{NAMES[per].capitalize()}{what} [{divided}]")
@@ -284,7 +284,7 @@ def draw_coefficient_rows(
     """Draw values of a coefficient with their intervals in its own unit, over its plausible range."""
     values = [float(value) for _, value, _ in rows]
     ends = [interval or (value, value) for value, (_, _, interval) in zip(values, rows, strict=True)]
-    unit = sentences.format_unit(coefficient.unit) or "1"
+    unit = format_unit(coefficient.unit) or "1"
     look = get_style(6)
     points = go.Scatter(
         name="coefficient",

@@ -8,12 +8,12 @@ from socast.core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN
 from socast.core.diagnose.records import (
     CauseProbability,
     Diagnosis,
-    EstimatedCoefficient,
     HeldOutRides,
     NamedEffect,
     RemainingStructure,
 )
 from socast.tools.report.cells import format_count, format_percent
+from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
 from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
 from socast.tools.report.diagnosis.episodes import advise_looking, describe_leading_episode
 
@@ -30,7 +30,6 @@ CAUSE_NAMES = {
     UNKNOWN: "a cause that is not in the library",
 }
 """Causes that are no effects, in words."""
-SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 LEAST_BIAS = 5e-4
 """Bias of a ride below which the report does not mention it. [kWh]"""
 
@@ -44,22 +43,6 @@ def format_energy(value: float | None) -> str:
     ('0.0623 kWh', 'unknown')
     """
     return "unknown" if value is None else f"{value:.3g} kWh"
-
-
-def format_unit(unit: str) -> str:
-    """Return a unit as it is printed: `m^2` is m², and `1` is empty.
-
-    Examples
-    --------
-    >>> format_unit("m^2"), format_unit("W/K"), format_unit("1"), format_unit("s^-1 / m**2")
-    ('m²', 'W/K', '', 's⁻¹ / m²')
-    """
-    head, *rest = unit.replace("**", "^").split("^")
-    words = head
-    for part in rest:
-        digits = len(part) - len(part.lstrip("-0123456789"))
-        words += part[:digits].translate(SUPERSCRIPTS) + part[digits:]
-    return "" if words == "1" else words
 
 
 def describe_data(result: Diagnosis) -> list[str]:
@@ -156,22 +139,6 @@ def describe_gain(one: NamedEffect) -> str:
     if one.energy_share is not None:
         parts.append(f"its absolute energy is {format_percent(one.energy_share)} of the measured energy")
     return ", ".join(parts)
-
-
-def describe_coefficient(coefficient: EstimatedCoefficient) -> str:
-    """Return a coefficient, its interval, and whether it is plausible."""
-    value, limits = coefficient.value, coefficient.ci95
-    if value is None:
-        return ""
-    unit = f" {format_unit(coefficient.unit)}".rstrip()
-    interval = f", 95 % interval {limits[0]:.3g} to {limits[1]:.3g}" if limits else ""
-    low, high = coefficient.low, coefficient.high
-    if low is None or high is None:
-        return f"coefficient {value:.3g}{unit}{interval}"
-    expected = f"range {low:g} to {high:g}{unit}"
-    if coefficient.plausible:
-        return f"coefficient {value:.3g}{unit}{interval}; plausible ({expected})"
-    return f"coefficient {value:.3g}{unit}{interval}; NOT plausible ({expected}): it may stand for another cause"
 
 
 def describe_rivals(one: NamedEffect) -> list[str]:

@@ -6,6 +6,7 @@ from socast.core.diagnose.records import Diagnosis, EstimatedCoefficient, NamedE
 from socast.core.formatting import format_minus
 from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_percent
 from socast.tools.report.diagnosis import sentences
+from socast.tools.report.diagnosis.coefficient_words import format_unit
 from socast.tools.report.record_table import FORMATS, format_digits, tabulate_records
 
 BIAS_NOTE: Final = (
@@ -94,7 +95,7 @@ def _format_coefficient(coefficient: EstimatedCoefficient) -> str:
     value, limits = coefficient.value, coefficient.ci95
     if value is None:
         return UNKNOWN
-    unit = f" {sentences.format_unit(coefficient.unit)}".rstrip()
+    unit = f" {format_unit(coefficient.unit)}".rstrip()
     half = f" ± {(limits[1] - limits[0]) / 2.0:.2g}" if limits else ""
     doubt = "" if coefficient.plausible else ", NOT plausible"
     return format_minus(f"{value:.3g}{half}{unit}{doubt}")

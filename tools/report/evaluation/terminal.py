@@ -26,7 +26,7 @@ def show(result: RecipeEvaluation, console: Console) -> None:
 
 
 def print_section(section: Section, console: Console) -> None:
-    """Print the title and the tables of a section.
+    """Print the title and the tables of a section that have rows.
 
     A note that several tables share is printed once, below the last of them.
     """
@@ -34,8 +34,9 @@ def print_section(section: Section, console: Console) -> None:
     console.rule(Text(section.title, style="bold"), align="left")
     if section.text:
         console.print(Text(section.text, style="italic"))
-    last: dict[str, int] = {note: i for i, table in enumerate(section.tables) for note in table.all_notes}
-    for i, table in enumerate(section.tables):
+    filled = [table for table in section.tables if table.rows]
+    last: dict[str, int] = {note: i for i, table in enumerate(filled) for note in table.all_notes}
+    for i, table in enumerate(filled):
         console.print()
         console.print(_table(table))
         for note in table.all_notes:

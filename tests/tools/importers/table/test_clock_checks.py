@@ -45,7 +45,9 @@ def test_files_with_one_origin_that_cover_the_same_time_are_refused(tmp_path):
     with pytest.raises(ImportFileError) as refused:
         run(tmp_path, tables, "unit = 's'\norigin = '2000-01-01T00:00:00'")
     message = str(refused.value)
-    assert message.startswith("3 files cover the same 39.9 min of taxi-7, first at 2000-01-01 00:00:00 UTC")
+    assert message.startswith(
+        "3 files cover the same 39.9 min of taxi-7: a.csv, b.csv, c.csv, first at 2000-01-01 00:00:00 UTC"
+    )
     assert "origin_from_file_name" in message
     assert "\n" not in message
     assert not (tmp_path / "out.mcap").exists()

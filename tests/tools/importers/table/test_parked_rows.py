@@ -1,6 +1,7 @@
 """Test that stops, charging and parking cut rides where an export changes its period, and that a state says so."""
 
 import re
+import tomllib
 
 import numpy as np
 import pandas as pd
@@ -55,10 +56,19 @@ def test_drives_between_parked_rows_are_rides_of_their_own(tmp_path, parked_ever
     rows = rows if has_state else rows.drop(columns="state")
     file = tmp_path / "car.csv"
     rows.to_csv(file, index=False)
-    words = ("--guess", "--vehicle-model", "nissan-leaf-2013", "-o", tmp_path / "car.mcap")
+    words = (
+        "--guess",
+        "--vehicle-model",
+        "nissan-leaf-2013",
+        "-o",
+        tmp_path / "car.mcap",
+        "--map",
+        tmp_path / "m.toml",
+    )
     printed, errors, code = called("import", "csv", file, *words)
     assert code == 0, errors
     assert "invert" not in printed
+    assert tomllib.loads((tmp_path / "m.toml").read_text())["vehicle"]["model"] == "nissan-leaf-2013"
     assert called("tables", tmp_path / "car.mcap", "--out", tmp_path / "t")[2] == 0
     rides = pd.read_parquet(tmp_path / "t" / "rides.parquet")
     rides = rides[rides["distance_km"] > 0.5]

@@ -31,13 +31,13 @@ HOUR = np.arange(0.0, 3600.0, 3.0)
 
 def test_files_on_top_of_each_other_are_found():
     found = find(("a", make_rows(HOUR)), ("b", make_rows(HOUR[:600])), ("c", make_rows(HOUR + 7200.0)))
-    assert (found.files, found.start, found.vehicle) == (2, 0.0, 0)
+    assert (found.files, found.start, found.vehicle) == (("a", "b"), 0.0, 0)
     assert found.duration == pytest.approx(1797.0)
 
 
 def test_clock_that_steps_back_in_one_file_is_found_across_blocks():
     found = find(("a", make_rows(HOUR)), ("a", make_rows(HOUR + 600.0)), ("a", make_rows(HOUR + 4200.0)))
-    assert (found.files, found.start) == (1, 600.0)
+    assert (found.files, found.start) == (("a",), 600.0)
     assert found.duration == pytest.approx(2997.0)
 
 

@@ -1,6 +1,9 @@
 """Test the tables of percentage errors, of reductions below the baselines, and of the literature."""
 
+from io import StringIO
+
 import pytest
+from rich.console import Console
 
 from socast.core.evaluate.literature import LITERATURE
 from socast.core.evaluate.paper.records import RecipeEvaluation
@@ -17,7 +20,8 @@ from socast.tools.report.evaluation.percentage_tables import (
     tabulate_percentages,
     tabulate_percentages_of,
 )
-from socast.tools.report.evaluation.sections import tabulate_headline, tabulate_overview
+from socast.tools.report.evaluation.sections import Section, tabulate_headline, tabulate_overview
+from socast.tools.report.evaluation.terminal import print_section
 from tests.support.evaluation_result import evaluation, hold
 
 
@@ -40,6 +44,14 @@ def test_reductions_stand_beside_each_other_for_every_baseline(result):
     assert rows["Hybrid Model with Boosted Trees"] == best
     assert rows["Basic Physical Model, Rescaled"][1] == ""
     assert "Basic Physical Model" not in rows
+
+
+def test_table_without_rows_is_not_printed(result):
+    console = Console(width=100, file=StringIO())
+    empty = tabulate_headline(result)._replace(rows=())
+    print_section(Section("glance", "At a glance", "", [empty, tabulate_overview(result)]), console)
+    assert empty.title not in console.file.getvalue()
+    assert "At a glance" in console.file.getvalue()
 
 
 def test_reductions_on_unseen_vehicle_models_have_their_own_table(result):
