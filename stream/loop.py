@@ -95,8 +95,8 @@ def feed(
 ) -> Iterator[Sequence[Message]]:
     """Pass each list of messages through a pipeline and yield it, then close the rides in progress.
 
-    Live operation, replays, warm-up, tables and evaluations are this loop with another source. Only the player of the
-    workbench and the workers of a cluster, which choose their own messages, call the pipeline themselves.
+    Live operation, replays, warm-up, tables, evaluations and the player of the workbench are this loop with another
+    source. Only the workers of a cluster, which pass rows of several recordings, call the pipeline themselves.
 
     Parameters
     ----------

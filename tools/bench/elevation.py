@@ -25,13 +25,15 @@ from socast.core.cleaning.elevation_map import ElevationMap, ElevationRaster
 from socast.core.cleaning.kernel import Cleaner
 from socast.core.fit.elevation_learning import learn_elevation, select_fixes
 from socast.core.fit.recipes import get_recipe
-from socast.core.pipeline import BLOCK, Pipeline
+from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
 from socast.core.wire.decoder import Decoder
 from socast.core.wire.messages import Message
 from socast.stream.elevation_files import read_places, write_places
 from socast.stream.elevation_tiles import SRTM_VOID, TILE_SD
+from socast.stream.loop import feed
 from socast.tools.bench.figures.published import publish
+from socast.tools.bench.measures import cut_blocks
 from socast.tools.commands.evaluate_soc import SocForecasts
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.settings import LOW, NIGHT, STEP, Faults, Simulation
@@ -136,9 +138,8 @@ def tabulate(
     """Return the ride table and the window table of messages."""
     also = effects.get_library()
     pipeline = Pipeline(also=list(also), keep_forecasts=False, two_sided=two_sided, elevation_map=elevation_map)
-    for at in range(0, len(messages), BLOCK):
-        pipeline.take(messages[at : at + BLOCK])
-    pipeline.finish()
+    for _ in feed(cut_blocks(messages), pipeline):
+        pass
     return pipeline.take_rides(), pipeline.take_windows()
 
 
@@ -168,10 +169,9 @@ def measure_model(fitted: pd.DataFrame, tested: pd.DataFrame) -> float:
 def measure_forecasts(messages: Sequence[Message], elevation_map: ElevationMap | None) -> float:
     """Return the mean absolute error of the forecasts of the charge at the end of shifts. [percentage points]"""
     forecasts = SocForecasts(Pipeline(keep_outlooks=True, elevation_map=elevation_map))
-    for part in forecasts.cut([list(messages[at : at + BLOCK]) for at in range(0, len(messages), BLOCK)]):
-        forecasts.pipeline.push(part)
+    for _ in feed(forecasts.cut(cut_blocks(messages)), forecasts.pipeline):
+        forecasts.pipeline.forecasts()
         forecasts()
-    forecasts.pipeline.finish()
     error = forecasts.evaluated().overall.pooled.mae_pct.value
     return nan if error is None else error
 

@@ -18,7 +18,8 @@ from socast.core.fit.block_sums import build_design
 from socast.core.fit.recipes import RECIPES, LinearRecipe
 from socast.core.models import ANY, LinearModel
 from socast.core.models.features import Columns
-from socast.core.pipeline import BLOCK, Pipeline
+from socast.core.pipeline import Pipeline
+from socast.stream.loop import feed
 from socast.tools.bench.measures import Measure, alternate_timings, cut_blocks, time_action
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.settings import Simulation
@@ -96,9 +97,8 @@ def _simulated() -> pd.DataFrame:
     start = datetime(2018, 1, 16, 12, tzinfo=UTC)
     pipeline = Pipeline(also=list(effects.get_library()), keep_forecasts=False)
     messages = list(simulate(Simulation(vehicles=12, start=start, shift_hours=4.0, seed=5)))
-    for block in cut_blocks(messages, BLOCK):
-        pipeline.take(block)
-    pipeline.finish()
+    for _ in feed(cut_blocks(messages), pipeline):
+        pass
     rides = pipeline.take_rides()
     return rides[rides["fit_for_training"]].reset_index(drop=True)
 

@@ -17,6 +17,7 @@ from socast.core.pipeline import BLOCK, Pipeline
 from socast.core.settings import Limits
 from socast.core.wire.decoder import Decoder
 from socast.core.wire.messages import Message
+from socast.stream.loop import feed
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
 from socast.tools.bench.fleet import make_rounds, make_vehicles
@@ -91,9 +92,8 @@ def measure_replay(repeats: int = 3, cars: int = 50, turns: int = 2000) -> Measu
 
         def whole() -> None:
             pipeline = Pipeline(EXTENDED_PHYSICAL)
-            for messages in McapSource(path):
-                pipeline.push(messages)
-            pipeline.finish()
+            for _ in feed(McapSource(path), pipeline):
+                pipeline.forecasts()
 
         whole()
         bare_s, whole_s = alternate_timings(lambda: time_action(bare), lambda: time_action(whole), repeats)

@@ -10,6 +10,7 @@ from socast.core.errors import SettingsError, suggest_names
 from socast.core.forecast.forecast_table import is_forecast, tabulate_forecasts
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
+from socast.stream.loop import feed
 from socast.stream.mcap_writer import McapSink
 from socast.stream.source import merge_sources
 from socast.stream.structured_log import flatten_counts
@@ -54,9 +55,8 @@ def replay_recordings(recordings: Sequence[str | Path], options: ForecastOptions
     sources = open_recordings([Path(each) for each in recordings])
     pipeline = make_pipeline(options, models, replayed=sources)
     forecasts = []
-    for messages in merge_sources(sources):
-        forecasts += [each for each in pipeline.push(messages) if is_forecast(each)]
-    forecasts += [each for each in pipeline.finish() if is_forecast(each)]
+    for _ in feed(merge_sources(sources), pipeline):
+        forecasts += [each for each in pipeline.forecasts() if is_forecast(each)]
     with McapSink(out) as sink:
         sink.put(forecasts)
     losses = tuple(f"{source.path}: {line}" for source in sources for line in source.losses.lines())

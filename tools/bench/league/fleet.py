@@ -10,10 +10,12 @@ import pandas as pd
 from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.wire.messages import Message
+from socast.stream.loop import feed
 from socast.tools.bench.league.fault import CLOCK, Fault, are_compatible, settle
 from socast.tools.bench.league.faults import FAULTS
 from socast.tools.bench.league.laws import COLUMNS, WRONG, Truth, Verdict, find_starts, find_truths, judge
 from socast.tools.bench.league.loggers import Log, make_car, sample, write_messages
+from socast.tools.bench.measures import cut_blocks
 
 DRIVES: Final = 3
 """Number of drives of a car."""
@@ -88,9 +90,8 @@ def write_stream(entries: Sequence[Entry]) -> list[Message]:
 def tabulate(messages: Sequence[Message]) -> pd.DataFrame:
     """Return the ride table of a stream, as `socast tables` makes it; of its columns those that are judged."""
     pipeline = Pipeline(EXTENDED_PHYSICAL, keep_forecasts=False, two_sided=True)
-    for at in range(0, len(messages), BLOCK):
-        pipeline.take(messages[at : at + BLOCK])
-    pipeline.finish()
+    for _ in feed(cut_blocks(messages, BLOCK), pipeline):
+        pass
     return pipeline.take_rides()[list(COLUMNS)]
 
 

@@ -23,6 +23,7 @@ from socast.core.forecast.plan_checks import parse_leg, parse_vehicle
 from socast.core.pipeline import Pipeline
 from socast.core.wire.message_block import MessageBlock
 from socast.core.wire.messages import Message, Outlook
+from socast.stream.loop import feed
 from socast.stream.mcap_reader import McapSource
 from socast.stream.source import merge_sources
 from socast.tools.terminal.live_table import add_predictions, make_ride_records
@@ -129,6 +130,7 @@ class Player:
         self.pipeline: Pipeline | None = None
         self._checkpoints: list[Checkpoint] = []
         self._messages = _MessageReader(self._recordings)
+        self._fed: Iterator[Sequence[Message]] = iter(())
         self._following_ns = self._messages.peek()
         self._thread = Thread(target=self._run, name="player", daemon=True)
 
@@ -232,12 +234,15 @@ class Player:
         except Exception:  # noqa: BLE001 - the pages stay open, and the log says why nothing moves
             self._problem = "a defect; see the log of `socast serve`"
             _log.exception("the player stopped by a defect")
+        finally:
+            self._fed = iter(())  # the loop before it ends now
 
     def _begin(self) -> None:
         """Make the pipeline, and keep the state before the first message."""
         pipeline = self._make_pipeline(True)
         with self.board.lock:
             self.pipeline = pipeline
+            self._fed = feed(self._messages, pipeline, close=False)
             self._checkpoints = [Checkpoint(0, self.begin_ns, pipeline.snapshot(), self.board.dump())]
         self._is_begun = True
 
@@ -292,18 +297,20 @@ class Player:
             self.pipeline = pipeline
             self.board.load(last.board)
         self._messages = _MessageReader(self._recordings, last.messages)
+        self._fed = feed(self._messages, pipeline, close=False)
         self._following_ns = self._messages.peek()
         self._position_ns = last.time_ns
 
     def _take(self, until_ns: int) -> bool:
         """Pass messages to the pipeline and the board; return whether more of them are due."""
-        messages = self._messages.take(until_ns, BLOCK)
-        if messages and self.pipeline is not None:
-            with self.board.lock:
-                self.pipeline.take(messages)
+        self._messages.until_ns = until_ns
+        with self.board.lock:
+            messages = next(self._fed, ())
+            if messages and self.pipeline is not None:
                 self.board.take(messages)
                 self.board.take(self.pipeline.forecasts())
                 self.pipeline.model_errors()
+        if messages:
             self._position_ns = max(self._position_ns, messages[-1].receipt_ns)
             self._keep_checkpoint(messages[-1].receipt_ns)
         self._following_ns = self._messages.peek()  # last, so that the end is reported once its state is there
@@ -335,10 +342,10 @@ class Player:
 
 
 class _MessageReader:
-    """Read the messages of recordings in order of receipt, after a number of them."""
+    """Yield the messages of recordings up to a time of receipt, which moves on, after a number of them."""
 
     def __init__(self, recordings: Sequence[Path], skip: int = 0) -> None:
-        self.count = skip
+        self.count, self.until_ns = skip, 0
         self._blocks: Iterator[Sequence[Message]] = merge_sources([McapSource(path) for path in recordings])
         self._block: Sequence[Message] = []
         self._at = 0
@@ -355,14 +362,13 @@ class _MessageReader:
             self._block, self._at = block, 0
         return self._block[self._at].receipt_ns
 
-    def take(self, until_ns: int, most: int) -> Sequence[Message]:
-        """Return the next messages up to a time of receipt, up to the one that reaches `BLOCK_BYTES`."""
-        if self.peek() is None:
-            return []
-        stop = bisect_right(self._block, until_ns, lo=self._at, key=attrgetter("receipt_ns"))
-        out = self._block[self._at : min(stop, self._at + most)]
-        ends = np.cumsum(MessageBlock.of(out).columns.sizes)
-        out = out[: int(np.searchsorted(ends, BLOCK_BYTES)) + 1]
-        self._at += len(out)
-        self.count += len(out)
-        return out
+    def __iter__(self) -> Iterator[Sequence[Message]]:
+        """Yield the next messages that are due, up to `BLOCK` or the one that reaches `BLOCK_BYTES`, perhaps none."""
+        while self.peek() is not None:
+            stop = bisect_right(self._block, self.until_ns, lo=self._at, key=attrgetter("receipt_ns"))
+            out = self._block[self._at : min(stop, self._at + BLOCK)]
+            ends = np.cumsum(MessageBlock.of(out).columns.sizes)
+            out = out[: int(np.searchsorted(ends, BLOCK_BYTES)) + 1]
+            self._at += len(out)
+            self.count += len(out)
+            yield out
