@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from math import inf
-from threading import Event
+from threading import Event, Lock
 from types import FrameType
 from typing import Any, Final, Protocol, TypeAlias
 
@@ -105,15 +105,56 @@ def feed(
     close : bool
         Whether rides in progress end with the source.
     """
-    with collect_garbage_rarely():
-        for messages in source:
-            if messages:
-                pipeline.take(messages, record)
-            yield messages
-        if close:
-            pipeline.finish()
+    for messages in source:
+        if messages:
+            pipeline.take(messages, record)
+        yield messages
+    if close:
+        pipeline.finish()
 
 
+class _GarbageRule:
+    """Make the cyclic garbage collector run rarely while one loop or several, of any thread, are inside."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._before = Lock(), 0, gc.get_threshold()
+
+    def enter(self) -> None:
+        """Begin, unless another loop has."""
+        with self._lock:
+            self._inside += 1
+            if self._inside == 1:
+                self._before = gc.get_threshold()
+                gc.freeze()
+                gc.set_threshold(100_000, 20, 100)
+
+    def leave(self) -> None:
+        """Return to the previous thresholds after the last loop."""
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                gc.set_threshold(*self._before)
+                gc.unfreeze()
+
+
+_garbage_rule = _GarbageRule()
+
+
+@contextmanager
+def collect_garbage_rarely() -> Iterator[None]:
+    """Make the cyclic garbage collector run rarely while messages stream; also a decorator.
+
+    Messages form no reference cycles, and every collection would visit each of them. Objects that exist already are not
+    visited. The previous thresholds return when the last loop of the process ends.
+    """
+    _garbage_rule.enter()
+    try:
+        yield
+    finally:
+        _garbage_rule.leave()
+
+
+@collect_garbage_rarely()
 def run(
     source: Source,
     pipeline: Forecaster,
@@ -174,23 +215,6 @@ def run(
         tally.seconds = clock() - began
     counters.write("finished")
     return tally
-
-
-@contextmanager
-def collect_garbage_rarely() -> Iterator[None]:
-    """Make the cyclic garbage collector run rarely while messages stream.
-
-    Messages form no reference cycles, and every collection would visit each of them. Objects that exist already are not
-    visited. The previous thresholds return at the end.
-    """
-    before = gc.get_threshold()
-    gc.freeze()
-    gc.set_threshold(100_000, 20, 100)
-    try:
-        yield
-    finally:
-        gc.set_threshold(*before)
-        gc.unfreeze()
 
 
 @contextmanager

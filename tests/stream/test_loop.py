@@ -302,6 +302,9 @@ def test_garbage_collector_visits_no_object_from_before_the_loop():
         with collect_garbage_rarely():
             assert gc.get_freeze_count() > 10_000
             assert gc.get_threshold() > thresholds
+            with collect_garbage_rarely():
+                pass
+            assert gc.get_threshold() > thresholds  # the outer loop runs on
     finally:
         gc.callbacks.remove(note)
     assert 2 not in generations

@@ -22,7 +22,7 @@ from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
 from socast.stream.elevation_files import open_elevation
-from socast.stream.loop import feed
+from socast.stream.loop import collect_garbage_rarely, feed
 from socast.stream.mcap_reader import McapSource
 from socast.stream.recorder import list_recordings
 from socast.stream.source import merge_sources
@@ -246,6 +246,7 @@ def _complete(rides: Path, windows: Path, own: Sequence[str], report: Report | N
     return complete_tables(rides.parent, read([rides]), read([windows]), own, read_again)
 
 
+@collect_garbage_rarely()
 def tabulate(
     sources: Sequence[McapSource],
     pipeline: Pipeline,

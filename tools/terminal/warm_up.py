@@ -13,7 +13,7 @@ from socast.core.errors import SettingsError
 from socast.core.models import Model
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
-from socast.stream.loop import feed
+from socast.stream.loop import collect_garbage_rarely, feed
 from socast.stream.mcap_reader import McapSource
 from socast.stream.source import merge_sources
 from socast.tools.terminal.recordings import open_recordings, show_progress, warn_of_losses
@@ -29,6 +29,7 @@ WarmUp = Annotated[
 ]
 
 
+@collect_garbage_rarely()
 def learn_from_recordings(
     model: Model,
     shadows: Sequence[Model],

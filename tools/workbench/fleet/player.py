@@ -283,9 +283,10 @@ class Player:
             self._return_to(goal_ns)
         while self._goal_ns == goal_ns and not self._has_ended and self._take(goal_ns):
             pass
+        if self._goal_ns == goal_ns:
+            self._take_rides()
         with self._changed:
             if self._goal_ns == goal_ns:
-                self._take_rides()
                 self._goal_ns, self._position_ns, self._origin = None, goal_ns, None
 
     def _return_to(self, time_ns: int) -> None:

@@ -11,7 +11,7 @@ from socast.core.fit.recipes import RECIPES
 from socast.core.models import ANY
 from socast.core.pipeline import Pipeline
 from socast.core.records import to_json_values
-from socast.stream.loop import feed
+from socast.stream.loop import collect_garbage_rarely, feed
 from socast.stream.source import merge_sources
 from socast.tools.commands.fit import summary
 from socast.tools.terminal.model_comparison import make_records
@@ -75,6 +75,7 @@ def compare_two(workspace: Workspace, one: ModelNode, other: ModelNode) -> dict[
     }
 
 
+@collect_garbage_rarely()
 def run_shadows(
     workspace: Workspace, one: ModelNode, other: ModelNode, report: Report = lambda *_: None
 ) -> dict[str, Any]:
