@@ -35,10 +35,8 @@ class Column:
 
     Parameters
     ----------
-    name : str
     unit : str
         Unit as pint spells it; `1` for a pure number, empty for text and truth values.
-    meaning : str
     source : str
         Wire field, step or message that the values come from.
     low, high : float

@@ -38,11 +38,6 @@ def everyday(value: float, unit: str) -> str:
 def rounded(value: float, half: float | None = None) -> str:
     """Return a number as text, rounded to its uncertainty, or to two digits without one.
 
-    Returns
-    -------
-    str
-        Number, followed by ± and the half width if there is one.
-
     Examples
     --------
     >>> rounded(1.1349, 0.23), rounded(1.1349, 0.012), rounded(147.2, 23.0), rounded(0.0123), rounded(1234.5)

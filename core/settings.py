@@ -73,8 +73,6 @@ class Limits(NamedTuple):
         Largest number of samples in a payload that is a list (`too_many_samples`).
     vehicles : float
         Largest number of vehicles (`too_many_vehicles`), and of different vehicle descriptions.
-    stations : float
-        Largest number of weather stations (`too_many_stations`).
     vehicle_models : float
         Largest number of names of vehicle models (`too_many_models`).
     key_rate : float

@@ -286,13 +286,7 @@ SCHEMAS: Final[dict[str, Schema]] = {
 
 
 def load_components(components: Mapping[str, Stateful], content: dict[str, Any], effects: Sequence[str]) -> None:
-    """Check the state of all components, and then load it; rides in progress keep the sums of effects that remain.
-
-    Parameters
-    ----------
-    components : mapping of str to Stateful
-        Components by name, in the order in which they must load.
-    """
+    """Check the state of all components, and then load it; rides in progress keep the sums of effects that remain."""
     name, state = "state", content.get("state")
     try:
         if not isinstance(state, dict) or (set(state) ^ set(components)) - {"deferred"}:

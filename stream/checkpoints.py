@@ -41,10 +41,6 @@ class Checkpoints:
 
     Parameters
     ----------
-    pipeline : Restorable
-        Pipeline that holds the state.
-    file : StateFile
-        File of the state.
     recorder : Recorder, optional
         Recorder of the messages. Without it, samples that came after the last state are only in the caches of
         publishers.

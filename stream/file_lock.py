@@ -20,11 +20,6 @@ class FileLock(Closeable):
         Lock file; it is made if it does not exist.
     what : str
         File or folder that the lock protects, for the message, such as `--state fleet.state`.
-
-    Raises
-    ------
-    SettingsError
-        If another process holds the lock, or if the lock file cannot be made.
     """
 
     def __init__(self, lock: Path, what: str) -> None:

@@ -34,8 +34,6 @@ class HttpAddress(NamedTuple):
 
     Parameters
     ----------
-    host : str
-        Name or number of the host.
     port : int
         Number of the port; 0 for any free port.
     """
@@ -68,23 +66,10 @@ def parse_http_address(text: str) -> HttpAddress:
 class HealthServer(Closeable):
     """Answer web requests on the service from threads of its own.
 
-    Parameters
-    ----------
-    address : HttpAddress
-    status : ServiceStatus
-        Status that the loop writes.
-    registry : prometheus_client.CollectorRegistry
-        Registry of the metrics.
-
     Attributes
     ----------
     address : HttpAddress
         Where the server listens; a free port replaces port 0.
-
-    Raises
-    ------
-    SettingsError
-        If the server cannot listen there.
     """
 
     def __init__(self, address: HttpAddress, status: ServiceStatus, registry: "CollectorRegistry") -> None:

@@ -32,13 +32,7 @@ class LatestOnlySink:
         self._thread.start()
 
     def put(self, messages: Sequence[Message]) -> None:
-        """Hand messages to the thread without waiting for the sink.
-
-        Parameters
-        ----------
-        messages : sequence of Message
-            Messages to pass on; an empty sequence is allowed.
-        """
+        """Hand messages to the thread without waiting for the sink."""
         self._raise_failure()
         if messages:
             with self._changed:

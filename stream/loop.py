@@ -97,13 +97,6 @@ def feed(
 
     Live operation, replays, warm-up, tables, evaluations and the player of the workbench are this loop with another
     source. Only the workers of a cluster, which pass rows of several recordings, call the pipeline themselves.
-
-    Parameters
-    ----------
-    record : callable, optional
-        Function that receives new messages before the pipeline uses them.
-    close : bool
-        Whether rides in progress end with the source.
     """
     for messages in source:
         if messages:
@@ -237,13 +230,7 @@ def stop_on_signals() -> Iterator[Event]:
 
 @contextmanager
 def act_on_hangup(act: Callable[[], None]) -> Iterator[None]:
-    """Call a function at SIGHUP, in the thread of the loop.
-
-    Parameters
-    ----------
-    act : callable
-        Function that only sets a flag. The previous signal handler returns at the end.
-    """
+    """Call a function at SIGHUP, in the thread of the loop."""
     before = signal.signal(signal.SIGHUP, lambda *_: act())
     try:
         yield

@@ -59,10 +59,6 @@ class Topics:
 class Channels:
     """Hold the channels of one recording.
 
-    Parameters
-    ----------
-    topics : Topics
-
     Attributes
     ----------
     foreign : dict of int to (str, str)

@@ -88,11 +88,6 @@ class _Block(NamedTuple):
 class McapSource:
     """Read an MCAP recording as a source that can be iterated repeatedly.
 
-    Parameters
-    ----------
-    path : str or Path
-        The recording.
-
     Attributes
     ----------
     losses : Losses
@@ -108,11 +103,6 @@ class McapSource:
     viewer_messages : Counter of str
         Number of messages by topic that the current iteration has left out because their channels are marked as
         `FOR_VIEWERS`.
-
-    Raises
-    ------
-    RecordingError
-        If the file is missing, empty, a directory or not MCAP, or if none of its channels follows the wire contract.
     """
 
     def __init__(self, path: str | Path) -> None:

@@ -23,8 +23,6 @@ class ChunkRecords(NamedTuple):
     ----------
     data : bytes
         The chunk, with `PADDING` bytes after it.
-    text : (size,) uint8
-        The same memory as an array.
     starts, sizes : (n,) int
         Begin and size of the payload of each message. [B]
     channel : (n,) int

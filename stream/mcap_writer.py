@@ -97,11 +97,6 @@ class McapSink(Closeable):
         Size of the file so far, with the uncompressed size of the unfinished chunk. [B]
     messages, kept : int
         Number of messages that were put, and number of messages that are in the file.
-
-    Raises
-    ------
-    RecordingError
-        If the file cannot be written.
     """
 
     def __init__(

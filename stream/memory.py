@@ -13,8 +13,6 @@ class MemorySource:
 
     Parameters
     ----------
-    messages : sequence of Message
-        Messages to yield.
     chunk : int
         Largest number of messages per yielded list. [1]
     """
@@ -36,8 +34,6 @@ class MemorySink(Closeable):
     ----------
     messages : list of Message
         All messages that were put, in order.
-    closed : bool
-        Whether the sink was closed.
     """
 
     messages: list[Message] = field(default_factory=list)

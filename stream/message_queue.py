@@ -22,8 +22,6 @@ class MessageQueue:
 
     Attributes
     ----------
-    messages : int
-        Number of queued messages.
     size : int
         Size of their payloads. [B]
     """

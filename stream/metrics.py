@@ -27,14 +27,8 @@ class MetricRow(NamedTuple):
     ----------
     name : str
         Name without the ending `_total` of counters.
-    kind : str
-        `counter` or `gauge`.
-    meaning : str
-        One sentence.
     get : callable
         Function that takes a snapshot and the present time [Unix s], and returns the values.
-    labels : tuple of str
-        Names of the labels.
     """
 
     name: str
@@ -266,8 +260,6 @@ def make_registry(
 
     Parameters
     ----------
-    get_snapshot : callable
-        Function that returns the newest snapshot, None before the first.
     shard : str
         Shard of the service, such as `2/4`, which becomes a label of each metric; empty without shards.
     """

@@ -50,8 +50,6 @@ class Broker:
         Such as `mqtt://127.0.0.1:1883`, or `mqtts://broker.example` with TLS.
     client_id : str
         Name of the session at the broker. A second client with the same name ends the connection of the first.
-    user, password : str, optional
-        Credentials.
     authority : Path, optional
         PEM file of the certificate authority; by default those of the system.
     certificate, key : Path, optional
@@ -79,8 +77,6 @@ class MqttMessage(NamedTuple):
 
     Parameters
     ----------
-    topic : str
-    payload : bytes
     received_s : float
         Unix time of receipt. [s]
     is_retained : bool
@@ -102,23 +98,11 @@ class MqttMessage(NamedTuple):
 class MqttSource(Closeable):
     """Subscribe to topics of a broker with QoS 1, in a session that outlasts connections.
 
-    Parameters
-    ----------
-    broker : Broker
-        Broker to connect to.
-    topics : sequence of str
-        Topics, with wildcards.
-
     Attributes
     ----------
     counts : Counter of str
         `messages`, `again` (sent again by the broker), `retained`, `acknowledged`, `too_late` (acknowledgements that
         were left out because the connection had ended), `connections`, `disconnections` and `invalid_topic`.
-
-    Raises
-    ------
-    SettingsError
-        If the address is not valid, a file cannot be read, or the first connection fails or is refused.
     """
 
     def __init__(self, broker: Broker, topics: Sequence[str]) -> None:
@@ -274,13 +258,7 @@ def parse_broker(url: str) -> tuple[str, str, int]:
 
 
 def check_broker(broker: Broker) -> ssl.SSLContext | None:
-    """Check the address and the files of a broker without connecting, and return the settings of TLS.
-
-    Returns
-    -------
-    ssl.SSLContext or None
-        None for an address without TLS.
-    """
+    """Check the address and the files of a broker without connecting, and return the settings of TLS."""
     scheme, _, _ = parse_broker(broker.url)
     if scheme == "mqtts":
         return _make_context(broker)

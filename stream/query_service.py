@@ -53,13 +53,7 @@ class OutlookProvider(Protocol):
     """Define the method of `socast.core.pipeline.Pipeline` that the service calls."""
 
     def ask(self, vehicle_id: str, leg: Leg | None, plan: Plan | None) -> Outlook:
-        """Return the forecast for the rest of a shift.
-
-        Parameters
-        ----------
-        leg : Leg or None
-            The ride that the query is about; None for the shift as planned.
-        """
+        """Return the forecast for the rest of a shift."""
 
 
 class QueryService:
@@ -70,17 +64,11 @@ class QueryService:
 
     Parameters
     ----------
-    questions : QuerySource
-        Source of the queries.
-    answerer : OutlookProvider
-        Pipeline that computes the answers.
     clock : callable
         Function that returns monotonic time. [s]
 
     Attributes
     ----------
-    answered : int
-        Number of answered queries.
     refused : Counter of str
         Number of refusals by cause. The cause is that of the `AskError`, `unanswerable` for another error that the
         sender can correct, or `failed` for a defect.

@@ -87,11 +87,6 @@ class Recorder(Closeable):
         End of what is synced to disk.
     synced_s : float
         Monotonic time up to which every recorded message is on disk. [s]
-
-    Raises
-    ------
-    SettingsError
-        If the folder cannot be created or another process records there, or if a limit is not positive.
     """
 
     def __init__(
@@ -124,13 +119,7 @@ class Recorder(Closeable):
         self._rotates = False
 
     def put(self, messages: Sequence[Message]) -> None:
-        """Write messages, and flush the file when a flush is due.
-
-        Parameters
-        ----------
-        messages : sequence of Message
-            Messages in order of receipt; an empty sequence only flushes.
-        """
+        """Write messages, and flush the file when a flush is due."""
         now = self._clock()
         if self._rotates:
             self._rotates = False

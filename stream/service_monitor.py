@@ -22,15 +22,6 @@ class ServiceMonitor(Closeable):
         Where to serve metrics, as `socast.stream.health.parse_http_address` reads it; None serves none.
     shard : str
         Shard of the service, such as `2/4`; empty without shards.
-
-    Attributes
-    ----------
-    server : HealthServer or None
-
-    Raises
-    ------
-    SettingsError
-        If the address is wrong or busy, or prometheus-client is not installed.
     """
 
     def __init__(self, address: str | None = None, shard: str = "") -> None:

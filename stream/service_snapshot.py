@@ -53,11 +53,8 @@ class VehicleSnapshot:
 
     Parameters
     ----------
-    names : tuple of n str
     newest_s : tuple of n float
         Time of the newest sample. [Unix s]
-    lost : tuple of n int, optional
-        Number of lost samples.
     """
 
     names: tuple[str, ...]
@@ -94,18 +91,12 @@ class ServiceSnapshot:
         Time of the newest sample of all vehicles. [Unix s]
     vehicles, active_vehicles : int
         Vehicles known, and vehicles whose newest sample is recent.
-    rides : int
-        Rides that have ended.
     unfit_rides, unpredicted_rides : mapping of str to int
         Rides that are unfit for training, and rides without a prediction, by reason.
     faulty_loggers : mapping of str to int
         Vehicles of whose logger a ride has shown a fault, by its name.
     refused_forecasts : mapping of str to int, optional
         Forecasts that were not published, by cause.
-    answered : int
-        Answered queries.
-    refused_queries : mapping of str to int
-        Refused queries by cause.
     interval_outcomes : mapping of (str, str) to int
         Outcomes of forecast intervals by basis of the forecast and by place: `below`, `inside` or `above`.
     model_interval_outcomes : mapping of (str, str) to int
@@ -126,7 +117,6 @@ class ServiceSnapshot:
         Number of shards that divide the fleet.
     obstacle : str
         Why the service is not ready although its loop moves; empty where it is.
-    of_vehicles : VehicleSnapshot, optional
     """
 
     messages: int = 0
@@ -226,12 +216,8 @@ class SnapshotTaker:
 
     Parameters
     ----------
-    pipeline : Pipeline
     source : object
         Source of the messages. Those of its attributes that `OF_SOURCE` names are exported.
-    recorder : Recorder, optional
-    checkpoints : Checkpoints, optional
-    queries : QueryService, optional
     candidate : Candidate, optional
         Tells whether this consumer publishes, where one of several does.
     overlap : Overlapping, optional

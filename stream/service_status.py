@@ -80,11 +80,6 @@ class ServiceWatch:
 
     Parameters
     ----------
-    status : ServiceStatus
-    take_snapshot : callable
-        Function that returns the present snapshot.
-    notifier : SystemdNotifier, optional
-        By default nobody is told.
     stop : Event, optional
         Event that requests the stop of the service.
     clock : callable

@@ -49,16 +49,6 @@ def merge_sources(sources: Sequence[Source]) -> Iterator[Sequence[Message]]:
     yields all messages up to the earliest end of the lists that it holds, because no later list can hold an earlier
     message. Messages at that end wait if an earlier source may have another one there, so that the order does not
     depend on where lists end.
-
-    Parameters
-    ----------
-    sources : sequence of Source
-        Sources to merge. Messages with equal receipt come in the order of their sources.
-
-    Yields
-    ------
-    sequence of Message
-        Messages with ascending `receipt_ns`, within and across lists.
     """
     if len(sources) == 1:
         yield from sources[0]
@@ -112,11 +102,6 @@ def pace_source(
     ----------
     speed : float
         Ratio of recorded time to real time: 1 for real time, `math.inf` for as fast as possible. [1]
-
-    Yields
-    ------
-    sequence of Message
-        Messages that have fallen due; an empty list every `LOOK_UP_S` of silence.
     """
     if not speed > 0:
         raise SettingsError(f"speed is {speed:g}, must be above 0; give a number such as 60, or `max`")

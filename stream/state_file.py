@@ -31,22 +31,12 @@ class StateFile(Closeable):
     that was saved before it. A last state that could not be used never replaces that one: the next save keeps it as
     `{name}.damaged`.
 
-    Parameters
-    ----------
-    path : Path
-        State file; it need not exist.
-
     Attributes
     ----------
     loaded : Path or None
         File that `load` used: the last state, or the one before.
     failure : str
         Why `load` could not use the last state; empty if it did.
-
-    Raises
-    ------
-    SettingsError
-        If another process uses the file, or if its folder cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -63,13 +53,7 @@ class StateFile(Closeable):
         return self.path.exists() or self._previous.exists()
 
     def load(self, restore: Callable[[bytes], Any]) -> Any:
-        """Restore the last state that is intact, and return what `restore` returns.
-
-        Parameters
-        ----------
-        restore : callable
-            Function that takes a snapshot and raises `SocastError` if it cannot use it.
-        """
+        """Restore the last state that is intact, and return what `restore` returns."""
         failure: SocastError | None = None
         for path in (self.path, self._previous):
             try:

@@ -81,13 +81,7 @@ class _Standard(logging.StreamHandler[TextIO]):
 
 
 def log_lines(*, as_json: bool = False, to: TextIO | None = None, level: int = logging.INFO) -> None:
-    """Send the log records of socast, from a level on, to a stream.
-
-    Parameters
-    ----------
-    as_json : bool
-        Whether each line is a JSON object instead of `key=value` pairs.
-    """
+    """Send the log records of socast, from a level on, to a stream."""
     handler = logging.StreamHandler(to) if to else _Standard()
     handler.setFormatter(LineFormatter(as_json=as_json))
     root = logging.getLogger("socast")

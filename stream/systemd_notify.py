@@ -31,10 +31,6 @@ class SystemdNotifier:
         Path of the socket, or the name of an abstract one after `@`; an empty address switches messages off.
     watchdog_s : float, optional
         Time without a message after which systemd ends the service. [s] None without a watchdog.
-
-    Attributes
-    ----------
-    watchdog_s : float or None
     """
 
     def __init__(self, address: str = "", watchdog_s: float | None = None) -> None:

@@ -29,8 +29,6 @@ class ZenohDelivery(Closeable):
     ----------
     node : Node
         Session of a client, which the delivery does not close.
-    prefix : str
-        Text before every key.
 
     Attributes
     ----------
@@ -46,13 +44,7 @@ class ZenohDelivery(Closeable):
         self._listener: Any = node.session.info.declare_transport_events_listener(self._watch)
 
     def deliver(self, messages: Sequence[Message], stop: Event) -> bool:
-        """Publish messages, and return whether a router has read them all.
-
-        Returns
-        -------
-        bool
-            False if `stop` was set before a router had read them.
-        """
+        """Publish messages, and return whether a router has read them all."""
         while self._wait_for_router(stop):
             lost = self._lost
             self._sink.put(messages)

@@ -58,15 +58,8 @@ class CacheHistory:
 
     Parameters
     ----------
-    node : Node
-        Session to ask in.
     spaces : sequence of str
         Key expressions of the subscriptions, such as `fleet/**`.
-
-    Attributes
-    ----------
-    asked : int
-        Number of queries of caches.
     """
 
     def __init__(self, node: Node, spaces: Sequence[str]) -> None:

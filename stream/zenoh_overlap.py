@@ -42,14 +42,7 @@ _log = logging.getLogger("socast.shards")
 
 
 class Share(NamedTuple):
-    """Describe what a consumer announces: its shard, and whether it publishes only while no other one does.
-
-    Parameters
-    ----------
-    shard : Shard or None
-        None for the whole fleet.
-    standby : bool
-    """
+    """Describe what a consumer announces: its shard, and whether it publishes only while no other one does."""
 
     shard: Shard | None
     standby: bool
@@ -107,7 +100,6 @@ class Overlaps:
 
     Parameters
     ----------
-    own : Share
     zid : str
         Identifier of the own session, whose token is not that of another consumer.
     clock : callable
@@ -160,8 +152,6 @@ class OverlapWatch(Closeable):
 
     Parameters
     ----------
-    node : Node
-        Session, prefix and shard.
     standby : bool
         Whether the consumer publishes only while no other one of its share does.
     clock : callable

@@ -48,8 +48,6 @@ class ZenohQuery:
 
     Parameters
     ----------
-    query : zenoh.Query
-        Query as received.
     prefix : str
         Key chunks before `fleet`, with a slash at the end.
     send : callable
@@ -61,8 +59,6 @@ class ZenohQuery:
         Identifier of the car from the key, without validation.
     parameters : str
         Parameters after the question mark, as text.
-    payload : bytes or None
-        Plan that comes with the query.
     """
 
     def __init__(self, query: Any, prefix: str, send: Callable[[Any, Callable[[], None]], None]) -> None:
@@ -85,11 +81,6 @@ class ZenohQuery:
 
 class ZenohQueryable(Closeable):
     """Receive queries for `{prefix}fleet/*/outlook`, or those of its shard, and send their answers.
-
-    Parameters
-    ----------
-    node : Node
-        Session and prefix of the queryable.
 
     Attributes
     ----------

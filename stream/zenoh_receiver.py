@@ -72,7 +72,6 @@ class Received(NamedTuple):
 
     Parameters
     ----------
-    messages : MessageBlock
     recovered : bool
         Whether some of them came from the caches of publishers; these are of the type `RecoveredMessage`.
     samples : int
@@ -143,11 +142,6 @@ def adapt_nap(nap_s: float, fullness: float) -> float:
 class ZenohReceiver:
     """Subscribe to a fleet and its weather under one prefix, and take samples from Zenoh's channels.
 
-    Parameters
-    ----------
-    node : Node
-        Session and prefix to subscribe with.
-
     Attributes
     ----------
     missed : int or None
@@ -187,11 +181,6 @@ class ZenohReceiver:
 
         While caches are asked, live samples are held, and then all are returned together in their order. A publisher's
         token comes before its samples, so the tokens are looked at after the samples.
-
-        Parameters
-        ----------
-        stopping : bool
-            Whether held samples must not wait any longer.
         """
         if self._nap_s:
             time.sleep(self._nap_s)

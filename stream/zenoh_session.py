@@ -100,17 +100,6 @@ class Node(Closeable):
     ----------
     connection : Connection
         Endpoints, mode, prefix and configuration of the session.
-
-    Attributes
-    ----------
-    endpoints : list of str
-        Endpoints at which the node listens.
-
-    Raises
-    ------
-    SettingsError
-        If an endpoint, the mode, the prefix or the file is invalid, if no connection can be made, or if the node cannot
-        listen at an endpoint.
     """
 
     def __init__(self, connection: Connection = Connection()) -> None:

@@ -21,10 +21,6 @@ class SignalSample(NamedTuple):
 
     Parameters
     ----------
-    key : str
-    payload : bytes
-    attachment : bytes
-        Empty where there is none.
     stamp_s : float or None
         Time that the sample's publisher or router gave it. [Unix s]
     received_s : float
@@ -45,13 +41,6 @@ class ZenohSignals(Closeable):
     ----------
     node : Node
         Session, which stays open. Publish through another session: see `socast.stream.zenoh_sink`.
-    keys : str
-        Key expression.
-
-    Raises
-    ------
-    SettingsError
-        If the key expression is not valid.
     """
 
     def __init__(self, node: Node, keys: str) -> None:

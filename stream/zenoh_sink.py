@@ -31,10 +31,6 @@ class ZenohSink:
 
     Parameters
     ----------
-    node : Node
-        Session to publish in.
-    prefix : str
-        Text before every key.
     keys : IdleKeys, optional
         Decides which publishers were not used for long.
     """

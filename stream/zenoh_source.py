@@ -46,8 +46,6 @@ class ZenohSource:
 
     Parameters
     ----------
-    node : Node
-        Session and prefix to subscribe with.
     stop : Event
         Event that ends the subscription. The iteration then yields the queued messages and ends.
     queue_bytes : float

@@ -211,14 +211,7 @@ class Standby(Closeable):
 
 
 class FencedSink:
-    """Pass messages on while this consumer is the active one, and drop them otherwise.
-
-    Parameters
-    ----------
-    sink : Sink
-        Sink of the active consumer.
-    standby : Standby
-    """
+    """Pass messages on while this consumer is the active one, and drop them otherwise."""
 
     def __init__(self, sink: Sink, standby: Standby) -> None:
         self._sink, self._standby = sink, standby
@@ -244,7 +237,6 @@ class TakeoverSink:
     ----------
     sink : Sink
         Sink that drops messages while this consumer is passive; its `put` must not wait.
-    standby : Standby
     keys : IdleKeys, optional
         Decides which messages are so old that they are not kept any longer.
     """
@@ -274,13 +266,7 @@ class TakeoverSink:
 
 
 class StandbyQueryable(Closeable):
-    """Receive queries while this consumer is active; a passive one is not there for those who ask.
-
-    Parameters
-    ----------
-    node : Node
-    standby : Standby
-    """
+    """Receive queries while this consumer is active; a passive one is not there for those who ask."""
 
     def __init__(self, node: Node, standby: Standby) -> None:
         self._node, self._standby = node, standby

@@ -25,12 +25,8 @@ class Command(NamedTuple):
 
     Parameters
     ----------
-    module : str
-        Module that defines the command.
     name : str
         Name of a function, or of a `typer.Typer` that has commands of its own.
-    summary : str
-        One sentence for `socast --help`.
     """
 
     module: str
@@ -156,13 +152,7 @@ class PlainCommand(TyperCommand):
 
 
 def application(chosen: str | None = None) -> typer.Typer:
-    """Return the command line with one command imported and the others known by name only.
-
-    Parameters
-    ----------
-    chosen : str, optional
-        The command that is called; None where only the general help is wanted.
-    """
+    """Return the command line with one command imported and the others known by name only."""
     app = typer.Typer(
         name="socast",
         no_args_is_help=True,

@@ -368,8 +368,6 @@ def advance_clock(state: Any, stamp: float, seq: float, same: bool, period: floa
 
     Parameters
     ----------
-    state : record
-        State of the lane, changed in place.
     stamp, seq : float
         Stamp [s] and counter of the sample; NaN where unknown.
     """

@@ -207,11 +207,6 @@ def _interpolate(nodes: Floats, north: Floats, east: Floats) -> Floats:
 class ElevationMap:
     """Combine the layers of a map by inverse variance.
 
-    Parameters
-    ----------
-    layers : sequence of ElevationLayer
-        Layers with the same datum.
-
     Attributes
     ----------
     identity : str
@@ -223,13 +218,7 @@ class ElevationMap:
         self.identity = sha256(b"".join(layer.digest() for layer in self.layers)).hexdigest()[:16]
 
     def find_ground(self, latitude: Floats, longitude: Floats) -> Ground:
-        """Return the ground at n positions.
-
-        Returns
-        -------
-        Ground
-            NaN where no layer knows the elevation.
-        """
+        """Return the ground at n positions."""
         weight, weighted = np.zeros(len(latitude)), np.zeros(len(latitude))
         for layer in self.layers:
             ground = layer.find_ground(latitude, longitude)

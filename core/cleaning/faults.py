@@ -10,10 +10,6 @@ class LoggerFault(NamedTuple):
 
     Parameters
     ----------
-    title : str
-        What the logger sends.
-    cost : str
-        What is lost of these samples.
     remedy : str
         What the maker of the logger can do.
     is_of_logger : bool

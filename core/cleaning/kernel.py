@@ -113,12 +113,6 @@ STALE: Final = 60.0
 class Cleaner:
     """Clean batches of telemetry, with the state of every lane.
 
-    Parameters
-    ----------
-    settings : Settings
-    elevation_map : ElevationMap, optional
-        Corrects the elevation of fixes.
-
     Attributes
     ----------
     map_lookup : MapLookup

@@ -46,11 +46,6 @@ _CAR: Final = np.dtype(
 class FleetSilences:
     """Find the silences of cars.
 
-    Parameters
-    ----------
-    settings : Settings
-        Those of the cleaning.
-
     Examples
     --------
     >>> from socast.core.batch import Lanes

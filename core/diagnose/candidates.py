@@ -37,8 +37,6 @@ class Candidates:
         Names of the effects or of their variants.
     effects : (k,) int64
         Index in `names` of the effect of each variant.
-    names : tuple of str
-        Names of the effects.
     sign : (k,) int64
         Sign of the coefficient that physics demands: 1, -1, or 0 for either.
     columns : (n, k) float

@@ -27,8 +27,6 @@ class Windows:
 
     Parameters
     ----------
-    table : (n, columns) DataFrame
-        The window table, with `socast.core.fit.measured_rows.RIDE_COLUMNS`.
     rides : (rides, columns) DataFrame
         The ride table of the same rides, in the order of `ride`.
     measured, predicted : (n,) float

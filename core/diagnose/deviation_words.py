@@ -22,13 +22,7 @@ CAUSES: Final = {
 
 
 def has_certain_share(one: CarDeviation) -> bool:
-    """Return whether the 95 % interval of the net energy of a deviation, over all its causes, excludes zero.
-
-    Parameters
-    ----------
-    one : CarDeviation
-        A slow growth is judged by its rate.
-    """
+    """Return whether the 95 % interval of the net energy of a deviation, over all its causes, excludes zero."""
     return _excludes_zero(_get_size(one)[1])
 
 

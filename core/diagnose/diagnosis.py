@@ -95,34 +95,19 @@ def diagnose(
 
     Parameters
     ----------
-    rides, windows : DataFrame
-        The ride table and the window table, as `socast tables` makes them.
-    model : LinearModel
-        The model to diagnose.
     leave_out : collection of str, optional
         ISO dates whose rides are not used. By default those on which `add` evaluates once it has decided, see
         `socast.core.diagnose.add.holdout.select_final_days`; an empty collection for none.
-    without : collection of str
-        Effects of the library that are not tested.
     least_gain : float
         Share of the squared error of rides that an effect must explain on held-out days to be reported; 0 for no
         limit beside its probability. [1]
     places : bool
         Whether to test whether single cars deviate from their siblings, and what changed since a date.
-    groups : mapping of str to str, optional
-        Group of each vehicle, such as its depot; groups are compared like cars.
-    seed : int
-        Seed of the assignment of vehicle-days to folds and halves.
     dated : bool
         Whether the dates of the rides are known. If they are invented, nothing is said of what began at a date, and of
         seasons and hours.
     report : callable
         Function that receives, before each step, the share of the work that is done, and the step in words.
-
-    Raises
-    ------
-    ModelError
-        There are too few data, see `socast.core.diagnose.dataset.gather_windows`.
     """
     with threadpool_limits(1):  # matrices are small, so threads would wait, and sums would depend on their number
         dates = get_names(rides, "date")

@@ -43,8 +43,6 @@ class FleetUse(NamedTuple):
         Distance of the rides with measured energy. [km]
     months : float
         Time from the first to the last day. [months]
-    last_day : date
-        Last day, UTC.
     """
 
     energy: float

@@ -41,8 +41,6 @@ class SelectedEffect:
     ----------
     candidates : Candidates
         The candidates from which it was selected, everywhere or within a scope.
-    at : int
-        Its column among them.
     probability : float
         Its probability when it was selected. [1]
     causes : Causes, optional
@@ -76,10 +74,6 @@ class MissingEffect:
 
     Parameters
     ----------
-    selected : SelectedEffect
-        The effect.
-    evidence : Evidence
-        Its test result.
     gain : Estimate
         Of rides, with a coefficient within the plausible range.
     """
@@ -97,10 +91,6 @@ class SelectionSettings:
     ----------
     least_gain : float
         Share of the squared error of rides that an effect must explain on held-out days; 0 for no limit. [1]
-    max_effects : int
-        Maximum number of selected effects.
-    seed : int
-        Seed of the folds.
     """
 
     least_gain: float = 0.0
@@ -115,17 +105,11 @@ class ForwardSelection:
     ----------
     base : BaseProjection
         Projection off the terms of the model.
-    candidates : Candidates
-        Effects that may be missing everywhere.
-    clusters : sequence of ClusterSums
-        Vehicle-days first, then other clusterings.
     settings : SelectionSettings
         Least gain, maximum number of effects, and seed.
 
     Attributes
     ----------
-    selected : list of SelectedEffect
-        Effects selected so far.
     dropped : set of (str, tuple of str)
         Effects, with their scopes, that were selected and dropped again.
     remaining : Causes or None

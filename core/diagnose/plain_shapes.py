@@ -47,8 +47,6 @@ class PlainShapeColumns(NamedTuple):
 
     Parameters
     ----------
-    names : list of str
-        Names such as `rolling * ambient_c`.
     columns : (n, shapes) float
         Weighted and projected off the terms of the model. [1]
     energy : (shapes,) float

@@ -57,8 +57,6 @@ class BaseProjection:
 
     Parameters
     ----------
-    windows : Windows
-        The windows to diagnose.
     model : LinearModel
         The model whose terms may be refitted.
     taken : (n,) float, optional

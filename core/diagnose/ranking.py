@@ -53,12 +53,8 @@ class Ranking:
 
     Parameters
     ----------
-    candidates : Candidates
-        The candidates that are ranked.
     projected : (n, k) float
         Weighted candidates off the model. [1 per unit of the coefficient]
-    evidence : Evidence
-        Test result of each candidate.
     left : (k,) float
         Share of the size of each candidate that is off the model. [1]
     best : (names,) int64
@@ -132,12 +128,6 @@ def compute_held_out_gain(
     ----------
     column, residual : (n,) float
         Candidate and residual, weighted and off what it is tested beside.
-    limits : tuple of (float, float)
-        Smallest and largest plausible coefficient.
-    days : ClusterSums
-        Vehicle-days.
-    seed : int
-        Seed of the folds.
     """
     after = residual - column * cross_fit(column, residual, days.assign_folds(seed)[days.code], limits)
     before, then = (base.windows.by_ride(base.convert_to_energy(values)) for values in (residual, after))

@@ -43,10 +43,6 @@ class ColumnResiduals(NamedTuple):
         Weight in means: 1 for a ride, the duration of a window [s].
     day : (n,) int64
         Vehicle-day.
-    keys : list of str
-        Ride of each row.
-    columns : list of (ShownColumn, (n,) array)
-    unit : str
     """
 
     value: Floats

@@ -17,10 +17,6 @@ class ShownColumn(NamedTuple):
 
     Parameters
     ----------
-    key : str
-        Name in the table.
-    label : str
-        Name for a person.
     unit : str
         Unit in which it is shown; empty for a category.
     size : float

@@ -157,18 +157,6 @@ def load_file(path: str | Path, time_limit: float = TIME_LIMIT) -> list[Effect]:
         brought before.
     time_limit : float
         Longest time for import and checks together. [s]
-
-    Returns
-    -------
-    list of Effect
-        Effects in the order of the file.
-
-    Raises
-    ------
-    EffectError
-        One line that begins with the path: the file is absent or a folder, is not Python, imports a module that an
-        effect does not need, does not terminate, holds no effect, defines a name twice or one that is taken, holds an
-        effect that fails `check_effect`, or names a confusion with an unknown effect.
     """
     path = Path(path).absolute()
     source = _read(path)

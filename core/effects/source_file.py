@@ -34,28 +34,7 @@ def render_source(
     scale: float = 1.0,
     imports: Sequence[str] = (),
 ) -> str:
-    """Return the text of a file with one effect, ready to be edited and checked.
-
-    Parameters
-    ----------
-    name : str
-        Name of the function and the effect.
-    arguments : sequence of str
-        Columns that the function takes.
-    body : str
-        Statements of the function, the last of which returns; numpy is `np`.
-    documentation : str
-        Docstring with the formula, as `P = ...`.
-    coefficient, unit, low, high, source, per, parameters, confused_with, shown_by, words, scale
-        As in `socast.core.effects.effect`.
-    imports : sequence of str
-        Import lines that the body needs besides numpy.
-
-    Raises
-    ------
-    EffectError
-        For a name that no function can have.
-    """
+    """Return the text of a file with one effect, ready to be edited and checked."""
     if not _FUNCTION.fullmatch(name):
         raise EffectError(f"effect {name!r}: not the name of a function: use letters, digits and _")
     constants = dict(parameters or {})

@@ -31,8 +31,6 @@ class Binning(NamedTuple):
     ----------
     codes : (n,) int64
         Bin of each ride; -1 where the property is unknown.
-    labels : tuple of str
-        Labels of the bins, in order.
     """
 
     codes: Codes

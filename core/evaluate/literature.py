@@ -18,10 +18,6 @@ class LiteratureError(NamedTuple):
         Measure, in the words of the source.
     setting : str
         Vehicles, and what the model knew of them.
-    source : str
-        Short name of the source.
-    publication : str
-        Title, and where it was published.
     link : str
         DOI, or the address where no DOI could be verified.
     """

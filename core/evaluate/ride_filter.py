@@ -57,12 +57,6 @@ class EvaluatedRides:
     rides : (n, columns) DataFrame
         Rides that are fit for training, sorted by vehicle and time, so that results do not depend on the order of
         files.
-    read : int
-        Number of rides read.
-    unfit : dict of str to int
-        Number of excluded rides, by reason.
-    vehicle_models : tuple of str
-        Vehicle models, sorted.
     model : (n,) int64
         Position of each ride's vehicle model in `vehicle_models`.
     cluster : (n,) int64

@@ -40,14 +40,8 @@ class GroupContext:
 
     Parameters
     ----------
-    fills : mapping of str to float
-        Values that replace unknown ones.
-    curve : AccessoryCurve, optional
     coefficients : (p,) float, optional
         Coefficients without the constant; None before the normal equations are solved.
-    constant : float
-    influence : Influence, optional
-        None without a covariance.
     """
 
     fills: Mapping[str, float]
@@ -63,12 +57,6 @@ class FitContext:
 
     Parameters
     ----------
-    terms : tuple of Term
-        Terms without the constant.
-    columns : tuple of str
-        Columns to read.
-    filled : tuple of str
-        Columns whose unknown values are filled.
     road : tuple of Term
         Terms that are fitted together with the accessory curve.
     curved, covariance, constant : bool
@@ -92,15 +80,10 @@ class GroupSurvey(NamedTuple):
 
     Parameters
     ----------
-    rides : int
-    known : dict of str to int
-        Number of known values by column.
     sums, squares : dict of str to float
         Their sums, and the sums of their squares.
     taken : (3,) float
         Sums for the limit of predictions, see `socast.core.models.limit.sum_training`.
-    temperatures : TemperatureBins, optional
-        Bins of the accessory curve.
     """
 
     rides: int
@@ -122,7 +105,6 @@ class Survey(NamedTuple):
         First and last date; empty if no ride has one.
     content : dict of str to bytes
         Content of each column, for the fingerprint.
-    groups : dict of str to GroupSurvey
     """
 
     left_out: Counter[str]

@@ -101,11 +101,6 @@ def calibrate_interval(
     ----------
     seen : mapping of str to HeldOutErrors
         Errors by vehicle model, of fits to other rides that include rides of the same vehicle model.
-
-    Returns
-    -------
-    PredictionInterval or None
-        None where there are fewer than `LEAST_CALIBRATION_RIDES` errors in `seen`.
     """
     every = _join_rides(seen)
     if len(every.error) < LEAST_CALIBRATION_RIDES:
@@ -170,11 +165,6 @@ def widen_for_unseen_cars(
     interval: PredictionInterval | None, held: Mapping[str, HeldOutErrors], cars: Sequence[str]
 ) -> PredictionInterval | None:
     """Return an interval that is wider for cars that the model was not fitted to.
-
-    Parameters
-    ----------
-    interval : PredictionInterval, optional
-        Interval for known cars; None stays None.
 
     Notes
     -----

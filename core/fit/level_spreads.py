@@ -110,15 +110,7 @@ def estimate_spreads(
     start: LevelSpreads = EXPECTED_LEVELS,
     exact: bool = True,
 ) -> LevelSpreads:
-    """Return the standard deviations of the levels that have the largest evidence, near the expected ones.
-
-    Parameters
-    ----------
-    cars : bool
-        Whether cars have factors; otherwise their standard deviation is 0.
-    exact : bool
-        Whether to continue to convergence. An estimate from which another search begins need not.
-    """
+    """Return the standard deviations of the levels that have the largest evidence, near the expected ones."""
     some = products.thinned(MOST_RIDES)
     free = len(EXPECTED_LEVELS) if cars else len(EXPECTED_LEVELS) - 1
     expected, sd = np.log(EXPECTED_LEVELS[:free]), np.array(LEVELS_LOG_SD[:free])

@@ -73,8 +73,6 @@ class NormalEquations(NamedTuple):
         y' W y. [kWh]
     weight : float
         Sum of the weights. [1/kWh]
-    rides : int
-        Number of rides.
     """
 
     gram: Floats

@@ -63,10 +63,6 @@ class SharedTerm(NamedTuple):
 
     Parameters
     ----------
-    name : str
-        Name of the term.
-    columns : tuple of str
-        Columns whose product is the term.
     physics : float
         Physical value of the coefficient, 0 where physics does not determine it.
     climate : bool
@@ -195,14 +191,8 @@ class PooledRecipe:
     ----------
     name, title : str
         Name in code and files, and title for people.
-    shared : tuple of SharedTerm
-        Terms of the model.
     cars : bool
         Whether each car has its own factor.
-    trees : bool
-        Whether boosted trees correct the residual.
-    note : str
-        Remark for readers.
     free : bool
         False: `socast.core.fit.fitting` leaves the coefficients at 1, as this class fits them itself.
     """

@@ -54,12 +54,8 @@ class LinearRecipe:
     ----------
     name, title : str
         Name in code and files, and title for people.
-    terms : tuple of Term
-        Terms of the model.
     free : bool
         Whether coefficients are fitted; otherwise each has its physical value 1.
-    note : str
-        Remark for readers.
     """
 
     name: str

@@ -48,13 +48,7 @@ LEAST_GROUPS: Final = 30
 
 
 class Moments:
-    """Accumulate the means of columns and their centred sums of products over the added rows.
-
-    Parameters
-    ----------
-    width : int
-        Number of columns.
-    """
+    """Accumulate the means of columns and their centred sums of products over the added rows."""
 
     def __init__(self, width: int) -> None:
         self.rows = 0
@@ -115,10 +109,6 @@ class Solution:
         None for a fit without a constant.
     rank : int
         Number of directions in the solution, without the constant.
-    residual : float
-        Sum of squared residuals.
-    rows : int
-        Number of rows.
     weight : (p,) float
         Weights added to the diagonal of the normal equations.
     """
@@ -207,8 +197,6 @@ class Influence:
     moments : Moments
         Moments of p columns, of q nuisance columns and, last, of the explained column. The fit also determines the
         coefficients of the nuisance columns, which are of no interest.
-    solution : Solution
-        Fit on the p columns.
     beside : int, optional
         Column to which the nuisance columns are made orthogonal first, so that its coefficient stays identified.
     """
@@ -290,13 +278,7 @@ def sum_scores(columns: Floats, residual: Floats, group: Ints, *, constant: bool
 
 
 class ClusterScores:
-    """Add up the scores of groups of rows, for a cluster-robust covariance.
-
-    Parameters
-    ----------
-    width : int
-        Number of columns, the constant included.
-    """
+    """Add up the scores of groups of rows, for a cluster-robust covariance."""
 
     def __init__(self, width: int) -> None:
         self.sums: Floats = np.zeros((GROUPS, width))

@@ -45,13 +45,7 @@ class RideSource(Protocol):
 
 @dataclass(frozen=True)
 class RideFrame:
-    """Iterate over a ride table in memory.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Ride table.
-    """
+    """Iterate over a ride table in memory."""
 
     table: pd.DataFrame
 
@@ -99,15 +93,7 @@ class RideParquet:
 
 @dataclass(frozen=True)
 class ParquetRows:
-    """Iterate over some rows of a ride table in Parquet files; only their row groups are read.
-
-    Parameters
-    ----------
-    path : Path
-        File or folder of the table.
-    start, stop : int
-        Rows.
-    """
+    """Iterate over some rows of a ride table in Parquet files; only their row groups are read."""
 
     path: Path
     start: int
@@ -129,10 +115,6 @@ class ThinnedRides:
 
     Parameters
     ----------
-    rides : RideParquet
-        Ride table.
-    most : int
-        Largest number of rides to keep.
     columns : sequence of str
         Columns to keep where present, besides those that are read and those of `OPTIONAL`.
     step, before : int
@@ -142,11 +124,6 @@ class ThinnedRides:
     ----------
     kept : list of DataFrame
         Rides that the last iteration kept, by block.
-
-    Raises
-    ------
-    ModelError
-        If a file cannot be read.
     """
 
     def __init__(

@@ -73,8 +73,6 @@ class Network:
         Mean and standard deviation of each feature, by which it is standardised.
     energy_mean, energy_scale : float
         Mean and standard deviation of the energy of a micro-segment. [kWh]
-    inner : MLPRegressor
-        Network on standardised features.
     """
 
     mean: Floats
@@ -129,13 +127,7 @@ class Segments:
 
 
 def build_segments(windows: pd.DataFrame) -> Segments:
-    """Return the micro-segments of a window table.
-
-    Returns
-    -------
-    Segments
-        Micro-segments, sorted by ride and window.
-    """
+    """Return the micro-segments of a window table."""
     needed = dict.fromkeys(("ride_key", "window", *(name for product in SEGMENT_FEATURES for name in product)))
     if missing := [name for name in needed if name not in windows]:
         raise ModelError(f"column {missing[0]!r} is missing in the window table: make it with `socast tables`")
@@ -158,8 +150,6 @@ class SegmentModel:
     ----------
     segments : Segments
         Micro-segments of all rides. They include the rides to predict: this model needs to know how they were driven.
-    networks : dict of str to Network
-        Networks by vehicle model.
     train_other : callable
         Train the network for all other vehicle models, on all rides together. The first use calls it; most splits never
         use it.
@@ -202,8 +192,6 @@ class SegmentRecipe:
     ----------
     segments : Segments
         Micro-segments of all rides, including those to predict.
-    seed : int
-        Seed of the random numbers.
     name, title : str
         Name in code and files, and title for people.
     """

@@ -158,13 +158,7 @@ def _find_fills(terms: Sequence[Term], rows: pd.DataFrame) -> dict[str, float]:
 
 
 def gather_rows(terms: Sequence[Term], rows: pd.DataFrame, fills: Mapping[str, float]) -> GroupRows:
-    """Return the columns of rows that a fit needs.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        Rows sorted by vehicle, date and ride.
-    """
+    """Return the columns of rows that a fit needs."""
     columns, n = Columns(rows, fills), len(rows)
     curved = any(is_curved(term) for term in terms)
     plain = tuple(term for term in terms if not is_curved(term))

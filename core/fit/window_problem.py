@@ -55,8 +55,6 @@ class GroupRows:
         Prior of the coefficients, then of the numbers of the curve where there is one.
     low, high : (p,) float
         Plausible range of each coefficient, then the limits of the numbers of the curve; beyond them the prior is zero.
-    curved : bool
-        Whether there is a curve.
     """
 
     columns: Floats
@@ -105,8 +103,6 @@ class State:
     ----------
     coefficients : (terms,) float
         Coefficients.
-    curve : AccessoryCurve or None
-        Accessory curve.
     """
 
     coefficients: Floats
@@ -124,8 +120,6 @@ class Nearby(NamedTuple):
         What the curvature of the accessory power adds to the sums of the p coefficients and numbers of the curve.
     loss : float
         Minus twice the logarithm of the posterior density, up to a constant.
-    rounding : float
-        Rounding error of the loss.
     """
 
     total: Floats
@@ -140,12 +134,6 @@ class Problem:
 
     Parameters
     ----------
-    group : GroupRows
-        Rows.
-    rides : WindowSums
-        Their sums.
-    spreads : LevelSpreads
-        Standard deviations of the levels.
     scaled : State
         State whose energies the factors of cars scale.
     """

@@ -29,8 +29,6 @@ class WindowRecipe:
         Name in code and files, and title for people.
     terms : tuple of Term
         Terms of the model; each adds up over the windows of a ride.
-    note : str
-        Remark for readers.
     """
 
     name: str
@@ -76,13 +74,6 @@ class RecipeWithWindows:
 
     Cross-validation passes training rides alone; the key of each ride selects its windows, so no window of another
     ride takes part.
-
-    Parameters
-    ----------
-    recipe : WindowRecipe
-        Recipe.
-    windows : DataFrame
-        Windows of all rides.
     """
 
     recipe: WindowRecipe

@@ -63,10 +63,6 @@ class GroupFit:
     ----------
     posterior : Gaussian
         Coefficients, then the deviations of the numbers of the curve from those of `curve`.
-    curve : AccessoryCurve or None
-        Accessory curve.
-    spreads : LevelSpreads
-        Standard deviations of the levels.
     products : RideProducts
         Sums of rides, linearised at the fit.
     elimination : Elimination

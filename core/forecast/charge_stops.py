@@ -27,13 +27,7 @@ def forget_charges(state: Any) -> None:
 
 @njit(cache=False)
 def update_charge_stop(state: Any, event: Any, was_charging: float, silent: bool, passed: float) -> None:
-    """Update when the car came to charge and left, before the reading of an event applies.
-
-    Parameters
-    ----------
-    was_charging : float
-        1 if the car charged at the event before.
-    """
+    """Update when the car came to charge and left, before the reading of an event applies."""
     departed = state.distance - state.unplugged_distance > DEPARTURE_DISTANCE
     before = event.time - passed if silent else event.time
     charged = event.time - event.since_charge  # the last time, NaN for never

@@ -16,9 +16,6 @@ class DueForecasts:
 
     Parameters
     ----------
-    none : Totals
-        Totals of no rows.
-    context : RunContext
     rides : RideNames
         Names of the rides in the totals.
     prefix : str

@@ -55,15 +55,8 @@ class PendingInput:
     Batches may be small. Forecasts do not depend on where they are cut, so they are processed together. Messages
     are counted from the first pending batch.
 
-    Parameters
-    ----------
-    none : Totals
-        Totals of no rows.
-
     Attributes
     ----------
-    size : int
-        Number of pending samples and messages.
     before : int
         Number of messages since the first pending batch, before the present one.
     """
@@ -125,10 +118,6 @@ class DueInput(NamedTuple):
 
     Parameters
     ----------
-    sums : Sums
-    arrivals : sequence of PlanArrival
-    drivers : sequence of DriverNamed
-    forecasts : sequence of ForecastArrival
     replaced : sequence of ReplacedKind
         Kinds of car that vehicle messages replaced among these messages, and after them.
     """
@@ -141,14 +130,7 @@ class DueInput(NamedTuple):
 
 
 class KindHistory:
-    """Find the kind that a car was of at a place among the messages of a batch.
-
-    Parameters
-    ----------
-    cars : Cars
-    replaced : sequence of ReplacedKind
-        In the order of their places.
-    """
+    """Find the kind that a car was of at a place among the messages of a batch."""
 
     def __init__(self, cars: Cars, replaced: Sequence[ReplacedKind]) -> None:
         self._of_lane = cars.of_lane
@@ -178,21 +160,14 @@ class ForecastEngine:
 
     Parameters
     ----------
-    context : RunContext
     width : int
         Number of amounts that are summed of a ride.
 
     Attributes
     ----------
-    statistics : FleetStatistics
-    plans : PlanTracker
-    weather : WeatherForecasts
-    log : ForecastLog
     state : (lanes,) FILTER_STATE
     ends : (lanes,) END_OF_SHIFT
         Newest forecast of each lane's charge at the end of the shift, NaN before the first one and after a restart.
-    closed : list of CLOSED_SHIFT
-        Shifts that have ended since `take_shifts`.
     """
 
     def __init__(self, context: RunContext, width: int) -> None:
@@ -387,13 +362,7 @@ class ForecastEngine:
         self.state["active"][open_lanes] = 0.0
 
     def learn_from(self, earlier: "ForecastEngine") -> None:
-        """Copy the statistics and capacities that another engine has learned of the same cars, but none of its shifts.
-
-        Parameters
-        ----------
-        earlier : ForecastEngine
-            Its shifts that are over by plan are closed, and its daily update runs.
-        """
+        """Copy what another engine has learned of the same cars, but none of its shifts."""
         earlier.finish(interrupted=True)
         earlier.apply_daily_update()
         self.statistics.load(earlier.statistics.dump())

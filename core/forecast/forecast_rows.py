@@ -46,7 +46,6 @@ class ForecastRows(NamedTuple):
     energy_km_ahead : Distance that the energy ahead, after planned charges, would usually drive. [km]
     reserve : [1]
     ambient_c : Outside temperature. [°C]
-    shift : Ordinal of the shift.
     begin, begin_soc : Beginning of the shift [s], and the charge then [1].
     distance : Driven in the shift so far. [m]
     reported_soc : Charge as reported last. [1]

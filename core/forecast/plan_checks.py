@@ -35,8 +35,6 @@ class Refusal(NamedTuple):
     ----------
     cause : str
         Name of its counter: `out_of_range`, `too_many_legs`, `plan_in_the_past` or `plan_too_far_ahead`.
-    message : str
-        Value, limit and remedy.
     """
 
     cause: str

@@ -60,15 +60,10 @@ class ActivePlan(NamedTuple):
 
     Parameters
     ----------
-    plan : Plan
-    done : int
-        Number of rides done.
     driven_km : float
         Distance that the ride in progress had driven when the plan arrived. [km]
     legs : PlannedLegs, optional
         With their energies, once these are known.
-    charged : int
-        Number of charges done.
     """
 
     plan: Plan
@@ -111,10 +106,6 @@ class PlanTracker:
     Attributes
     ----------
     progress : (lanes,) PLAN_PROGRESS
-    plans : dict of int to ActivePlan
-        Plans in force, by lane.
-    later : dict of int to Plan
-        Plans of later shifts, by lane.
     outcomes : list of ChargeOutcome
         Of planned charges since they were taken, in order.
     """

@@ -48,7 +48,6 @@ class PlannedLegs(NamedTuple):
 
     Parameters
     ----------
-    plan : Plan
     energy : (legs, temperatures) float
         [kWh]
     begun_energy : (legs, temperatures) float
@@ -126,13 +125,7 @@ class PlannedLegs(NamedTuple):
 
 
 def compute_planned_legs(plan: Plan, tables: LegEnergyTables | None) -> PlannedLegs:
-    """Return the legs of a plan with their energies.
-
-    Parameters
-    ----------
-    tables : LegEnergyTables or None
-        Of the car's vehicle model; without them the energies are NaN.
-    """
+    """Return the legs of a plan with their energies."""
     unknown = np.full((len(plan.legs), _KNOTS), np.nan)
     legs = PlannedLegs.create(plan, unknown, unknown)
     if tables is None or not plan.legs:

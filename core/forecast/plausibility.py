@@ -48,11 +48,6 @@ def find_implausible(
     ----------
     predicted, measured : (n,) float
         Energy of the ride in progress, NaN where unknown. [kWh]
-
-    Returns
-    -------
-    list of n (str or None)
-        First cause of each, None where it is plausible.
     """
     kind = running.at_last("kind").astype(np.int64)
     capacity = np.nan_to_num(cars.capacity[kind], nan=LARGEST_BATTERY)

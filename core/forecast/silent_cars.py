@@ -73,14 +73,10 @@ class RestOfBatch(NamedTuple):
 
     Parameters
     ----------
-    batch : Batch
-    row : int
-        First row of the rest.
     events : list of Event
         Messages between the rows of the batch.
     first : int
         Number of the first event of the rest.
-    order : MessageOrder
     """
 
     batch: Batch

@@ -84,8 +84,6 @@ class LearnedErrors(NamedTuple):
 
     Parameters
     ----------
-    conformal : ConformalIntervals
-    charged_soc : ChargedSoc
     ahead_c : (n,) float
         Outside temperature ahead. [°C]
     """

@@ -19,8 +19,6 @@ class VehicleStatus(NamedTuple):
 
     Parameters
     ----------
-    vehicle_id : str
-        Name of the vehicle.
     vehicle_model : str or None
         Key of its vehicle model, None where unknown.
     ride_id : str or None

@@ -53,13 +53,7 @@ class WeatherForecasts:
         self._courses: list[_Course] | None = None
 
     def admit(self, forecast: Weather) -> str | None:
-        """Keep a place for the station of a forecast, or return why the forecast cannot be used.
-
-        Returns
-        -------
-        str or None
-            `out_of_range` or `too_many_stations`; None where the forecast can be added.
-        """
+        """Keep a place for the station of a forecast, or return why the forecast cannot be used."""
         low, high = PLAUSIBLE["temperature_c"]
         known = forecast.temperature_c is not None and low <= forecast.temperature_c <= high
         if not (known and 0.0 <= float(forecast.issued_s or 0.0) <= LATEST and 0.0 <= forecast.time_s <= LATEST):

@@ -62,8 +62,6 @@ class CarOutlook:
 
     Parameters
     ----------
-    engine : ForecastEngine
-    lane : int
     shift_end : float
         Planned end of the shift, NaN without a plan. [s]
     """
@@ -126,9 +124,6 @@ class RouteAhead(NamedTuple):
 
     Parameters
     ----------
-    legs : PlannedLegs
-    in_progress : bool
-        Whether the first leg has begun.
     query_place : int or None
         Index of the queried leg, None without one.
     """
@@ -254,13 +249,7 @@ class WayAhead(NamedTuple):
 
 
 def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan | None) -> Outlook:
-    """Return the outlook of the rest of a shift.
-
-    Parameters
-    ----------
-    plan : Plan, optional
-        A plan to use instead of the published one.
-    """
+    """Return the outlook of the rest of a shift."""
     tracker, time = engine.plans, float(engine.state["time"][lane])
     if plan is not None and (refused := find_refusal(plan, time, LONGEST_SHIFT)) is not None:
         raise AskError(refused.message, refused.cause)

@@ -126,7 +126,6 @@ class ModelMonitor:
 
     Parameters
     ----------
-    model : Model
     level : float, optional
         As for `RunningErrors`; None for the first model.
 

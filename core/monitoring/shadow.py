@@ -43,7 +43,6 @@ class EndedRides(NamedTuple):
     lane : (n,) int64
     start, end : (n,) float64
         [s]
-    vehicle_model : list of n (str or None)
     measured : (n,) float64
         [kWh]
     predicted : list of (n,) float64
@@ -63,17 +62,10 @@ class ShadowModels:
 
     Parameters
     ----------
-    models : sequence of Model
-        The first makes the published forecasts.
     prefix : str
         Chunks before `models` in the keys, with a slash at the end.
     keep : bool
         Whether to keep the messages until `messages` returns them.
-
-    Raises
-    ------
-    ModelError
-        Where two models have the same name and version.
 
     Notes
     -----

@@ -55,10 +55,6 @@ class Signals(Mapping[str, Floats]):
 
     Parameters
     ----------
-    clean : Clean
-        Cleaned samples, n rows.
-    sky : Sky
-        Weather at the rows.
     car : CarParameters
         Parameters of the car at each row.
     """

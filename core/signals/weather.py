@@ -109,11 +109,6 @@ class Stations:
     """Keep every known weather station with its latest observations.
 
     An array has a row for each station, in the order in which the stations became known.
-
-    Parameters
-    ----------
-    most : float
-        Largest number of stations.
     """
 
     def __init__(self, most: float = inf) -> None:

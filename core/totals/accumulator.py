@@ -131,8 +131,6 @@ class Totals(NamedTuple):
         Place among the messages of the batch at which it closed, or at which the running totals were taken.
     lane, ride, window : (n,) int64
         Lane, and ordinals of ride and window in the lane.
-    amounts : (n, len(AMOUNTS) + effects + SPEED_BINS) float64
-        Sums.
     first, last : (n, len(EDGES)) float64
         Values at the first and at the last sample.
     quality : (n, len(CAUSES)) float64
@@ -197,11 +195,6 @@ class Accumulator:
     ----------
     effects : int
         Number of effects whose energies are summed.
-
-    Attributes
-    ----------
-    width : int
-        Number of amounts per ride.
     """
 
     def __init__(self, effects: int) -> None:

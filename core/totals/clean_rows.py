@@ -28,10 +28,6 @@ class CleanRows(NamedTuple):
 
     Parameters
     ----------
-    clean : Clean
-        Cleaned telemetry, n rows.
-    sky : Sky
-        Weather at the rows.
     kind : (n,) int
         Kind of car of each row.
     place : (n,) int, optional
@@ -65,13 +61,7 @@ class CleanRows(NamedTuple):
 def sum_rows(
     rows: CleanRows, cars: Cars, powers: Sequence[PowerOfEffect], accumulator: Accumulator, lanes: int
 ) -> Sums:
-    """Compute signals and effects of cleaned rows, and add them to the totals.
-
-    Parameters
-    ----------
-    accumulator : Accumulator
-        Open totals of every lane, changed in place.
-    """
+    """Compute signals and effects of cleaned rows, and add them to the totals."""
     signals = Signals(rows.clean, rows.sky, cars.parameters_of(rows.kind))
     with np.errstate(all="ignore"):  # a user's effect may divide by a speed that it then masks
         energies = [(per, power(signals)) for per, power in powers]

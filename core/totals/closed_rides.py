@@ -9,13 +9,7 @@ from socast.core.totals.accumulator import Sums, Totals, join_totals
 
 
 class ClosedTotals:
-    """Keep the totals of closed rides and windows until they are taken.
-
-    Parameters
-    ----------
-    none : Totals
-        Totals without rows.
-    """
+    """Keep the totals of closed rides and windows until they are taken."""
 
     def __init__(self, none: Totals) -> None:
         self._none = none

@@ -42,14 +42,8 @@ class RunContext:
     ----------
     lanes : Lanes
         Name of the vehicle in each lane.
-    cars : Cars
-        Kind of car in each lane.
     effects : sequence of str
         Names of the effects whose energies are summed, in the order of their columns.
-    settings : Settings
-        Thresholds of the operator.
-    model : Model
-        Makes the published predictions.
     """
 
     lanes: Lanes

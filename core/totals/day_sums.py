@@ -9,13 +9,7 @@ from socast.core.batch import Floats
 
 
 class DaySums:
-    """Hold named arrays of sums of floats, in the order in which they are added.
-
-    Parameters
-    ----------
-    **shapes : tuple of int
-        Shape of each array.
-    """
+    """Hold named arrays of sums of floats, in the order in which they are added."""
 
     def __init__(self, **shapes: tuple[int, ...]) -> None:
         self._parts = {name: np.zeros(shape) for name, shape in shapes.items()}

@@ -104,11 +104,6 @@ class DeferredRows:
     def add(self, rows: CleanRows) -> list[CleanRows]:
         """Keep rows, and return those that have become complete.
 
-        Parameters
-        ----------
-        rows : CleanRows
-            n rows, in the order of their arrival, with their places in the batch.
-
         Returns
         -------
         list of CleanRows

@@ -319,13 +319,7 @@ class DisplayYields:
 
 
 def find_contradictions(rides: Totals, learned: Floats) -> NDArray[np.bool_]:
-    """Return where V·I and the state of charge contradict each other, whatever part of a stale fall is from before.
-
-    Parameters
-    ----------
-    rides : Totals
-        Totals of n rides of known energy and charge; elsewhere the result is False.
-    """
+    """Return where V·I and the state of charge contradict each other, whatever part of a stale fall is from before."""
     (energy, sd), (by_soc, soc_sd) = measure_by_power(rides), measure_by_soc(rides)
     before = rides.amount("stale_fall") / rides.display["inverse"]
     excess = by_soc - energy

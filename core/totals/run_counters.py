@@ -18,10 +18,6 @@ class RunCounters:
 
     Attributes
     ----------
-    samples : (len(CAUSES),) int
-        Samples with each quality bit.
-    rides : int
-        Rides that have ended.
     unfit : Counter
         Of these, rides that are unfit for training, by reason.
     unpredicted : Counter
@@ -45,13 +41,7 @@ class RunCounters:
             self.samples[place] += np.count_nonzero(marked & (1 << place))
 
     def count_rides(self, rides: Totals, unfit_reasons: Any, context: RunContext) -> None:
-        """Count rides that have ended.
-
-        Parameters
-        ----------
-        unfit_reasons : (n,) object
-            Why each is unfit for training, None where it is fit.
-        """
+        """Count rides that have ended."""
         kinds = rides.at_last("kind").astype(np.int64).tolist()
         self.rides += len(rides.lane)
         self.unfit.update(reason for reason in unfit_reasons.tolist() if reason is not None)

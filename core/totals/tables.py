@@ -88,11 +88,6 @@ def model_columns(totals: Totals, context: RunContext, needs: Sequence[str] = ()
 def unfit_reason(totals: Totals, context: RunContext) -> NDArray[np.object_]:
     """Return why each ride is unfit for training.
 
-    Returns
-    -------
-    (n,) object
-        First reason that applies as a word, `None` where the ride is fit.
-
     Notes
     -----
     The rules for duration and distance follow section 3 of the paper. Beyond the paper, a ride is unfit if gaps at its
@@ -266,13 +261,7 @@ def tabulate_rides(
 
 
 def text(values: Sequence[str | None]) -> pd.Series:
-    """Return a column of text that has the same type even if all values are unknown.
-
-    Parameters
-    ----------
-    values : sequence of n (str or None)
-        Text of each row, `None` where unknown.
-    """
+    """Return a column of text that has the same type even if all values are unknown."""
     return pd.Series(list(values), dtype="str")
 
 

@@ -52,8 +52,6 @@ class VehicleModel:
     ----------
     key : str
         Key of the model in messages and tables.
-    name : str
-        Name of the model for people.
     mass_kg : float
         Kerb mass: ready to drive, battery included, without occupants. [kg]
     drag_coefficient : float
@@ -236,13 +234,7 @@ def vehicle_model(message: Vehicle) -> VehicleModel | str:
 
 
 def read_entry(key: str, table: Any, also: Collection[str] = ()) -> VehicleModel:
-    """Check a table of the catalogue, and return it as a vehicle model.
-
-    Parameters
-    ----------
-    also : collection of str
-        Further names that a file may use, which an error message lists.
-    """
+    """Check a table of the catalogue, and return it as a vehicle model."""
     if not isinstance(table, dict):
         raise CatalogueError(f"vehicle catalogue: {key!r} is no table: write [{key}] and its figures below")
     known = {f.name for f in fields(VehicleModel)} - {"key"}

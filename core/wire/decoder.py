@@ -49,8 +49,6 @@ class Event(NamedTuple):
         Number of telemetry rows of the batch that came before it.
     lane : int
         Lane of its vehicle, -1 for a message that is not about a vehicle.
-    value : Wire
-        Decoded message.
     message : Message
         The message as it came; empty for an event that did not come as a message.
     number : int
@@ -69,11 +67,8 @@ class Refused(NamedTuple):
 
     Parameters
     ----------
-    message : Message
     samples : tuple of bytes or of int, optional
         Samples of its list, or numbers of rows of its batch, that cannot be used; None if that is the whole message.
-    number : int
-        Its number among the decoded messages.
     """
 
     message: Message
@@ -115,7 +110,6 @@ class Decoder:
     ----------
     lanes : Lanes
         Lanes of the vehicles; every new vehicle gets one.
-    limits : Limits
 
     Attributes
     ----------

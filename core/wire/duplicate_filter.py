@@ -86,8 +86,6 @@ class DuplicateFilter:
 
     Parameters
     ----------
-    lanes : Lanes
-        Vehicles of the fleet.
     limits : Limits
         A list or batch that exceeds them is one message, as it will be refused as a whole.
     batches : BatchReader, optional

@@ -44,8 +44,6 @@ class ScannedSamples(NamedTuple):
         Samples in wire units, as columns of a `Batch`; undefined where a message could not be scanned.
     is_scanned : (n,) bool
         Whether the message is a sample that was scanned.
-    text : (size,) uint8
-        Buffer with the payloads.
     rides : (n, 2) int
         Begin and end of the name of the ride in `text`, where the code of the ride is `PENDING`.
     first : (n,) int

@@ -29,8 +29,6 @@ class MessageColumns(NamedTuple):
 
     Parameters
     ----------
-    keys : sequence of str
-        Keys, which other blocks may share.
     key : (n,) int
         Number of each message's key in `keys`.
     text : (size,) uint8
@@ -62,12 +60,6 @@ class MessageColumns(NamedTuple):
 
 class MessageBlock(Sequence[Message]):
     """Hold n messages in their order; columns and `Message` objects are made only where they are asked for.
-
-    Parameters
-    ----------
-    columns : MessageColumns, optional
-        Without them, `objects` are given.
-    objects : list of n Message, optional
 
     Examples
     --------
@@ -197,10 +189,6 @@ class KeyValues:
 
     Parameters
     ----------
-    find : callable
-        Function of a key.
-    dtype : dtype
-        Type of its results.
     unknown : object, optional
         Result that may change later: a key with this value is looked up again.
 

@@ -16,10 +16,6 @@ class VehicleChange(NamedTuple):
     ----------
     row : int
         First row of the batch to which it applies.
-    lane : int
-        Lane of its car.
-    message : Vehicle
-        Message of the car.
     place : int
         Place among the messages of the batch.
     """
@@ -39,8 +35,6 @@ class Piece(NamedTuple):
 
     Parameters
     ----------
-    start : int
-        First row.
     changes : list of VehicleChange
         Vehicle messages, with the row of the piece before which each came.
     ride_events : list of tuple
@@ -58,19 +52,10 @@ class Piece(NamedTuple):
 class MessageOrder:
     """Number the telemetry rows and the other messages of a batch in the order of their arrival.
 
-    Parameters
-    ----------
-    rows : int
-        Number of telemetry rows.
-    events : sequence of Event
-        All other messages, in their order.
-
     Attributes
     ----------
     of_rows : (rows,) int
         Place of each row.
-    size : int
-        Number of rows and other messages.
 
     Examples
     --------

@@ -24,7 +24,6 @@ class Texts(NamedTuple):
         Begin of each text.
     sizes : (n,) int
         Size of each text; of one that is longer than any name only as much as shows this. [B]
-    text : (size,) uint8
     is_known : (n,) bool
         Whether there is such a text.
     """
@@ -42,11 +41,6 @@ class Texts(NamedTuple):
 
 class NameLookup:
     """Remember the names of vehicles, and the ride of the newest sample of each.
-
-    Parameters
-    ----------
-    lanes : Lanes
-        Vehicles of the fleet.
 
     Attributes
     ----------

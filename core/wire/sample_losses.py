@@ -33,11 +33,6 @@ class SampleLosses:
 
     A sample that comes late, after others with higher counters, is no longer lost. A counter that starts again is a
     power cycle of the logger and costs nothing.
-
-    Parameters
-    ----------
-    lanes : Lanes
-        Vehicles of the fleet.
     """
 
     def __init__(self, lanes: Lanes) -> None:

@@ -75,11 +75,8 @@ class Samples(NamedTuple):
 
     Parameters
     ----------
-    vehicle_ids : sequence of str
-        Vehicle of each sample.
     numbers : sequence of int
         Number of the message of each sample, among those that are read.
-    columns : SampleColumns
     """
 
     vehicle_ids: Sequence[str]

@@ -32,10 +32,6 @@ class Shard:
 
     Parameters
     ----------
-    index : int
-        From 1 on.
-    count : int
-        Number of shards.
     by : str
         `name` divides cars by their names, `chunk` by the chunk before `fleet`.
     """

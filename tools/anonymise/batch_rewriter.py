@@ -30,8 +30,6 @@ class RewrittenBatch(NamedTuple):
     ----------
     payload : bytes
         Batch; empty if no row of the original can be used.
-    positions : int
-        Number of positions that were moved.
     left_out : int
         Number of rows that cannot be used and were left out.
     """
@@ -46,11 +44,6 @@ def rewrite_batch(payload: bytes, disguise: Disguise, rename: Callable[[str, str
 
     Columns that are no fields of telemetry and metadata are left out. Times and positions become floats of 64 bits, and
     the other columns keep their types.
-
-    Parameters
-    ----------
-    rename : callable
-        Function of the kind of a name and a name that returns its pseudonym.
     """
     if len(payload) > LIMITS.payload_bytes:
         raise BatchError("too_large")

@@ -42,12 +42,8 @@ class Disguise(NamedTuple):
 
     Parameters
     ----------
-    salt : bytes
-        Key of the hash of names.
     shift_s : int
         Shift of all times. [s]
-    places : SphereMap
-        Map of all positions.
     """
 
     salt: bytes

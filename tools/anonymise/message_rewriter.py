@@ -53,15 +53,9 @@ class MessageRewriter:
 
     Attributes
     ----------
-    kept : Counter of str
-        Number of messages by kind.
     dropped : Counter of str
         Number of messages by cause: `unknown key`, `of consumers`, `unreadable`, and those of `REFUSED_BATCHES`. Rows
         of other batches that cannot be used are counted as `unusable rows of batches`.
-    names : dict of str to set of str
-        Pseudonyms by kind.
-    positions : int
-        Number of positions that were moved.
     """
 
     def __init__(self, disguise: Disguise) -> None:

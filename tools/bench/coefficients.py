@@ -61,10 +61,6 @@ class Estimate(NamedTuple):
 
     Parameters
     ----------
-    seed : int
-        Seed of the simulation.
-    term : str
-        Name of the term.
     truth, value, low, high : float
         True value, estimate, and ends of the interval, relative to the figures of the catalogue. [1]
     """

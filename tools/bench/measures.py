@@ -35,8 +35,6 @@ class Measure:
         Ratio of speeds, or of costs if `goal` is an upper bound.
     goal : str
         Goal for the ratio, such as `>= 0.5`.
-    met : bool
-        Whether the ratio meets the goal.
     figures : dict of str to float
         Medians behind the ratio; the names contain the units.
     bound : str

@@ -42,8 +42,6 @@ class Fleet(NamedTuple):
 
     Parameters
     ----------
-    seed : int
-        Seed of the simulation.
     rides, windows : int
         Number of rides and windows that were diagnosed.
     named : list of str

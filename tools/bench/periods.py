@@ -40,12 +40,8 @@ def simulate_fleet(seed: int, periods: Sequence[float], days: int = DAYS) -> tup
 
     Parameters
     ----------
-    seed : int
-        Seed of the fleet; the same seed gives the same drives.
     periods : sequence of float
         Periods of the loggers, assigned to the cars in turn. [s]
-    days : int
-        Number of days.
     """
     truth, conditions = Truth(), Conditions(periods=tuple(periods))
     simulation = Simulation(vehicles=CARS, start=START, days=days, seed=seed, charging=NIGHT, conditions=conditions)

@@ -105,13 +105,7 @@ def make_folder(path: Path, cars: int) -> SecureFolder:
 
 
 def measure_security(repeats: int = 7, cars: int = 20, turns: int = 8000) -> Measure:
-    """Measure the live consumer with certificates and access control against the same with plain TCP.
-
-    Parameters
-    ----------
-    cars, turns : int
-        Number of cars, each with a session of its own, and samples of each.
-    """
+    """Measure the live consumer with certificates and access control against the same with plain TCP."""
     total = cars * turns
     with tempfile.TemporaryDirectory() as temporary:
         folder = make_folder(Path(temporary) / "keys", cars)

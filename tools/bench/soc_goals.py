@@ -47,19 +47,10 @@ class Judged:
 
     Parameters
     ----------
-    fleet : str
-        Name of the fleet.
-    seed : int
-        Seed.
     first_day_s : float
         Midnight before its first day. [Unix s]
     cases, unlearned : DataFrame
         Forecasts with outcome and baselines, and those without an interval, of `socast.core.evaluate.soc.cases`.
-    legs : DataFrame
-        Legs with outcome and baselines.
-    forecasts : DataFrame
-        `COMPARED` of all forecasts.
-    bounds : ImpossibleBounds
     seconds : float
         Time that simulation and forecasts took. [s]
     to_charge, over_charge : DataFrame

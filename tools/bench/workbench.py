@@ -32,12 +32,7 @@ LOADS: Final = 5
 
 
 class BoardSource:
-    """Show a board that somebody else fills.
-
-    Parameters
-    ----------
-    board : Board
-    """
+    """Show a board that somebody else fills."""
 
     def __init__(self, board: Board) -> None:
         self.board = board

@@ -98,13 +98,7 @@ class OvmsReader:
 
 
 class OvmsSource:
-    """Feed the messages of a broker to a reader, as `socast.tools.bridge.bridge_loop.SignalSource`.
-
-    Parameters
-    ----------
-    source : MqttSource
-    reader : OvmsReader
-    """
+    """Feed the messages of a broker to a reader, as `socast.tools.bridge.bridge_loop.SignalSource`."""
 
     def __init__(self, source: MqttSource, reader: OvmsReader) -> None:
         self._source, self._reader = source, reader

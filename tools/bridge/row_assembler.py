@@ -47,8 +47,6 @@ class Value(NamedTuple):
 
     Parameters
     ----------
-    vehicle : str
-        Identity of the car.
     field : str
         Field of a sample, `socast.tools.importers.table.units.POWER` or `FIX`.
     value : float
@@ -59,8 +57,6 @@ class Value(NamedTuple):
         Time of the value by the sender's clock. [Unix s]
     rank : int
         Rank of the source among those of the field.
-    ticket : object
-        What is returned with the row.
     """
 
     vehicle: str

@@ -24,8 +24,6 @@ class Signal(NamedTuple):
 
     Parameters
     ----------
-    field : str
-        Name of `socast.tools.importers.table.units.FIELD_UNITS`, or `FIX`.
     conversion : Conversion
         From the unit and the sign of the source to those of the wire contract.
     rank : int

@@ -57,13 +57,6 @@ class VssReader:
         Chunks before the vehicle, with a slash at their end, or empty.
     vehicle : str, optional
         The only car; keys then have no chunk for the vehicle, as within a car.
-    version : int
-        Major version of VSS.
-
-    Raises
-    ------
-    SettingsError
-        If the version is not known, or the name of the car is not valid.
     """
 
     def __init__(
@@ -106,11 +99,6 @@ class VssSource:
     """Feed the samples of a subscriber to a reader, as `socast.tools.bridge.bridge_loop.SignalSource`.
 
     Zenoh keeps nothing for a subscriber, so nothing is acknowledged.
-
-    Parameters
-    ----------
-    source : ZenohSignals
-    reader : VssReader
     """
 
     def __init__(self, source: ZenohSignals, reader: VssReader) -> None:
@@ -147,11 +135,6 @@ def parse_payload(payload: bytes) -> tuple[object, float | None]:
     payload : bytes
         A number, a truth value or a text, as JSON or plain text; or a JSON object with the value as `value` and
         optionally its time as `timestamp`, `ts` or `time`. VISS puts this object into `dp`, or into `data` and `dp`.
-
-    Returns
-    -------
-    value : object
-        None for null, and for an object without a value.
 
     Examples
     --------

@@ -51,15 +51,10 @@ class PartCounts:
 
     Parameters
     ----------
-    samples : list of int
-        Samples by quality bit.
     received, rejected : Counter
         What is added to the counters of the ordering.
-    lost : int
     fixes : dict
         Counts of the fixes on the map, empty without a map.
-    rides, windows : int
-        Numbers of totals.
     """
 
     samples: list[int]
@@ -76,10 +71,6 @@ class TotalsFile:
 
     Parameters
     ----------
-    job : Job
-    part : int
-    name : str
-        `rides` or `windows`.
     lanes : (cars,) int
         Lane in the fleet of each car of the part.
     """

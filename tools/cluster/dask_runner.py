@@ -58,8 +58,6 @@ class ClusterPlace:
     ----------
     address : str
         Address of a scheduler; empty for processes of this machine.
-    workers : int
-        Number of these processes.
     worker_memory : float
         Memory at which Dask restarts one of them. [GB]
     report : Path, optional
@@ -107,15 +105,10 @@ class DaskRunner:
 
     Parameters
     ----------
-    client : distributed.Client
     scratch : Path
         Folder in which tasks note that they have begun.
     on_end : callable, optional
         Function that receives the record of each task when its result is taken.
-
-    Attributes
-    ----------
-    records : list of TaskRecord
     """
 
     def __init__(self, client: Any, scratch: Path, on_end: Callable[[TaskRecord], None] | None = None) -> None:

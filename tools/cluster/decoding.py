@@ -69,10 +69,6 @@ class Span:
         Its number, and how many messages and samples of lists, and samples, it holds.
     rejected : Counter
         Messages that cannot be decoded, by cause.
-    delivered : tuple of int
-        Number of messages of each recording.
-    losses : tuple of Losses
-        Of each recording.
     for_viewers : tuple of int
         Number of messages of each recording that are for viewers.
     """

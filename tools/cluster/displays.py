@@ -33,12 +33,6 @@ class Slice:
 
     Parameters
     ----------
-    name : str
-        `rides` or `windows`.
-    number : int
-        Number of the file.
-    start, stop : int
-        Rows of the whole table.
     of_parts : list of (int, int)
         Rows of each part that the file holds.
     """

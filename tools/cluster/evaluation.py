@@ -23,14 +23,8 @@ class EvaluationJob:
     ----------
     rides, windows : tuple of Path
         Files of the tables; no windows where a ride table has none beside it.
-    window_columns : tuple of str
-        Columns of the windows to read.
     recipes : str, optional
         Names of recipes, as on the command line.
-    seed, repeats : int
-    left_out_of_training : tuple of str
-    removal_margin : float
-        As of `socast.core.evaluate.paper.protocol.evaluate`.
     vehicle_files : tuple of Path
         Files that a worker loads before its first task.
     run : str

@@ -40,9 +40,6 @@ class Job:
         Number of parts into which the cars are divided.
     model : str
         Name or file of the model whose effects are summed.
-    wanted : tuple of str
-        Further effects.
-    settings : Settings
     effect_files, vehicle_files, elevation_files : tuple of Path
         Files that a worker loads before its first task.
     """

@@ -54,7 +54,6 @@ class Shared(msgspec.Struct):
         Name of the car of each lane.
     kinds : list
         Messages that describe the kinds of car, in the order of their numbers.
-    weather : list of SharedMessage
     """
 
     vehicles: list[str]
@@ -74,19 +73,12 @@ class Placed(NamedTuple):
 class Ordering:
     """Take spans in their order.
 
-    Parameters
-    ----------
-    job : Job
-
     Attributes
     ----------
     lanes : Lanes
         All cars, in the order of their first message.
     cars : Cars
         The kinds of car; `of_lane` is that of the end.
-    updates : list of (place, midnight)
-        Daily updates.
-    drivers : RideDrivers
     received, rejected : Counter
         Messages by kind, and those that cannot be used by cause.
     """

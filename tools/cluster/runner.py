@@ -16,13 +16,8 @@ class TaskRecord:
 
     Parameters
     ----------
-    stage : str
     number : int
         Number of the task in its stage.
-    host, worker : str
-        Machine and name of the worker.
-    process : int
-        Number of its process.
     seconds, cpu_s : float
         Time and CPU time of the task. [s]
     read_bytes, written_bytes : int
@@ -44,15 +39,7 @@ class TaskRecord:
 
 
 class Runner(Protocol):
-    """Run tasks.
-
-    Attributes
-    ----------
-    workers : int
-        Number of workers.
-    records : list of TaskRecord
-        Tasks that have ended.
-    """
+    """Run tasks."""
 
     workers: int
     records: list[TaskRecord]

@@ -27,15 +27,7 @@ LARGEST_PART: Final = 2 << 30
 
 @dataclass(frozen=True)
 class ClusterTables:
-    """Hold what a run made.
-
-    Parameters
-    ----------
-    rides, windows : int
-        Numbers of rows.
-    quality : dict
-        Counters, as `socast.core.pipeline.Pipeline.quality` returns them.
-    """
+    """Hold what a run made."""
 
     rides: int
     windows: int
@@ -58,21 +50,10 @@ def make_tables(
 
     Parameters
     ----------
-    job : Job
-    sources : sequence of McapSource
-        The recordings; they receive what could not be read of each.
-    out : Path
-        Folder; it receives the folders `rides.parquet` and `windows.parquet`.
-    runner : Runner
     report : callable
         Function that receives a stage, the number of its tasks that have ended, and the number of all.
     span_bytes : int
         Size of the chunks of a task of the first stage. [B]
-
-    Raises
-    ------
-    RecordingError
-        If a recording cannot be read, or only in order.
     """
 
     def run(

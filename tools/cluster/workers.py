@@ -18,8 +18,6 @@ class Workers(NamedTuple):
 
     Parameters
     ----------
-    runner : Runner
-        Runs tasks.
     scratch : Path
         Folder of intermediate files, that all workers see.
     report : callable
@@ -42,13 +40,7 @@ class Workers(NamedTuple):
 def open_workers(
     place: ClusterPlace | None, folder: Path, words: str, on_end: Callable[[TaskRecord], None] | None = None
 ) -> Iterator[Workers]:
-    """Start or reach workers; at the end, write the report of what ran where, if one was asked for.
-
-    Parameters
-    ----------
-    place : ClusterPlace, optional
-        Where the workers are; None for this process.
-    """
+    """Start or reach workers; at the end, write the report of what ran where, if one was asked for."""
     with ExitStack() as ending:
         scratch = ending.enter_context(make_scratch(folder))
         runner: Runner = (

@@ -39,8 +39,6 @@ def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], C
     -------
     unfit, unpredicted : Counter of str
         Rides by why they are unfit for training, and by why they are not predicted; empty for windows.
-    faults : LoggerFaults
-        Faults of loggers by car; empty for windows.
     """
     context, width = make_context(job)
     columns = count_columns(width)

@@ -91,13 +91,7 @@ def ask_outlook(
 
 
 def show(outlook: Outlook, console: Console, zone: tzinfo | None = UTC) -> None:
-    """Print the answer: first one word, then a sentence, then the figures.
-
-    Parameters
-    ----------
-    zone : tzinfo, optional
-        Time zone of the times; None is that of the system.
-    """
+    """Print the answer: first one word, then a sentence, then the figures."""
     word, sentence = verdict(outlook)
     console.print(Text.assemble((f"{word}:", _STYLES[word]), f" {sentence}"), highlight=False, soft_wrap=True)
     for name, figure in figures(outlook, zone):
@@ -127,13 +121,7 @@ def verdict(outlook: Outlook) -> tuple[str, str]:
 
 
 def figures(outlook: Outlook, zone: tzinfo | None = UTC) -> Iterator[tuple[str, str]]:
-    """Yield the figures behind the answer, without unknown ones; the reason for a missing answer comes last.
-
-    Parameters
-    ----------
-    zone : tzinfo, optional
-        Time zone of the times; None is that of the system.
-    """
+    """Yield the figures behind the answer, without unknown ones; the reason for a missing answer comes last."""
     reserve = outlook.reserve_soc_pct
     ride, end = outlook.asked, outlook.soc_end_of_shift_pct
     if ride and ride.soc_pct:

@@ -35,15 +35,8 @@ class BridgeOptions:
 
     Parameters
     ----------
-    connection : Connection
-        How to reach the router.
-    prefix : str
-        Text before every key.
-    assembler : RowAssembler
     report_s : float
         Time between two log lines of counters. [s]
-    as_json : bool
-        Whether to log JSON.
     """
 
     def __init__(

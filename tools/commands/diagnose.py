@@ -163,15 +163,7 @@ def check_tables(model: LinearModel, rides: pd.DataFrame, windows: pd.DataFrame)
 
 
 def read_tables(source: RideSource, model: LinearModel) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the ride and window tables that a diagnosis needs.
-
-    Raises
-    ------
-    SettingsError
-        There is no window table beside a ride table.
-    ModelError
-        A table cannot be read, a column is missing, or the rides are of other vehicle models than the model.
-    """
+    """Return the ride and window tables that a diagnosis needs."""
     return check_tables(model, *source.read(model.effects))
 
 

@@ -137,10 +137,6 @@ class Coefficient(NamedTuple):
 
     Parameters
     ----------
-    term : Term
-        Term of the model.
-    value : float
-        Coefficient.
     half : float or None
         Half width of the interval; None if the fit has no covariance, or if the interval ends at a limit.
     low, high : float or None

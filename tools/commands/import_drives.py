@@ -158,13 +158,7 @@ def import_drives(
 def collect_drives(
     paths: Sequence[Path], data_set: DataSet, options: ReadOptions | None = None, skip_bad: bool = False
 ) -> list[Drive]:
-    """Read the drives of all files and sort them by time.
-
-    Parameters
-    ----------
-    skip_bad : bool
-        Name and count unreadable files instead of raising an error.
-    """
+    """Read the drives of all files and sort them by time."""
     console = Console(stderr=True)
     source_of: dict[tuple[str, str], Path] = {}
     drives: list[Drive] = []

@@ -202,13 +202,7 @@ def simulate(
 
 
 def write_simulation(simulation: Simulation, out: Path, place: ClusterPlace | None = None) -> Truth:
-    """Write the recording of a simulation, and its truth beside it.
-
-    Parameters
-    ----------
-    place : ClusterPlace, optional
-        Where the cars are driven; None for this process.
-    """
+    """Write the recording of a simulation, and its truth beside it."""
     fleet = prepare_fleet(simulation)
     folder = out.resolve().parent
     if not folder.is_dir():

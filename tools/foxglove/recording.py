@@ -19,13 +19,6 @@ class FoxgloveRecording(Closeable):
     """Write what is replayed as it is, and beside it, for viewers only, forecasts, positions and warnings.
 
     The readers of socast leave out what is for viewers, so that a replay of this recording equals one of the original.
-
-    Parameters
-    ----------
-    path : Path
-        The recording.
-    metadata : mapping of str to str
-        What made it, see `socast.stream.recording_metadata.make_metadata`.
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:

@@ -33,8 +33,6 @@ class LocationFix(msgspec.Struct, frozen=True):
     ----------
     timestamp : Timestamp
         Time on the clock of the logger.
-    frame_id : str
-        Identity of the car.
     latitude, longitude : float
         WGS 84. [deg]
     altitude : float
@@ -59,11 +57,6 @@ class Log(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    timestamp : Timestamp
-    level : int
-        `INFO`, `WARNING` or `ERROR`.
-    message : str
-        The line.
     name : str
         What the line is about: `reserve`, `quality` or `finding`.
     file, line : str, int

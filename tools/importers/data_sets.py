@@ -16,12 +16,8 @@ class DataSet(NamedTuple):
 
     Parameters
     ----------
-    form : TableFormat
-        Format of its tables.
     time_zone : str
         Name of the time zone in which its clocks run.
-    read_drives : callable
-        Reads the drives of one file.
     """
 
     form: TableFormat

@@ -66,10 +66,6 @@ class Drive(NamedTuple):
         Time of each row since the first, ascending. [s]
     rows : mapping of str to (n,) float64
         Values of each field of a telemetry sample, in the unit of the wire contract; NaN if unknown.
-    source : str
-        Name of the file.
-    weather : tuple of Weather
-        Observations in the same file.
     notes : tuple of str
         What was repaired, for a person to read.
     """

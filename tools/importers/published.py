@@ -29,8 +29,6 @@ class TableFormat(NamedTuple):
         Separator of the cells and encoding of the text.
     needed : tuple of str
         Numeric columns that every file of the data set has.
-    texts : tuple of str
-        Text columns that every file has.
     optional : tuple of str
         Numeric columns that only some files have.
     """

@@ -50,11 +50,6 @@ def read_drives(path: Path, options: ReadOptions) -> list[Drive]:
     ----------
     options : ReadOptions
         Time zone of `DayNum`, and the `VehId`s to read. A selected car needs battery data.
-
-    Returns
-    -------
-    list of Drive
-        Empty if the file holds no such car.
     """
     table = read_table(path, VED).dropna(subset=["DayNum", "VehId", "Trip", "Timestamp(ms)"])
     drives = []

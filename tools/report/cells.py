@@ -20,8 +20,6 @@ class Cell(NamedTuple):
 
     Parameters
     ----------
-    text : str
-        Figure of this evaluation.
     paper : str
         Figure of the paper; empty where there is none.
     strong : bool
@@ -53,10 +51,6 @@ class ReportTable(NamedTuple):
         Heading of the column of row names.
     columns : tuple of str
         Headings of the other columns, with units.
-    rows : tuple of Row
-        Rows.
-    notes : tuple of str
-        Notes below the table.
     """
 
     title: str

@@ -62,13 +62,7 @@ def print_trial(trial: Any, console: Console) -> None:
 
 
 def write_trial(trial: Any, surveys: Sequence[ResidualSurvey], path: Path) -> None:
-    """Write the trial of an effect as an HTML page that loads no other file.
-
-    Parameters
-    ----------
-    surveys : sequence of ResidualSurvey
-        Where the model fails before and after; empty where this is unknown.
-    """
+    """Write the trial of an effect as an HTML page that loads no other file."""
     entry = to_json_values(trial)
     errors, *_ = build_trial_sections(entry)
     text = " ".join(f"{line}." for line in (*describe_coefficients(entry), *(entry.get("warnings") or ())))

@@ -76,20 +76,8 @@ def tabulate_records(
     ----------
     records : sequence or mapping of Record
         The keys of a mapping name the rows, below the head `corner`; otherwise the first field with a head does.
-    kind : type of Record
-        Kind of the records.
-    fields : sequence of str
-        Fields to show, in order; by default all that declare a head.
-    more : sequence of (str, sequence of str)
-        Further columns: their heads, and the text for each record.
-    label : callable
-        Function of the name of a row that returns it as shown.
-    total : str
-        Name of the row that sums up the others.
     strong : callable
         Function of the field, the place of the record and its value that returns whether a cell is emphasised.
-    numbered : bool
-        Whether the names of the rows begin with their place, from 1.
     """
     shown_fields = list_shown(kind)
     columns = [(name, shown_fields[name]) for name in fields or shown_fields]

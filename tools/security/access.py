@@ -36,10 +36,6 @@ class Access:
         Keys that it publishes, with the cache and the token of an advanced publisher.
     reads : tuple of str
         Keys that it subscribes to, with the history and the recovery of an advanced subscriber.
-    answers : tuple of str
-        Keys of queries that it answers.
-    asks : tuple of str
-        Keys that it queries.
     claims : tuple of str
         Keys of liveliness tokens that it holds, and watches.
     """
@@ -92,8 +88,6 @@ def make_access_control(identities: Iterable[tuple[str, Sequence[str]]], prefix:
     identities : iterable of tuple of (str, sequence of str)
         Name of each identity, and the common names of its certificates. Any other name than those of `SERVICES` is a
         gateway, if it begins with `GATEWAY`, or else a car.
-    prefix : str
-        Key chunks before `fleet`, with a slash at the end; empty without any.
     """
     rules: list[dict[str, Any]] = []
     subjects: list[dict[str, Any]] = []

@@ -48,12 +48,8 @@ class Issued(NamedTuple):
 
     Parameters
     ----------
-    name : str
-        Name of the identity.
     issue : int
         Number of the certificate among those of the identity, from 1.
-    begins, ends : datetime
-        Validity, in UTC.
     hosts : tuple of str
         Host names and addresses that it is valid for; only the router has any.
     """
@@ -75,18 +71,7 @@ class Issued(NamedTuple):
 
 
 class Authority:
-    """Issue certificates with the key of a certificate authority.
-
-    Parameters
-    ----------
-    credential : Credential
-        Certificate and key of the authority.
-
-    Raises
-    ------
-    ValueError
-        If the key is none, or not that of the certificate.
-    """
+    """Issue certificates with the key of a certificate authority."""
 
     def __init__(self, credential: Credential) -> None:
         self.certificate = credential.certificate

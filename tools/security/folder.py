@@ -39,17 +39,8 @@ class SecureFolder:
 
     Parameters
     ----------
-    path : Path
-        Folder that `create` made.
     authority_key : Path, optional
         Private key of the authority, where it is not in the folder.
-    clock : callable
-        Current time with its time zone.
-
-    Raises
-    ------
-    SettingsError
-        If the folder is none that `create` made, or one of its files cannot be read.
     """
 
     def __init__(self, path: Path, authority_key: Path | None = None, clock: Callable[[], datetime] = now_utc) -> None:
@@ -80,11 +71,6 @@ class SecureFolder:
         """Make a folder with a new authority, and the certificates and configurations of all identities.
 
         Units: days [d].
-
-        Parameters
-        ----------
-        path : Path
-            Folder that does not exist, or is empty.
         """
         for host in hosts:
             if not _HOST.fullmatch(host):
@@ -144,8 +130,6 @@ class SecureFolder:
         ----------
         names : sequence of str
             Names as on the command line. Without any, those whose newest certificate expires within `RENEW_DAYS`.
-        revoke : bool
-            Whether the former certificates are no longer in force, because a key was stolen.
         """
         newest = {each.name: each for each in self.list_certificates()}
         chosen = [self._find_name(name, newest) for name in names] or [

@@ -43,14 +43,8 @@ class CarFile(NamedTuple):
 
     Parameters
     ----------
-    name : str
-        Identifier of the car.
-    path : Path
-        The file.
     groups : (n,) void
         Place of the first message, offset in the file [B], size [B] and number of messages of each group.
-    shifts : list of ShiftTruth
-        Truth of each shift.
     faults : Counter of str
         Number of faults of the logger, by kind.
     """
@@ -64,10 +58,6 @@ class CarFile(NamedTuple):
 
 class CarWriter:
     """Write the messages of a car to a file.
-
-    Parameters
-    ----------
-    path : Path
 
     Attributes
     ----------

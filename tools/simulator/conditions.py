@@ -25,8 +25,6 @@ class Spell(NamedTuple):
     kelvin : float
         Warmest hour of the spell above the warmest hour since the first day; if negative, its coldest hour below the
         coldest hour since then. [K]
-    days : int
-        Length.
     """
 
     day: int
@@ -39,14 +37,8 @@ class DisplayFault(NamedTuple):
 
     Parameters
     ----------
-    car : int
-        Number of the car, from 1.
-    kind : str
-        One of `DISPLAY_FAULTS`.
     day : int
         Days from the first day of the simulation to the first faulty day.
-    days : int
-        Number of faulty days.
     """
 
     car: int
@@ -79,8 +71,6 @@ class Conditions:
 
     Parameters
     ----------
-    spells : tuple of Spell
-        Cold snaps and heat waves.
     heater_habits : bool
         Drivers keep to their cars, and each has a set point; some heat the cabin before the shift, some save heat.
     coulomb_display : bool
@@ -104,8 +94,6 @@ class Conditions:
         Share of the cars with 58 to 72 % of their usable capacity, which loses 0.05 % a day.
     battery_sizes : tuple of float
         Nominal capacities, assigned in turn and announced by the cars. [kWh]
-    newcomers : Newcomers
-        Cars and drivers that join.
     weather_forecasts : bool
         The stations also publish forecasts of the temperature, see `weather.make_forecasts`.
     periods : tuple of float

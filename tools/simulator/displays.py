@@ -67,11 +67,6 @@ def compute_display(state: State, soc: float, car: Car, capacity: float, display
     """Return what a healthy display shows, before it is divided into steps.
 
     Units: capacity [J], returns [%].
-
-    Parameters
-    ----------
-    display : Display or None
-        The display; None shows the true state of charge.
     """
     if display is None:
         return np.clip(100.0 * state.soc, 0.0, 100.0)

@@ -42,8 +42,6 @@ class FleetCar(NamedTuple):
         Index of the car, which selects its random streams.
     name, model : str
         Identifier of the car and key of its model in the vehicle catalogue.
-    car : Car
-        True parameters.
     equipment : Equipment
         What the logger lacks, and how often it samples.
     planned_shifts : list of PlannedShift, optional
@@ -73,12 +71,6 @@ class PreparedFleet(NamedTuple):
 
     Parameters
     ----------
-    simulation : Simulation
-        What is simulated.
-    members : list of FleetCar
-        The cars.
-    sky : Sky
-        The weather.
     factors : tuple of float
         Factor of each hidden effect. [1]
     """

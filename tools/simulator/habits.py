@@ -35,10 +35,6 @@ class Habit(NamedTuple):
 
     Parameters
     ----------
-    name : str
-        Identifier.
-    style : DrivingStyle
-        Driving style.
     warmth : float
         Preferred temperature above the usual one. [K]
     heater_share : float
@@ -69,13 +65,7 @@ def draw_habit(seed: int, driver: int) -> Habit:
 
 
 def choose_driver(car: int, vehicles: int, newcomers: Newcomers, rng: np.random.Generator) -> int:
-    """Return the index of the driver of a shift: one of the two regular drivers of the car, or anyone else.
-
-    Parameters
-    ----------
-    newcomers : Newcomers
-        Cars that join; they have drivers of their own, who come after all others.
-    """
+    """Return the index of the driver of a shift: one of the two regular drivers of the car, or anyone else."""
     settled = vehicles - newcomers.cars
     pool = max(2, ceil(DRIVERS_PER_CAR * settled))
     which, any_of, draw = int(rng.integers(2)), int(rng.integers(pool)), rng.uniform()

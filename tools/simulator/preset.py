@@ -73,8 +73,6 @@ class Preset(NamedTuple):
 
     Parameters
     ----------
-    fleet : Fleet
-        Settings that all cars share.
     models : mapping of str to mapping
         The tables `rides` and `traits` of each vehicle model.
     """
@@ -88,10 +86,6 @@ class Driver(NamedTuple):
 
     Parameters
     ----------
-    name : str
-        Identifier.
-    style : DrivingStyle
-        Driving style.
     warmth : float
         As in `cars.Car`. [K]
     """
@@ -106,10 +100,6 @@ class PlannedShift(NamedTuple):
 
     Parameters
     ----------
-    day : int
-        Days after the first day.
-    driver : Driver
-        Who drives.
     distances : (n,) float
         Distance of each ride. [m]
     """
@@ -128,13 +118,7 @@ class PlannedCar(NamedTuple):
 
 
 def refuse_unused_settings(name: str | None, given: Sequence[str]) -> None:
-    """Raise an error for settings that have no effect with a preset, or without one.
-
-    Parameters
-    ----------
-    name : str or None
-        Name of the preset, if any.
-    """
+    """Raise an error for settings that have no effect with a preset, or without one."""
     if name is None and "rides" in given:
         raise SettingsError(f"--rides needs a preset; give one such as --preset {PRESETS[0]}")
     idle = [f"--{setting.replace('_', '-')}" for setting in given if setting != "rides"]

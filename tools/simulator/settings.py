@@ -110,14 +110,10 @@ class Faults:
         Samples overtaken by the next one or two.
     clock_step : float
         Steps of the clock by 5 to 120 s; the next such event steps it back.
-    duplicate : float
-        Samples sent twice.
     gap : float
         Begins of gaps of 2 to 40 samples.
     tunnel : float
         Probability for each passage of a tunnel that the position freezes and then jumps.
-    null_island : float
-        Positions at 0/0.
     gps_noise : float
         Standard deviation of a position along each axis. [m]
     elevation_noise : float
@@ -126,8 +122,6 @@ class Faults:
         1 gives the state of charge in the steps of the car, 0 gives it exactly.
     spike : float
         Samples with one value out of range.
-    missing : float
-        Samples that lack one field.
     undecodable : float
         Payloads that are cut, garbled, or of a wrong type.
     power_cycle : float
@@ -173,8 +167,6 @@ class Hidden(NamedTuple):
 
     Parameters
     ----------
-    effect : str
-        Name of the effect.
     size : float
         Share of the energy of the rides. [1]
     """
@@ -194,20 +186,12 @@ class Simulation:
     start : datetime
         First day in UTC. With a time of day other than midnight every shift begins at about that time; otherwise the
         shifts are spread over the day in Montreal.
-    seed : int
-        Seed of all random streams.
     day_step : int
         Days from one simulated day to the next; 1 simulates every day.
     shift_hours : float or None
         Length of every shift; None draws 7 to 10 h. [h]
     models : tuple of str
         Keys of the vehicle catalogue, assigned in turn.
-    hidden : tuple of Hidden
-        Hidden effects.
-    faults : Faults
-        Faults of the loggers.
-    phenomena : Phenomena
-        Refinements of the physics.
     preset : str or None
         Name of a fleet that a file describes; then the settings in `PRESET_SETTINGS` have no effect.
     rides : int

@@ -31,10 +31,6 @@ class Orders(NamedTuple):
 
     Parameters
     ----------
-    driver_id : str
-        Identifier of the driver.
-    style : DrivingStyle
-        Driving style.
     length : float
         Time until which rides begin, if `distances` does not give their number. [s]
     distances : (n,) float, optional
@@ -51,10 +47,6 @@ class Orders(NamedTuple):
         Mean time between a ride and the drive to the next, in addition to the shortest time of 45 s. [s]
     estimate_factor : float
         Consumption that dispatch estimates, divided by its estimate for a plain car. [1]
-    waits, no_shows, plan_spread : float
-        As in `conditions.Conditions`.
-    hills : bool
-        Whether streets follow the hills.
     """
 
     driver_id: str
@@ -99,8 +91,6 @@ class Interlude(NamedTuple):
 
     Parameters
     ----------
-    before : int
-        Index of the trip that follows.
     end : int
         Step at which it is over, and dispatch knows.
     duration_s : float
@@ -164,16 +154,8 @@ class Shift(NamedTuple):
         Unix time at which it begins. [s]
     soc : float
         State of charge at the beginning. [1]
-    timeline : Timeline
-        Position of the car and events.
-    trips : list of Trip
-        Its rides.
     length : float
         Planned length. [s]
-    unstarted_legs : tuple of Leg
-        Planned rides that never began.
-    interludes : tuple of Interlude
-        What is planned between rides.
     """
 
     time: float

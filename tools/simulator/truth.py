@@ -33,8 +33,6 @@ class Truth:
 
     Attributes
     ----------
-    settings : dict of str to object
-        Settings of the simulation.
     factors : dict of str to float
         Factor of each hidden effect. [1]
     rides : list of dict
@@ -45,8 +43,6 @@ class Truth:
         For each car: its true parameters in SI units, its model, and what its logger lacks.
     faults : dict of str to Counter
         Number of faults of the logger of each car, by kind.
-    messages : int
-        Number of recorded messages.
     displays : list of dict
         For each shift of a simulation with conditions: `vehicle_id`; `begin_s` and the time `step_s` between values
         [s]; `soc_pct`, the true state of charge, and `shown_pct`, what a healthy display shows [%]; and the `fault` of

@@ -31,7 +31,6 @@ class AlarmWatch:
 
     Parameters
     ----------
-    pipeline : Pipeline
     ask_at : int
         Number of received messages from which the question is put.
 

@@ -14,18 +14,7 @@ END_S: Final = 5.0
 
 
 class DiagnosisProcess:
-    """Run `socast diagnose` beside the loop.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        Arguments of the command.
-
-    Raises
-    ------
-    OSError
-        If no process can be started.
-    """
+    """Run `socast diagnose` beside the loop."""
 
     def __init__(self, arguments: Sequence[str]) -> None:
         self._error = tempfile.TemporaryFile()  # noqa: SIM115 - closed by `end`

@@ -39,13 +39,8 @@ class CarFaults(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    vehicle_id : str
-    samples : int
-        Samples of the car.
     faults : dict of str to int
         Samples with each quality bit that occurs, the most frequent first.
-    rides : int
-        Rides of the car.
     hours, km : float
         Duration and distance of all its rides.
     unfit : dict of str to LostRides

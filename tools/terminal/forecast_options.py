@@ -37,8 +37,6 @@ class ForecastOptions:
         Names or files of models. The first model makes the forecasts, and the others run as its shadows.
     effect_files, vehicle_files : sequence of Path
         Files of user-defined effects, which are already loaded.
-    settings : Settings
-        Settings of cleaning.
     prefix : str
         Key chunks before those of the wire contract, without a slash at the end.
     warm_up : sequence of Path
@@ -102,13 +100,7 @@ def make_pipeline(
     keep_outlooks: bool = False,
     shard: Shard | None = None,
 ) -> Pipeline:
-    """Return a pipeline that cleans and forecasts with the values of the options.
-
-    Parameters
-    ----------
-    replayed : sequence of McapSource
-        Recordings to be forecast. The warm-up recordings must end before these begin.
-    """
+    """Return a pipeline that cleans and forecasts with the values of the options."""
     first, *shadows = models
     prefix = parse_prefix(options.prefix)
     elevation_map = open_elevation(options.elevation)

@@ -27,8 +27,6 @@ def run_forecasts(
     ----------
     source : Source, optional
         Messages of the recordings, for example paced. By default they are merged in time order.
-    zone : tzinfo, optional
-        Time zone of the times in the table; None is that of the system.
     """
     shown = LiveTable(pipeline, "Replay", silent=rate == inf, zone=zone)
     with show_progress(sources, shown=rate == inf) as step, shown as table:

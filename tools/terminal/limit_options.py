@@ -78,12 +78,7 @@ OPTION_OF_CAUSE: Final = {
 
 
 class LimitLog:
-    """Warn once of each limit that has been reached, as a watch of the loop.
-
-    Parameters
-    ----------
-    pipeline : Pipeline
-    """
+    """Warn once of each limit that has been reached, as a watch of the loop."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self._pipeline = pipeline

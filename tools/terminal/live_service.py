@@ -59,17 +59,10 @@ class LiveOptions:
     ----------
     connection : Connection
         How to reach the router, without a prefix.
-    forecast : ForecastOptions
-    limits : Limits
-    recording : RecordingOptions
-    state : Path, optional
-        File of the state.
     watch : Path, optional
         File of the findings of the nightly diagnosis.
     report_s : float
         Time between two log lines of counters. [s]
-    metrics : str, optional
-        Where to serve metrics.
     metrics_per_car : bool
         Whether to serve metrics of each vehicle.
     standby : bool
@@ -96,13 +89,7 @@ class LiveOptions:
 
 @dataclass(frozen=True)
 class Storage:
-    """Hold the files of the service, whose locks are taken.
-
-    Parameters
-    ----------
-    state : StateFile, optional
-    recorder : Recorder, optional
-    """
+    """Hold the files of the service, whose locks are taken."""
 
     state: StateFile | None
     recorder: Recorder | None
@@ -119,15 +106,6 @@ class ServiceParts:
 
     Parameters
     ----------
-    monitor : ServiceMonitor
-    source : ZenohSource or ShardSource
-    pipeline : Pipeline
-    sink : Sink
-        Sink of what is published.
-    queries : QueryService
-    rides : RideLog
-    recorder : Recorder, optional
-    checkpoints : Checkpoints, optional
     watches : list of callable
         What the loop calls after each list of messages.
     """
@@ -152,13 +130,7 @@ def serve(options: LiveOptions) -> None:
 
 
 def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
-    """Take the locks, compile the kernels, load the state, and connect; return the parts.
-
-    Parameters
-    ----------
-    ending : ExitStack
-        Closes the parts, the last one first, also if a later step fails.
-    """
+    """Take the locks, compile the kernels, load the state, and connect; return the parts."""
     check_watch(options.forecast, options.recording.folder, options.watch)
     connection = _make_connection(options)
     models = load_models(options.forecast.models)
@@ -199,13 +171,7 @@ def start_service(options: LiveOptions, ending: ExitStack) -> ServiceParts:
 
 
 def run_service(parts: ServiceParts, report_s: float, zone: tzinfo | None = UTC) -> None:
-    """Run the loop until a signal stops it.
-
-    Parameters
-    ----------
-    zone : tzinfo, optional
-        Time zone of the times on the terminal; None is that of the system.
-    """
+    """Run the loop until a signal stops it."""
     with LiveTable(parts.pipeline, "Live", silent=not sys.stdout.isatty(), zone=zone) as table:
         run(
             parts.source,

@@ -69,12 +69,8 @@ class LiveTable:
     ----------
     pipeline : Pipeline
         Pipeline that holds the state of the vehicles.
-    title : str
-        Title of the table.
     console : Console, optional
         Console to print on; by default the one of `make_console`.
-    silent : bool
-        Whether to show nothing.
     zone : tzinfo, optional
         Time zone of the times; None is that of the system.
     clock : callable
@@ -151,13 +147,7 @@ def make_fleet_table(
     wide: bool = True,
     zone: tzinfo | None = UTC,
 ) -> Table:
-    """Return a table with one row per car: those at risk first, then those with the newest samples by name.
-
-    Parameters
-    ----------
-    zone : tzinfo, optional
-        Time zone of the times; None is that of the system.
-    """
+    """Return a table with one row per car: those at risk first, then those with the newest samples by name."""
     shown = _choose_cars(cars, rows)
     of_zone = name_zone([car.time_s for car in shown if isfinite(car.time_s)], zone)
     numbers = (
@@ -230,13 +220,7 @@ def _format_time(car: VehicleStatus, zone: tzinfo | None) -> str:
 
 
 def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally, zone: tzinfo | None = UTC) -> str:
-    """Return one line on the fleet for a log: the counts of messages, and the car with the newest sample.
-
-    Parameters
-    ----------
-    zone : tzinfo, optional
-        Time zone of the time; None is that of the system.
-    """
+    """Return one line on the fleet for a log: the counts of messages, and the car with the newest sample."""
     counts = f"{tally.seconds:5.1f} s  {tally.received:7,} messages  {len(cars):3} cars"
     if not cars:
         return counts
@@ -273,13 +257,7 @@ def add_predictions(rides: pd.DataFrame, models: ShadowModels) -> pd.DataFrame:
 
 
 def make_ride_records(rides: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return the rows of a ride table with predictions, for JSON.
-
-    Returns
-    -------
-    list of dict
-        One record per ride, with the fields `RIDE_COLUMNS` and, if present, `shadows_kwh`.
-    """
+    """Return the rows of a ride table with predictions, for JSON."""
     names = [*RIDE_COLUMNS, *(["shadows_kwh"] if "shadows_kwh" in rides else [])]
     known = rides[names].astype(object)
     text = ["ride_id", "vehicle_model", "unfit_reason"]
@@ -289,13 +267,7 @@ def make_ride_records(rides: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def show_rides(console: Console, rides: pd.DataFrame, quality: dict[str, Any], zone: tzinfo | None = UTC) -> None:
-    """Print a ride table with predictions, the totals, and the reasons why rides are unfit for training.
-
-    Parameters
-    ----------
-    zone : tzinfo, optional
-        Time zone of the times; None is that of the system.
-    """
+    """Print a ride table with predictions, the totals, and the reasons why rides are unfit for training."""
     wide = console.width >= WIDE
     numbers = ("min", "km", *(("°C",) if wide else ()), "predicted\nkWh", "measured\nkWh", "off %")
     shown = rides.tail(MOST_RIDES)

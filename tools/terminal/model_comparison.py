@@ -66,13 +66,7 @@ def find_models(names: Sequence[str] | None, folder: Path | None) -> list[str]:
 
 
 def advise_fit(model: LinearModel, data: str, folder: str = "") -> str | None:
-    """Return what fitting would bring where a model knows only the catalogue, None for a fitted model.
-
-    Parameters
-    ----------
-    folder : str
-        Folder in which the command writes the model, with a slash at its end.
-    """
+    """Return what fitting would bring where a model knows only the catalogue, None for a fitted model."""
     if model.training is not None:
         return None
     return (
@@ -108,15 +102,7 @@ def make_models_table(
     by_vehicle_model: bool = False,
     courses: ErrorCourses | None = None,
 ) -> Table:
-    """Return a table of the errors of models, one row per model.
-
-    Parameters
-    ----------
-    by_vehicle_model : bool
-        Whether the row of each model is followed by one row per vehicle model.
-    courses : ErrorCourses, optional
-        Courses of the errors; with them a wide table has a column of pictures.
-    """
+    """Return a table of the errors of models, one row per model."""
     columns = [
         Column("model", fixed=True, min_width=None if wide else 18),
         *(Column(head, number=True, fixed=True, min_width=width) for head, width in (_WIDE if wide else _NARROW)),

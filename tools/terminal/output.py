@@ -143,13 +143,6 @@ def make_console(json_file: Path | None = None) -> Console:
 def write_json(path: Path | None, report: str, value: Mapping[str, Any] | msgspec.Struct) -> None:
     """Write a report as JSON: first its format, then its fields, with NaN and infinity as null.
 
-    Parameters
-    ----------
-    path : Path, optional
-        File to write; `-` is standard output, None writes nothing.
-    value : mapping or msgspec.Struct
-        Fields of the report. A list must be the value of a field.
-
     Examples
     --------
     >>> write_json(Path("-"), "tables", {"rides": []})
@@ -201,13 +194,7 @@ def select_model_files(given: Iterable[str]) -> list[Path]:
 
 
 def check_outputs(inputs: Iterable[Path], *outputs: Path | None) -> None:
-    """Refuse outputs that cannot be written or would overwrite an input, before the command does any work.
-
-    Parameters
-    ----------
-    outputs : Path or None
-        Files that the command will write; None and standard output need no check.
-    """
+    """Refuse outputs that cannot be written or would overwrite an input, before the command does any work."""
     read, written = {path.resolve() for path in inputs}, set[Path]()
     for path in outputs:
         if path is None or path == STANDARD_OUTPUT:

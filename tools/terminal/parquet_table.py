@@ -17,16 +17,6 @@ class ParquetTable:
     """Write a Parquet file by row groups; the first row group fixes the columns.
 
     It is a context manager. The file takes the place of an existing one at its end, unless anything is raised.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-
-    Attributes
-    ----------
-    rows : int
-        Number of rows written so far.
     """
 
     def __init__(self, path: Path) -> None:

@@ -22,8 +22,6 @@ class Breaking(NamedTuple):
 
     Parameters
     ----------
-    tied : re.Pattern
-        Spaces at which no line ends.
     headings, texts : bool
         Whether words longer than `LEAST_WIDTH` may be broken in headings, and in cells of text.
     """

@@ -22,8 +22,6 @@ class RideLog:
 
     Parameters
     ----------
-    pipeline : Pipeline
-        Pipeline that totals the rides.
     clock : callable
         Function that returns monotonic time. [s]
     """

@@ -68,14 +68,10 @@ class RideSource:
     ----------
     given : sequence of Path
         Folders of tables and Parquet files of rides, or recordings and folders of recordings.
-    settings : Settings
-        Settings of cleaning, of recordings.
     elevation : sequence of Path
         Maps that correct the elevation of fixes, of recordings.
     effect_files, vehicle_files : sequence of Path
         Files of the user's effects and vehicles, which are already loaded.
-    place : ClusterPlace, optional
-        Workers that make tables of recordings.
     """
 
     given: Sequence[Path] = ()
@@ -171,15 +167,7 @@ class RideSource:
         return self.read(wanted, library=False)[0] if self.is_recorded else read(self.files)
 
     def read(self, wanted: Sequence[str] = (), report: Report | None = None, *, library: bool = True) -> BothTables:
-        """Return the ride and window tables, read from tables or made from recordings.
-
-        Parameters
-        ----------
-        wanted : sequence of str
-            Names of effects that tables of recordings contain.
-        library : bool
-            Whether they also contain every known effect.
-        """
+        """Return the ride and window tables, read from tables or made from recordings."""
         if self.is_recorded:
             return self._make(_list_effects(wanted) if library else wanted, report)
         files = self.files

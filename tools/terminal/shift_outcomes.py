@@ -33,11 +33,6 @@ class ShiftOutcomes:
     """Collect the forecasts of shifts in progress, and compare those of ended shifts with the outcome.
 
     The caller calls the object after each list of messages.
-
-    Parameters
-    ----------
-    pipeline : Pipeline
-        Pipeline that keeps its outlooks.
     """
 
     def __init__(self, pipeline: Pipeline) -> None:
@@ -134,13 +129,7 @@ def _record_forecast(row: "pd.Series[Any]", shift: dict[str, Any]) -> dict[str, 
 
 
 def show_outcomes(console: Console, shifts: list[dict[str, Any]], zone: tzinfo | None = UTC) -> None:
-    """Print one row per ended shift, or the reason why there is no forecast to compare.
-
-    Parameters
-    ----------
-    zone : tzinfo, optional
-        Time zone of the times; None is that of the system.
-    """
+    """Print one row per ended shift, or the reason why there is no forecast to compare."""
     if not shifts:
         return
     if not any(forecast for shift in shifts for forecast in shift["forecasts"].values()):

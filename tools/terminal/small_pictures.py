@@ -47,11 +47,6 @@ def draw_charge(now_pct: float, end_pct: tuple[float, float, float] | None, widt
 def draw_course(values: Sequence[float], width: int) -> str:
     """Return the course of values from 0 to the largest, the newest last.
 
-    Parameters
-    ----------
-    values : sequence of float
-        In order of time, not negative.
-
     Examples
     --------
     >>> draw_course([4.0, 3.0, 2.0, 1.0], 4)

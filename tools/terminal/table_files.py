@@ -35,13 +35,7 @@ def join_parts(parts: Sequence[pd.DataFrame]) -> pd.DataFrame:
 
 
 def is_window_table(file: Path) -> bool:
-    """Tell whether a file is a Parquet file of windows.
-
-    Returns
-    -------
-    bool
-        False if the file is no Parquet file.
-    """
+    """Tell whether a file is a Parquet file of windows."""
     try:
         return WINDOW in pq.read_schema(list_parts(file)[0]).names
     except (OSError, IndexError, pa.ArrowException):

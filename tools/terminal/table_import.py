@@ -35,8 +35,6 @@ class TableImport(NamedTuple):
     ----------
     map_file, out, html_file : Path, optional
         The map, the recording (None only guesses) and a page with a picture of what agrees.
-    guess : bool
-        Whether to write the map first.
     preset : str, optional
         Name of the export that the tables are.
     vehicle_model : str, optional

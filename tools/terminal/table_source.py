@@ -27,10 +27,6 @@ class TableSource(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    recordings, elevation : sequence of str
-        Recordings, and maps of elevation.
-    settings : Settings
-        Settings of cleaning.
     dated : bool
         Whether the dates of the recordings are known, and not invented by `socast import --sequence`.
     """

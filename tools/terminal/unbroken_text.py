@@ -43,13 +43,7 @@ def measure_parts(text: str, tied: re.Pattern[str]) -> int:
 
 
 class UnbrokenText(Text):
-    """Text that keeps each number on one line.
-
-    Attributes
-    ----------
-    tied : re.Pattern
-        Spaces at which no line ends.
-    """
+    """Text that keeps each number on one line."""
 
     tied: re.Pattern[str] = WHOLE
 

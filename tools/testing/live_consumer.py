@@ -57,13 +57,6 @@ class _Taken(NamedTuple):
 class LiveConsumer:
     """Run a consumer at a router on loopback, and a client that publishes to it; a context manager.
 
-    Parameters
-    ----------
-    model : str or Path
-        Name or file of the model.
-    out : Path
-        Receives the forecasts at `results`.
-
     Attributes
     ----------
     endpoint : str

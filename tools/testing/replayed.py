@@ -34,8 +34,6 @@ class Replayed(NamedTuple):
     quality : DataFrame
         Counters of messages, and of the samples that were repaired or rejected: the column `count` by `counter`, such
         as `samples.speed_rejected`.
-    file : Path
-        Recording of the forecasts.
     losses : tuple of str
         What of the recordings was damaged and could not be read, one line each.
     """

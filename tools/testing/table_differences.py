@@ -27,8 +27,6 @@ class ValueDifference(NamedTuple):
     ----------
     time : float
         Time of the row, NaN where tables have none. [Unix s]
-    expected, found : object
-        Values; None where unknown or absent.
     allowed : float
         Largest difference that would be none; NaN for values that are no numbers.
     """
@@ -74,8 +72,6 @@ class TableComparison(NamedTuple):
     ----------
     rows : str
         What a row is, such as `forecast`.
-    compared : int
-        Rows in both.
     missing, additional : dict of str to tuple
         Number of rows of each subject that were expected and not found, and found and not expected, and the time of
         the first. [Unix s]

@@ -47,13 +47,6 @@ class Sessions:
     ----------
     port : int
         Port of the server. Cookies do not tell ports apart, so the name of the cookie does.
-
-    Attributes
-    ----------
-    token : str
-        Token of the next browser.
-    cookie : str
-        Name of the cookie.
     """
 
     def __init__(self, port: int) -> None:
@@ -81,13 +74,6 @@ class AccessControl:
 
     Parameters
     ----------
-    application : callable
-        ASGI application behind the control.
-    sessions : Sessions
-    host : str
-        Host at which the server listens.
-    port : int
-        Port of the server.
     announce : callable
         Function that is called after a token was used, so that the next address can be printed.
     """

@@ -18,12 +18,7 @@ class CancelledError(SocastError):
 
 
 class Report:
-    """Receive the progress of a job, and end the job if it was cancelled.
-
-    Parameters
-    ----------
-    job : Job
-    """
+    """Receive the progress of a job, and end the job if it was cancelled."""
 
     def __init__(self, job: "Job") -> None:
         self._job = job
@@ -52,13 +47,6 @@ class Job:
     ----------
     name : str
         What the job does, for a person.
-
-    Attributes
-    ----------
-    number : str
-        Identity of the job.
-    status : str
-        `running`, `done`, `failed` or `cancelled`.
     """
 
     def __init__(self, name: str) -> None:

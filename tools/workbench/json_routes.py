@@ -21,8 +21,6 @@ class JsonRequest(NamedTuple):
     ----------
     path : mapping of str to str
         Parts of the path that the route names in braces.
-    parameters : mapping of str to str
-        Parameters after the question mark.
     body : mapping of str to Any
         JSON object of a POST; empty otherwise.
     """
@@ -40,8 +38,6 @@ class Workbench:
     ----------
     workspace : Any
         What was given on the command line.
-    jobs : Jobs
-        Background work.
     read_only : bool
         Whether requests that change something are refused.
     fleet : FleetSource, optional
@@ -69,10 +65,6 @@ class JsonRoute(NamedTuple):
 
     Parameters
     ----------
-    path : str
-        Path under `/api`, such as `/rides/{name}`.
-    handle : callable
-        Function that makes the answer.
     changes : bool
         Whether it changes something. It is then a POST, and `--read-only` refuses it; else it is a GET.
     """

@@ -33,18 +33,8 @@ class WorkbenchServer:
 
     Parameters
     ----------
-    workbench : Workbench
-    host : str
-        Host at which to listen.
-    port : int
-        Port; 0 for any free port.
     announce : callable
         Function that receives each address to open, which works for one browser.
-
-    Raises
-    ------
-    SettingsError
-        If the server cannot listen there.
     """
 
     def __init__(

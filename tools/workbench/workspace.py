@@ -35,8 +35,6 @@ class Given(NamedTuple):
     ----------
     source : RideSource
         Recordings, or folders of tables; none for a fleet without rides.
-    models : sequence of str
-        Names of models, or model files.
     folder : Path, optional
         Folder in which models are kept; by default a temporary one.
     live : str, optional
@@ -54,7 +52,6 @@ class RideTables(NamedTuple):
 
     Parameters
     ----------
-    rides, windows : DataFrame
     version : int
         Number that rises each time the tables are made.
     """
@@ -74,19 +71,12 @@ class Workspace:
 
     Attributes
     ----------
-    models : ModelTree
-    effects : OwnEffects
     recordings : list of Path
         The recordings; empty where tables were given, which cannot be made again.
     notes : list of str
         What the reader should know about the first model.
     problem : str
         Why the rides could not be read; empty if they could, or were not read yet.
-
-    Raises
-    ------
-    SettingsError
-        If recordings and tables are mixed, or a file does not exist.
     """
 
     def __init__(self, given: Given = Given()) -> None:  # noqa: B008 - immutable

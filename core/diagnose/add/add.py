@@ -115,36 +115,13 @@ def add_effect(
 
     Parameters
     ----------
-    model : LinearModel
-        A sum of terms, without trees and without factors of cars.
-    effect : str
-        Name of an effect or of a variant.
-    columns : sequence of str
-        Columns of the term, see `socast.core.diagnose.add.terms.build_term_columns`.
-    joined : DataFrame
-        Windows, as `socast.core.fit.measured_rows.join_tables` returns them.
     rides : DataFrame, optional
         The ride table. The interval of the model needs it, and so does a model with terms that hold for whole rides
         only.
-    seed : int
-        Seed of the folds.
     least : float
         Least gain of an accepted effect, as a share of the squared error. [1]
     report : callable
         Function that receives, before each step, the share of the work that is done, and the step in words.
-
-    Returns
-    -------
-    AdditionTrial
-        The refitted model and the trial.
-
-    Raises
-    ------
-    EffectError
-        The effect is unknown.
-    ModelError
-        The effect is in the model already, not in the tables, or never active in these rides; the model is not a sum
-        of terms; or there are too few rides to hold some out.
     """
     declared = effects.get(effect)
     term = build_effect_term(model, effect, tuple(columns))
@@ -186,13 +163,7 @@ def add_effect(
 
 
 def log_attempt(model: LinearModel, trial: dict[str, Any]) -> LinearModel:
-    """Return a model that is unchanged except for a trial in its history.
-
-    Returns
-    -------
-    LinearModel
-        The same model, of the same version, with one more entry in its history.
-    """
+    """Return a model that is unchanged except for a trial in its history."""
     entry = {key: value for key, value in trial.items() if key not in TRIAL_ONLY}
     return msgspec.structs.replace(model, history=(*model.history, entry))
 

@@ -44,8 +44,6 @@ class ErrorFall(NamedTuple):
 
     Parameters
     ----------
-    rides, clusters : int
-        Number of rides and of vehicle-days.
     mae_before_kwh, mae_after_kwh : float
         Mean absolute error of a ride. [kWh]
     fall : float
@@ -101,8 +99,6 @@ class ErrorStep(NamedTuple):
     ----------
     effect, scope : str
         Effect, and where it holds; `all` for everywhere.
-    action : str
-        One of `ATTEMPTS`.
     forced : bool
         Whether the effect was added although the trial did not accept it.
     held_out, final : ErrorFall

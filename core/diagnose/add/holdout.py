@@ -41,8 +41,6 @@ class RideRows(NamedTuple):
 
     Parameters
     ----------
-    rows : (n,) DataFrame
-        Windows or rides.
     ride : (n,) int64
         Ride of each row.
     table : (rides,) DataFrame

@@ -52,8 +52,6 @@ class TermAddition(NamedTuple):
         Original terms of the model, fitted freely.
     effects : tuple of Term
         Effects that were added to the model before.
-    added : Term
-        The term to add.
     has_priors : bool
         Whether the original terms are fitted to windows with priors and within their ranges
         (`socast.core.fit.window_fit`), as those of the recipe `road_load`; otherwise by least squares.
@@ -92,11 +90,6 @@ def refit_with(
     change: TermAddition, rows: pd.DataFrame, *, pooled: Collection[str] = (), covariance: bool = False
 ) -> RefittedPair:
     """Return a model fitted without and with a term.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        Windows or rides that are fit for training, with `ride_key`, `vehicle_id`, `vehicle_model` and `date`.
 
     Returns
     -------
@@ -272,15 +265,7 @@ class AdditionEvidence(NamedTuple):
 def assess_addition(
     change: TermAddition, base: BaseProjection, *, sign: int, limits: tuple[float, float], seed: int
 ) -> AdditionEvidence:
-    """Return the evidence in rows for a term that a model lacks, by the test of `forward_selection`.
-
-    Parameters
-    ----------
-    sign : int
-        Sign of the coefficient that physics demands.
-    limits : tuple of (float, float)
-        Smallest and largest plausible coefficient.
-    """
+    """Return the evidence in rows for a term that a model lacks, by the test of `forward_selection`."""
     windows = base.windows
     rows = windows.table
     with limit_to_one_thread():

@@ -20,8 +20,6 @@ class Kind(NamedTuple):
 
     Parameters
     ----------
-    name : str
-        Identifier.
     unit : str
         Unit of its size: W, or % of the energy that the catalogue expects.
     energy : callable
@@ -38,14 +36,10 @@ class KindColumns(NamedTuple):
 
     Parameters
     ----------
-    kinds : tuple of k Kind
-        Kinds.
     columns : (n, k) float
         Energies. [kWh per kW]
     power : (k,) float
         Mean power of each kind at its nominal size. [kW]
-    dropped : tuple of str
-        Kinds whose power is too small.
     """
 
     kinds: tuple[Kind, ...]

@@ -58,18 +58,6 @@ class LocationModel:
 
     Parameters
     ----------
-    windows : Windows
-        Windows.
-    base : BaseProjection
-        Terms of the diagnosed model.
-    levels : Levels
-        Levels of the random effects.
-    kinds : KindColumns
-        Columns of the random effects.
-    noise : WindowNoise
-        Noise of the windows.
-    model : MixedModel
-        Model of whitened columns.
     joint : Variances
         Most probable variances of all kinds at all levels together.
     """
@@ -94,18 +82,7 @@ class LocationModel:
 
 
 def build_location_model(windows: Windows, base: BaseProjection) -> LocationModel | None:
-    """Return the model of rides and vehicle-days, with the noise of windows estimated beside their loads.
-
-    Parameters
-    ----------
-    base : BaseProjection
-        Projection whose columns are the fixed columns, and whose weights the search begins with.
-
-    Returns
-    -------
-    LocationModel or None
-        None where the windows are too few to tell any level.
-    """
+    """Return the model of rides and vehicle-days, with the noise of windows estimated beside their loads."""
     levels = Levels((), ())
     for name, unit in (("ride", windows.ride), ("day", windows.day)):
         levels = levels.with_top(name, unit) or levels
@@ -126,13 +103,7 @@ def build_location_model(windows: Windows, base: BaseProjection) -> LocationMode
 
 
 def build_car_model(located: LocationModel, found: Variances) -> LocationModel | None:
-    """Return the model in which cars of a vehicle model share their coefficients and differ by chance.
-
-    Returns
-    -------
-    LocationModel or None
-        Model of the level of cars alone; None where there are too few.
-    """
+    """Return the model in which cars of a vehicle model share their coefficients and differ by chance."""
     windows, base = located.windows, located.base
     levels = Levels((*located.levels.names, "car"), (*located.levels.units, windows.vehicle))
     many = [len(set(windows.vehicle[rows].tolist())) for rows in base.kinds.values()]

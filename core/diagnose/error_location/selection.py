@@ -33,12 +33,8 @@ class SelectedLoad:
 
     Parameters
     ----------
-    place : (int, int)
-        Level and kind.
     size_kw, low_kw, high_kw : float
         Standard deviation of the sizes, as a mean power, and its 95 % interval. [kW]
-    gain : float
-        What the criterion rises without it.
     """
 
     place: Place
@@ -49,13 +45,7 @@ class SelectedLoad:
 
 
 class LoadSearch:
-    """Select loads one by one, each beside the others.
-
-    Parameters
-    ----------
-    located : LocationModel
-        Model.
-    """
+    """Select loads one by one, each beside the others."""
 
     def __init__(self, located: LocationModel) -> None:
         self.located = located

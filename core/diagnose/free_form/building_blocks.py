@@ -27,24 +27,16 @@ class Carrier(NamedTuple):
 
     Parameters
     ----------
-    name : str
-        Name of the carrier.
     symbol : str
         Symbol in formulas; empty for a power of 1 W.
     unit : str
         Unit of the factor that makes it a power in watt, as pint spells it.
-    arguments : tuple of str
-        Columns (`socast.core.columns.SIGNALS`) that it reads.
     code : str
         Expression of these columns; empty for a power of 1 W.
     energy : callable
         Energy per unit of the factor, of the window table. [kWh per unit]
-    parameters : mapping of str to Parameter
-        Constants of the expression.
     alike : str
         Effect of the library with the same shape without modulators.
-    per : str
-        Reference of the coefficient, see `socast.core.effects.effect`.
     """
 
     name: str
@@ -67,10 +59,6 @@ class Variable(NamedTuple):
         Name in code, symbol in formulas, and meaning in text.
     unit : str
         Unit as pint spells it; `1` for a pure number.
-    arguments : tuple of str
-        Columns (`socast.core.columns.SIGNALS`) that it reads.
-    code : str
-        Expression of these columns.
     value : callable
         Value in each row of the window table, (n,) float, never NaN: unknown values are replaced as for effects
         (`socast.core.signals.signals`).

@@ -61,10 +61,6 @@ class Suggestion:
 
     Parameters
     ----------
-    term : FreeTerm
-        Carrier and modulators of the term.
-    formula : str
-        `P = c · ...`.
     coefficient : float
         Coefficient c. [`unit`]
     ci95 : (float, float)
@@ -172,11 +168,6 @@ def suggest_term(
     ----------
     least_gain : float
         Least share of the weighted squared residual that a suggestion must explain. [1]
-
-    Returns
-    -------
-    Suggestion or None
-        None where no term explains this share on held-out clusters with certainty.
     """
     usable = np.isfinite(residual) & np.isfinite(weight) & (weight > 0.0) & np.isfinite(base).all(axis=1)
     if len(np.unique(cluster[usable])) < LEAST_CLUSTERS:

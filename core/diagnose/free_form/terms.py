@@ -27,10 +27,6 @@ class Modulator(NamedTuple):
 
     Parameters
     ----------
-    variable : Variable
-        The variable.
-    shape : str
-        Name of the function, see `SHAPES`.
     at : float
         Limit or scale; 0 for shapes that have neither. [unit of the variable]
     grid : tuple of float

@@ -49,8 +49,6 @@ class Families:
         Names of the effects or of their variants.
     effects : (k,) int64
         Index of the effect of each among the names of the candidates.
-    names : tuple of str
-        Names of the effects.
     signs : (k,) int64
         Sign of the coefficient that physics demands: 1, -1, or 0 for either.
     plausible : list of ((float, float) or None)
@@ -117,13 +115,7 @@ def acts_by_time(variant: str) -> bool:
 
 
 class Bends:
-    """Bend energies by the conditions of their windows.
-
-    Parameters
-    ----------
-    base : BaseProjection
-        Gives the windows and their weights.
-    """
+    """Bend energies by the conditions of their windows."""
 
     def __init__(self, base: BaseProjection) -> None:
         table = base.windows.table

@@ -29,8 +29,6 @@ class Calibration(NamedTuple):
         Weight of the evidence M of the best effect.
     rivals : float
         Weight of the evidence of each effect less M.
-    none : float
-        Log odds of no cause.
     several, several_second, several_first : float
         Constant of several effects, and weights of log(1 + D) and of log(1 + M).
     unknown, unknown_first : float

@@ -39,8 +39,6 @@ class Scan(NamedTuple):
 
     Parameters
     ----------
-    kind : {"always", "step", "ramp"}
-        Form in time.
     begin : (m,) float
         Unix time of the first shift with the effect. [s]
     after : (m,) float

@@ -47,12 +47,8 @@ class Question:
     ----------
     who : str
         Name of the car or the group.
-    of : {"car", "group", "all"}
-        What it is.
     members : tuple of (s,) bool
         Shifts of the car or the group, of each model.
-    scan : Scan
-        Tests.
     q : (k,) or (1,) float
         Chance of each candidate, or of any change of a car, adjusted over cars and causes.
     """
@@ -86,8 +82,6 @@ class Search:
         Cars of each model, with effects found before as columns of the base.
     spread : (d,) float
         Variance between cars, in units of the expected one.
-    questions : list of Question
-        All tests.
     """
 
     groups: list[Siblings]

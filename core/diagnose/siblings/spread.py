@@ -56,8 +56,6 @@ class SiblingBase:
 
     Parameters
     ----------
-    siblings : Siblings
-        The cars.
     variance : (d,) float
         Variance of cars in each direction, in units of the expected one.
     own : dict of int to (d,) float, optional

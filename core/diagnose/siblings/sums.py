@@ -68,16 +68,12 @@ class Siblings:
 
     Parameters
     ----------
-    cars : tuple of str
-        Identifiers of the cars.
     car : (s,) int64
         Index of the car of each shift, in ascending order; shifts of a car are in order of time.
     start : (s,) float
         Unix time of the begin of each shift. [s]
     sums : (s, q, q) float
         Sums of products of the columns over each shift, in units of the variance of a window.
-    places : Places
-        Columns of the sums.
     measured, hours, distance : (s,) float
         Energy [kWh], duration [h] and distance [km] of each shift.
     size, net : (s, k) float

@@ -40,8 +40,6 @@ class RideCondition(NamedTuple):
 
     Parameters
     ----------
-    words : str
-        The condition in words.
     kind : str
         Column and direction of the comparison; a second condition of the same kind is redundant.
     effort : float
@@ -59,8 +57,6 @@ class ConditionScale(NamedTuple):
 
     Parameters
     ----------
-    column : str
-        Column of the ride table.
     below, above : str
         Templates for values below a threshold, and for values from the threshold on.
     steps : tuple of float
@@ -126,8 +122,6 @@ def list_conditions(rides: pd.DataFrame, *, dated: bool = True) -> tuple[list[Ri
 
     Parameters
     ----------
-    rides : DataFrame
-        n rows of the ride table; conditions on columns that it lacks are omitted.
     dated : bool
         Whether the dates are known; conditions on season, hour and date are omitted if they are invented.
 

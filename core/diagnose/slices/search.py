@@ -79,8 +79,6 @@ class Slice(NamedTuple):
 
     Parameters
     ----------
-    conditions : tuple of int
-        Places of the conditions.
     score : float
         Score less the penalty for the number of conditions. [1]
     sign : int
@@ -111,9 +109,6 @@ def find_slices(
         n rows of the ride table. A condition does not hold for a ride for which its column is unknown.
     error : (n,) float
         Predicted less measured energy; rides with NaN are left out. [kWh]
-
-    The figures are those of the half of the vehicle-days that confirmed a slice. The list is empty where no slice is
-    confirmed or there are too few rides.
     """
     error = np.asarray(error, dtype=np.float64)
     rides, error, day = _in_order(rides, error)

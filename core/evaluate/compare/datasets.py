@@ -49,15 +49,7 @@ SECONDS_PER_MINUTE: Final = 60.0
 
 
 def compare_datasets(first: ComparedRides, second: ComparedRides, models: Mapping[str, LinearModel]) -> DatasetContrast:
-    """Return the differences between two sets of rides, as second less first.
-
-    Parameters
-    ----------
-    first, second : ComparedRides
-        Rides of both sets, with predictions of the same models.
-    models : mapping of str to LinearModel
-        Models by label.
-    """
+    """Return the differences between two sets of rides, as second less first."""
     return DatasetContrast(
         shared=_shared(first.rides, second.rides),
         properties=_properties(first, second),

@@ -63,12 +63,8 @@ class ComparedRides:
         Predicted energy, by model. [kWh]
     clusters : (n,) int64
         Vehicle-day of each ride.
-    read : int
-        Number of rides read.
     left_out : dict of str to int
         Number of excluded rides, by reason in words.
-    notes : tuple of str
-        Notes for the reader.
     """
 
     rides: pd.DataFrame

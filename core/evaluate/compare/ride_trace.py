@@ -93,22 +93,7 @@ def find_ride(rides: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def trace_ride(ride: pd.DataFrame, windows: pd.DataFrame, models: Mapping[str, LinearModel]) -> RideTrace:
-    """Return the measured energy of a ride and the predictions of models, window by window.
-
-    Parameters
-    ----------
-    ride : (1, columns) DataFrame
-        One row of the ride table.
-    windows : (m, columns) DataFrame
-        The window table, with the windows of this ride among others.
-    models : mapping of str to LinearModel
-        Models by label.
-
-    Raises
-    ------
-    ModelError
-        Where the ride has no measured energy or too few windows, or a column is missing.
-    """
+    """Return the measured energy of a ride and the predictions of models, window by window."""
     key = str(ride["ride_key"].iloc[0]) if "ride_key" in ride else ""
     if missing := [name for name in WINDOW_COLUMNS if name not in windows]:
         raise ModelError(f"column {missing[0]!r} is missing in the window table: make it again with `socast tables`")

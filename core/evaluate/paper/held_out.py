@@ -25,8 +25,6 @@ class HeldOutPredictions:
 
     Parameters
     ----------
-    recipes : tuple of str
-        Recipes that can be compared.
     rows : tuple of (n,) int64
         For each repeat the positions of the rides that all recipes predict.
     energy : dict of str to tuple of (n,) float

@@ -46,9 +46,6 @@ class Learner(NamedTuple):
 
     Parameters
     ----------
-    name : str
-        Key in results.
-    recipe : EvaluatedRecipe
     way : {"unchanged", "refitted", "adapted"}
         The rides are ignored; added to the training rides before a new fit; or passed to the recipe's `adapt`.
     """

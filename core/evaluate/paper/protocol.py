@@ -78,16 +78,10 @@ class EvaluationPlan:
 
     Parameters
     ----------
-    table : EvaluatedRides
-        Rides that are evaluated.
-    recipes : mapping of str to EvaluatedRecipe
-        Recipes of `select_recipes`.
     seed, repeats : int
         Seed of splits and draws, and number of splits by ride.
     untrained : collection of str
         Vehicle models whose rides train no model that predicts a new vehicle model.
-    splits : dict
-        Splits by kind and key.
     calls : dict
         Runs by key, independent of each other; the longest ones come first.
     """

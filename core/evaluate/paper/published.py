@@ -32,10 +32,6 @@ class PublishedFigure(NamedTuple):
         Value, in the unit of its table.
     ci95 : float or None
         Half width of its 95 % confidence interval, where the paper gives one.
-    text : str
-        Text as printed, with its digits.
-    table : int
-        Number of its table.
     """
 
     value: float
@@ -56,14 +52,8 @@ class PaperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     Parameters
     ----------
-    number : int
-        Number in the paper.
-    quantity : str
-        Quantity of its figures.
     recipe : str, optional
         Recipe whose errors it holds, in Tables 5 to 11.
-    unit : str
-        Unit, in pint's notation.
     rows : mapping
         Vehicle model of the paper, or `WEIGHTED` -> column -> figure as printed.
     """
@@ -89,16 +79,8 @@ class PaperFinding(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     Parameters
     ----------
-    name : {"dominates", "rfecv", "rfe", "new_vehicle"}
-        Subject of the finding.
-    section : str
-        Section of the paper.
     vehicle_model : str, optional
         Vehicle model of the paper, where the finding refers to one only.
-    recipes, terms : tuple of str
-        Recipes and terms that it names.
-    says : str
-        The finding.
     """
 
     name: str
@@ -190,11 +172,6 @@ def get_reduction(recipe: str, vehicle_model: str) -> float | None:
     """Return by which share a recipe's average error is below that of the basic physical model.
 
     The paper does not print it: it follows from the averages of Tables 5 to 11, which are rounded to 0.01 kWh.
-
-    Parameters
-    ----------
-    vehicle_model : str
-        Key of the catalogue, or `AVERAGE` for the mean over the paper's vehicle models.
 
     Examples
     --------

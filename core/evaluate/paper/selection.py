@@ -97,8 +97,6 @@ class Design(NamedTuple):
         Position of the vehicle model, and the terms, standardised within it.
     energy : (n,) float
         Measured energy. [kWh]
-    strata : list of n (str, int)
-        Vehicle model and distance cluster.
     """
 
     table: Floats

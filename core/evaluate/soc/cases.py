@@ -74,8 +74,6 @@ class ForecastCases:
         display, empty without one.
     left_out : dict of str to int
         Number of forecasts left out, by reason.
-    shifts : int
-        Number of shifts that ended.
     warm_up : int
         Number of these shifts without an interval at any time ahead, because too little had been learned.
     unlearned : (m, columns) DataFrame

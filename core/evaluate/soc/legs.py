@@ -45,13 +45,7 @@ LEG_SHIFT_COLUMNS: Final = ["shift", "vehicle_model", "begin_s", "end_s", "charg
 
 
 class LegRecorder:
-    """Query a pipeline while it runs and record the answers.
-
-    Parameters
-    ----------
-    ask : callable
-        Returns the outlook of a vehicle.
-    """
+    """Query a pipeline while it runs and record the answers."""
 
     def __init__(self, ask: Callable[[str], Outlook]) -> None:
         self._ask = ask

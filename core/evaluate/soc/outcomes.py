@@ -26,11 +26,6 @@ def replace_outcomes(shifts: pd.DataFrame, displays: pd.DataFrame) -> pd.DataFra
     displays : DataFrame
         One row per simulated shift: `vehicle_id`, `begin_s`, the time `step_s` between values [s], the sequence
         `shown_pct` of what a healthy display shows [%], and its `fault`, None without one.
-
-    Returns
-    -------
-    DataFrame
-        With `fault`, empty for a healthy display. Shifts without a display keep their outcome.
     """
     ended = normalise_keys(shifts).assign(place=np.arange(len(shifts))).sort_values("begin_s", kind="stable")
     known = displays.astype({"vehicle_id": "str"}).sort_values("begin_s", kind="stable")

@@ -51,12 +51,6 @@ def compute_regression(
 ) -> pd.DataFrame:
     """Return what the regression expects at the end of the shift of each case.
 
-    Parameters
-    ----------
-    cases : (n, columns) DataFrame
-        Forecasts of `socast.core.evaluate.soc.cases.select_cases`; or legs of
-        `socast.core.evaluate.soc.legs.match_legs_to_rides`, whose end replaces that of the shift.
-
     Returns
     -------
     (n, 3) DataFrame

@@ -68,11 +68,6 @@ class PartForecasts(NamedTuple):
 class EnergyCorrection:
     """Learn the factors of driving and waiting for each basis of a forecast.
 
-    Parameters
-    ----------
-    bases : int
-        Number of bases of a forecast.
-
     Attributes
     ----------
     factor : (bases, 2, temperatures) float

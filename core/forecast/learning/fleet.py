@@ -50,7 +50,6 @@ class ShiftEnergy(NamedTuple):
 
     Parameters
     ----------
-    lane : int
     driver : int or None
         Code of the only driver, None where unknown or more than one.
     predicted_kwh, model_kwh, used_kwh : float
@@ -101,7 +100,6 @@ class FleetStatistics:
 
     Parameters
     ----------
-    context : RunContext
     width : int
         Number of amounts that are summed of a ride.
 

@@ -35,8 +35,6 @@ class ForecastRecord(NamedTuple):
         When it was made. [s]
     end : float
         The end of the shift that it is for; infinite with `TO_CHARGE`. [s]
-    basis : int
-        See `socast.core.forecast.conformal`.
     ahead_km : float
         Distance that the energy ahead would usually drive. [km]
     ambient_c, ahead_c : float
@@ -77,7 +75,6 @@ class ShiftErrors(NamedTuple):
 
     Parameters
     ----------
-    basis : int
     time : (n,) float
         When the forecasts were made. [s]
     ahead_km, ambient_c, ahead_c : (n,) float

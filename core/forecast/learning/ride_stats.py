@@ -148,11 +148,6 @@ class RideStatistics:
     ----------
     width : int
         Number of amounts that are summed of a ride.
-
-    Attributes
-    ----------
-    tables : dict of str to LegEnergyTables
-        By vehicle model.
     """
 
     def __init__(self, width: int) -> None:

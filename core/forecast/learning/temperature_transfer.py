@@ -211,8 +211,6 @@ class _SteadyDrive(Mapping[str, Floats]):
     ----------
     ambient, speed : (n,) float
         Outside temperature [K] and speed [m/s].
-    car : CarParameters
-        Of one car, (1,) each.
     """
 
     def __init__(self, ambient: Floats, speed: Floats, car: CarParameters) -> None:

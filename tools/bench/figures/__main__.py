@@ -22,8 +22,6 @@ class Measurement(NamedTuple):
     ----------
     minutes : int
         Time that it takes on two cores. [min]
-    words : tuple of str
-        Module and arguments of its command.
     """
 
     minutes: int

@@ -33,16 +33,10 @@ class Published(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    command : str
-        Command that makes it again.
-    date : str
-        Day of the measurement, UTC.
     commit : str
         Commit of the source tree, with a plus sign where the sources differed from it.
     machine : str
         Number of cores and version of Python.
-    lines : list of str
-        Lines of Markdown.
     values : dict of str to str
         Single figures for the table of results.
     """

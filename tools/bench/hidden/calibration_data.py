@@ -45,12 +45,8 @@ class LabelledEvidence(NamedTuple):
     kind : {"none", "one", "two", "outside", "mixed"}
         Nothing, one effect or two effects are hidden, or one that is removed from the candidates, or two of which one
         is removed while the other one leads.
-    seed : int
-        Seed of the drives.
     truths : tuple of tuple of str
         Right names of each hidden effect; `NONE` or `UNKNOWN` where no effect of the library is right.
-    evidence : CauseEvidence
-        Log evidence of each cause.
     """
 
     kind: Kind

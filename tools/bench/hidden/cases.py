@@ -46,8 +46,6 @@ class Case:
 
     Parameters
     ----------
-    seed : int
-        Seed of the drives.
     hidden : tuple of Hidden
         Effects and their shares of the energy.
     measurement : {"vi", "soc"}
@@ -84,13 +82,7 @@ def get_right_names(effect: str) -> tuple[str, ...]:
 
 
 class SeedData:
-    """Make all data sets of a seed from one simulation.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the drives.
-    """
+    """Make all data sets of a seed from one simulation."""
 
     def __init__(self, seed: int) -> None:
         self.seed = seed

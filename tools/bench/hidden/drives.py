@@ -97,15 +97,11 @@ class Scope:
 
     Parameters
     ----------
-    vehicle : str, optional
-        Identifier of the car.
     since : str, optional
         ISO date; the effect begins at midnight UTC.
     full : str, optional
         ISO date at which an effect that grows from `since` on reaches its size, and beyond which it grows on. Without
         it, the effect has its size from `since` on.
-    group : tuple of str, optional
-        Identifiers of several cars.
     """
 
     vehicle: str | None = None
@@ -143,8 +139,6 @@ class Drives:
     ----------
     simulation : Simulation
         Settings without hidden effects and without quantisation of the state of charge.
-    legs : list of RecordedShift
-        Shifts by car and day.
     messages : list of Message
         All messages, with numbers of samples in place of voltage, current and state of charge.
     """

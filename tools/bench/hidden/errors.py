@@ -28,8 +28,6 @@ class Errors(NamedTuple):
     ----------
     before : float
         Error of the model as it is.
-    after : float
-        Error with the named effects added.
     truth : float
         Error if the hidden energy of each window is known.
     """

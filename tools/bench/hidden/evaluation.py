@@ -100,11 +100,6 @@ def compare_intervals(
 
     Units: hidden [kWh].
 
-    Returns
-    -------
-    list of Record
-        One for each name; `right` is True if the name is right.
-
     Notes
     -----
     The true coefficient is the one that comes closest to the hidden energy. It follows from least squares with the

@@ -37,13 +37,7 @@ SEED: Final = 13
 
 
 def export_tasks(todo: Sequence[Task], folder: Path, processes: int) -> int:
-    """Write all data sets, their truth, and the card.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder for the files; it is made if absent.
-    """
+    """Write all data sets, their truth, and the card."""
     for name in ("windows", "truth"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     count = sum(len(cases) for _, cases in todo)

@@ -32,14 +32,10 @@ class Figure(NamedTuple):
     ----------
     what, goal : str
         Description and goal; no goal where the figure is only reported.
-    value : float
-        Value, NaN if nothing was run.
     text, interval : str
         The value and its 95 % interval as text.
     of : int
         Number of data sets or names behind the value.
-    met : bool
-        Whether the value meets the goal.
     """
 
     what: str

@@ -28,8 +28,6 @@ class Score(NamedTuple):
 
     Parameters
     ----------
-    what : str
-        What counts.
     right, of : int
         Number of right answers and of data sets.
     """

@@ -53,8 +53,6 @@ class Selection:
         Number of seeds; the part `none` has two and a half times as many.
     first : int
         First seed, to evaluate on drives that were not used in development.
-    effects : tuple of str
-        Hidden effects.
     shares : tuple of float
         Shares of the energy. [1]
     measurements, weathers, shapes : tuple of str
@@ -142,13 +140,7 @@ PARTS: Final[dict[str, Callable[[Selection], Iterator[Case]]]] = {
 
 
 def draw_sample(cases: Sequence[Case], size: int | None, seed: int = 0) -> list[Case]:
-    """Return data sets drawn at random, in their order; all of them if there are not more.
-
-    Parameters
-    ----------
-    size : int or None
-        Number to draw; None returns all.
-    """
+    """Return data sets drawn at random, in their order; all of them if there are not more."""
     if size is None or len(cases) <= size:
         return list(cases)
     drawn = np.random.default_rng([seed, 12]).choice(len(cases), size, replace=False)

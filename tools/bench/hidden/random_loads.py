@@ -28,8 +28,6 @@ class RandomLoad(NamedTuple):
     ----------
     level : {"car", "driver", "date", "day", "ride"}
         What has a size of its own.
-    kind : str
-        Key of `KINDS`.
     size : float
         Standard deviation of the sizes: W for `constant` and `beginning`, otherwise a share of the power of the kind.
     """

@@ -66,8 +66,6 @@ class Tables(NamedTuple):
 
     Parameters
     ----------
-    rides, windows : DataFrame
-        Tables as of `socast.core.totals.tables`.
     hidden : DataFrame
         For each window in the order of `windows`: its `ride_key`, its `window`, and the energy of each hidden effect.
         [kWh]
@@ -113,22 +111,12 @@ class Recording:
         Of the drives' cars and of the samples of each.
     kind : (n,) int
         Kind of car of each row.
-    lanes : list of str
-        Vehicles.
-    names : RideNames
-        Names of rides by code.
-    drivers : RideDrivers
-    cars : Cars
-    sky : Sky
-        Weather that each row meets.
     rates : list of ((AMOUNTS + effects + ROOM), rows) float
         What each row adds to the sums, a block of `BLOCK` rows each.
     timing : (n,) float
         Time that each row stands for. [s]
     elevation, climb : (n,) float
         Elevation of each row and climb of its step, smoothed over whole rides. [m]
-    effects : list of Effect
-        That tables hold.
     observed : list of (int, Weather)
         Observations of the weather, each with the row before which it was received.
     """
@@ -150,13 +138,7 @@ class Recording:
     observed: list[tuple[int, Weather]]
 
     def tables(self, measured: Readings, measurement: Measurement, names: Sequence[str] = ()) -> Tables:
-        """Return the tables of readings.
-
-        Parameters
-        ----------
-        measurement : {"vi", "soc"}
-            Voltage and current besides the state of charge, or the state of charge only.
-        """
+        """Return the tables of readings."""
         hidden = measured.hidden[:, self.car, self.number]
         filled = _filled(self.batch, measured, measurement, self.car, self.number)
         clean = _cleaned(filled, len(self.lanes), self.sky, self.cars.capacity[self.kind] * JOULES_PER_KWH)
@@ -219,13 +201,7 @@ class Recording:
 
 
 def record_drives(drives: Drives, messages: Sequence[Message] | None = None) -> Recording:
-    """Process all messages of the drives, as a consumer does.
-
-    Parameters
-    ----------
-    messages : sequence of Message, optional
-        Messages with other weather, in place of those of the drives.
-    """
+    """Process all messages of the drives, as a consumer does."""
     lanes = Lanes()
     decoder = Decoder(lanes)
     batch, events = decoder.decode(drives.messages if messages is None else messages)

@@ -25,8 +25,6 @@ class Bin(NamedTuple):
         Weight of the names among all. [1]
     effective : float
         Number of equally weighted names that would be as certain.
-    of : int
-        Number of names.
     """
 
     low: float

@@ -191,11 +191,6 @@ def make_track(rng: np.random.Generator, drives: int, start: float, stays: tuple
     """Return a day of some drives from a time on, with the named stays after the first drives.
 
     Units: start [s].
-
-    Parameters
-    ----------
-    stays : tuple of str
-        Stays that must happen, as a fault needs them; the others are drawn.
     """
     minutes, hills = rng.uniform(5.0, 40.0, drives), rng.uniform(0.0, 1.0)
     kind = KINDS[int(rng.integers(len(KINDS)))]

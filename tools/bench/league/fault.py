@@ -35,8 +35,6 @@ class Fault(NamedTuple):
     ----------
     name, family : str
         Its name, and the key in `CAUSES` of the reasons for which a ride may be unfit.
-    stage : int
-        When it acts.
     spoils : tuple of str
         What it makes useless as a witness: `speed`, `position`, `odometer`, `power`, `soc`, `counter`, `stamp`. Two
         faults that spoil the same never act together.
@@ -44,8 +42,6 @@ class Fault(NamedTuple):
         Function that changes the samples of a car.
     prepare : callable
         Function that makes the car one that can have the fault.
-    stays : tuple of str
-        Stays that it needs.
     """
 
     name: str

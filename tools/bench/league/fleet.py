@@ -40,13 +40,7 @@ class Entry(NamedTuple):
 
 
 def choose_faults(seed: int, number: int, names: Sequence[str] = ()) -> list[Fault]:
-    """Return the faults of a car: cars of even numbers have one or none, the others have two.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Faults to choose from; all of them without any. `none` stands for no fault.
-    """
+    """Return the faults of a car: cars of even numbers have one or none, the others have two."""
     chosen = list(names) or [CONTROL, *FAULTS]
     faults = [FAULTS[each] for each in chosen if each != CONTROL]
     pairs = [pair for pair in combinations(faults, 2) if are_compatible(*pair)]

@@ -91,12 +91,10 @@ class Verdict:
     ----------
     car, drive : int
         Number of the car, and of the drive in it.
-    faults : tuple of str
     word, why : str
         One of `WORDS`; the reason of an unfit ride, or what is wrong.
     found : dict
         What the rides of the drive say.
-    truth : dict of str to (float, float)
     """
 
     car: int

@@ -39,12 +39,8 @@ class Car:
 
     Parameters
     ----------
-    name : str
-    track : Track
     period, jitter : float
         Time between samples, and error of their stamps. [s]
-    announces : bool
-        Whether the car announces its period.
     counts, names : bool
         Whether samples have a counter, and the name of the ride.
     sends : set of str
@@ -81,7 +77,6 @@ class Log:
 
     Parameters
     ----------
-    car : Car
     true : (n,) float
         When each sample was truly taken. [s]
     receipt : (n,) float

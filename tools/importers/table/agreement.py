@@ -30,12 +30,6 @@ class Check(NamedTuple):
 
     Parameters
     ----------
-    name : str
-        What is compared.
-    found : str
-        Values found.
-    limit : str
-        Limits.
     passed : bool or None
         None where the data for it are missing.
     remedy : str

@@ -63,12 +63,6 @@ class CarSums(NamedTuple):
 
     Parameters
     ----------
-    vehicle : str
-        Its name.
-    model : str, optional
-        Its model, where it is known.
-    sums : mapping of str to float
-        By the names of `SUMS`.
     pairs : (n, 3) float
         Accelerations, with the columns of `PAIR`.
     wild : (float, float), optional

@@ -48,13 +48,7 @@ def refuse_overlap(reader: RowReader, columns: ColumnMap) -> None:
 
 
 class ClockUnit:
-    """Measure, by the first rows, whether the distance by speed has the size of that by odometer or positions.
-
-    Parameters
-    ----------
-    columns : ColumnMap
-        The map.
-    """
+    """Measure, by the first rows, whether the distance by speed has the size of that by odometer or positions."""
 
     def __init__(self, columns: ColumnMap) -> None:
         self._unit = columns.time.unit_s

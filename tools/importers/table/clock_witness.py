@@ -56,13 +56,7 @@ class Difference(NamedTuple):
 def judge_clock(
     first: GuessedTime, others: Sequence[GuessedTime], names: Sequence[str], blocks: Blocks, *, is_fixed: bool = False
 ) -> GuessedTime:
-    """Return a clock with what other witnesses show of its days, its weeks and its zone.
-
-    Parameters
-    ----------
-    is_fixed : bool
-        Whether the clock must be this one, as a preset says.
-    """
+    """Return a clock with what other witnesses show of its days, its weeks and its zone."""
     others = [each for each in others if each.is_absolute and each.columns != first.columns]
     if first.others:
         sure = [each for each in others if not each.others]

@@ -124,19 +124,10 @@ class ColumnMap(NamedTuple):
 
     Parameters
     ----------
-    path : Path
-        File of the map.
-    file : FileFormat
-    time : TimeSource
-    vehicle : VehicleSource
-    ride : RideSource
     long : tuple of (str, str), optional
         Columns of the name and of the value of a signal, where each row holds one signal.
-    fields : mapping of str to FieldSource
-        By the names of `FIELD_UNITS`.
     sampling : Sampling, optional
         How rows that carry only part of the fields become samples; None sends each row as it is.
-    parked : ParkedSource, optional
     """
 
     path: Path

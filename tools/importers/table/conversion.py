@@ -32,13 +32,7 @@ MOST_CARS: Final = MOST_CHANNELS // 2
 def open_tables(
     paths: Sequence[Path], kind: str, columns: ColumnMap, skipped: SkippedFiles | None = None
 ) -> list[TableFile]:
-    """Return the form of each file, after a check that the columns of the map are there.
-
-    Parameters
-    ----------
-    skipped : SkippedFiles, optional
-        Receives files that cannot be read; None refuses them.
-    """
+    """Return the form of each file, after a check that the columns of the map are there."""
     tables: list[TableFile] = []
     skipped = skipped or SkippedFiles()
     for path in paths:
@@ -62,13 +56,7 @@ def convert_tables(
     settings: Mapping[str, Any] | None = None,
     skipped: SkippedFiles | None = None,
 ) -> ImportSummary:
-    """Write the rows of tables as a recording in the order of time.
-
-    Parameters
-    ----------
-    skipped : SkippedFiles, optional
-        Receives files that cannot be read to their end; None refuses them.
-    """
+    """Write the rows of tables as a recording in the order of time."""
     skipped = skipped or SkippedFiles()
     opened = len(tables) + len(skipped.rows)
     reader, sums = RowReader(columns, skipped), AgreementSums()

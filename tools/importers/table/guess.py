@@ -58,20 +58,14 @@ class GuessedMap(NamedTuple):
 
     Parameters
     ----------
-    time : GuessedTime
     vehicle, ride : str, optional
         Columns of the car and the ride.
-    is_per_file : bool
-        Whether each file holds another car.
     long : tuple of (str, str), optional
         Columns of the name and of the value of a signal.
-    fields : sequence of GuessedField
     left_out : sequence of (str, str)
         Columns that are not read, with the reason.
     rows : GuessedRows, optional
         How rows that carry only part of the fields become samples.
-    preset : Preset, optional
-        The export that the tables are.
     inverted : tuple of str
         Cars whose current and power have the opposite sign.
     parked : (str, tuple of str), optional
@@ -97,15 +91,7 @@ class GuessedMap(NamedTuple):
 def guess_map(
     tables: Sequence[TableFile], preset: Preset | None = None, skipped: SkippedFiles | None = None
 ) -> GuessedMap:
-    """Guess the map of tables.
-
-    Parameters
-    ----------
-    preset : Preset, optional
-        The export that they are; None finds it by the columns.
-    skipped : SkippedFiles, optional
-        Receives files whose first rows cannot be read; None refuses them.
-    """
+    """Guess the map of tables."""
     tables = tables[:MOST_FILES]
     names = list(dict.fromkeys(name for table in tables for name in table.names))
     listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")

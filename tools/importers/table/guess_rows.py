@@ -56,8 +56,6 @@ class GuessedRows(NamedTuple):
     ----------
     period, hold : float
         Time between samples, and the age up to which a value stays known. [s]
-    reason : str
-        Why.
     silence : float, optional
         Time without any row after which the values of a driving car are unknown, where values are sent on change. [s]
     holds : mapping of str to float

@@ -66,8 +66,6 @@ class Sources(NamedTuple):
         Columns of the car and the ride.
     long : tuple of (str, str), optional
         Columns of the name and of the value of a signal.
-    fields : list of Source
-        One for each field.
     left_out : list of (str, str)
         Columns that are not read, with the reason.
     parked : (str, tuple of str), optional

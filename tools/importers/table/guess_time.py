@@ -51,16 +51,12 @@ class GuessedTime(NamedTuple):
     ----------
     columns : tuple of str
         Column of the time, or of date and time of day.
-    unit : str, optional
-        Unit of numbers.
     form : str, optional
         Format of text; None is ISO 8601.
     has_zone : bool
         Whether each time states its offset, or is Unix time.
     needs_origin : bool
         Whether the numbers count from a time that the file does not state.
-    reason : str
-        Why.
     day_from_file_name : bool
         Whether the table holds times of day, and the name of its file the day.
     origin_form : str, optional
@@ -69,8 +65,6 @@ class GuessedTime(NamedTuple):
         Other formats that read the text as well.
     origin, zone, offset_column, add_weeks
         What the map says of them, None or 0 where it says nothing.
-    doubts : tuple of str
-        What a person should check.
     """
 
     columns: tuple[str, ...]

@@ -20,8 +20,6 @@ class ImportSummary(NamedTuple):
 
     Parameters
     ----------
-    out : Path
-        The recording.
     files, rows, samples : int
         Files and rows read, and samples written.
     hours : float
@@ -36,12 +34,6 @@ class ImportSummary(NamedTuple):
         Text of the first such cell of each column.
     decimal : str
         Decimal mark with which numbers were read.
-    notes : sequence of str
-        What else a person should know.
-    cars : sequence of CarSums
-        Sums of each car.
-    checks : sequence of Check
-        Comparisons.
     """
 
     out: Path

@@ -23,13 +23,7 @@ MOST_NAMED: Final = 8
 
 
 def write_map_text(guessed: GuessedMap, table: TableFile) -> str:
-    """Return a map as TOML.
-
-    Parameters
-    ----------
-    table : TableFile
-        First file, whose form is written down where it is not the usual one.
-    """
+    """Return a map as TOML."""
     lines = _write_head(guessed)
     lines += _write_file(table, guessed) + _write_vehicle(guessed, table) + _write_time(guessed) + _write_ride(guessed)
     if guessed.long:

@@ -34,8 +34,6 @@ class RowFaults:
 
     Attributes
     ----------
-    causes : Counter of str
-        Rows by cause.
     places : dict of str to str
         Cause -> file, line and text of its first row.
     notes : list of str

@@ -42,15 +42,8 @@ class RowMessages:
 
     Parameters
     ----------
-    columns : ColumnMap
-        Map of the tables.
     reader : RowReader
         Reader of the rows, which holds the names.
-
-    Attributes
-    ----------
-    samples : int
-        Samples so far.
     """
 
     def __init__(self, columns: ColumnMap, reader: RowReader) -> None:

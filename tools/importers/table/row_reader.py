@@ -54,8 +54,6 @@ class RowReader:
 
     Parameters
     ----------
-    columns : ColumnMap
-        Map of the tables.
     skipped : SkippedFiles, optional
         Receives files that cannot be read to their end; None refuses them.
 
@@ -63,16 +61,10 @@ class RowReader:
     ----------
     vehicles, rides : list of str
         Names of vehicles and rides; rows hold their places in these lists.
-    rows : int
-        Rows in the files so far.
     faults : RowFaults
         Rows that cannot be read, by cause.
     cells : Counter of (str, str)
         Cells that hold no number where one belongs, by column and first such text; their rows are kept.
-    spans : TimeSpans
-        Times that each file covers.
-    stamps : StampStatistics
-        How many rows share a stamp.
     """
 
     def __init__(self, columns: ColumnMap, skipped: SkippedFiles | None = None) -> None:

@@ -41,13 +41,7 @@ class RowTimes(NamedTuple):
 
 
 class TimeReader:
-    """Read the times of tables block by block.
-
-    Parameters
-    ----------
-    source : TimeSource
-        The clock.
-    """
+    """Read the times of tables block by block."""
 
     def __init__(self, source: TimeSource) -> None:
         self.source = source

@@ -55,8 +55,6 @@ class SignEvidence(NamedTuple):
     ----------
     sign : int
         1 for a right sign, -1 for an inverted one, 0 where nothing decides.
-    right, inverted : tuple of str
-        Witnesses of each.
     """
 
     sign: Sign

@@ -75,20 +75,10 @@ class TableFile(NamedTuple):
 
     Parameters
     ----------
-    path : Path
-        The file.
-    kind : str
-        `csv` or `parquet`.
     names : tuple of str
         Names of the columns. Where several have one name, they are called `NAME#1`, `NAME#2` and so on.
-    separator, decimal, encoding : str
-        Form of a CSV file.
-    skip_lines : int
-        Lines above the header.
     extra_cells : bool
         Whether rows may have more cells than the header; those beyond it are not read.
-    grouped : tuple of str
-        Columns whose numbers have thousands separators.
     units : tuple of str
         Cells of a row of units below the header, empty where there is none.
     """

@@ -47,8 +47,6 @@ class TextStream(io.RawIOBase):
 
     Parameters
     ----------
-    path : Path
-        The file, perhaps compressed.
     encoding : str
         Its encoding. Letters that are no UTF-8 in a file of UTF-8 are read as those of `LETTERS`.
 

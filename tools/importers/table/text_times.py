@@ -64,13 +64,7 @@ def to_unix(stamps: Any) -> Floats:
 
 
 def parse_times(texts: pa.Array, form: str | None) -> ParsedTimes:
-    """Return the times of texts.
-
-    Parameters
-    ----------
-    form : str, optional
-        Form as of `strptime`; None is ISO 8601.
-    """
+    """Return the times of texts."""
     pattern = None if form is None else _compile(form)
     if pattern is None:
         return _parse_by_pandas(texts, form)

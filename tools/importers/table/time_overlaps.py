@@ -37,8 +37,6 @@ class Overlap(NamedTuple):
         Time that is covered twice. [s]
     start : float
         First such time. [Unix s]
-    vehicle : int
-        Place of the first such car.
     """
 
     files: tuple[str, ...]

@@ -19,13 +19,7 @@ MARKS: Final = 100
 def sort_rows(
     blocks: Iterable[np.ndarray], folder: Path, run_rows: int = RUN_ROWS, window_rows: int = WINDOW_ROWS
 ) -> Iterator[np.ndarray]:
-    """Yield rows in the order of time and vehicle; rows of equal time and vehicle keep their order.
-
-    Yields
-    ------
-    structured array
-        All rows of a span of time; rows of equal time are never divided.
-    """
+    """Yield rows in the order of time and vehicle; rows of equal time and vehicle keep their order."""
     marked = max(1, window_rows // MARKS)
     with TemporaryDirectory(prefix=".import-", dir=folder) as name:
         runs: list[_Run] = []

@@ -35,8 +35,6 @@ class Illustration(NamedTuple):
         Title, with the paper's figure number where it has one.
     caption : str
         Description of the figure, also for readers who cannot see it.
-    figure : Figure
-        Plotly figure.
     small : bool
         Whether the figure is one of several similar ones, which the page shows side by side where there is room.
     """
@@ -53,12 +51,8 @@ class Drawing(NamedTuple):
 
     Parameters
     ----------
-    key, title, caption : str
-        As those of an `Illustration`.
     svg : str
         SVG that says in words what it shows.
-    small : bool
-        As that of an `Illustration`.
     """
 
     key: str

@@ -40,12 +40,6 @@ class Section(NamedTuple):
     ----------
     key : str
         Key of its figures, also used in links to it.
-    title : str
-        Title.
-    text : str
-        Description of its content.
-    tables : list of ReportTable
-        Tables in their order.
     folded : bool
         Whether its figures show the same as its tables. The page folds such tables away, the terminal leaves them out.
     closed : bool

@@ -105,12 +105,6 @@ class Board:
         Cars in the order of their rows.
     epoch : int
         Number that changes when rows change their meaning, after a seek.
-    rides : list of dict
-        Rides that have ended, see `socast.tools.terminal.live_table.make_ride_records`.
-    density : TraceDensity
-        Where the fleet has driven.
-    counts : Counter
-        Number of messages taken, by kind.
     """
 
     def __init__(self) -> None:

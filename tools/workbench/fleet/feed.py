@@ -27,12 +27,7 @@ _log = logging.getLogger("socast.workbench")
 
 
 class FleetFeed:
-    """Encode frames while a page is open, and send them.
-
-    Parameters
-    ----------
-    source : FleetSource
-    """
+    """Encode frames while a page is open, and send them."""
 
     def __init__(self, source: FleetSource) -> None:
         self._board, self._source = source.board, source

@@ -24,9 +24,6 @@ class FrameColumn(NamedTuple):
 
     Parameters
     ----------
-    name : str
-    dtype : str
-        `f4`, `u2`, `i2` or `u1`.
     scale : float
         Value of one unit of the number.
     """

@@ -30,7 +30,6 @@ class Observer:
     ----------
     connection : Connection
         How to reach the router of the service.
-    board : Board
     """
 
     def __init__(self, connection: Connection, board: Board) -> None:

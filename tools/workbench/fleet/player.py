@@ -60,13 +60,8 @@ class Checkpoint(NamedTuple):
 
     Parameters
     ----------
-    messages : int
-        Number of messages.
     time_ns : int
         Time of receipt of the last of them. [ns]
-    pipeline : bytes
-        Snapshot of the pipeline.
-    board : BoardState
     """
 
     messages: int
@@ -80,10 +75,8 @@ class Player:
 
     Parameters
     ----------
-    recordings : sequence of Path
     make_pipeline : callable
         Function that returns a pipeline; its argument states whether to learn from earlier recordings first.
-    board : Board
     command : sequence of str
         Words of the command that replays the same without a browser.
     advice : str
@@ -95,11 +88,6 @@ class Player:
     ----------
     begin_ns, end_ns : int
         First and last time of receipt. [ns]
-
-    Raises
-    ------
-    SettingsError
-        If the recordings hold no message.
     """
 
     def __init__(

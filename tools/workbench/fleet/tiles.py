@@ -27,23 +27,7 @@ class TileRange(NamedTuple):
 
 
 class TileFile:
-    """Read tiles of a PMTiles file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Attributes
-    ----------
-    kind : str
-        Media type of the tiles.
-    range : TileRange
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, or holds vector tiles.
-    """
+    """Read tiles of a PMTiles file."""
 
     def __init__(self, path: Path) -> None:
         try:

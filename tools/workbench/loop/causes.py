@@ -124,8 +124,6 @@ def add_to_model(
     ----------
     even_if_undecided : bool
         Whether to add the effect even if the rides do not decide whether it helps.
-    force : bool
-        Whether to add the effect even if it does not help.
 
     Returns
     -------

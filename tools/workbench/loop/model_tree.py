@@ -23,9 +23,6 @@ class ModelNode(NamedTuple):
     ----------
     name : str
         Name, unique in the tree; the file has it too.
-    model : LinearModel
-    file : Path
-        File of the model.
     parent : str
         Name of the model that it was made of; empty for a root.
     origin : str
@@ -54,11 +51,6 @@ class ModelTree:
     ----------
     folder : Path
         Folder of the files. It is made if it does not exist.
-
-    Raises
-    ------
-    SettingsError
-        If the folder cannot be made.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -103,13 +95,7 @@ class ModelTree:
     def insert(
         self, name: str, model: LinearModel, *, parent: str = "", origin: str = "given", given: str = ""
     ) -> ModelNode:
-        """Insert a model, write its file, and return it; a model that is there already is returned as it is.
-
-        Parameters
-        ----------
-        name : str
-            Name to begin with; a number is added if it is taken.
-        """
+        """Insert a model, write its file, and return it; a model that is there already is returned as it is."""
         with self._lock:
             stamped = models.stamp(model)
             known = [node for node in self._nodes.values() if node.model.version == stamped.version]
@@ -124,13 +110,7 @@ class ModelTree:
             return node
 
     def insert_trial(self, name: str, added: AdditionTrial) -> ModelNode:
-        """Insert the model that a trial accepted, or write the refused attempt into the history of its model.
-
-        Returns
-        -------
-        ModelNode
-            The new model, or the old one with one more entry in its history.
-        """
+        """Insert the model that a trial accepted, or write the refused attempt into the history of its model."""
         base = self.find(name)
         if added.trial["action"] == "add":
             effect = str(added.trial["effect"]).partition("@")[0]

@@ -23,13 +23,7 @@ class Stamp(NamedTuple):
 
 
 class OwnEffects:
-    """Follow the files of effects that the command line named.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        Files, which are loaded already.
-    """
+    """Follow the files of effects that the command line named."""
 
     def __init__(self, files: Sequence[Path]) -> None:
         self.files = list(files)

@@ -21,8 +21,6 @@ class PresetField(NamedTuple):
         Unit; None is found from the values.
     sign : int, optional
         1 or -1; None is found from the values.
-    true : tuple of str
-        Words that mean true.
     """
 
     column: str | None
@@ -49,8 +47,6 @@ class Preset(NamedTuple):
     ----------
     name, title, source : str
         Name for `--preset`, the product, and where its form was looked up.
-    how : str
-        How one gets the export.
     edit : str
         What a person must correct in the map; empty where nothing.
     columns : sequence of sequences of str
@@ -73,8 +69,6 @@ class Preset(NamedTuple):
         Places of each field, the best one first.
     parked : (str, tuple of str), optional
         Column and words of rows in which the car is parked.
-    on_change : bool
-        Whether values are sent on change.
     """
 
     name: str
