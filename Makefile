@@ -15,7 +15,7 @@ INSTALL := $(UV) pip install --python $(BIN)/python --require-hashes
 COMPILE := $(UV) pip compile --python-version 3.11.5 --generate-hashes --no-header --no-annotate
 EXTRAS := --extra bridge --extra checkout --extra cluster --extra service --extra workbench
 
-.PHONY: demo test check docs bench figures lock clean
+.PHONY: demo test check lint types examples docs bench figures lock clean
 .DEFAULT_GOAL := test
 
 # setuptools warns that it will drop `compat` one day; a user of this file can do nothing about it.
@@ -41,10 +41,16 @@ demo: $(RUNS)  ## a shift of several cars, live over Zenoh, in this terminal
 test: $(INSTALLED)  ## the whole test suite, in parallel
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
-check: $(INSTALLED) docs  ## lint, types, the examples in docstrings and the documentation
+check: lint types examples docs  ## all of the four; `make -j2 check` runs them beside each other
+
+lint: $(INSTALLED)  ## the rules of ruff, and its format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(INSTALLED)  ## the types of all code
 	$(BIN)/mypy
+
+examples: $(INSTALLED)  ## the examples in docstrings
 	$(BIN)/python -m pytest -n auto --doctest-modules socast
 
 docs: $(INSTALLED)  ## the documentation, into build/docs; a warning is an error
