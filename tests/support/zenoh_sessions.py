@@ -1,5 +1,6 @@
 """Real Zenoh sessions on loopback, for tests."""
 
+import faulthandler
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,11 +23,17 @@ def router(**settings: Any) -> Iterator[tuple[Node, str]]:
         yield node, node.endpoints[0]
 
 
+LONG_WAIT = 30.0
+"""Time after which a wait that failed shows what every thread does. [s]"""
+
+
 def eventually(condition: Callable[[], object], seconds: float = 60.0) -> bool:
     """Return whether something comes true in time."""
     deadline = time.monotonic() + seconds
     while not (has_come := bool(condition())) and time.monotonic() < deadline:
         time.sleep(0.02)  # each question costs the service time, and some take the whole of a log
+    if not has_come and seconds >= LONG_WAIT:
+        faulthandler.dump_traceback()  # tells which thread waits for what
     return has_come
 
 
