@@ -30,6 +30,9 @@ class Restorable(Forecaster, Protocol):
     def restore(self, snapshot: bytes) -> Any:
         """Replace the state, and return the note."""
 
+    def restate_forecasts(self) -> list[Message]:
+        """Return a forecast of every vehicle whose shift may go on, by the state alone."""
+
 
 class Checkpoints:
     """Keep the state of a pipeline in a file, as a watch of the loop.
@@ -68,15 +71,14 @@ class Checkpoints:
         self._recovered = 0
 
     def restore(self) -> list[Message]:
-        """Continue from the last state, then from what was recorded after it, and save the state."""
-        forecasts: dict[str, Message] = {}
+        """Continue from the last state, then from what was recorded after it; save the state, and return forecasts."""
         if self._file.exists:
             note = self._file.load(self._pipeline.restore)
             if self._recorder is not None and note is not None:
-                forecasts = self._catch_up(self._recorder, note)
+                self._catch_up(self._recorder, note)
             self._log_start()
         self.save()
-        return list(forecasts.values())
+        return self._pipeline.restate_forecasts()
 
     def __call__(self, tally: Tally) -> None:
         """Sync what came from caches, and save the state when it is due; log if it cannot be saved."""
@@ -115,14 +117,12 @@ class Checkpoints:
             fields["lost"] = "what came after this state, because --record is not given"
         _log.error("restored from the state before the last one", extra=event_fields(**fields))
 
-    def _catch_up(self, recorder: Recorder, note: Any) -> dict[str, Message]:
-        """Take what was recorded after the state; return the newest forecast by key."""
+    def _catch_up(self, recorder: Recorder, note: Any) -> None:
+        """Take what was recorded after the state; its forecasts are not published, as the newest ones will be."""
         try:
             place = msgspec.convert(note, Place)
         except msgspec.ValidationError as error:
             raise SocastError(f"{self._file.path}: its place in the recording is no place: {error}") from error
-        forecasts: dict[str, Message] = {}
         for messages in feed(recorder.read_after(place), self._pipeline, close=False):
             self.caught_up += len(messages)
-            forecasts.update((forecast.key, forecast) for forecast in self._pipeline.forecasts(newest_only=True))
-        return forecasts
+            self._pipeline.forecasts(newest_only=True)

@@ -21,7 +21,7 @@ SENT = [Message(f"fleet/{'ab'[n % 2]}/telemetry", b"%d" % n, n) for n in range(1
 
 
 class Taken:
-    """A pipeline whose state is the list of payloads that it took; each payload calls for a forecast."""
+    """A pipeline whose state is the list of payloads that it took; it forecasts at each, and anew at the last."""
 
     def __init__(self) -> None:
         self.payloads: list[str] = []
@@ -36,6 +36,9 @@ class Taken:
     def forecasts(self, *, newest_only: bool = False) -> list[Message]:
         due, self._due = self._due, []
         return list({message.key: message for message in due}.values()) if newest_only else due
+
+    def restate_forecasts(self) -> list[Message]:
+        return [Message("fleet/a/forecast", self.payloads[-1].encode(), 0)] if self.payloads else []
 
     def model_errors(self, **_: Any) -> list[Message]:
         return []
@@ -100,9 +103,15 @@ def test_start_continues_from_the_state_and_then_from_what_was_recorded_after_it
     forecasts = second.checkpoints.restore()
     assert second.pipeline.payloads == payloads(SENT[:9])
     assert second.checkpoints.caught_up == 5
-    assert (
-        forecasts == [message._replace(key=message.key.replace("telemetry", "forecast")) for message in SENT[7:9]][::-1]
-    )
+    assert payloads(forecasts) == ["8"]
+
+
+def test_each_further_start_without_new_messages_publishes_the_newest_forecasts_again(service):
+    first = service.start()
+    first.checkpoints.restore()
+    first.pipeline.take(SENT[:4], first.recorder.put)
+    for _ in range(2):
+        assert payloads(service.start().checkpoints.restore()) == ["3"]
 
 
 def test_start_from_the_state_before_a_damaged_one_says_how_far_the_recording_caught_up(service, caplog):
@@ -130,7 +139,7 @@ def test_second_start_takes_nothing_twice(service):
     first.pipeline.take(SENT, first.recorder.put)
     service.start().checkpoints.restore()
     third = service.start()
-    assert third.checkpoints.restore() == []
+    third.checkpoints.restore()
     assert third.pipeline.payloads == payloads(SENT)
     assert third.checkpoints.caught_up == 0
 
@@ -211,7 +220,7 @@ def test_state_without_a_recording_continues_without_one(tmp_path):
         pipeline.take(SENT)
         Checkpoints(pipeline, file).save()
         again = Taken()
-        assert Checkpoints(again, file).restore() == []
+        assert payloads(Checkpoints(again, file).restore()) == ["11"]
     assert again.payloads == payloads(SENT)
 
 

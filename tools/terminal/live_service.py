@@ -228,7 +228,7 @@ def _make_pipeline(options: LiveOptions, models: Sequence[LinearModel], storage:
 
 
 def _restore(pipeline: Pipeline, checkpoints: Checkpoints | None) -> list[Message]:
-    """Continue from the last state; return the newest forecasts that became due in the recording after it."""
+    """Continue from the last state and the recording after it; return the newest forecast of each vehicle."""
     forecasts = checkpoints.restore() if checkpoints else []
     if pipeline.model_change:
         _log.warning(

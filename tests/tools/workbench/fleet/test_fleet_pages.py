@@ -201,8 +201,8 @@ def test_question_is_asked_by_a_form_and_kept_in_the_address(visit, player):
     page.get_by_label("Distance [km]").fill("18")
     page.get_by_label("Duration [min]").fill("25")
     page.get_by_role("button", name="Ask").click()
-    command = page.locator(".answer .command").text_content()
-    assert command == "socast ask taxi-001 --distance-km 18 --duration-s 1500"
+    page.locator(".answer .chip").wait_for()
+    assert page.locator(".answer .command").count() == 0
     assert "km=18" in page.url
     answer = player.ask("taxi-001", {"distance_km": "18", "duration_s": "1500"})
     assert f"reserve of {answer.reserve_soc_pct:g} %" in page.locator(".answer-line").text_content()
