@@ -25,14 +25,13 @@ from socast.core.vehicles.catalogue import OVERRIDES
 from socast.stream.loop import Tally
 from socast.tools.terminal.model_comparison import WIDE, ErrorCourses, make_models_table
 from socast.tools.terminal.output import make_console
+from socast.tools.terminal.recordings import QUIET_S
 from socast.tools.terminal.rich_table import Column, make_table
 from socast.tools.terminal.small_pictures import draw_charge
 from socast.tools.terminal.time_zone import format_local, name_zone
 
 REDRAW_S = 0.25
 """Time between two updates of the table on a terminal. [s]"""
-LINE_S = 2.0
-"""Time between two lines if the output is not a terminal. [s]"""
 WARNED = 0.05
 """Smallest probability of ending a shift below the reserve at which a car is marked. [1]"""
 WIDE_PICTURE, NARROW_PICTURE = 24, 12
@@ -93,7 +92,7 @@ class LiveTable:
     ) -> None:
         self._pipeline, self._title, self._clock, self._silent = pipeline, title, clock, silent
         self._console, self._zone = console or make_console(), zone
-        self._due = clock() + LINE_S * (not self._console.is_terminal)
+        self._due = clock() + QUIET_S * (not self._console.is_terminal)
         self._last: Tally | None = None
         self._before = count_received(pipeline.quality())  # a state goes on from those of earlier processes
         self._shadows = len(pipeline.shadows) if shows_models else 0
@@ -126,7 +125,7 @@ class LiveTable:
         self._last, now = tally, self._clock()
         if self._silent or now < self._due:
             return
-        self._due = now + (REDRAW_S if self._live else LINE_S)
+        self._due = now + (REDRAW_S if self._live else QUIET_S)
         cars = sorted(self._pipeline.status())
         if self._live:
             wide, errors = self._console.width >= WIDE, self._pipeline.shadows.errors()

@@ -16,8 +16,8 @@ from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis,
 from tests.support.html_pages import read_page
 
 HEADLINE = (
-    "41 % of the squared error is concentrated on 2 dates, 16 to 19 h UTC: +6.0 kW (95 % interval 5.7 to 6.4). Look at "
-    "these dates before you add an effect."
+    "41 % of the squared error is concentrated on 17 January 2018 and 2 March 2018, 16 to 19 h UTC: +6.0 kW (95 % "
+    "interval 5.7 to 6.4). Look at these dates before you add an effect."
 )
 
 
@@ -78,7 +78,7 @@ def test_page_has_a_table_of_episodes(tmp_path):
     report.write(make_diagnosis(episodes=[make_episode()]), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
     assert read_page(text)
-    assert text.index("concentrated on 2 dates") < text.index("634 rides of 5 vehicles")
+    assert text.index("concentrated on 17 January 2018 and 2 March") < text.index("634 rides of 5 vehicles")
     assert "taxi-001, taxi-003, taxi-005" in text
 
 

@@ -77,6 +77,18 @@ def test_all_counts_below_the_cars_are_those_of_this_process():
     assert "since the start: 4 messages (2 a second), 2 forecasts, 0 missed, 1 undecodable, 0 rides ended" in shown
 
 
+def test_a_line_every_thirty_seconds_names_the_zone_where_the_output_is_no_terminal():
+    pipeline, console = trained_pipeline(), Console(file=io.StringIO(), width=200)
+    pipeline.push([m for _, m in shift("c", DAYS)][:300])
+    times = iter([0.0, 1.0, 29.0, 30.0, 31.0, 59.0, 61.0])
+    with LiveTable(pipeline, "Live", console=console, clock=times.__next__) as screen:
+        for _ in range(5):
+            screen(Tally(seconds=1.0))
+    lines = console.file.getvalue().splitlines()
+    assert len(lines) == 2  # after 30 s, and the last one
+    assert all(" UTC  c: SOC " in line for line in lines)
+
+
 def test_restart_without_new_messages_shows_the_forecasts_that_questions_get():
     pipeline = trained_pipeline()
     for car in "bc":

@@ -82,8 +82,7 @@ def tabulate_episodes(result: Diagnosis) -> ReportTable:
 def _word_share(one: FoundEpisode) -> str:
     """Return where which share of the error is concentrated."""
     share = format_percent(one.share, 0)
-    on = _format_date(one.dates[0]) if len(one.dates) == 1 else f"{len(one.dates)} dates"
-    return f"{share} of the squared error is concentrated on {on}, {_word_hours(one)}"
+    return f"{share} of the squared error is concentrated on {_list_dates(one)}, {_word_hours(one)}"
 
 
 def _word_power(one: FoundEpisode) -> str:
