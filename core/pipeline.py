@@ -355,8 +355,7 @@ class Pipeline:
         self._update_forecasts()
         lanes = self.cleaner.lanes_heard()
         lanes = lanes[self.engine.find_known(lanes) & (self.day_rollover.measure_silence(lanes) <= SHIFT_GAP)]
-        running = self.describe_running(lanes)
-        self._due.add(running, self.engine.restate(running))
+        self._due.add(running := self.describe_running(lanes), self.engine.restate(running))
         return self._due.take(newest_only=True)
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
