@@ -350,13 +350,12 @@ class Pipeline:
         self._update_forecasts()
         return self._due.take(newest_only=newest_only)
 
-    def restate_forecasts(self) -> list[Message]:
-        """Return a forecast of every vehicle whose shift may go on, by the state alone, as after a restart."""
+    def restate(self) -> None:
+        """Forecast anew for every vehicle whose shift may go on, for `status` after a restart; nothing is published."""
         self._update_forecasts()
         lanes = self.cleaner.lanes_heard()
         lanes = lanes[self.engine.find_known(lanes) & (self.day_rollover.measure_silence(lanes) <= SHIFT_GAP)]
-        self._due.add(running := self.describe_running(lanes), self.engine.restate(running))
-        return self._due.take(newest_only=True)
+        self.engine.restate(self.describe_running(lanes))
 
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
         """Return the running errors of all models after each ride, or the last one, that ended since the last call."""

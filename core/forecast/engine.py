@@ -205,8 +205,8 @@ class ForecastEngine:
         self._evaluate(sums.running, rows, shifts, at, kinds)
         return rows
 
-    def restate(self, running: Totals) -> ForecastRows:
-        """Return the forecasts at the newest rows of some cars, as after a restart; nothing is learned from them."""
+    def restate(self, running: Totals) -> None:
+        """Forecast at the newest rows of some cars, after a restart; nothing is learned from these forecasts."""
         self._grow(len(self.context.lanes))
         predicted, lanes = self._predict(running), running.lane
         events = np.empty(len(lanes), FILTER_EVENT)
@@ -214,7 +214,7 @@ class ForecastEngine:
         events["kind"] = RUNNING
         estimates, shifts = np.empty(len(lanes), SOC_ESTIMATE), np.empty(len(lanes), CLOSED_SHIFT)
         filter_events(events, self.state.copy(), self.statistics.prior, estimates, shifts)
-        return self._compute_rows(running, predicted, estimates, self.plans.progress[lanes])
+        self._compute_rows(running, predicted, estimates, self.plans.progress[lanes])
 
     def _compute_rows(
         self,

@@ -21,7 +21,7 @@ SENT = [Message(f"fleet/{'ab'[n % 2]}/telemetry", b"%d" % n, n) for n in range(1
 
 
 class Taken:
-    """A pipeline whose state is the list of payloads that it took; it forecasts at each, and anew at the last."""
+    """A pipeline whose state is the list of payloads that it took; each payload calls for a forecast."""
 
     def __init__(self) -> None:
         self.payloads: list[str] = []
@@ -37,8 +37,8 @@ class Taken:
         due, self._due = self._due, []
         return list({message.key: message for message in due}.values()) if newest_only else due
 
-    def restate_forecasts(self) -> list[Message]:
-        return [Message("fleet/a/forecast", self.payloads[-1].encode(), 0)] if self.payloads else []
+    def restate(self) -> None:
+        pass
 
     def model_errors(self, **_: Any) -> list[Message]:
         return []
@@ -90,7 +90,7 @@ def payloads(messages: list[Message]) -> list[str]:
 def test_first_start_saves_an_empty_state(service):
     consumer = service.start()
     assert consumer.checkpoints.restore() == []
-    assert consumer.file.load(Taken().restore) == {"file": "", "messages": 2**53}
+    assert consumer.file.load(Taken().restore) == {"forecasts": [], "file": "", "messages": 2**53}
 
 
 def test_start_continues_from_the_state_and_then_from_what_was_recorded_after_it(service):
@@ -103,15 +103,24 @@ def test_start_continues_from_the_state_and_then_from_what_was_recorded_after_it
     forecasts = second.checkpoints.restore()
     assert second.pipeline.payloads == payloads(SENT[:9])
     assert second.checkpoints.caught_up == 5
-    assert payloads(forecasts) == ["8"]
+    assert payloads(forecasts) == ["8", "7"]
 
 
 def test_each_further_start_without_new_messages_publishes_the_newest_forecasts_again(service):
     first = service.start()
     first.checkpoints.restore()
     first.pipeline.take(SENT[:4], first.recorder.put)
-    for _ in range(2):
-        assert payloads(service.start().checkpoints.restore()) == ["3"]
+    for _ in range(3):
+        assert payloads(service.start().checkpoints.restore()) == ["2", "3"]
+
+
+def test_forecast_of_a_car_that_was_silent_for_a_whole_gap_is_not_published_again(service):
+    first = service.start()
+    first.checkpoints.restore()
+    for first.now, key in ((0.0, "fleet/a/forecast"), (7000.0, "fleet/b/forecast"), (7300.0, "models/m/1/errors")):
+        first.checkpoints.put([Message(key, b"1", 0)])
+    first.checkpoints.save()
+    assert [message.key for message in service.start().checkpoints.restore()] == ["fleet/b/forecast"]
 
 
 def test_start_from_the_state_before_a_damaged_one_says_how_far_the_recording_caught_up(service, caplog):
@@ -150,6 +159,7 @@ def test_recording_is_on_disk_before_the_state_that_holds_it(service):
     place = consumer.recorder.place
     consumer.checkpoints.save()
     note = consumer.file.load(Taken().restore)
+    assert note.pop("forecasts") == []
     assert note == msgspec.to_builtins(consumer.recorder.place) != msgspec.to_builtins(place)
     assert note["messages"] == len(SENT)
 
@@ -220,7 +230,7 @@ def test_state_without_a_recording_continues_without_one(tmp_path):
         pipeline.take(SENT)
         Checkpoints(pipeline, file).save()
         again = Taken()
-        assert payloads(Checkpoints(again, file).restore()) == ["11"]
+        assert Checkpoints(again, file).restore() == []
     assert again.payloads == payloads(SENT)
 
 

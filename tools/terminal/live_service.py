@@ -176,7 +176,7 @@ def run_service(parts: ServiceParts, report_s: float, zone: tzinfo | None = UTC)
         run(
             parts.source,
             parts.pipeline,
-            [parts.sink],
+            [parts.sink, *([parts.checkpoints] if parts.checkpoints else [])],
             recorder=parts.recorder,
             keep_open=parts.checkpoints is not None,
             publish_s=PUBLISH_S,
