@@ -14,7 +14,7 @@ from socast.core.cleaning.elevation_map import ElevationMap
 from socast.core.cleaning.kernel import Cleaner
 from socast.core.cleaning.segmentation import NO_RIDE_EVENTS, RIDE_EVENT, SILENCE, UNKNOWN_NAME
 from socast.core.columns import JOULES_PER_KWH, SECONDS_PER_DAY
-from socast.core.errors import AskError, SettingsError, suggest_names
+from socast.core.errors import SettingsError
 from socast.core.forecast.day_rollover import DailyUpdate, DayRollover
 from socast.core.forecast.due_forecasts import DueForecasts
 from socast.core.forecast.engine import DueInput, ForecastEngine, PendingInput
@@ -26,14 +26,14 @@ from socast.core.forecast.soc_filter import SHIFT_GAP
 from socast.core.forecast.status import VehicleStatus, build_statuses
 from socast.core.forecast.tables import PublishedForecasts, tabulate_outlooks, tabulate_shifts
 from socast.core.forecast.weather_forecasts import ForecastArrival
-from socast.core.forecast.what_if import answer_query, withhold_charge
+from socast.core.forecast.what_if import answer_query, explain_unknown_vehicle, withhold_charge
 from socast.core.models import EXTENDED_PHYSICAL, Model
 from socast.core.monitoring.shadow import ShadowModels
 from socast.core.settings import Limits, Settings, check_limits, checked
 from socast.core.signals.signals import flag_ambient
 from socast.core.signals.weather import Stations
 from socast.core.snapshot import SCHEMAS, describe_model_change, load_components, open_snapshot, seal_snapshot
-from socast.core.totals.accumulator import Accumulator, Sums
+from socast.core.totals.accumulator import Accumulator, Sums, Totals
 from socast.core.totals.clean_rows import CleanRows, PowerOfEffect, sum_rows
 from socast.core.totals.closed_rides import ClosedTotals
 from socast.core.totals.context import RunContext
@@ -52,8 +52,6 @@ from socast.core.wire.rides import RideDrivers
 BLOCK: Final = 4000
 """Number of rows that pass through the steps at a time, so that their columns stay in the cache; no power of two, at
 which columns would evict each other from the cache and the kernel would take twice the time."""
-SEARCHED: Final = 1000
-"""Largest number of vehicles among which a misspelled name is looked for."""
 OF_LANES: Final = (
     *("cars", "decoder", "plans", "cleaner", "accumulator", "displays", "engine", "silent_cars", "shadows", "closed"),
 )
@@ -352,6 +350,13 @@ class Pipeline:
         self._update_forecasts()
         return self._due.take(newest_only=newest_only)
 
+    def restate(self) -> None:
+        """Forecast anew for every vehicle whose shift may go on, for `status` after a restart; nothing is published."""
+        self._update_forecasts()
+        lanes = self.cleaner.lanes_heard()
+        lanes = lanes[self.engine.find_known(lanes) & (self.day_rollover.measure_silence(lanes) <= SHIFT_GAP)]
+        self.engine.restate(self.describe_running(lanes))
+
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
         """Return the running errors of all models after each ride, or the last one, that ended since the last call."""
         return self.shadows.messages(newest_only=newest_only)
@@ -399,13 +404,10 @@ class Pipeline:
         """
         self._update_forecasts()
         lane = self.lanes.find(vehicle_id)
-        if lane is None or not self.engine.has_sample(lane):
-            heard = [self.lanes.names[at] for at in self.cleaner.lanes_heard()[:SEARCHED].tolist()]
-            remedy = suggest_names(vehicle_id, heard) if heard else "no vehicle has sent anything"
-            raise AskError(f"vehicle {vehicle_id!r} has sent nothing so far: {remedy}", "unknown_vehicle")
+        if lane is None or not self.engine.find_known(np.array([lane])).all():
+            raise explain_unknown_vehicle(vehicle_id, map(self.lanes.names.__getitem__, self.cleaner.lanes_heard()))
         outlook = withhold_implausible(answer_query(self.engine, lane, leg, plan), self._due.implausible)
-        silent = self.day_rollover.compute_silence(lane)
-        return withhold_charge(outlook, silent) if silent > SHIFT_GAP else outlook
+        return withhold_charge(outlook, float(self.day_rollover.measure_silence(np.array([lane]))[0]))
 
     def quality(self) -> dict[str, Any]:
         """Return the counters since the start.
@@ -432,10 +434,15 @@ class Pipeline:
         """Return the newest values of every vehicle that has sent a sample."""
         self._update_forecasts()
         lanes = self.cleaner.lanes_heard()
-        totals = self.displays.describe(self.accumulator.running(lanes), len(self.lanes))
+        totals = self.describe_running(lanes)
         predicted = self.shadows.predictions(totals, self.context)
         names = self.decoder.rides.names(totals.at_last("code").tolist())
-        return build_statuses(totals, names, self.context, predicted, self.engine.get_ends(lanes))
+        ends, silence = self.engine.get_ends(lanes), self.day_rollover.measure_silence(lanes)
+        return build_statuses(totals, names, self.context, predicted, ends, silence)
+
+    def describe_running(self, lanes: Ints) -> Totals:
+        """Return the totals so far of the ride or idle period of some lanes."""
+        return self.displays.describe(self.accumulator.running(lanes), len(self.lanes))
 
     def learn_from(self, earlier: "Pipeline", serves: Callable[[str], bool] = lambda _: True) -> None:
         """Take over the knowledge of a pipeline that sums the same effects, and the cars that this one serves."""

@@ -2,14 +2,17 @@
 
 import logging
 import time
-from collections.abc import Callable
-from typing import Any, Final, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any, Final, Protocol, TypeVar
 
 import msgspec
 
 from socast.core.errors import SettingsError, SocastError
+from socast.core.forecast.forecast_table import KEY_END
+from socast.core.forecast.soc_filter import SHIFT_GAP
 from socast.core.formatting import format_time
 from socast.core.wire.messages import Message
+from socast.stream.idle_keys import IdleKeys
 from socast.stream.loop import Forecaster, Tally, feed
 from socast.stream.recorder import Place, Recorder
 from socast.stream.state_file import StateFile
@@ -17,6 +20,10 @@ from socast.stream.structured_log import event_fields
 
 SAVE_S: Final = 30.0
 """Time between two states. [s]"""
+
+FORECASTS: Final = "forecasts"
+"""Name of the newest forecasts in the note of a state."""
+T = TypeVar("T")
 
 _log = logging.getLogger("socast.state")
 
@@ -30,9 +37,12 @@ class Restorable(Forecaster, Protocol):
     def restore(self, snapshot: bytes) -> Any:
         """Replace the state, and return the note."""
 
+    def restate(self) -> None:
+        """Forecast anew for every vehicle whose shift may go on, without publishing it."""
+
 
 class Checkpoints:
-    """Keep the state of a pipeline in a file, as a watch of the loop.
+    """Keep the state of a pipeline and the newest forecasts in a file, as a watch and a sink of the loop.
 
     A state on disk names its place in the recording, and every sample that it holds is on disk before it. After a
     crash, `restore` therefore finds every recorded sample, and none twice. What came from the caches of publishers is
@@ -66,17 +76,31 @@ class Checkpoints:
         self.saved_s = clock()
         self._pipeline, self._file, self._recorder, self._clock = pipeline, file, recorder, clock
         self._recovered = 0
+        self._newest: dict[str, Message] = {}
+        self._keys = IdleKeys(SHIFT_GAP, clock)
 
     def restore(self) -> list[Message]:
-        """Continue from the last state, then from what was recorded after it, and save the state."""
-        forecasts: dict[str, Message] = {}
+        """Continue from the last state, then from what was recorded after it; save, and return the newest forecasts."""
         if self._file.exists:
             note = self._file.load(self._pipeline.restore)
-            if self._recorder is not None and note is not None:
-                forecasts = self._catch_up(self._recorder, note)
+            forecasts = note.pop(FORECASTS, []) if isinstance(note, dict) else []
+            self.put(self._read(forecasts, list[Message], "its forecasts are none"))
+            if self._recorder is not None and note:
+                self._catch_up(self._recorder, note)
             self._log_start()
+            self._pipeline.restate()
         self.save()
-        return list(forecasts.values())
+        return list(self._newest.values())
+
+    def put(self, messages: Sequence[Message]) -> None:
+        """Keep the newest forecast of each car that was not silent for so long that its shift is over."""
+        forecasts = {message.key: message for message in messages if message.key.endswith(KEY_END)}
+        self._newest.update(forecasts)
+        for key in self._keys.use(forecasts):
+            del self._newest[key]
+
+    def close(self) -> None:
+        """Do nothing: who stops the service saves the state."""
 
     def __call__(self, tally: Tally) -> None:
         """Sync what came from caches, and save the state when it is due; log if it cannot be saved."""
@@ -93,10 +117,10 @@ class Checkpoints:
 
     def save(self) -> None:
         """Sync the recording to disk, then replace the state."""
-        note = None
+        note: dict[str, Any] = {FORECASTS: list(self._newest.values())}
         if self._recorder is not None:
             self._recorder.sync()
-            note = msgspec.to_builtins(self._recorder.place)
+            note |= msgspec.to_builtins(self._recorder.place)
         self._file.save(self._pipeline.snapshot(note))
         self.saved_s = self._clock()
 
@@ -115,14 +139,16 @@ class Checkpoints:
             fields["lost"] = "what came after this state, because --record is not given"
         _log.error("restored from the state before the last one", extra=event_fields(**fields))
 
-    def _catch_up(self, recorder: Recorder, note: Any) -> dict[str, Message]:
-        """Take what was recorded after the state; return the newest forecast by key."""
-        try:
-            place = msgspec.convert(note, Place)
-        except msgspec.ValidationError as error:
-            raise SocastError(f"{self._file.path}: its place in the recording is no place: {error}") from error
-        forecasts: dict[str, Message] = {}
+    def _catch_up(self, recorder: Recorder, note: Any) -> None:
+        """Take what was recorded after the state, and keep the newest forecasts."""
+        place = self._read(note, Place, "its place in the recording is no place")
         for messages in feed(recorder.read_after(place), self._pipeline, close=False):
             self.caught_up += len(messages)
-            forecasts.update((forecast.key, forecast) for forecast in self._pipeline.forecasts(newest_only=True))
-        return forecasts
+            self.put(self._pipeline.forecasts(newest_only=True))
+
+    def _read(self, value: Any, form: type[T], fault: str) -> T:
+        """Return a part of the note of the state in its form."""
+        try:
+            return msgspec.convert(value, form)
+        except msgspec.ValidationError as error:
+            raise SocastError(f"{self._file.path}: {fault}: {error}") from error

@@ -20,8 +20,8 @@ class Losses:
     Parameters
     ----------
     unfinished : bool
-        Whether the file has no end mark, because its writer was killed. Data that the writer had not yet written are
-        lost.
+        Whether the file has no end mark, because it is still being written or its writer was killed. Data that a killed
+        writer had not yet written are lost.
     truncated_bytes : int
         Size of the incomplete record at the end of each recording in the file. [B]
     damaged_chunks, damaged_bytes : int
@@ -80,7 +80,10 @@ class Losses:
         """Return one sentence per kind of loss; an empty list for a complete recording."""
         sentences = []
         if self.unfinished:
-            sentences.append(f"it breaks off: {self.truncated_bytes:,} bytes after the last whole chunk are lost")
+            sentences.append(
+                "it has no end: it is still being written, or its writer was killed; "
+                f"{self.truncated_bytes:,} bytes after its last whole chunk are not read"
+            )
         if self.damaged_chunks:
             sentences.append(f"{self.damaged_chunks:,} damaged chunks, {self.damaged_bytes:,} bytes, are lost")
         if self.missing_messages:

@@ -1,7 +1,8 @@
 """An observer of everything that cars send and a consumer publishes; it publishes nothing itself.
 
-The observer is a plain subscriber. It misses what was published before it joined. Where its reader is slow, the oldest
-messages are dropped and counted, so that it never blocks a publisher.
+The observer asks consumers for the newest forecast of each car and the newest findings, which they cache. It misses
+what cars sent before it joined. Where its reader is slow, the oldest messages are dropped and counted, so that it never
+blocks a publisher.
 """
 
 import time
@@ -9,6 +10,8 @@ from collections import deque
 from collections.abc import Sequence
 from threading import Lock
 from typing import Any, Final
+
+from zenoh import ext
 
 from socast.core.wire.messages import Message
 from socast.stream.zenoh_session import Node
@@ -45,8 +48,13 @@ class ZenohObserver:
         self._waiting_bytes = 0
         self._lock = Lock()
         keys = [f"{cars}/{end}" for cars in node.list_cars() for end in sent]
-        keys += [f"{node.prefix}{each}" for each in PUBLISHED]
         self._subscribers: list[Any] = [node.session.declare_subscriber(each, self._receive) for each in keys]
+        for each in PUBLISHED:
+            self._subscribers.append(
+                ext.declare_advanced_subscriber(
+                    node.session, f"{node.prefix}{each}", self._receive, history=ext.HistoryConfig(max_samples=1)
+                )
+            )
 
     def take(self) -> list[Message]:
         """Return the messages that have arrived since the last call, in the order of their arrival."""

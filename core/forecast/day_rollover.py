@@ -100,8 +100,8 @@ class DayRollover:
         """Return the midnight at which the present day ends; -inf before the first day. [Unix s]"""
         return self._midnight
 
-    def compute_silence(self, lane: int) -> float:
-        """Return how long a car has been silent, by the stamps of most active cars; 0 for an active car. [s]
+    def measure_silence(self, lanes: Ints) -> Floats:
+        """Return how long cars have been silent, by the stamps of most active cars; 0 for an active car. [s]
 
         Examples
         --------
@@ -110,15 +110,15 @@ class DayRollover:
         [(1, 86400.0)]
         >>> rollover.find_rollovers(np.ones(2000, np.int64), np.arange(2000.0))
         []
-        >>> rollover.compute_silence(0), rollover.compute_silence(1)
-        (1895.0, 0.0)
+        >>> rollover.measure_silence(np.array([0, 1]))
+        array([1895.,    0.])
         """
-        clock = self._clocks[lane]
-        if clock["window"] > 0:  # its own clock may be hours behind
-            return 0.0
-        active = self._get_active_clocks()
+        clocks, active = self._clocks[lanes], self._get_active_clocks()
         now = np.sort(np.minimum(active["older"], active["newer"]))
-        return float(now[(len(now) - 1) // 2] - np.fmax(clock["older"], clock["newer"])) if len(now) else 0.0
+        if not len(now):
+            return np.zeros(len(lanes))
+        silent = now[(len(now) - 1) // 2] - np.fmax(clocks["older"], clocks["newer"])
+        return np.where(clocks["window"] > 0, 0.0, silent)  # the clock of an active car may be hours behind
 
     def _get_active_clocks(self) -> NDArray[np.void]:
         """Return the clocks of the cars in the window that have two stamps, (cars,) CAR_CLOCK."""

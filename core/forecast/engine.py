@@ -46,7 +46,7 @@ MOST_PENDING: Final = 16_000
 computed at once."""
 SHORT_SHIFT: Final = 0.5
 """A shorter shift does not update the consumption factors. [h]"""
-_UNKNOWN_END: Final = np.array((np.nan, np.nan, np.nan, np.nan), END_OF_SHIFT)[()]
+_UNKNOWN_END: Final = np.full((), np.nan, END_OF_SHIFT)[()]
 
 
 class PendingInput:
@@ -167,7 +167,8 @@ class ForecastEngine:
     ----------
     state : (lanes,) FILTER_STATE
     ends : (lanes,) END_OF_SHIFT
-        Newest forecast of each lane's charge at the end of the shift, NaN before the first one and after a restart.
+        Newest forecast of each lane's charge at the end of the shift, NaN before the first one, and after `load` until
+        `restate`.
     """
 
     def __init__(self, context: RunContext, width: int) -> None:
@@ -200,15 +201,36 @@ class ForecastEngine:
 
         progress = self.plans.process(sums.running, sums.rides, due.arrivals, estimates, get_tables, lanes)
         self.statistics.charged_soc.add_charges(self.plans.take_outcomes())
-        time, patterns = sums.running.at_last("time"), self.statistics.get_patterns(sums.running.lane)
+        rows = self._compute_rows(sums.running, of_running, estimates, progress, due.forecasts)
+        self._evaluate(sums.running, rows, shifts, at, kinds)
+        return rows
+
+    def restate(self, running: Totals) -> None:
+        """Forecast at the newest rows of some cars, after a restart; nothing is learned from these forecasts."""
+        self._grow(len(self.context.lanes))
+        predicted, lanes = self._predict(running), running.lane
+        events = np.empty(len(lanes), FILTER_EVENT)
+        self._fill_totals(running, predicted, events)
+        events["kind"] = RUNNING
+        estimates, shifts = np.empty(len(lanes), SOC_ESTIMATE), np.empty(len(lanes), CLOSED_SHIFT)
+        filter_events(events, self.state.copy(), self.statistics.prior, estimates, shifts)
+        self._compute_rows(running, predicted, estimates, self.plans.progress[lanes])
+
+    def _compute_rows(
+        self,
+        running: Totals,
+        predicted: Floats,
+        estimates: NDArray[np.void],
+        progress: NDArray[np.void],
+        forecasts: Sequence[ForecastArrival] = (),
+    ) -> ForecastRows:
+        """Return the forecasts at running totals, and keep them as the newest ones."""
+        time, patterns = running.at_last("time"), self.statistics.get_patterns(running.lane)
         expected_end = find_expected_end(progress, time, estimates["begin"], patterns)
         now = estimates["ambient"], time, expected_end, self.statistics.daily_cycle
-        ambient = self.weather.expect_between(sums.running.at, due.forecasts, *now)
-        rows = compute_forecast_rows(
-            sums.running, of_running, estimates, progress, ambient, self.statistics, self._cars
-        )
-        self.ends[sums.running.lane] = rows.get_end_of_shift()
-        self._evaluate(sums.running, rows, shifts, at, kinds)
+        ambient = self.weather.expect_between(running.at, forecasts, *now)
+        rows = compute_forecast_rows(running, predicted, estimates, progress, ambient, self.statistics, self._cars)
+        self.ends[running.lane] = rows.get_end_of_shift()
         return rows
 
     def _grow(self, lanes: int) -> None:
@@ -224,9 +246,9 @@ class ForecastEngine:
         self.ends = grown(self.ends, len(self.context.lanes), _UNKNOWN_END)
         return self.ends[lanes]
 
-    def has_sample(self, lane: int) -> bool:
-        """Return whether the car of a lane has sent anything."""
-        return lane < len(self.state) and bool(self.state["active"][lane])
+    def find_known(self, lanes: Ints) -> NDArray[np.bool_]:
+        """Return of which lanes a car has sent anything, (n,) bool."""
+        return np.asarray(grown(self.state, len(self.context.lanes), create_filter_state(1)[0])["active"][lanes] == 1.0)
 
     def _predict(self, totals: Totals) -> Floats:
         """Return the energy that the model predicts of totals. [kWh]"""

@@ -24,8 +24,8 @@ from socast.core.forecast.soc_reading import READING_SD
 from socast.core.totals.accumulator import Totals
 from socast.core.vehicles.fleet import Cars
 
-END_OF_SHIFT: Final = np.dtype([("mean", "f8"), ("p05", "f8"), ("p95", "f8"), ("risk", "f8")])
-"""Charge at the end of a shift: mean, 5th and 95th percentile, and the risk of ending below the reserve. [1]"""
+END_OF_SHIFT: Final = np.dtype([(name, "f8") for name in ("mean", "p05", "p95", "risk", "time")])
+"""Charge at the end of a shift: mean, 5th and 95th percentile, the risk of ending below the reserve [1], when [s]."""
 
 
 class ForecastRows(NamedTuple):
@@ -113,6 +113,7 @@ class ForecastRows(NamedTuple):
         """Return the charge at the end of the shift, (n,) END_OF_SHIFT."""
         out = np.empty(len(self.end_soc), END_OF_SHIFT)
         out["mean"], out["p05"], out["p95"], out["risk"] = self.end_soc, self.end_soc_p05, self.end_soc_p95, self.risk
+        out["time"] = self.end
         return out
 
     @classmethod

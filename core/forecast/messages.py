@@ -77,6 +77,7 @@ def build_forecasts(
         rows.risk.tolist(),
         map(QualityCounts, *count_quality(running).values()),
         _list_charges(rows),
+        rows.end.tolist(),
     )
     encode = msgspec.json.Encoder().encode
     new = tuple.__new__  # half the time of Message()

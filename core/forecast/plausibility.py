@@ -104,7 +104,12 @@ def withhold_implausible(outlook: Outlook, implausible: Counter[str]) -> Outlook
     asked, *rest = (
         leg and msgspec.structs.replace(leg, energy_kwh=None, soc_pct=None) for leg in (outlook.asked, *outlook.legs)
     )
-    unknown: dict[str, Any] = {"soc_end_of_shift_pct": None, "reserve_risk": None, "next_charge": UNSET}
+    unknown: dict[str, Any] = {
+        "soc_end_of_shift_pct": None,
+        "reserve_risk": None,
+        "next_charge": UNSET,
+        "waiting_energy_kwh": None,
+    }
     why = f"what this car and its vehicle model have sent leads to a forecast that is not plausible ({cause})"
     return msgspec.structs.replace(outlook, asked=asked, legs=rest, why_not=why, **unknown)
 

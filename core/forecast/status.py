@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats
 from socast.core.forecast.messages import count_quality, none_if_nan
+from socast.core.forecast.outlook import OVERTIME
+from socast.core.forecast.soc_filter import SHIFT_GAP
 from socast.core.totals.accumulator import Totals
 from socast.core.totals.context import RunContext
 from socast.core.totals.measured_energy import measure_energy
@@ -36,9 +38,11 @@ class VehicleStatus(NamedTuple):
     shadows_kwh : tuple of float
         Energy of the ride in progress as each shadow model predicts it. [kWh]
     end_pct : tuple of (float, float, float), optional
-        Mean, 5th and 95th percentile of the charge at the end of the shift, None where unknown. [%]
+        Mean, 5th and 95th percentile of the charge at the end of the shift, None where unknown or over. [%]
     risk : float, optional
-        Probability of ending below the reserve, None where unknown. [1]
+        Probability of ending below the reserve, None where unknown, and once the shift is over. [1]
+    is_shift_over : bool
+        Whether the shift is over, see `find_ended_shifts`.
     """
 
     vehicle_id: str
@@ -53,6 +57,25 @@ class VehicleStatus(NamedTuple):
     shadows_kwh: tuple[float, ...] = ()
     end_pct: tuple[float, float, float] | None = None
     risk: float | None = None
+    is_shift_over: bool = False
+
+
+def find_ended_shifts(time: Floats, silence: Floats, end: Floats, riding: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which shifts are over: those of cars long silent, and of cars between rides past overtime, (n,).
+
+    Parameters
+    ----------
+    time, silence : (n,) float
+        Time of the newest sample, and how long the car has been silent. [s]
+    end : (n,) float
+        End of the shift as its newest forecast has it, NaN where unknown. [s]
+
+    Examples
+    --------
+    >>> find_ended_shifts(np.full(3, 8e4), np.array([0.0, 900.0, 9e3]), np.array([79e3, 79e3, 9e4]), np.zeros(3, bool))
+    array([False,  True,  True])
+    """
+    return (silence > SHIFT_GAP) | (~riding & (time + silence > end + OVERTIME))
 
 
 def build_statuses(
@@ -61,19 +84,22 @@ def build_statuses(
     context: RunContext,
     predicted: Sequence[Floats],
     ends: NDArray[np.void],
+    silence: Floats,
 ) -> list[VehicleStatus]:
     """Return one status per row of running totals.
 
-    Units: predicted [kWh].
+    Units: predicted [kWh], silence [s].
     """
     names, cars = context.vehicle_ids, context.cars
     riding = running.ride >= 0
     by_first, *by_shadows = (np.where(riding, energy, np.nan).tolist() for energy in predicted)
     measured = np.where(riding, measure_energy(running, cars).energy, np.nan).tolist()
     counts = count_quality(running)
+    over = find_ended_shifts(running.at_last("time"), silence, ends["time"], riding)
     time, soc = running.at_last("time").tolist(), (running.at_last("soc") * 100.0).tolist()
     distance = np.where(riding, running.amount("distance") * 1e-3, 0.0).tolist()
-    mean, low, high, risk = (ends[name].tolist() for name in ("mean", "p05", "p95", "risk"))
+    ahead = np.where(over, np.array(np.nan), [ends[name] for name in ("mean", "p05", "p95", "risk")])
+    mean, low, high, risk = ahead.tolist()
     return [
         VehicleStatus(
             vehicle_id=names[lane],
@@ -88,6 +114,7 @@ def build_statuses(
             shadows_kwh=tuple(shadow[i] for shadow in by_shadows),
             end_pct=None if isnan(low[i]) else (100.0 * mean[i], 100.0 * low[i], 100.0 * high[i]),
             risk=none_if_nan(risk[i]),
+            is_shift_over=bool(over[i]),
         )
         for i, lane in enumerate(running.lane.tolist())
     ]

@@ -12,8 +12,10 @@ of the forecast (`socast.core.forecast.outlook`): without a ride the answer equa
 equals the forecast that a plan with that ride would produce.
 """
 
+from collections.abc import Iterable
+from itertools import islice
 from math import inf, nan
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -22,7 +24,7 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
 from socast.core.columns import ZERO_CELSIUS
-from socast.core.errors import AskError
+from socast.core.errors import AskError, suggest_names
 from socast.core.forecast.conformal import BY_HISTORY, BY_PLAN, OVER_CHARGE, TO_CHARGE
 from socast.core.forecast.engine import ForecastEngine
 from socast.core.forecast.filter_state import SOC_ESTIMATE
@@ -51,10 +53,13 @@ from socast.core.forecast.soc_ahead import (
     forecast_soc,
     forecast_soc_ahead,
 )
-from socast.core.forecast.soc_filter import METER_GAIN_SD, write_estimate
+from socast.core.forecast.soc_filter import METER_GAIN_SD, SHIFT_GAP, write_estimate
 from socast.core.forecast.soc_reading import READING_SD
 from socast.core.vehicles.catalogue import OVERRIDES
 from socast.core.wire.messages import Interval, Leg, LegOutlook, NextCharge, Outlook, Plan
+
+SEARCHED: Final = 1000
+"""Largest number of vehicles among which a misspelled name is looked for."""
 
 
 class CarOutlook:
@@ -290,14 +295,31 @@ def answer_query(engine: ForecastEngine, lane: int, leg: Leg | None, plan: Plan 
         next_charge=UNSET
         if charge is None
         else NextCharge(float(soc.charge_time[0]), charge, _none_if_unknown(float(soc.charge.risk[0]))),
+        waiting_energy_kwh=None if left is None else _compute_waiting_energy(now, ahead),
     )
 
 
+def _compute_waiting_energy(now: CarOutlook, ahead: EnergyAhead) -> float | None:
+    """Return what the car takes of the energy ahead by plan while it drives no leg. [kWh]"""
+    waiting = now.usual.correct(ahead.parts * np.array([0.0, 1.0]), ahead.basis).mean
+    taken = waiting * np.exp(now.estimate.compute_mean_log_factor(ahead.hours))
+    return _none_if_unknown(float(np.where(np.isnan(ahead.energy), np.nan, taken)[0]))
+
+
+def explain_unknown_vehicle(vehicle_id: str, heard: Iterable[str]) -> AskError:
+    """Return the error of a query about a vehicle that has sent nothing, with similar names of those that have."""
+    names = list(islice(heard, SEARCHED))
+    remedy = suggest_names(vehicle_id, names) if names else "no vehicle has sent anything"
+    return AskError(f"vehicle {vehicle_id!r} has sent nothing so far: {remedy}", "unknown_vehicle")
+
+
 def withhold_charge(outlook: Outlook, silent_s: float) -> Outlook:
-    """Return the outlook of a car that has been silent for so long that its shift is over.
+    """Return an outlook without charges if the car has been silent for so long that its shift is over.
 
     The car may have driven on or charged meanwhile, so no charge is published. The energies of rides remain.
     """
+    if silent_s <= SHIFT_GAP:
+        return outlook
     queried, *legs = (
         each and msgspec.structs.replace(each, soc_pct=None, reserve_risk=UNSET)
         for each in (outlook.asked, *outlook.legs)
@@ -310,6 +332,7 @@ def withhold_charge(outlook: Outlook, silent_s: float) -> Outlook:
         soc_end_of_shift_pct=None,
         reserve_risk=None,
         next_charge=UNSET,
+        waiting_energy_kwh=None,
         why_not=f"the car has been silent for {silent_s / 3600.0:.1f} h while other cars sent data, so its shift "
         "is over",
     )

@@ -229,6 +229,9 @@ class Forecast(Wire, omit_defaults=False):
     next_charge: Annotated[
         NextCharge | UnsetType | None, Meta(description="The next planned charge; absent where none is ahead.")
     ] = UNSET
+    shift_end_s: Annotated[
+        float | None, Meta(description="End of the shift, by its plan or the car's usual shifts. [Unix s]")
+    ] = None
 
 
 class LegOutlook(Wire, omit_defaults=False):
@@ -288,6 +291,13 @@ class Outlook(Wire, omit_defaults=False):
     next_charge: Annotated[
         NextCharge | UnsetType | None, Meta(description="The next planned charge; absent where none is ahead.")
     ] = UNSET
+    waiting_energy_kwh: Annotated[
+        float | None,
+        Meta(
+            description="Energy of waits, with heating, and of empty ways until the next planned charge, or else the "
+            "end of the shift; null without a plan. [kWh]"
+        ),
+    ] = None
 
 
 class Gain(Wire, omit_defaults=False):

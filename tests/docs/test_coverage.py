@@ -6,6 +6,8 @@ import shlex
 import pytest
 import typer
 
+from socast.core.cleaning.segmentation import PARKED_FACTOR
+from socast.core.settings import Settings
 from socast.tools.cli import COMMANDS, application
 from tests.support.documented_commands import documented_commands
 from tests.support.pages import GUIDES, PAGES, blocks, name_of, read, shown_calls
@@ -33,6 +35,12 @@ def test_examples_in_help_texts_are_valid_calls():
                 target = getattr(top, "commands", {}).get(arguments[0]) if arguments else None
                 target, arguments = (target, arguments[1:]) if target else (top, arguments)
                 assert target.make_context(name, arguments).command is target, call
+
+
+def test_guide_states_the_time_between_forecasts():
+    on_ride = Settings().forecast_time
+    stated = f"after {on_ride:g} s of a ride or {PARKED_FACTOR * on_ride:g} s between rides, and when"
+    assert stated in (ROOT / "docs/guide/live.md").read_text()
 
 
 def test_every_command_is_in_a_guide_with_a_call():

@@ -32,6 +32,16 @@ def test_observer_receives_each_kind_of_message_unchanged(node, key):
     assert [message[:2] for message in taken] == [(key, b"\xff\xff\xff\xff verbatim")]
 
 
+@pytest.mark.parametrize("key", ["fleet/late/forecast", "findings/late/tyre_pressure"])
+def test_observer_that_joins_late_receives_the_newest_forecast_and_findings(node, key):
+    with closing(ZenohSink(node)) as sink:
+        sink.put([Message(key, b"older", 0), Message(key, b"newest", 0)])
+        with closing(ZenohObserver(node)) as observer:
+            taken = []
+            assert eventually(lambda: taken.extend(observer.take()) or taken)
+    assert [message[:2] for message in taken] == [(key, b"newest")]
+
+
 @pytest.mark.parametrize(("limit", "most"), [("MOST_WAITING", 3), ("MOST_WAITING_BYTES", 350)])
 def test_observer_with_a_slow_reader_drops_the_oldest_and_counts_them(node, monkeypatch, limit, most):
     monkeypatch.setattr(zenoh_observer, limit, most)

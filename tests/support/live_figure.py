@@ -14,7 +14,7 @@ from rich.console import Console
 from socast.core.pipeline import Pipeline
 from socast.stream.loop import Tally
 from socast.stream.mcap_reader import McapSource
-from socast.tools.terminal.live_table import describe_counts, make_fleet_table
+from socast.tools.terminal.live_table import count_received, describe_counts, make_fleet_table
 from tests.support.evening_shift import EVENING, make_evening_pipeline
 from tests.support.paths import ROOT
 
@@ -45,7 +45,7 @@ def live_figure(pipeline: Pipeline, tally: Tally) -> str:
     """Return the table of cars as SVG."""
     console = Console(record=True, width=WIDTH, file=StringIO(), force_terminal=True, color_system="truecolor")
     cars = sorted(pipeline.status())
-    caption = describe_counts(tally, pipeline.quality())
+    caption = describe_counts(tally, count_received(pipeline.quality()))
     console.print(make_fleet_table(cars, "Live", caption, len(cars)))
     form = sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=DOTALL).replace("Fira Code, monospace", FONTS)
     return console.export_svg(title="socast live", unique_id="live", code_format=form)

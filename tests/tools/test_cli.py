@@ -365,7 +365,7 @@ def test_tables_hold_same_rides_in_parquet_and_json_and_name_each_loss(recording
     assert f"{len(rides)} rides" in out
     lost = json.loads((tmp_path / "quality.json").read_text())["lost"]
     assert set(lost) == set(map(str, cuts))
-    assert all(f"{cut}: it breaks off" in err for cut in cuts)
+    assert all(f"{cut}: it has no end" in err for cut in cuts)
 
 
 def test_several_recordings_are_merged(tmp_path):

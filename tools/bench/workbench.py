@@ -51,6 +51,9 @@ class BoardSource:
         """Refuse: there is no pipeline."""
         raise SettingsError(f"{vehicle_id} cannot be asked about: no service runs; start one ({len(parameters)} given)")
 
+    def list_ask_options(self) -> None:
+        """Return None: no command answers for a replay."""
+
     def get_parts(self, vehicle_id: str) -> dict[str, float] | None:  # noqa: ARG002 - as in the protocol
         """Return None: there is no model."""
         return None

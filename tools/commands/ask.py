@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from socast.core.errors import SettingsError, read_input
-from socast.core.forecast.plan_checks import parse_leg, parse_plan, parse_vehicle
+from socast.core.forecast.plan_checks import LEG_LIMITS, parse_leg, parse_plan, parse_vehicle
 from socast.core.formatting import format_count
 from socast.core.wire.messages import Interval, LegOutlook, Outlook
 from socast.stream.zenoh_queryable import query_outlook
@@ -23,6 +23,8 @@ LOW_RISK: Final = 0.05
 """Probability of falling below the reserve under which the answer is YES. [1]"""
 HIGH_RISK: Final = 0.5
 """Probability of falling below the reserve above which the answer is NO. [1]"""
+LONGEST_MIN: Final = LEG_LIMITS["duration_s"].most / 60.0
+"""Longest duration of a ride. [min]"""
 LONGEST_S: Final = 3600.0
 """Longest permitted wait for an answer. [s]"""
 _CLOCK: Final = "%H:%M %Z"
@@ -38,7 +40,7 @@ _STYLES: Final = {"YES": "bold green", "NO": "bold red", "UNCERTAIN": "bold yell
 def ask_outlook(
     vehicle: Annotated[str, typer.Argument(metavar="VEHICLE", help="The car, such as taxi-012.")],
     distance_km: Annotated[float | None, typer.Option(metavar="KM", help="Length of the ride.")] = None,
-    duration_s: Annotated[float | None, typer.Option(metavar="S", help="Duration of the ride.")] = None,
+    duration_min: Annotated[float | None, typer.Option(metavar="MIN", help="Duration of the ride.")] = None,
     gained_m: Annotated[float | None, typer.Option(metavar="M", help="Altitude gained on the ride.")] = None,
     lost_m: Annotated[float | None, typer.Option(metavar="M", help="Altitude lost on the ride.")] = None,
     plan: Annotated[
@@ -63,14 +65,13 @@ def ask_outlook(
 
     Examples
     --------
-    socast ask taxi-012 --distance-km 18 --duration-s 1500 --gained-m 40
+    socast ask taxi-012 --distance-km 18 --duration-min 25 --gained-m 40
     socast ask taxi-012 --plan plan.json --connect tcp/router.example:7447 --prefix montreal
     socast ask taxi-012 --config dispatch.json5 --prefix montreal
     """
-    ride = {"distance_km": distance_km, "duration_s": duration_s, "gained_m": gained_m, "lost_m": lost_m}
     console = make_console(json_file)
     zone = find_zone(time_zone, console)
-    given = {name: str(value) for name, value in ride.items() if value is not None}
+    given = _list_parameters(distance_km, duration_min, gained_m, lost_m)
     check_outputs([plan] if plan else [], json_file)
     payload = _read(plan) if plan else None
     parse_plan(payload, parse_vehicle(vehicle))  # report mistakes before a query is sent
@@ -137,6 +138,9 @@ def figures(outlook: Outlook, zone: tzinfo | None = UTC) -> Iterator[tuple[str, 
         yield "energy", _format_interval(ride.energy_kwh, "kWh", 2)
     if outlook.legs:
         yield "then planned", _planned(outlook.legs)
+    if outlook.waiting_energy_kwh is not None:
+        until = "the next charge" if outlook.next_charge else "the end of the shift"
+        yield "besides", f"{outlook.waiting_energy_kwh:.1f} kWh for waiting, heating and empty ways until {until}"
     if outlook.soc_pct is not None:
         yield "now", _now(outlook, zone)
     if outlook.consumption_scale is not None:
@@ -147,6 +151,20 @@ def figures(outlook: Outlook, zone: tzinfo | None = UTC) -> Iterator[tuple[str, 
         )
     if outlook.why_not:
         yield "not known", outlook.why_not
+
+
+def _list_parameters(
+    distance_km: float | None, duration_min: float | None, gained_m: float | None, lost_m: float | None
+) -> dict[str, str]:
+    """Return the parameters of the query; refuse a ride without distance or duration, in the words of the options."""
+    duration_s = None if duration_min is None else 60.0 * duration_min
+    ride = {"distance_km": distance_km, "duration_s": duration_s, "gained_m": gained_m, "lost_m": lost_m}
+    given = {name: f"{value:.12g}" for name, value in ride.items() if value is not None}
+    if given and not {"distance_km", "duration_s"} <= set(given):
+        raise SettingsError("a ride needs both --distance-km and --duration-min")
+    if duration_min is not None and not 0.0 < duration_min <= LONGEST_MIN:
+        raise SettingsError(f"--duration-min is {duration_min:g}, must be above 0 and at most {LONGEST_MIN:g} min")
+    return given
 
 
 def _read(path: Path) -> bytes:

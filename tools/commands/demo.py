@@ -103,7 +103,8 @@ def demo(
         pipeline.learn_from(earlier)
     hours, cars = about["duration_s"] / 3600, len(about["vehicles"])
     title = f"{shift.name}: {hours:.1f} h of {cars} cars, {speed:.0f} times real time"
-    table, alarms = LiveTable(pipeline, title, console=console, zone=zone), AlarmWatch(pipeline, about["messages"] // 2)
+    table = LiveTable(pipeline, title, console=console, zone=zone, shows_models=False)
+    alarms = AlarmWatch(pipeline, about["messages"] // 2)
     missed = _run(pipeline, shift, about["messages"], speed, table, alarms)
     _show_results(console, pipeline, chosen, shift, missed, json_file, alarms.list_sentences(zone))
 

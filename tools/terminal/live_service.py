@@ -176,7 +176,7 @@ def run_service(parts: ServiceParts, report_s: float, zone: tzinfo | None = UTC)
         run(
             parts.source,
             parts.pipeline,
-            [parts.sink],
+            [parts.sink, *([parts.checkpoints] if parts.checkpoints else [])],
             recorder=parts.recorder,
             keep_open=parts.checkpoints is not None,
             publish_s=PUBLISH_S,
@@ -228,7 +228,7 @@ def _make_pipeline(options: LiveOptions, models: Sequence[LinearModel], storage:
 
 
 def _restore(pipeline: Pipeline, checkpoints: Checkpoints | None) -> list[Message]:
-    """Continue from the last state; return the newest forecasts that became due in the recording after it."""
+    """Continue from the last state and the recording after it; return the newest forecast of each vehicle."""
     forecasts = checkpoints.restore() if checkpoints else []
     if pipeline.model_change:
         _log.warning(

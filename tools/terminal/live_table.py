@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, tzinfo
 from math import isfinite
@@ -24,14 +25,13 @@ from socast.core.vehicles.catalogue import OVERRIDES
 from socast.stream.loop import Tally
 from socast.tools.terminal.model_comparison import WIDE, ErrorCourses, make_models_table
 from socast.tools.terminal.output import make_console
+from socast.tools.terminal.recordings import QUIET_S
 from socast.tools.terminal.rich_table import Column, make_table
 from socast.tools.terminal.small_pictures import draw_charge
 from socast.tools.terminal.time_zone import format_local, name_zone
 
 REDRAW_S = 0.25
 """Time between two updates of the table on a terminal. [s]"""
-LINE_S = 2.0
-"""Time between two lines if the output is not a terminal. [s]"""
 WARNED = 0.05
 """Smallest probability of ending a shift below the reserve at which a car is marked. [1]"""
 WIDE_PICTURE, NARROW_PICTURE = 24, 12
@@ -73,6 +73,8 @@ class LiveTable:
         Console to print on; by default the one of `make_console`.
     zone : tzinfo, optional
         Time zone of the times; None is that of the system.
+    shows_models : bool
+        Whether to show shadow models beside the first, for engineers.
     clock : callable
         Function that returns monotonic time. [s]
     """
@@ -85,12 +87,15 @@ class LiveTable:
         console: Console | None = None,
         silent: bool = False,
         zone: tzinfo | None = UTC,
+        shows_models: bool = True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pipeline, self._title, self._clock, self._silent = pipeline, title, clock, silent
         self._console, self._zone = console or make_console(), zone
-        self._due = clock() + LINE_S * (not self._console.is_terminal)
+        self._due = clock() + QUIET_S * (not self._console.is_terminal)
         self._last: Tally | None = None
+        self._before = count_received(pipeline.quality())  # a state goes on from those of earlier processes
+        self._shadows = len(pipeline.shadows) if shows_models else 0
         self._courses = ErrorCourses()
         live = self._console.is_terminal and not silent
         # log lines are redirected above the table, but only if standard error is a terminal too
@@ -120,15 +125,15 @@ class LiveTable:
         self._last, now = tally, self._clock()
         if self._silent or now < self._due:
             return
-        self._due = now + (REDRAW_S if self._live else LINE_S)
+        self._due = now + (REDRAW_S if self._live else QUIET_S)
         cars = sorted(self._pipeline.status())
         if self._live:
             wide, errors = self._console.width >= WIDE, self._pipeline.shadows.errors()
             self._courses.add(errors)
-            below = make_models_table(errors, wide=wide, courses=self._courses) if self._pipeline.shadows else None
+            below = make_models_table(errors, wide=wide, courses=self._courses) if self._shadows else None
             rows = max(1, self._console.height - 7 - (below.row_count + 6 if below else 0))
-            shadows = len(self._pipeline.shadows) if wide else 0
-            counts = describe_counts(tally, self._pipeline.quality())
+            shadows = self._shadows if wide else 0
+            counts = describe_counts(tally, count_received(self._pipeline.quality()) - self._before)
             fleet = make_fleet_table(cars, self._title, counts, rows, shadows, wide=wide, zone=self._zone)
             self._live.update(Group(fleet, below) if below else fleet, refresh=True)
         else:
@@ -198,7 +203,7 @@ def _choose_cars(cars: Sequence[VehicleStatus], rows: int) -> list[VehicleStatus
 def _format_end(car: VehicleStatus) -> Text:
     """Return the charge at the shift's end and its interval, marked if the car risks ending below its reserve."""
     if car.end_pct is None:
-        return Text("–")
+        return Text("shift over" if car.is_shift_over else "–")
     mean, low, high = car.end_pct
     mark = "!" if _is_at_risk(car) else " "
     return Text(f"{mean:.0f} {low:.0f}–{high:.0f}{mark}", style="red" if _is_at_risk(car) else "")
@@ -356,14 +361,18 @@ def _format_counts(counts: _Reads) -> str:
     return ", ".join(f"{name.replace('_', ' ')} {count:,}" for name, count in counts.items() if count)
 
 
-def describe_counts(tally: Tally, quality: dict[str, Any]) -> str:
-    """Return the text below the table of cars."""
-    rejected = sum(quality["undecodable"].values())
+def count_received(quality: Mapping[str, Any]) -> Counter[str]:
+    """Return the counts of quality that the text below the table of cars has."""
+    return Counter({"undecodable": sum(quality["undecodable"].values()), "rides": quality["rides"]})
+
+
+def describe_counts(tally: Tally, received: Mapping[str, int]) -> str:
+    """Return the text below the table of cars; all counts are those of this process."""
     rate = tally.received / tally.seconds if tally.seconds > 0 else 0.0
     return (
-        f"{format_count(tally.received, 'message')} ({rate:,.0f} a second), "
+        f"since the start: {format_count(tally.received, 'message')} ({rate:,.0f} a second), "
         f"{format_count(tally.forecasts, 'forecast')}, {tally.missed:,} missed, "
-        f"{rejected:,} undecodable, {format_count(quality['rides'], 'ride')} ended"
+        f"{received['undecodable']:,} undecodable, {format_count(received['rides'], 'ride')} ended"
     )
 
 

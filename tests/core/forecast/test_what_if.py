@@ -99,6 +99,18 @@ def test_query_without_ride_equals_forecast_throughout_the_shift():
         assert answer.usable_capacity_sd_kwh > 0.0
 
 
+def test_legs_and_waiting_take_the_energy_by_which_the_charge_falls():
+    nominal = float(one_at(0.0).context.cars.capacity[one_at(0.0).context.cars.of_lane[CARS.index(CAR)]])
+    for pipeline, _ in moments():
+        answer = pipeline.ask(CAR)
+        fall = 0.01 * (answer.soc_pct - answer.soc_end_of_shift_pct.mean) * nominal
+        legs = sum(leg.energy_kwh.mean for leg in answer.legs)
+        assert legs + answer.waiting_energy_kwh == pytest.approx(fall, abs=0.15 + 0.02 * fall)
+        assert answer.waiting_energy_kwh >= 0.0
+    assert pipeline.ask(CAR, QUERIED_RIDE).waiting_energy_kwh is not None
+    assert at(0.0, planned=False)[0].ask(CAR).waiting_energy_kwh is None
+
+
 def test_query_with_the_remaining_plan_equals_forecast():
     for pipeline, newest in moments():
         assert same(pipeline.ask(CAR, None, left(pipeline)), newest)

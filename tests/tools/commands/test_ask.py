@@ -14,7 +14,7 @@ from tests.support.live_consumers import consumers, logged
 from tests.support.outlooks import NOW, OUTLOOK, outlook
 from tests.support.zenoh_sessions import live
 
-RIDE = ("--distance-km", "18", "--duration-s", "1500")
+RIDE = ("--distance-km", "18", "--duration-min", "25")
 NOTHING_AFTER = {"reserve_risk": None, "soc_end_of_shift_pct": None, "shift_end_s": None, "legs": []}
 
 
@@ -110,9 +110,10 @@ def test_unknown_figures_are_left_out(without):
     ("arguments", "message"),
     [
         (("taxi 7",), "'taxi 7'"),
-        (("taxi-7", "--distance-km", "18"), "duration_s is not given"),
-        (("taxi-7", "--distance-km=-3", "--duration-s", "1500"), "distance_km is -3"),
-        (("taxi-7", "--distance-km", "nan", "--duration-s", "1500"), "'nan'"),
+        (("taxi-7", "--distance-km", "18"), "--duration-min"),
+        (("taxi-7", "--distance-km", "18", "--duration-min", "1500"), "--duration-min is 1500, must be above 0 and"),
+        (("taxi-7", "--distance-km=-3", "--duration-min", "25"), "distance_km is -3"),
+        (("taxi-7", "--distance-km", "nan", "--duration-min", "25"), "'nan'"),
         (("taxi-7", *RIDE, "--plan", "nowhere.json"), "nowhere.json cannot be read"),
         (("taxi-7", *RIDE, "--plan", "{tmp}/rubbish.json"), "no plan"),
         (("taxi-7", "--plan", "{tmp}/empty.json"), "empty.json is empty; "),

@@ -61,3 +61,14 @@ def test_info_says_nothing_where_the_recording_does_not(tmp_path):
     (about,) = json.loads((tmp_path / "info.json").read_text())["recordings"]
     assert about["metadata"] == {}
     assert about["viewer_topics"] == {}
+
+
+def test_info_does_not_call_a_recording_broken_off_that_is_still_being_written(tmp_path):
+    with McapSink(tmp_path / "r.mcap") as sink:
+        sink.put(make_telemetry(3))
+        sink.flush()
+        out, _, code = called("info", tmp_path / "r.mcap")
+    assert code == 0
+    said = " ".join(out.split())
+    assert "it has no end: it is still being written, or its writer was killed; 0 bytes after its last" in said
+    assert "it has no end" not in called("info", tmp_path / "r.mcap")[0]

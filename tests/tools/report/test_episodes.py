@@ -10,14 +10,14 @@ from rich.console import Console
 from socast.tools.commands.diagnose import insert_commands
 from socast.tools.report.diagnosis import page as report
 from socast.tools.report.diagnosis import sentences
-from socast.tools.report.diagnosis.episodes import describe_episodes
+from socast.tools.report.diagnosis.episodes import advise_looking, describe_episodes, tabulate_episodes
 from socast.tools.terminal.ride_source import RideSource
 from tests.support.diagnosis_result import make_diagnosis, make_empty_diagnosis, make_episode
 from tests.support.html_pages import read_page
 
 HEADLINE = (
-    "41 % of the squared error is concentrated on 2 dates, 16 to 19 h UTC: +6.0 kW (95 % interval 5.7 to 6.4). Look at "
-    "these dates before you add an effect."
+    "41 % of the squared error is concentrated on 17 January 2018 and 2 March 2018, 16 to 19 h UTC: +6.0 kW (95 % "
+    "interval 5.7 to 6.4). Look at these dates before you add an effect."
 )
 
 
@@ -37,6 +37,17 @@ def test_report_begins_with_the_episode(make):
     assert "in 3 of 4 cars that drove then, 3 rides" in output
     assert "several cars show it" in output
     assert "with a constant power in each episode, it would be" in output
+
+
+def test_episode_of_data_with_invented_dates_names_its_rides_and_no_date():
+    result = make_diagnosis(episodes=[make_episode()], data={"dated": False})
+    rides = ", ".join(result.episodes[0].rides)
+    said = [sentences.describe_verdict(result)[0], *describe_episodes(result), *advise_looking(result)]
+    assert said[0].startswith(f"41 % of the squared error is concentrated on 3 rides, {rides}: +6.0 kW")
+    assert "Look at these rides before you add an effect." in said[0]
+    (row,) = tabulate_episodes(result).rows
+    assert (row.name, row.cells[0].text) == ("–", "–")
+    assert not any("2018" in line or "h UTC" in line for line in (*said, row.name))
 
 
 def test_report_without_episodes_does_not_mention_them():
@@ -78,7 +89,7 @@ def test_page_has_a_table_of_episodes(tmp_path):
     report.write(make_diagnosis(episodes=[make_episode()]), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
     assert read_page(text)
-    assert text.index("concentrated on 2 dates") < text.index("634 rides of 5 vehicles")
+    assert text.index("concentrated on 17 January 2018 and 2 March") < text.index("634 rides of 5 vehicles")
     assert "taxi-001, taxi-003, taxi-005" in text
 
 

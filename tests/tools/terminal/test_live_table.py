@@ -6,10 +6,13 @@ import pytest
 from rich.console import Console
 
 from socast.core.forecast.status import VehicleStatus
-from socast.tools.terminal.live_table import WARNED, make_fleet_table
+from socast.core.pipeline import Pipeline
+from socast.core.wire.messages import Message
+from socast.stream.loop import Tally
+from socast.tools.terminal.live_table import WARNED, LiveTable, make_fleet_table
 from socast.tools.terminal.model_comparison import WIDE
-from tests.support.fleet_days import DAY, DAYS, forecasts, plan, shift, trained_pipeline
-from tests.support.telemetry import START
+from tests.support.fleet_days import DAY, DAYS, SHIFT, forecasts, plan, shift, trained_pipeline
+from tests.support.telemetry import START, make_message
 
 CAR = VehicleStatus("taxi-1", "kia-soul-ev-2015", None, 1.7e9, 64.0, 0.0, float("nan"), float("nan"), {})
 
@@ -56,6 +59,61 @@ def test_status_holds_newest_forecast_of_each_car():
         end = newest.soc_end_of_shift_pct
         assert by_car[car].end_pct == pytest.approx((end.mean, end.p05, end.p95))
         assert by_car[car].risk == pytest.approx(newest.reserve_risk)
+
+
+def test_all_counts_below_the_cars_are_those_of_this_process():
+    pipeline = trained_pipeline()
+    pipeline.push([m for _, m in shift("c", DAYS)])
+    pipeline.push([Message("fleet/c/telemetry", b"rubbish", 0)])
+    before = pipeline.quality()
+    assert before["rides"] > 0
+    console = Console(file=io.StringIO(), width=120, height=30, force_terminal=True)
+    with LiveTable(pipeline, "Live", console=console, clock=iter(range(0, 100, 10)).__next__) as screen:
+        screen(Tally(received=3, forecasts=2, seconds=1.0))
+        pipeline.push([Message("fleet/c/telemetry", b"more rubbish", 0)])
+        screen(Tally(received=4, forecasts=2, seconds=2.0))
+    shown = " ".join(console.file.getvalue().split())
+    assert "since the start: 3 messages (3 a second), 2 forecasts, 0 missed, 0 undecodable, 0 rides ended" in shown
+    assert "since the start: 4 messages (2 a second), 2 forecasts, 0 missed, 1 undecodable, 0 rides ended" in shown
+
+
+def test_a_line_every_thirty_seconds_names_the_zone_where_the_output_is_no_terminal():
+    pipeline, console = trained_pipeline(), Console(file=io.StringIO(), width=200)
+    pipeline.push([m for _, m in shift("c", DAYS)][:300])
+    times = iter([0.0, 1.0, 29.0, 30.0, 31.0, 59.0, 61.0])
+    with LiveTable(pipeline, "Live", console=console, clock=times.__next__) as screen:
+        for _ in range(5):
+            screen(Tally(seconds=1.0))
+    lines = console.file.getvalue().splitlines()
+    assert len(lines) == 2  # after 30 s, and the last one
+    assert all(" UTC  c: SOC " in line for line in lines)
+
+
+def test_restart_without_new_messages_shows_the_forecasts_that_questions_get():
+    pipeline = trained_pipeline()
+    for car in "bc":
+        pipeline.push([m for _, m in shift(car, DAYS)][: 200 if car == "b" else 300])
+    state = pipeline.snapshot()
+    again = Pipeline(settings=pipeline.settings)
+    again.restore(state)
+    again.restate()
+    assert again.snapshot() == state
+    assert again.forecasts() == []
+    for status in [each for each in again.status() if each.vehicle_id in "bc"]:
+        outlook = again.ask(status.vehicle_id)
+        assert status.end_pct[0] == pytest.approx(outlook.soc_end_of_shift_pct.mean, abs=0.1)
+        assert status.risk == pytest.approx(outlook.reserve_risk, abs=0.01)
+
+
+def test_shift_of_a_car_past_its_plan_is_shown_as_over():
+    pipeline = trained_pipeline()
+    whole = [m for _, m in shift("c", DAYS)]
+    pipeline.push(whole)
+    later = START + DAY * DAYS + SHIFT
+    pipeline.push([make_message("telemetry", "f", later + 5.0 * i, soc_pct=80.0) for i in range(1200)])
+    (car,) = [status for status in pipeline.status() if status.vehicle_id == "c"]
+    assert (car.is_shift_over, car.risk, car.end_pct) == (True, None, None)
+    assert "shift over" in row(car)
 
 
 def test_car_with_reserve_above_charge_is_marked_in_live_operation():

@@ -226,11 +226,13 @@ def test_live_table_has_column_per_shadow_and_models_below():
     assert "by 2" in printed(make_fleet_table(pipeline.status(), "Live", "", 20, 1))
     assert "by 2" not in printed(make_fleet_table(pipeline.status(), "Live", "", 20))
     console = Console(file=io.StringIO(), width=120, height=40, force_terminal=True)
-    with LiveTable(pipeline, "Live", console=console, clock=iter(range(0, 100, 10)).__next__) as screen:
-        screen(Tally(received=1, seconds=1.0))
-    shown = console.file.getvalue()
-    assert "basic_physical/1" in shown
-    assert "car-2" in shown
+    for shows_models in (False, True):
+        clock = iter(range(0, 100, 10)).__next__
+        with LiveTable(pipeline, "Live", console=console, shows_models=shows_models, clock=clock) as screen:
+            screen(Tally(received=1, seconds=1.0))
+        shown = console.file.getvalue()
+        assert ("basic_physical/1" in shown, "by 2" in shown) == (shows_models, shows_models)
+        assert "car-2" in shown
 
 
 def test_fitted_model_beside_the_recordings_is_used_unless_others_are_named(tmp_path):

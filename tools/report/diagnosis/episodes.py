@@ -1,6 +1,5 @@
 """Describe episodes, hours of a few dates in which the power is off, in sentences and in a table."""
 
-from collections.abc import Sequence
 from datetime import date
 from typing import Final
 
@@ -25,8 +24,9 @@ def describe_leading_episode(result: Diagnosis) -> list[str]:
     if not found:
         return []
     more = f" {len(found) - 1} further: see Episodes." if len(found) > 1 else ""
-    what = f"{_word_share(found[0])}: {_word_power(found[0])}{_word_car(found[0])}"
-    return [f"{what}. Look at {_these(found)} before you add an effect.{more}"]
+    share, when = format_percent(found[0].share, 0), _word_when(found[0], result)
+    what = f"{share} of the squared error is concentrated on {when}: {_word_power(found[0])}{_word_car(found[0])}"
+    return [f"{what}. Look at {_these(found[0], result)} before you add an effect.{more}"]
 
 
 def describe_episodes(result: Diagnosis) -> list[str]:
@@ -36,7 +36,7 @@ def describe_episodes(result: Diagnosis) -> list[str]:
         rides = one.rides
         cars = f"{format_count(len(one.cars))} of {format_count(one.cars_driving)}"
         lines.append(
-            f"{_list_dates(one)}, {_word_hours(one)}: {_word_power(one)} in {cars} cars that drove then, "
+            f"{_word_when(one, result)}: {_word_power(one)} in {cars} cars that drove then, "
             f"{format_count(len(rides))} rides; {format_percent(one.share)} of the squared error of rides. "
             f"Chance shows an episode as clear in {_word_chance(one)} of diagnoses."
         )
@@ -54,7 +54,7 @@ def advise_looking(result: Diagnosis) -> list[str]:
     if not found:
         return []
     line = (
-        f"First look at the recordings of {_list_dates(found[0])}, {_word_hours(found[0])}: leave these rides out if a "
+        f"First look at the recordings of {_word_when(found[0], result)}: leave these rides out if a "
         "logger is wrong, or explain them by an effect of your own."
     )
     return [line, found[0].command] if found[0].command else [line]
@@ -64,9 +64,9 @@ def tabulate_episodes(result: Diagnosis) -> ReportTable:
     """Return the episodes, the clearest first."""
     rows = tuple(
         Row(
-            _list_dates(one),
+            _list_dates(one) if result.data.dated else UNKNOWN,
             (
-                Cell(_word_hours(one)),
+                Cell(_word_hours(one) if result.data.dated else UNKNOWN),
                 Cell(_word_power(one)),
                 Cell(format_percent(one.share)),
                 Cell(", ".join(one.cars) or UNKNOWN),
@@ -79,11 +79,13 @@ def tabulate_episodes(result: Diagnosis) -> ReportTable:
     return ReportTable("Episodes", "dates", ("hours", "power", "share", "cars", "rides", "chance"), rows, (NOTE,))
 
 
-def _word_share(one: FoundEpisode) -> str:
-    """Return where which share of the error is concentrated."""
-    share = format_percent(one.share, 0)
-    on = _format_date(one.dates[0]) if len(one.dates) == 1 else f"{len(one.dates)} dates"
-    return f"{share} of the squared error is concentrated on {on}, {_word_hours(one)}"
+def _word_when(one: FoundEpisode, result: Diagnosis) -> str:
+    """Return the dates and hours of an episode, or its rides where the dates are invented."""
+    if result.data.dated:
+        return f"{_list_dates(one)}, {_word_hours(one)}"
+    further = len(one.rides) - MOST_DATES
+    listed = ", ".join(one.rides[:MOST_DATES]) + (f" and {further} more" if further > 0 else "")
+    return f"{format_count(len(one.rides))} rides, {listed}"
 
 
 def _word_power(one: FoundEpisode) -> str:
@@ -121,8 +123,10 @@ def _word_chance(one: FoundEpisode) -> str:
     return f"less than {format_percent(LEAST_CHANCE)}" if chance < LEAST_CHANCE else f"{format_percent(chance)}"
 
 
-def _these(found: Sequence[FoundEpisode]) -> str:
-    return "this date" if len(found[0].dates) == 1 else "these dates"
+def _these(one: FoundEpisode, result: Diagnosis) -> str:
+    if not result.data.dated:
+        return "these rides"
+    return "this date" if len(one.dates) == 1 else "these dates"
 
 
 def _list_dates(one: FoundEpisode) -> str:

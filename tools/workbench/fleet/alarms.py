@@ -30,7 +30,8 @@ def list_alarms(board: Board) -> dict[str, Any]:
         silent = is_silent & (board.column("riding") > 0.0)
         names = board.vehicle_ids
         soc = board.column("soc")
-        rows = np.flatnonzero((risk >= LOW_RISK) & (~is_silent | (risk > HIGH_RISK)))
+        may_run_low = (risk >= LOW_RISK) & (~is_silent | (risk > HIGH_RISK))
+        rows = np.flatnonzero(may_run_low & (~board.find_over() | (soc < EMPTY_PCT)))
         alarms = [
             _describe_risk(names[row], float(risk[row]), float(soc[row]), is_silent=bool(is_silent[row]))
             for row in rows.tolist()

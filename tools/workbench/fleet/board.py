@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from socast.core.forecast.status import find_ended_shifts
 from socast.core.wire.messages import Finding, Forecast, Interval, Message, address
 from socast.core.wire.sample_reader import Samples, holds_samples, read_samples
 from socast.tools.workbench.fleet.density import TraceDensity
@@ -150,6 +151,11 @@ class Board:
         """Return which cars are silent."""
         return self.get_ages() > SILENT_S
 
+    def find_over(self) -> NDArray[np.bool_]:
+        """Return of which cars the shift is over, as far as forecasts tell."""
+        riding = self.column("riding") > 0.0
+        return find_ended_shifts(self.column("time"), self.get_ages(), self.column("shift_end"), riding)
+
     def find(self, vehicle_id: str) -> int | None:
         """Return the row of a car, None for one that has sent nothing."""
         return self._rows.get(vehicle_id)
@@ -242,6 +248,7 @@ class Board:
         car["range"], car["range_low"], car["range_high"] = _bounds(forecast.range_km)
         car["end"], car["end_low"], car["end_high"] = end
         car["risk"], car["predicted"], car["measured"] = risk, predicted, measured
+        car["shift_end"] = _number(forecast.shift_end_s)
         car["ride_km"], car["ride_s"] = forecast.ride_distance_km, forecast.ride_duration_s
         car["faults"], car["riding"] = sum(quality.values()), float(riding)
         history.add(forecast.time_s, (soc, *end, risk, predicted, measured, history.ride))

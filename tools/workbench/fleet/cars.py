@@ -1,5 +1,8 @@
 """The JSON record of a car: newest values, history of its shift, outlook, energy by term, and its rides."""
 
+import shlex
+from collections.abc import Mapping, Sequence
+from math import nan
 from typing import Any, Final
 
 import msgspec
@@ -10,6 +13,7 @@ from socast.core.forecast.soc_filter import SHIFT_GAP
 from socast.tools.commands.ask import figures, verdict
 from socast.tools.terminal.time_zone import parse_zone
 from socast.tools.workbench.fleet.board import POINT, Board
+from socast.tools.workbench.fleet.frames import OF_SHIFT
 from socast.tools.workbench.fleet.source import FleetSource
 from socast.tools.workbench.json_routes import JsonRequest, NotFoundError, Workbench
 
@@ -37,12 +41,14 @@ def describe_car(workbench: Workbench, request: JsonRequest) -> dict[str, Any]:
         row = board.find(vehicle_id)
         if row is None:
             raise NotFoundError(f"no car {vehicle_id[:64]!r} has sent anything so far: choose one on the page Fleet")
+        is_over, values = bool(board.find_over()[row]), board.get_values(vehicle_id)
         record: dict[str, Any] = {
             "car": vehicle_id,
+            "is_shift_over": is_over,
             "vehicle_model": board.models.get(vehicle_id),
             "ride_id": board.get_ride(vehicle_id),
             "age_s": float(board.get_ages()[row]),
-            "values": board.get_values(vehicle_id),
+            "values": values | dict.fromkeys(OF_SHIFT, nan) if is_over else values,
             "quality": board.quality.get(vehicle_id, {}),
             "history": make_history(board, vehicle_id),
             "rides": [ride for ride in board.rides if ride["vehicle_id"] == vehicle_id][-MOST_RIDES:],
@@ -76,12 +82,23 @@ def answer_question(workbench: Workbench, request: JsonRequest) -> dict[str, Any
     vehicle_id = request.path["car"]
     outlook = get_fleet(workbench).ask(vehicle_id, given)
     word, sentence = verdict(outlook)
-    zone = parse_zone(request.parameters.get("zone") or "UTC")
-    options = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in given.items())
+    zone = request.parameters.get("zone") or "UTC"
     return {
         "word": word,
         "sentence": sentence,
-        "figures": [{"name": name, "text": text} for name, text in figures(outlook, zone)],
+        "figures": [{"name": name, "text": text} for name, text in figures(outlook, parse_zone(zone))],
         "outlook": msgspec.to_builtins(outlook),
-        "command": f"socast ask {vehicle_id} {options}".rstrip(),
+        "command": _find_command(vehicle_id, given, zone, get_fleet(workbench).list_ask_options()),
     }
+
+
+def _find_command(vehicle_id: str, ride: Mapping[str, str], zone: str, options: Sequence[str] | None) -> str | None:
+    """Return the command that gives the same answer, None where no command does."""
+    if options is None:
+        return None
+    words = ["socast", "ask", vehicle_id]
+    for name, value in ride.items():
+        is_time = name == "duration_s"
+        words += ["--duration-min" if is_time else f"--{name.replace('_', '-')}"]
+        words += [f"{float(value) / 60.0:.12g}" if is_time else value]
+    return shlex.join([*words, *options, "--time-zone", zone])

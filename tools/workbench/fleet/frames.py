@@ -16,7 +16,9 @@ from socast.tools.workbench.fleet.board import Board
 
 HEAD: Final = struct.Struct("<IIQd")
 """Number of cars, epoch, sequence number, and newest time of the fleet [Unix s]; 24 bytes."""
-RIDING, CHARGING, SILENT = 1, 2, 4
+RIDING, CHARGING, SILENT, OVER = 1, 2, 4, 8
+OF_SHIFT: Final = "end", "end_low", "end_high", "risk"
+"""Columns about the rest of a shift, unknown once it is over."""
 
 
 class FrameColumn(NamedTuple):
@@ -76,14 +78,17 @@ def describe_frames() -> dict[str, Any]:
     columns = [
         {"name": each.name, "dtype": each.dtype, "scale": each.scale, "missing": each.missing} for each in COLUMNS
     ]
-    return {"head": HEAD.size, "columns": columns, "flags": {"riding": RIDING, "charging": CHARGING, "silent": SILENT}}
+    flags = {"riding": RIDING, "charging": CHARGING, "silent": SILENT, "over": OVER}
+    return {"head": HEAD.size, "columns": columns, "flags": flags}
 
 
 def encode_frame(board: Board, sequence: int) -> bytes:
     """Return the newest values of all cars as a frame."""
     with board.lock:
         flags = RIDING * (board.column("riding") > 0.0) + CHARGING * (board.column("charging") > 0.0)
-        derived = {"age": board.get_ages(), "flags": flags + SILENT * board.find_silent()}
+        is_over = board.find_over()
+        derived = {"age": board.get_ages(), "flags": flags + SILENT * board.find_silent() + OVER * is_over}
+        derived |= {name: np.where(is_over, np.nan, board.column(name)) for name in OF_SHIFT}
         parts = [
             each.quantise(derived[each.name] if each.name in derived else board.column(each.name)) for each in COLUMNS
         ]

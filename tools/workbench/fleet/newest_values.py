@@ -13,12 +13,12 @@ from socast.core.wire.sample_reader import SampleColumns
 COLUMNS: Final = (
     *("time", "latitude", "longitude", "speed", "soc", "soc_sd", "range", "range_low", "range_high"),
     *("end", "end_low", "end_high", "risk", "ride_km", "ride_s", "predicted", "measured", "faults"),
-    *("riding", "charging", "far_latitude", "far_longitude", "elapsed", "heard"),
+    *("riding", "charging", "far_latitude", "far_longitude", "elapsed", "heard", "shift_end"),
 )
 """Newest values of a car: Unix s, degrees, km/h, %, km, kWh, and numbers; NaN where unknown.
 
 A fix far from the one before it is believed once another one lies near it. `socast.tools.workbench.fleet.fleet_time`
-describes the last two.
+describes `elapsed` and `heard`.
 """
 NEAR_DEG: Final = 0.05
 """Distance in latitude and longitude from which a fix is far from the one before it. [deg]"""

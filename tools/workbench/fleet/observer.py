@@ -86,6 +86,13 @@ class Observer:
                 f"the answer for {vehicle} cannot be read: {error}; use the same version of `socast` as the consumer"
             ) from error
 
+    def list_ask_options(self) -> list[str]:
+        """Return the options with which `socast ask` reaches the same service."""
+        connection = self._node.connection
+        words = [word for each in connection.connect for word in ("--connect", each)]
+        words += ["--config", str(connection.config)] if connection.config else []
+        return [*words, *(["--prefix", connection.prefix] if connection.prefix else [])]
+
     def get_parts(self, _: str) -> dict[str, float] | None:
         """Return None: a live service does not publish the energy by term."""
         return None

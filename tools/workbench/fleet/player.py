@@ -204,6 +204,9 @@ class Player:
                 raise SocastError("the player loads the recording; ask again in a moment")
             return self.pipeline.ask(vehicle, leg)
 
+    def list_ask_options(self) -> None:
+        """Return None: no command answers for a replay."""
+
     def get_parts(self, vehicle_id: str) -> dict[str, float] | None:
         """Return the predicted energy of the ride in progress by term of the model. [kWh]"""
         with self.board.lock:

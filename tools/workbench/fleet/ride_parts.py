@@ -18,7 +18,7 @@ def compute_ride_parts(pipeline: Pipeline, vehicle_id: str) -> dict[str, float] 
     lane = pipeline.lanes.find(vehicle_id)
     if lane is None or lane not in pipeline.cleaner.lanes_heard() or not isinstance(pipeline.model, LinearModel):
         return None
-    totals = pipeline.displays.describe(pipeline.accumulator.running(np.array([lane])), len(pipeline.lanes))
+    totals = pipeline.describe_running(np.array([lane]))
     if totals.ride[0] < 0:
         return None
     needs = (*pipeline.model.needs, "vehicle_model", "vehicle_id")

@@ -26,5 +26,8 @@ class FleetSource(Protocol):
     def ask(self, vehicle_id: str, parameters: Mapping[str, str]) -> Outlook:
         """Return the outlook on the rest of a car's shift; `parameters` define a ride."""
 
+    def list_ask_options(self) -> list[str] | None:
+        """Return the options with which `socast ask` gets the same answers, None where no command does."""
+
     def get_parts(self, vehicle_id: str) -> dict[str, float] | None:
         """Return the predicted energy of the ride in progress by term, None where unknown. [kWh]"""

@@ -106,7 +106,7 @@ class CarPage {
     const { parts } = this;
     const { values, outlook } = record;
     const age = record.age_s;
-    const state = age > 600 ? ["warn", `silent ${duration(age)}`] : values.charging ? ["good", "charging"] : values.riding ? ["", "in a ride"] : ["", "between rides"];
+    const state = record.is_shift_over && !values.riding ? ["", "shift over"] : age > 600 ? ["warn", `silent ${duration(age)}`] : values.charging ? ["good", "charging"] : values.riding ? ["", "in a ride"] : ["", "between rides"];
     parts.chips.className = "row";
     parts.chips.replaceChildren(
       el("span", { class: `chip ${state[0]}` }, state[1]), record.vehicle_model ? el("span", { class: "chip" }, record.vehicle_model) : "",
@@ -171,7 +171,12 @@ class CarPage {
   }
 
   makeLegs({ outlook, values }) {
-    if (!outlook?.legs.length) return el("p", { class: "soft" }, "No leg of a plan is ahead.");
+    const waiting = outlook?.waiting_energy_kwh ?? null;
+    const until = outlook?.next_charge ? "the next charge" : "the end of the shift";
+    if (!outlook?.legs.length) {
+      const rest = waiting === null ? "" : ` Waiting and heating until ${until} take ${quantity(waiting, "kWh", 2)}.`;
+      return el("p", { class: "soft" }, `No leg of a plan is ahead.${rest}`);
+    }
     const ahead = new LegSchedule(outlook, Boolean(values.riding));
     const rows = outlook.legs.map((leg, i) => {
       const isCharge = leg.charge_to_soc_pct !== undefined && leg.charge_to_soc_pct !== null;
@@ -180,10 +185,14 @@ class CarPage {
         el("td", { class: "number" }, isCharge ? "–" : number(leg.distance_km, 1)), el("td", { class: "number" }, number(leg.duration_s / 60)),
         el("td", { class: "number" }, bounded(leg.energy_kwh, 2)), el("td", { class: "number" }, bounded(leg.soc_pct, 0)));
     });
+    if (waiting !== null) {
+      rows.push(el("tr", {}, el("td", {}), el("td", { colspan: 4 }, `waiting, heating and empty ways until ${until}`),
+        el("td", { class: "number" }, number(waiting, 2)), el("td", {})));
+    }
     return el("div", {}, el("div", { class: "table-frame legs-frame", tabindex: 0, role: "region", "aria-label": "Legs of the plan" }, el("table", {},
       el("thead", {}, el("tr", {}, ["", "Leg", `Begins, ${zoneName(outlook.time_s)}`, "km", "min", "Energy, kWh", "Charge after, %"].map((words, i) =>
         el("th", { scope: "col", class: i === 1 ? null : "number" }, words || el("span", { class: "hidden" }, "Number"))))), el("tbody", {}, rows))),
-    el("p", { class: "note small" }, "A plan does not say when legs begin: the waits are spread evenly. In brackets: nine outcomes in ten."));
+    el("p", { class: "note small" }, "A plan does not say when legs begin: the waits are spread evenly. The risk counts them; the range is that of driving on without a pause. In brackets: nine outcomes in ten."));
   }
 
   drawRide({ history, values }) {
@@ -232,7 +241,8 @@ class CarPage {
       this.answer.replaceChildren(
         el("p", { class: "answer-line" }, el("span", { class: `chip ${TONES[answer.word] ?? "warn"}` }, answer.word), ` ${answer.sentence}.`),
         el("dl", { class: "pairs" }, answer.figures.map(({ name, text }) => [el("dt", {}, name), el("dd", {}, text)])),
-        el("p", { class: "note small" }, "The same on the command line:"), el("code", { class: "command" }, answer.command));
+        ...(answer.command ? [el("p", { class: "note small" }, "The same on the command line:"), el("code", { class: "command" }, answer.command)]
+          : [el("p", { class: "note small" }, "On the command line, socast ask answers for a live service only.")]));
     } catch (error) {
       if (error.name !== "AbortError") this.answer.replaceChildren(el("p", { class: "bad", role: "alert" }, nameFields(error.message)));
     }

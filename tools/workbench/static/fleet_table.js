@@ -24,7 +24,7 @@ const COLUMNS = [
   { key: "state", title: "State", text: true, value: stateOf, show: (value, socket, row) => (value === "silent" ? `silent ${duration(socket.value("age", row))}` : value) },
 ];
 const TROUBLE = { key: "risk", value: troubleOf };
-const SHOWN = { all: "All cars", riding: "In a ride", charging: "Charging", risky: "At risk", silent: "Silent" };
+const SHOWN = { all: "All cars", riding: "In a ride", charging: "Charging", risky: "At risk", silent: "Silent", "shift over": "Shift over" };
 
 // Whether a car is at risk; a silent one is if it was more likely than not to end below its reserve.
 export function isAtRisk(socket, row) {
@@ -44,6 +44,7 @@ function errorOf(socket, row) {
 }
 
 function stateOf(socket, row) {
+  if (socket.is("over", row) && !socket.is("riding", row)) return "shift over";
   if (socket.is("silent", row)) return "silent";
   if (socket.is("charging", row)) return "charging";
   return socket.is("riding", row) ? "riding" : "idle";

@@ -2,12 +2,15 @@
 
 import re
 
+import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from PIL import Image
 
-from socast.core.wire.messages import Finding, Message, encode
+from socast.core.wire.messages import Finding, Forecast, Message, encode
 from socast.tools.bench.workbench import BoardSource, make_fleet_messages
+from socast.tools.workbench.fleet.alarms import list_alarms
 from socast.tools.workbench.fleet.board import Board
 from socast.tools.workbench.jobs import Jobs
 from socast.tools.workbench.json_routes import Workbench
@@ -26,6 +29,7 @@ LARGEST_DIFFERENCE = 0.05
 PAGES = {"#/fleet": ".fleet-table tr.car", "#/car/taxi-001?km=18&min=25": ".answer .chip"}
 """Address of a page, and an element that shows that it is complete."""
 
+decode_forecast = msgspec.json.Decoder(Forecast).decode
 LOOK = "document.querySelector('canvas.map').toDataURL()"
 """Script that gives the picture of the map."""
 
@@ -201,8 +205,8 @@ def test_question_is_asked_by_a_form_and_kept_in_the_address(visit, player):
     page.get_by_label("Distance [km]").fill("18")
     page.get_by_label("Duration [min]").fill("25")
     page.get_by_role("button", name="Ask").click()
-    command = page.locator(".answer .command").text_content()
-    assert command == "socast ask taxi-001 --distance-km 18 --duration-s 1500"
+    page.locator(".answer .chip").wait_for()
+    assert page.locator(".answer .command").count() == 0
     assert "km=18" in page.url
     answer = player.ask("taxi-001", {"distance_km": "18", "duration_s": "1500"})
     assert f"reserve of {answer.reserve_soc_pct:g} %" in page.locator(".answer-line").text_content()
@@ -230,6 +234,37 @@ def test_text_of_messages_is_shown_as_text(browser):
         assert visit.page.locator("img").count() == 0
         visit.close()
     assert (visit.strangers, visit.errors) == ([], [])
+
+
+def test_plan_ends_with_the_energy_of_waiting_that_the_range_leaves_out(visit, player):
+    visit.go("#/car/taxi-001")
+    row = visit.page.locator(".legs-frame tbody tr").last
+    row.wait_for()
+    waiting = player.ask("taxi-001", {}).waiting_energy_kwh
+    assert row.text_content() == f"waiting, heating and empty ways until the end of the shift{waiting:.2f}"
+
+
+def test_car_whose_shift_is_over_is_named_so_and_has_no_risk(browser):
+    board = Board()
+    for second in (0.0, 60.0, 8000.0, 8060.0):
+        cars = [
+            decode_forecast(each.payload) for each in make_fleet_messages(3, second, np.random.default_rng(7))[1::2]
+        ]
+        ended = [replace(each, ride_id=None, ride_duration_s=0.0, reserve_risk=0.4) for each in cars]
+        for one in ended if second < 100.0 else ended[:2]:
+            board.take([Message(f"fleet/{one.vehicle_id}/forecast", encode(one), 0)])
+    with serve(Workbench(Workspace(), Jobs(), fleet=BoardSource(board))) as server:
+        visit = Visit(browser, server)
+        visit.go("#/fleet?show=shift over")
+        row = visit.page.locator(".fleet-table tr.car")
+        row.wait_for()
+        assert row.text_content().startswith("taxi-0002")
+        assert row.text_content().endswith("shift over")
+        assert row.locator("td").nth(3).text_content() == "–"
+        visit.go("#/car/taxi-0002")
+        visit.page.get_by_text("shift over").wait_for()
+        visit.close()
+    assert {alarm["car"] for alarm in list_alarms(board)["list"]} == {"taxi-0000", "taxi-0001"}
 
 
 def test_page_of_another_origin_reaches_nothing(browser, server):

@@ -1,22 +1,28 @@
 """A car whose clock is wrong silences no other car, and a car that is silent shows whoever sends."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from socast.core.wire.messages import Forecast, Message, QualityCounts, encode
 from socast.tools.workbench.fleet.alarms import list_alarms
 from socast.tools.workbench.fleet.board import Board
+from socast.tools.workbench.fleet.cars import describe_car
 from socast.tools.workbench.fleet.frames import HEAD, encode_frame
+from tests.support.outlooks import OUTLOOK
 
 NOW = 1.7e9
 DAY = 86_400.0
 
 
-def forecast(car, time, risk=0.9, soc=60.0, **quality):
-    """Return the forecast of a car in a ride."""
+def forecast(car, time, risk=0.9, soc=60.0, ride="r", shift_end=None, **quality):
+    """Return the forecast of a car."""
     counts = {name: quality.get(name, 0) for name in QualityCounts.__struct_fields__}
     energies = None, None, soc, 0.2, None, None, risk
-    value = Forecast(car, NOW + time, "r", "model/1", 1.0, 60.0, *energies, quality=QualityCounts(**counts))
+    duration = 60.0 if ride else 0.0
+    quality = QualityCounts(**counts)
+    value = Forecast(car, NOW + time, ride, "model/1", 1.0, duration, *energies, quality=quality, shift_end_s=shift_end)
     return Message(f"fleet/{car}/forecast", encode(value), 0)
 
 
@@ -69,6 +75,36 @@ def test_alarm_of_a_car_that_ran_low_stays_when_it_falls_silent(soc, risk, words
     run(board, ["a"], 75.0, 1500.0, risk=0.0)
     found = [each["words"] for each in list_alarms(board)["list"] if each["kind"] == "reserve"]
     assert found == ([] if words is None else [words])
+
+
+@pytest.mark.parametrize(
+    ("ride", "shift_end", "soc", "words"),
+    [
+        (None, NOW + 60.0, 30.0, None),
+        (None, NOW + 60.0, 0.0, "is empty"),
+        ("r", NOW + 60.0, 30.0, "was likely to end below its reserve when it sent last"),
+        (None, None, 30.0, "was likely to end below its reserve when it sent last"),
+        (None, NOW + 7200.0, 30.0, "was likely to end below its reserve when it sent last"),
+    ],
+)
+def test_car_between_rides_past_the_end_of_its_shift_has_no_risk_left(ride, shift_end, soc, words):
+    board = Board()
+    run(board, ["ended"], 0.0, 60.0, soc=soc, ride=ride, shift_end=shift_end)
+    run(board, ["a"], 75.0, 2000.0, risk=0.0)
+    found = [each["words"] for each in list_alarms(board)["list"] if each["kind"] == "reserve"]
+    assert found == ([] if words is None else [words])
+    is_over = ride is None and shift_end == NOW + 60.0
+    assert bool(board.find_over()[0]) is is_over
+    fleet = SimpleNamespace(board=board, get_parts=lambda _: None, ask=lambda *_: OUTLOOK)
+    record = describe_car(SimpleNamespace(fleet=fleet), SimpleNamespace(path={"car": "ended"}))
+    assert (record["is_shift_over"], np.isnan(record["values"]["risk"])) == (is_over, is_over)
+
+
+def test_shift_of_a_car_that_was_silent_for_hours_is_over():
+    board = Board()
+    run(board, ["gone"], 0.0, 60.0, ride=None)
+    run(board, ["a"], 75.0, 7400.0, step=60.0)
+    assert board.find_over().tolist() == [True, False]
 
 
 def test_two_wrong_clocks_silence_the_others_only_until_their_next_forecasts():

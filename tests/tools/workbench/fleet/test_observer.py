@@ -1,6 +1,8 @@
 """The observer shows what cars send and a service publishes, passes questions on, and publishes nothing itself."""
 
+import shlex
 from contextlib import closing
+from types import SimpleNamespace
 
 import pyarrow as pa
 import pytest
@@ -11,7 +13,9 @@ from socast.core.wire.messages import Forecast, Message, QualityCounts, Telemetr
 from socast.stream.zenoh_session import Connection, Node
 from socast.stream.zenoh_sink import ZenohSink
 from socast.tools.workbench.fleet.board import Board
+from socast.tools.workbench.fleet.cars import answer_question
 from socast.tools.workbench.fleet.observer import Observer
+from tests.support.commands import done
 from tests.support.zenoh_sessions import eventually, live
 
 NOW = 1.7e9
@@ -83,6 +87,19 @@ def test_question_goes_to_the_service(observed):
     with pytest.raises(AskError, match="distance_km is -1"):
         observer.ask("taxi-7", {"distance_km": "-1", "duration_s": "60"})
     assert observer.get_parts("taxi-7") is None
+
+
+def test_page_of_a_live_service_shows_the_command_that_gives_the_same_answer(observed, capsys):
+    observer, _, _ = observed
+    parameters = {"distance_km": "18", "duration_s": "1500", "zone": "America/Montreal"}
+    request = SimpleNamespace(path={"car": "taxi-7"}, parameters=parameters)
+    answer = answer_question(SimpleNamespace(fleet=observer), request)
+    program, *words = shlex.split(answer["command"])
+    assert (program, words[:6]) == ("socast", ["ask", "taxi-7", "--distance-km", "18", "--duration-min", "25"])
+    done(*words)
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"{answer['word']}: {answer['sentence']}")
+    assert all(figure["text"] in printed for figure in answer["figures"])
 
 
 def test_observer_publishes_nothing(observed):
