@@ -20,7 +20,7 @@ from socast.core.diagnose.findings import list_findings, measure_fleet_use, merg
 from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.diagnose.records import CarDeviation, Diagnosis, FoundEpisode, NamedEffect
 from socast.core.diagnose.siblings.groups import read_groups
-from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError, SettingsError
 from socast.core.files import write_whole
 from socast.core.fit.measured_rows import join_tables
