@@ -154,7 +154,7 @@ class TestHiddenEffect:
         assert first.causes == diagnosis.causes
         assert diagnosis.causes[0].effect == HIDDEN
         assert sum(cause.probability for cause in diagnosis.causes) == pytest.approx(1.0)
-        assert first.scope == "all"
+        assert first.scope == []
         assert first.columns == [f"effect_{first.variant}"]
         assert list_raw_columns(first.columns[0])
         assert first.probability > 0.8
