@@ -45,7 +45,7 @@ def page(result, tmp_path, **more):
 
 
 def test_terminal_shows_all_parts_in_order():
-    output = printed(make_diagnosis())
+    output = printed(make_diagnosis(), width=160)
     parts = [
         "634 rides of 5 vehicles on 10 vehicle-days, 2018-01-15 to 2018-09-13, in 7,428 windows.",
         "Excluded: 12 too short.",
