@@ -18,6 +18,8 @@ import zstandard
 from socast.core.wire.messages import BATCH, address
 from socast.core.wire.schema import make_schema
 
+RECORDING: Final = ".mcap"
+"""Ending of the name of a recording."""
 MAGIC: Final = b"\x89MCAP0\r\n"
 LARGEST_CHUNK: Final = 64 << 20
 """Largest size of a chunk, compressed or not, and of a message outside chunks; larger ones are left out. [B]"""

@@ -19,6 +19,7 @@ from socast.core.files import sync
 from socast.core.wire.messages import Message
 from socast.stream.closeable import Closeable
 from socast.stream.file_lock import FileLock
+from socast.stream.mcap_format import RECORDING
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
 from socast.stream.structured_log import event_fields
@@ -257,11 +258,11 @@ class Recorder(Closeable):
 
 def list_recordings(folder: Path) -> list[Path]:
     """Return the recordings in a folder by name; the files of a recorder are then in the order of their times."""
-    return sorted(folder.glob("*.mcap"), key=lambda path: _order(path.name))
+    return sorted(folder.glob(f"*{RECORDING}"), key=lambda path: _order(path.name))
 
 
 def _order(name: str) -> tuple[str, int]:
     """Return the time in the name of a file, and its number among files of the same time."""
-    stem = name.removesuffix(".mcap")
+    stem = name.removesuffix(RECORDING)
     numbered = re.fullmatch(r"(.*Z)-(\d+)", stem)
     return (numbered[1], int(numbered[2])) if numbered else (stem, 0)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from socast.core.batch import Ints
 from socast.core.cleaning import elevation, elevation_filter
 from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.clock import SIGMA
 from socast.core.cleaning.elevation import (
     BASE,
     LATE_ROAD,
@@ -46,8 +47,6 @@ ROUNDING: Final = 0.3
 """Least standard deviation of a fix: that of a height in whole metres, 1 / sqrt(12). [m]"""
 INDEPENDENT: Final = 5.0
 """Number of successive differences of fix and map that count as one, because their errors are correlated."""
-SIGMA: Final = 1.4826
-"""Ratio of the standard deviation of a Gaussian to the median of its absolute value. [1]"""
 
 ROUGHNESS: Final = 1e-6
 """Usual roughness: over 100 m, the slope changes by 1 %. [1/m]"""

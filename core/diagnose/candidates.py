@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from socast.core import effects
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.dataset import Windows
+from socast.core.effects import ROAD_LOAD
 from socast.core.effects.declaration import VARIANT
-from socast.core.effects.road_load import ROAD_LOAD
 from socast.core.fit.ride_blocks import get_numbers
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX

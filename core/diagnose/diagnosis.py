@@ -250,7 +250,7 @@ def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> Na
         probability=named.probability,
         causes=_list_causes(named.causes),
         credible_set=credible,
-        scope=" ".join(part.replace("=", " ") for part in named.candidates.scope) or "all",
+        scope=list(named.candidates.scope),
         columns=[f"{EFFECT_PREFIX}{named.variant}", *named.candidates.scope],
         gain=finding.gain.value,
         gain_ci95=make_interval(*finding.gain.interval),

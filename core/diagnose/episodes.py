@@ -42,7 +42,7 @@ from socast.core.diagnose.records import FoundEpisode
 from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.fit.row_noise import estimate_variance
 from socast.core.records import make_interval
-from socast.core.stats.scores import Estimate
+from socast.core.stats.scores import NORMAL_MEDIAN, Estimate
 
 LEVEL: Final = 0.01
 """Probability that a diagnosis without any episode reports one. [1]"""
@@ -69,8 +69,6 @@ PRIOR: Final = 10.0
 """Number of rides or vehicle-days by which the variance of a car is drawn to that of all cars."""
 LEAST_RIDES: Final = 3
 """Number of rides that an episode holds at least; a single ride is no property of a date."""
-NORMAL_MEDIAN: Final = 0.6745
-"""Median of the absolute value of a normal deviate."""
 HOURS: Final = 24
 CELLS: Final = 2_000_000
 """Number of rides times spans that are evaluated at once."""

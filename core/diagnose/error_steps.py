@@ -35,7 +35,7 @@ def compute_steps(
         rows.append(
             ErrorAfterEffect(
                 effect=None if finding is None else finding.selected.effect,
-                scope=" ".join(scope).replace("=", " ") or "all",
+                scope=list(scope),
                 mae_kwh=mean.value,
                 mae_ci95_kwh=mean.ci95,
                 change_kwh=None if change is None else change.value,

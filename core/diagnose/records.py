@@ -70,7 +70,7 @@ class NamedEffect(Record, frozen=True):
 
     effect: str
     variant: Annotated[str, declare("Variant of the effect that fits best.", "effect")] = ""
-    scope: Annotated[str, declare("Vehicles and dates for which it is missing, or `all`.", "for")] = "all"
+    scope: Annotated[list[str], declare("Where it is missing, as `--scope` takes it.", "for", "scope")] = []
     gain: Annotated[
         float | None, declare("Reduction of the squared error of rides on held-out days. [1]", "gain", "percent")
     ] = None
@@ -115,7 +115,6 @@ class TestedEffect(Record, frozen=True):
 
     effect: str
     variant: Annotated[str, declare("Variant that fits best.", "effect")] = ""
-    scope: Annotated[str, declare("Where it was tested.", "for")] = "all"
     z: Annotated[float | None, declare("Coefficient in standard errors. [1]", "z", "score")] = None
     p: Annotated[float | None, declare("p-value. [1]")] = None
     q: Annotated[float | None, declare("Rate of false effects up to this one. [1]", "q", "two digits")] = None
@@ -148,7 +147,7 @@ class ErrorAfterEffect(Record, frozen=True):
     """Hold the error of rides with the missing effects up to one."""
 
     effect: Annotated[str | None, declare("Effect that this step adds; None for none.")] = None
-    scope: str = "all"
+    scope: Annotated[list[str], declare("Where it is missing, as `--scope` takes it.")] = []
     mae_kwh: Annotated[float | None, declare("Mean absolute error of a ride. [kWh]")] = None
     mae_ci95_kwh: Annotated[float | None, declare("Half width of its 95 % interval. [kWh]")] = None
     change_kwh: Annotated[float | None, declare("Change from the step before. [kWh]")] = None
@@ -393,7 +392,9 @@ class Diagnosis(Record, frozen=True):
     @property
     def errors(self) -> pd.DataFrame:
         """How the error of rides falls, one row for each effect that is added. [kWh]"""
-        return make_frame(self.steps)
+        frame = make_frame(self.steps)
+        frame.insert(1, "scope", [step.scope for step in self.steps])
+        return frame
 
     @property
     def candidates(self) -> pd.DataFrame:

@@ -6,6 +6,7 @@ Other packages import the names of this package. Users' files import `effect` an
 from socast.core.effects.declaration import Effect, Parameter, effect
 from socast.core.effects.registry import (
     CANDIDATES,
+    ROAD_LOAD,
     get,
     get_library,
     group_by_topic,
@@ -17,6 +18,7 @@ from socast.core.effects.verification import check_effect
 
 __all__ = [
     "CANDIDATES",
+    "ROAD_LOAD",
     "Effect",
     "Parameter",
     "check_effect",

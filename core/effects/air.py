@@ -10,7 +10,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.columns import STANDARD_AIR_DENSITY
-from socast.core.effects.declaration import Effect, Parameter, effect
+from socast.core.effects.declaration import Parameter, effect
 
 _DRAG: Final = "Gillespie, Fundamentals of Vehicle Dynamics, SAE 1992, ch. 4"
 _DENSITY: Final = Parameter(STANDARD_AIR_DENSITY, "kg/m^3")
@@ -74,7 +74,8 @@ def crosswind_yaw(speed: Floats, headwind: Floats, crosswind: Floats, air_densit
 def air_density(speed: Floats, air_density: Floats, air_density_standard: float) -> Floats:
     """Air of other density than at 15 °C and sea level: P = 1/2 (ρ - ρ0) v^3, times A_d.
 
-    Air at -20 °C is 14 % denser than standard air. Air at 35 °C is 7 % thinner, and air at 1000 m 11 %.
+    Air at -20 °C is 14 % denser than standard air. Air at 35 °C is 7 % thinner, and air at 1000 m 11 %, where the power
+    is negative.
     """
     return 0.5 * (air_density - air_density_standard) * speed * speed * speed
 
@@ -96,7 +97,3 @@ def roof_load(speed: Floats, air_density: Floats) -> Floats:
     The shape is that of drag itself. The effect shows only where it comes and goes: in one car, or from a date on.
     """
     return 0.5 * air_density * speed * speed * speed
-
-
-AIR: Final[tuple[Effect, ...]] = (headwind, crosswind_yaw, air_density, roof_load)
-"""Effects of air, in the order of the list."""

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from socast.core.batch import Floats
-from socast.core.effects.declaration import Effect, Parameter, effect
+from socast.core.effects.declaration import Parameter, effect
 
 _COLD: Final = "Steinstraeter, Heinrich and Lienkamp 2021, World Electric Vehicle J. 12:115, DOI 10.3390/wevj12030115"
 _REVIEW: Final = "Alipour et al. 2020, Batteries 6:35, DOI 10.3390/batteries6030035"
@@ -112,7 +112,3 @@ def regen_full_battery(braking_force: Floats, speed: Floats, charge: Floats, thr
     s is the state of charge. The loss is relative to what the base regains by `inertia_negative` and `climbing_down`.
     """
     return braking_force * speed * np.maximum((charge - threshold) / (1.0 - threshold), 0.0)
-
-
-BATTERY: Final[tuple[Effect, ...]] = (battery_resistance, cold_battery_heating, cold_regen_limit, regen_full_battery)
-"""Effects of the battery, in the order of the list."""

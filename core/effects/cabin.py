@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from socast.core.batch import Floats
-from socast.core.effects.declaration import Effect, Parameter, effect
+from socast.core.effects.declaration import Parameter, effect
 
 _BALANCE: Final = "Fayazbakhsh and Bahrami 2013, SAE 2013-01-1507, DOI 10.4271/2013-01-1507, heat balance of a cabin"
 _MEASURED: Final = "heater and air-conditioning power of the Vehicle Energy Dataset, arXiv:1905.02081"
@@ -190,15 +190,3 @@ def demisting(
     above = ambient - frost
     saturation = magnus * np.exp(slope * above / (above + span))
     return np.maximum(vapour_pressure / saturation - damp, 0.0)
-
-
-CABIN: Final[tuple[Effect, ...]] = (
-    door_heat_loss,
-    cabin_heating,
-    cabin_cooling,
-    cabin_warmup,
-    solar_load,
-    humidity,
-    demisting,
-)
-"""Effects of cabin climate, in the order of the list."""

@@ -1,11 +1,9 @@
 """Effects of the 12 V side: constant consumers, and lights at night."""
 
-from typing import Final
-
 import numpy as np
 
 from socast.core.batch import Floats
-from socast.core.effects.declaration import Effect, Parameter, effect
+from socast.core.effects.declaration import Parameter, effect
 
 
 @effect(
@@ -47,7 +45,3 @@ def night_lights(sun_sine: Floats, *, dark: float, twilight: float) -> Floats:
     fewer of them within the width w above it. Lamps that are switched by a sensor come on before sunset.
     """
     return np.clip(1.0 + (dark - sun_sine) / twilight, 0.0, 1.0)
-
-
-ELECTRICS: Final[tuple[Effect, ...]] = (standby, night_lights)
-"""Effects of the 12 V side, in the order of the list."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.columns import GRAVITY
-from socast.core.effects.declaration import Effect, Parameter, effect
+from socast.core.effects.declaration import Parameter, effect
 
 _LOSSES: Final = "Larminie and Lowry, Electric Vehicle Technology Explained, 2nd ed., Wiley 2012, ch. 7, motor losses"
 
@@ -105,7 +105,8 @@ def payload(
 ) -> Floats:
     """Passengers and what they carry: P = (n - 1) (g (c cos θ + sin θ) + a) v, times a mass.
 
-    n people are aboard, one of them the driver; the car's mass already includes 75 kg for each.
+    n people are aboard, one of them the driver; the car's mass already includes 75 kg for each. The power is negative
+    downhill and while the car slows.
     """
     road = rolling_resistance * np.sqrt(1.0 - grade * grade) + grade
     return (occupants - 1.0) * (gravity * road + acceleration) * speed
@@ -131,14 +132,3 @@ def age(traction: Floats, braking_force: Floats, speed: Floats, odometer: Floats
     """
     driving = np.maximum(traction + braking_force, 0.0)
     return driving * speed * (odometer / span)
-
-
-POWERTRAIN: Final[tuple[Effect, ...]] = (
-    drivetrain_loss_speed,
-    drivetrain_loss_torque,
-    drivetrain_loss_power,
-    brake_drag,
-    payload,
-    age,
-)
-"""Effects of motor, gears, brakes and load, in the order of the list."""

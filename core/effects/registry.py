@@ -15,19 +15,13 @@ from collections import Counter
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import Final
 
 import msgspec
 
-from socast.core.effects.air import AIR
-from socast.core.effects.battery import BATTERY
-from socast.core.effects.cabin import CABIN
+from socast.core.effects import air, battery, cabin, electrics, powertrain, road_load, tyres
 from socast.core.effects.declaration import VARIANT, Effect
-from socast.core.effects.electrics import ELECTRICS
-from socast.core.effects.powertrain import POWERTRAIN
-from socast.core.effects.road_load import ROAD_LOAD
-from socast.core.effects.tyres import TYRES
 from socast.core.effects.verification import check_effect
 from socast.core.errors import EffectError, read_input
 
@@ -46,14 +40,23 @@ _DECLARATION: Final = {
     "Parameter.__init__()": 'Parameter(value, "unit", low, high, grid=(...))',
 }
 """How to write a declaration, by the name with which Python's errors call it."""
+
+
+def _list_declared(module: ModuleType) -> tuple[Effect, ...]:
+    """Return the effects that a module declares, in its order."""
+    return tuple(each for each in vars(module).values() if isinstance(each, Effect))
+
+
+ROAD_LOAD: Final = _list_declared(road_load)
+"""Base effects, in the order of the force balance."""
 CANDIDATES: Final[Mapping[str, tuple[Effect, ...]]] = MappingProxyType(
     {
-        "air": AIR,
-        "tyres and road": TYRES,
-        "cabin": CABIN,
-        "powertrain and load": POWERTRAIN,
-        "battery": BATTERY,
-        "electrics": ELECTRICS,
+        "air": _list_declared(air),
+        "tyres and road": _list_declared(tyres),
+        "cabin": _list_declared(cabin),
+        "powertrain and load": _list_declared(powertrain),
+        "battery": _list_declared(battery),
+        "electrics": _list_declared(electrics),
     }
 )
 """Candidate effects beyond the road load, by topic.

@@ -23,7 +23,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.columns import GRAVITY, STANDARD_AIR_DENSITY
-from socast.core.effects.declaration import Effect, Expectation, Parameter, effect
+from socast.core.effects.declaration import Expectation, Parameter, effect
 from socast.core.vehicles import ACCESSORIES, AccessoryCurve
 
 _GRAVITY: Final = {"gravity": Parameter(GRAVITY, "m/s^2")}
@@ -266,20 +266,3 @@ def accessories(
 def auxiliary(dt: Floats) -> Floats:
     """Consumers that are always on: P = 1, times a constant power."""
     return np.ones_like(dt, dtype=np.float64)
-
-
-ROAD_LOAD: Final[tuple[Effect, ...]] = (
-    rolling,
-    climbing,
-    climbing_up,
-    climbing_down,
-    aero_drag,
-    aero_drag_wind,
-    inertia,
-    inertia_positive,
-    inertia_negative,
-    braking,
-    accessories,
-    auxiliary,
-)
-"""Base effects, in the order of the force balance."""

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from socast.core.batch import Floats
-from socast.core.effects.declaration import Effect, Parameter, effect
+from socast.core.effects.declaration import Parameter, effect
 
 _VTI: Final = "Carlson and Vieira 2018, VTI rapport 971"
 
@@ -119,7 +119,3 @@ def cornering(mass: Floats, speed: Floats, turn_rate: Floats, grip: float) -> Fl
     """
     side = mass * np.minimum(speed * np.abs(turn_rate), grip)
     return side * side * speed
-
-
-TYRES: Final[tuple[Effect, ...]] = (cold_rolling, wet_road, snow, tyre_pressure, cornering)
-"""Effects of tyres and road, in the order of the list."""

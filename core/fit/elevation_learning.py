@@ -29,6 +29,7 @@ from threadpoolctl import threadpool_limits
 
 from socast.core.batch import Batch, Floats, Ints
 from socast.core.cleaning.clean_columns import Clean
+from socast.core.cleaning.clock import SIGMA
 from socast.core.cleaning.elevation_map import CORNERS, ElevationPlaces, number_nodes
 from socast.core.cleaning.quality import Quality
 from socast.core.columns import EARTH_RADIUS, SECONDS_PER_DAY, TELEMETRY
@@ -67,8 +68,6 @@ UNSEEN: Final = 1e-6
 """Factor of the weight of fixes that are to be predicted. [1]"""
 LEAST_SD: Final = 1e-3
 """Least standard deviation of errors, coefficients and offsets. [m]"""
-SIGMA: Final = 1.4826
-"""Ratio of the standard deviation of a Gaussian to the median of its absolute value. [1]"""
 MOVED: Final = 5.0
 """Least distance driven since the sample before. A fix of a standing car repeats the error of the one before it. [m]"""
 NEAR: Final = 5

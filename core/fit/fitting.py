@@ -38,7 +38,7 @@ import numpy as np
 from msgspec import UNSET
 
 from socast.core.batch import Floats
-from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError
 from socast.core.fit.accessory_curve import CURVE_NUMBERS, TemperatureBins
 from socast.core.fit.block_file import BlockFile

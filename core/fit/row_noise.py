@@ -9,6 +9,7 @@ from scipy.optimize import nnls
 from socast.core.batch import Floats
 from socast.core.fit.measurement_noise import compute_noise_variance, is_metered
 from socast.core.fit.ride_blocks import get_numbers
+from socast.core.stats.scores import NORMAL_MEDIAN
 
 CLIP: Final = 0.995
 """Quantile of the squared residuals at which they are clipped, so that outliers do not affect the usual variance."""
@@ -100,7 +101,7 @@ def compute_robust_weights(standardised: Floats) -> Floats:
     ----------
     Huber, Annals of Mathematical Statistics 35 (1964) 73, DOI 10.1214/aoms/1177703732.
     """
-    middle = float(np.median(np.abs(standardised))) / 0.6745
+    middle = float(np.median(np.abs(standardised))) / NORMAL_MEDIAN
     if middle <= 0.0:
         return np.ones(len(standardised))
     return np.minimum(1.0, ROBUST * middle / np.maximum(np.abs(standardised), 1e-300))

@@ -6,7 +6,7 @@ So are scopes, which are 1 for one vehicle (`vehicle=taxi-003`) or from a date o
 A term with a scope in its product applies only there.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, date, datetime
 from types import MappingProxyType
 from typing import Any, Final
@@ -79,6 +79,11 @@ ACCESSORY_NEEDS: Final = ("duration_s", "ambient_c", "accessory_scale")
 def is_scope(column: str) -> bool:
     """Return whether a column is a scope: 1 where a term applies, and 0 elsewhere."""
     return column.startswith((VEHICLE_SCOPE, SINCE_SCOPE))
+
+
+def list_scope(columns: Iterable[str]) -> list[str]:
+    """Return the scope of a term: those of its columns that limit it, such as `vehicle=taxi-003`."""
+    return [column for column in columns if is_scope(column)]
 
 
 def parse_since(column: str) -> float:

@@ -31,6 +31,8 @@ Codes = NDArray[np.int64]
 
 BANDS: Final = (5, 10, 15)
 """Relative errors within which rides are counted. [%]"""
+NORMAL_MEDIAN: Final = 0.6745
+"""Median of the absolute value of a normal deviate."""
 NORMAL_95: Final = float(ndtri(0.975))
 """Half width of a 95 % interval of a normal estimate. [standard errors]"""
 

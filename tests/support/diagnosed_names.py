@@ -15,7 +15,7 @@ def make_name(
         "variant": effect,
         "probability": probability,
         "credible_set": list(credible) or [effect],
-        "scope": "all",
+        "scope": [],
         "columns": [f"effect_{effect}"],
         "gain": 0.01,
         "energy_share": 0.03,

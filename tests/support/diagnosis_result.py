@@ -35,7 +35,7 @@ def make_missing_effect(**changes: Any) -> NamedEffect:
         "probability": 0.87,
         "causes": make_causes(),
         "credible_set": ["cold_rolling", "air_density"],
-        "scope": "all",
+        "scope": [],
         "columns": ["effect_cold_rolling@reference=283.15"],
         "gain": 0.031,
         "gain_ci95": [0.02, 0.042],
@@ -83,7 +83,7 @@ def make_step(effect: str | None, mae_kwh: float, **changes: Any) -> ErrorAfterE
     """Return one step of the falling error."""
     unknown = {"change_kwh": None, "change_ci95_kwh": None}
     return _convert({
-        "effect": effect, "scope": "all", "mae_kwh": mae_kwh, "mae_ci95_kwh": 0.004, "noise_floor_kwh": 0.037,
+        "effect": effect, "scope": [], "mae_kwh": mae_kwh, "mae_ci95_kwh": 0.004, "noise_floor_kwh": 0.037,
         **unknown,
     } | changes, ErrorAfterEffect)  # fmt: skip
 
@@ -119,7 +119,7 @@ def make_located_load(level="ride", *, claimed=True) -> LocatedLoad:
 def make_diagnosis(**changes: Any) -> Diagnosis:
     """Return a complete diagnosis: two missing effects, and structure that no effect explains."""
     of_one = make_missing_effect(
-        effect="brake_drag", variant="brake_drag", group=["brake_drag"], scope="vehicle taxi-003",
+        effect="brake_drag", variant="brake_drag", group=["brake_drag"], scope=["vehicle=taxi-003"],
         columns=["effect_brake_drag", "vehicle=taxi-003"], gain=0.006, gain_ci95=[0.001, 0.011], energy_share=0.004,
         q=0.02, coefficient={"value": 75.0, "ci95": [50.0, 100.0], "unit": "N", "low": 0.0, "high": 60.0,
         "plausible": False}, words="brakes rub with 75 ± 25 N", equivalents=[], separate=[],
@@ -151,11 +151,11 @@ def make_diagnosis(**changes: Any) -> Diagnosis:
         ],
         "missing": [make_missing_effect(), of_one],
         "candidates": [
-            {"effect": "cold_rolling", "variant": "cold_rolling@reference=283.15", "scope": "all", "z": 6.1,
+            {"effect": "cold_rolling", "variant": "cold_rolling@reference=283.15", "z": 6.1,
              "p": 1e-5, "q": 2e-4, "gain": 0.031, "status": "missing"},
-            {"effect": "snow", "variant": "snow", "scope": "all", "z": None, "p": None, "q": None, "gain": None,
+            {"effect": "snow", "variant": "snow", "z": None, "p": None, "q": None, "gain": None,
              "status": "not in the data"},
-            {"effect": "wet_road", "variant": "wet_road", "scope": "all", "z": 0.4, "p": 0.34, "q": 0.9,
+            {"effect": "wet_road", "variant": "wet_road", "z": 0.4, "p": 0.34, "q": 0.9,
              "gain": -0.0001, "status": "not needed"},
         ],
         "verdict": "cold_rolling",
@@ -169,7 +169,7 @@ def make_diagnosis(**changes: Any) -> Diagnosis:
         "steps": [
             make_step(None, 0.055),
             make_step("cold_rolling", 0.048, change_kwh=-0.007, change_ci95_kwh=0.002),
-            make_step("brake_drag", 0.046, scope="vehicle taxi-003", change_kwh=-0.002, change_ci95_kwh=0.001),
+            make_step("brake_drag", 0.046, scope=["vehicle=taxi-003"], change_kwh=-0.002, change_ci95_kwh=0.001),
         ],
         "profiles": [
             make_profile("average_speed_kmh", "km/h", [10.0, 30.0, 60.0]),

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from socast.core.columns import GRAVITY
-from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.effects import ROAD_LOAD
 from socast.core.fit.fitting import fit_terms
 from socast.core.fit.recipes import LinearRecipe, make_term
 from socast.core.fit.ride_blocks import RideFrame

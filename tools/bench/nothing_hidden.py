@@ -21,6 +21,8 @@ from typing import Any, Final, NamedTuple
 
 from rich.console import Console
 
+from socast.core.diagnose.add.error_fall import read_scope
+from socast.core.diagnose.add.terms import name_scoped
 from socast.core.errors import SettingsError, SocastError
 from socast.tools.bench.figures.published import publish
 from socast.tools.terminal.rich_table import Column, make_table
@@ -45,7 +47,7 @@ class Fleet(NamedTuple):
     rides, windows : int
         Number of rides and windows that were diagnosed.
     named : list of str
-        Effects that the diagnosis names, with their scopes; each name is false.
+        Effects that the diagnosis names, each with its scope; each name is false.
     z : dict of str to float
         Coefficient of each candidate over its standard error, beside the base alone.
     """
@@ -184,9 +186,7 @@ def run_command(tree: Path, words: Sequence[str]) -> None:
 
 def read_fleet(seed: int, result: Mapping[str, Any]) -> Fleet:
     """Return what a diagnosis found in a fleet."""
-    named = [
-        m["effect"] if m["scope"] == "all" else f"{m['effect']} ({m['scope']})" for m in result.get("missing") or ()
-    ]
+    named = [name_scoped(m["effect"], read_scope(m)) for m in result.get("missing") or ()]
     z = {row["effect"]: float(row["z"]) for row in result["candidates"] if row["z"] is not None}
     return Fleet(seed, result["data"]["rides"], result["data"]["windows"], named, z)
 

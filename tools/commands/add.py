@@ -104,7 +104,7 @@ def survey_both(
 def try_effect(
     model: LinearModel,
     effect: str,
-    scopes: Sequence[str],
+    scope: Sequence[str],
     rides: pd.DataFrame,
     windows: pd.DataFrame,
     *,
@@ -118,6 +118,6 @@ def try_effect(
     report : callable
         Function that receives the share of the work that is done and the step in words.
     """
-    columns = build_term_columns(effect, scopes)
+    columns = build_term_columns(effect, scope)
     joined = join_tables(rides, windows)
     return add.add_effect(model, effect, columns, joined, rides=rides, least=least, report=report)

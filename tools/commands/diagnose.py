@@ -20,13 +20,13 @@ from socast.core.diagnose.findings import list_findings, measure_fleet_use, merg
 from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.diagnose.records import CarDeviation, Diagnosis, FoundEpisode, NamedEffect
 from socast.core.diagnose.siblings.groups import read_groups
-from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError, SettingsError
 from socast.core.files import write_whole
 from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.ride_blocks import get_names
 from socast.core.models import BUILT_IN_MODELS, VEHICLE, VEHICLE_MODEL, LinearModel
-from socast.core.models.features import EFFECT_PREFIX, FEATURES, is_scope
+from socast.core.models.features import EFFECT_PREFIX, FEATURES, list_scope
 from socast.core.wire.messages import Finding
 from socast.tools.cluster.dask_runner import ClusterPlace
 from socast.tools.terminal.cluster_option import insert_cluster_options
@@ -204,8 +204,8 @@ def insert_commands(result: Diagnosis, model: str, source: RideSource) -> Diagno
     def add_command(entry: Entry) -> Entry:
         if not entry.columns:
             return entry
-        name, scopes = parse_term(entry)
-        within: list[str] = [word for scope in scopes for word in ("--scope", scope)]
+        name, scope = parse_term(entry)
+        within: list[str] = [word for part in scope for word in ("--scope", part)]
         file = f"{stem}-{name.partition('@')[0]}.json"
         command = shlex.join(["socast", "add", name, *data, "--model", model, *own, *within, "-o", file])
         shadow = shlex.join(["socast", "live", "--model", model, "--model", file, *own])
@@ -220,9 +220,9 @@ def insert_commands(result: Diagnosis, model: str, source: RideSource) -> Diagno
 
 
 def parse_term(entry: NamedEffect | CarDeviation) -> tuple[str, list[str]]:
-    """Return the name of a missing effect, or of its variant, and its scopes."""
+    """Return the name of a missing effect, or of its variant, and its scope."""
     names = [column.removeprefix(EFFECT_PREFIX) for column in entry.columns if column.startswith(EFFECT_PREFIX)]
-    return names[0], [column for column in entry.columns if is_scope(column)]
+    return names[0], list_scope(entry.columns)
 
 
 def _keep_findings(result: Diagnosis, rides: pd.DataFrame, earlier: list[Finding], file: Path) -> list[Finding]:
@@ -296,12 +296,12 @@ def _auto(
         entry = result.leading or find_leading_deviation([one for one in result.deviations if one.columns])
         if entry is None:
             break
-        name, scopes = parse_term(entry)
+        name, scope = parse_term(entry)
         try:
             added = add.add_effect(
                 model,
                 name,
-                build_term_columns(name, scopes),
+                build_term_columns(name, scope),
                 rows,
                 rides=rides,
                 least=max(least_gain, LEAST_GAIN),

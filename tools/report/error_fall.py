@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.text import Text
 
 from socast.core.diagnose.add.error_fall import ErrorFall, ErrorStep, Spread
+from socast.core.diagnose.add.terms import name_scoped
 from socast.core.formatting import format_count, format_minus
 
 WH: Final = 1000.0
@@ -112,7 +113,7 @@ def describe_step(step: ErrorStep) -> str:
 
 def name_step(step: ErrorStep) -> str:
     """Return the effect of a step with its scope."""
-    return step.effect if step.scope == "all" else f"{step.effect} ({step.scope})"
+    return name_scoped(step.effect, step.scope)
 
 
 def _get_outcome(step: ErrorStep) -> str:

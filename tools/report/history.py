@@ -8,7 +8,8 @@ import msgspec
 from rich.console import Console
 from rich.text import Text
 
-from socast.core.diagnose.add.error_fall import ATTEMPTS, ErrorStep, list_error_steps, read_step
+from socast.core.diagnose.add.error_fall import ATTEMPTS, ErrorStep, list_error_steps, read_scope, read_step
+from socast.core.diagnose.add.terms import name_scoped
 from socast.core.diagnose.records import EstimatedCoefficient
 from socast.core.evaluate.compare.records import ResidualSurvey
 from socast.core.formatting import format_minus
@@ -97,7 +98,7 @@ def _outcome(trial: Entry) -> str:
     """Return a sentence that states whether the effect helps, and why."""
     words = {"add": "helps", "refused": "does not help", "undecided": "may or may not help"}
     outcome = str(trial.get("outcome") or ("add" if trial.get("accepted") else "refused"))
-    return f"{trial.get('effect')}{_scope(trial)} {words[outcome]}: {trial.get('reason')}."
+    return f"{_name(trial)} {words[outcome]}: {trial.get('reason')}."
 
 
 def build_trial_sections(trial: Entry) -> list[Section]:
@@ -108,7 +109,7 @@ def build_trial_sections(trial: Entry) -> list[Section]:
         f"Measurement noise alone: {format_energy(trial.get('noise_floor_kwh'))}.{_compare_given(trial)} {TRIAL_NOTE}"
     )
     heads = ("rides", "vehicle-\ndays", "before,\nkWh", "after,\nkWh", "change,\nkWh", "change")
-    title = f"{trial.get('effect')}{_scope(trial)}: before and after"
+    title = f"{_name(trial)}: before and after"
     tables = [ReportTable("Mean absolute error of a ride", "evaluated on", heads, rows, (floor,))]
     parts = get_mapping(trial, "conditions")
     for what, bins in parts.items():
@@ -208,7 +209,7 @@ def describe_progress(model: LinearModel) -> str:
         return "No effect has been tried. Find a missing effect with socast diagnose, and add it with socast add."
     taken = [step for step in tried if step["action"] == "add"]
     first, floor = tried[0].get("mae_before_kwh"), tried[-1].get("noise_floor_kwh")
-    names = ", ".join(f"{step.get('effect')}{_scope(step)}" for step in taken)
+    names = ", ".join(map(_name, taken))
     added = f"Added: {names}" if taken else "No effect was added"
     numbers = {word: sum(step["action"] == word for step in tried) for word in ATTEMPTS[1:]}
     beside = "".join(f", {format_count(number)} {word}" for word, number in numbers.items() if number)
@@ -238,7 +239,7 @@ def _step(place: int, entry: Entry) -> Row:
     done = "added by force" if entry.get("forced") else "added" if action == "add" else action
     final = get_mapping(entry, "final")
     return Row(
-        f"{place}. {entry.get('effect')}{_scope(entry)}",
+        f"{place}. {_name(entry)}",
         (
             Cell(done),
             Cell(_error(entry.get("mae_before_kwh"))),
@@ -270,7 +271,7 @@ def _past(action: str) -> str:
 
 def _describe_attempt(entry: Entry) -> str:
     """Return what the coefficient of an effect means, or why the effect was refused."""
-    name = f"{entry.get('effect')}{_scope(entry)}"
+    name = _name(entry)
     if entry["action"] != "add":
         return f"{name} was {entry['action']}: {entry.get('reason')}"
     plausible = get_mapping(entry, "coefficient").get("plausible", True)
@@ -289,9 +290,8 @@ def _draw_steps(steps: Sequence[ErrorStep]) -> list[Drawing]:
     return [Drawing("falling", "Error before and after each step", CAPTION, svg)] if svg else []
 
 
-def _scope(entry: Entry) -> str:
-    scope = str(entry.get("scope") or "all")
-    return "" if scope == "all" else f" ({scope})"
+def _name(entry: Entry) -> str:
+    return name_scoped(str(entry.get("effect")), read_scope(entry))
 
 
 def _error(value: Any) -> str:

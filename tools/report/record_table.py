@@ -36,6 +36,7 @@ FORMATS: Final[Mapping[str, Callable[[Any], str]]] = MappingProxyType(
     {
         "text": lambda value: UNKNOWN if value in {None, ""} else str(value),
         "names": lambda value: ", ".join(value) or UNKNOWN,
+        "scope": lambda value: ", ".join(value) or "all",
         "number of": lambda value: format_count(len(value)),
         "count": format_count,
         "energy": format_energy,

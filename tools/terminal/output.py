@@ -19,14 +19,14 @@ from socast.core.files import write_whole
 STANDARD_OUTPUT: Final = Path("-")
 """The file name that means standard output."""
 REPORT_VERSIONS: Final[Mapping[str, int]] = {
-    "add": 1,
+    "add": 2,
     "anonymise": 1,
     "ask": 1,
     "check": 1,
     "cluster": 1,
     "compare": 2,
     "demo": 1,
-    "diagnose": 3,
+    "diagnose": 4,
     "effect": 1,
     "effects": 1,
     "elevation": 1,
@@ -34,7 +34,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "evaluate-soc": 1,
     "findings": 1,
     "fit": 1,
-    "history": 1,
+    "history": 2,
     "import": 1,
     "info": 1,
     "quality": 1,

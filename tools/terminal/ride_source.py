@@ -23,6 +23,7 @@ from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
 from socast.stream.elevation_files import open_elevation
 from socast.stream.loop import collect_garbage_rarely, feed
+from socast.stream.mcap_format import RECORDING
 from socast.stream.mcap_reader import McapSource
 from socast.stream.recorder import list_recordings
 from socast.stream.source import merge_sources
@@ -43,7 +44,6 @@ from socast.tools.terminal.recordings import (
 from socast.tools.terminal.table_files import KEY, PARQUET, is_table, is_window_table, join_parts, read
 from socast.tools.terminal.table_source import are_dated, complete_tables
 
-RECORDING: Final = ".mcap"
 RIDES, WINDOWS = "rides.parquet", "windows.parquet"
 ROW_GROUP: Final = 2000
 """Number of rides per row group; it keeps memory independent of the length of the recording."""

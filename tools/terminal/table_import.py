@@ -7,6 +7,7 @@ from rich.console import Console
 
 from socast.core.errors import ImportFileError, SettingsError
 from socast.core.files import write_whole
+from socast.stream.mcap_format import RECORDING
 from socast.stream.recording_metadata import INVENTED
 from socast.tools.importers.table.column_map import FileFormat, parse_map, read_map
 from socast.tools.importers.table.conversion import convert_tables, open_tables
@@ -24,8 +25,6 @@ INVENTED_ORIGIN: Final = 1_577_836_800.0
 """Time of the first file of a sequence without an origin of its own: 2020-01-01. [Unix s]"""
 TABLE_KINDS = tuple(KINDS)
 """Kinds of tables that `socast import` reads with a map."""
-RECORDING = ".mcap"
-"""Ending of a recording."""
 
 
 class TableImport(NamedTuple):

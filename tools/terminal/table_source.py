@@ -11,6 +11,7 @@ import pandas as pd
 from socast.core.errors import SocastError
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.settings import Settings
+from socast.stream.mcap_format import RECORDING
 from socast.stream.mcap_reader import McapSource
 from socast.stream.recording_metadata import INVENTED
 from socast.tools.terminal.table_files import KEY, WINDOW
@@ -65,7 +66,7 @@ def is_dated(recording: Path) -> bool:
 
 def are_dated(files: Sequence[Path]) -> bool:
     """Return whether the dates of all recordings, or of all files of rides, are known."""
-    if files[0].suffix == ".mcap":
+    if files[0].suffix == RECORDING:
         return all(map(is_dated, files))
     sources = [read_source(file.parent) for file in files]
     return all(source is None or source.dated for source in sources)

@@ -13,12 +13,13 @@ from socast.core.files import replacing
 from socast.core.forecast.forecast_table import FORECAST_COLUMNS, is_forecast, tabulate_forecasts
 from socast.core.formatting import format_count
 from socast.core.wire.messages import BATCH
+from socast.stream.mcap_format import RECORDING
 from socast.stream.mcap_reader import McapSource
 from socast.tools.testing.difference_report import format_comparison
 from socast.tools.testing.table_differences import TableComparison, compare_tables, find_key
 from socast.tools.testing.tolerances import Tolerances, resolve_tolerances
 
-RECORDING, CSV, PARQUET = ".mcap", ".csv", ".parquet"
+CSV, PARQUET = ".csv", ".parquet"
 SUFFIXES: Final = (CSV, PARQUET)
 """Ends of the names of files that hold a table."""
 ROWS: Final = {("vehicle_id", "time_s"): "forecast", ("vehicle_id", "start_s"): "ride", ("counter",): "counter"}

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from socast.tools.testing.live_consumer import LiveConsumer
     from socast.tools.testing.replayed import Replayed
 
-RECORDING = "socast_recording"
+FIXTURE = "socast_recording"
 """Argument of a test that runs once for each recording of the project."""
 RECORDINGS = "socast_recordings"
 """Setting, and marker of a test, with the patterns of these recordings."""
@@ -41,12 +41,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Declare the marker."""
-    config.addinivalue_line("markers", f"{RECORDINGS}(*patterns): recordings with which {RECORDING} runs this test")
+    config.addinivalue_line("markers", f"{RECORDINGS}(*patterns): recordings with which {FIXTURE} runs this test")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run a test with the argument `socast_recording` once for each recording of the project."""
-    if RECORDING not in metafunc.fixturenames:
+    if FIXTURE not in metafunc.fixturenames:
         return
     mark, root = metafunc.definition.get_closest_marker(RECORDINGS), metafunc.config.rootpath
     patterns = [str(each) for each in (mark.args if mark else metafunc.config.getini(RECORDINGS))]
@@ -61,7 +61,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         )
     stems = [file.stem for file in files]
     names = stems if len({*stems}) == len(stems) else [relpath(file, root) for file in files]
-    metafunc.parametrize(RECORDING, files, ids=names)
+    metafunc.parametrize(FIXTURE, files, ids=names)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

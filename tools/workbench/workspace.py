@@ -16,9 +16,10 @@ from socast.core.diagnose.records import Diagnosis
 from socast.core.errors import ModelError, SettingsError, SocastError
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.models import BUILT_IN_MODELS, EXTENDED_PHYSICAL, LinearModel
+from socast.stream.mcap_format import RECORDING
 from socast.tools.commands.compare import named
 from socast.tools.commands.diagnose import check_tables, list_lacking_effects
-from socast.tools.terminal.ride_source import RECORDING, RideSource
+from socast.tools.terminal.ride_source import RideSource
 from socast.tools.workbench.loop.model_tree import ModelNode, ModelTree
 from socast.tools.workbench.loop.own_effects import OwnEffects
 

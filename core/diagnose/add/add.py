@@ -51,7 +51,6 @@ from socast.core.diagnose.add.refit import (
 from socast.core.diagnose.add.terms import (
     build_effect_term,
     describe_coefficient,
-    describe_scope,
     explain_coefficient,
     is_additive,
     warn_if_implausible,
@@ -67,7 +66,7 @@ from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_t
 from socast.core.fit.window_recipe import WindowRecipe
 from socast.core.formatting import format_minus, rounded
 from socast.core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamp
-from socast.core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, is_scope, list_raw_columns
+from socast.core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, list_raw_columns, list_scope
 from socast.core.records import to_json_values
 
 ADDED: Final = "add"
@@ -141,7 +140,7 @@ def add_effect(
             "action": results["outcome"],
             "effect": effect,
             "columns": list(columns),
-            "scope": describe_scope(columns),
+            "scope": list_scope(columns),
             **results,
             **_describe_coefficients(declared, pair),
             "least_gain": least,
@@ -207,7 +206,7 @@ def _find_active_rides(declared: Effect, term: Term, data: RideRows) -> Mask:
     active: Mask = size > 0.0
     if active.any():
         return active
-    for column in filter(is_scope, term.columns):
+    for column in list_scope(term.columns):
         if not Columns(data.rows)[column].any():
             raise ModelError(f"no ride is within the scope {column}: the rides are of {_describe_reach(data, column)}")
     shown = f"; record {declared.shown_by}" if declared.shown_by else ""

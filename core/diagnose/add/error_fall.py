@@ -17,6 +17,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.fit.measurement_noise import MEAN_OVER_SD
+from socast.core.models.features import list_scope
 from socast.core.stats.clustered import compute_clustered_mean, compute_fieller_interval
 from socast.core.stats.scores import Codes
 
@@ -97,8 +98,10 @@ class ErrorStep(NamedTuple):
 
     Parameters
     ----------
-    effect, scope : str
-        Effect, and where it holds; `all` for everywhere.
+    effect : str
+        Effect.
+    scope : sequence of str
+        Where it holds, such as `vehicle=taxi-003`; empty for all vehicles and dates.
     forced : bool
         Whether the effect was added although the trial did not accept it.
     held_out, final : ErrorFall
@@ -107,7 +110,7 @@ class ErrorStep(NamedTuple):
     """
 
     effect: str
-    scope: str
+    scope: Sequence[str]
     action: str
     forced: bool
     held_out: ErrorFall
@@ -168,15 +171,21 @@ def list_error_steps(history: Sequence[Mapping[str, Any]]) -> list[ErrorStep]:
 
 def read_step(entry: Mapping[str, Any]) -> ErrorStep:
     """Return the step of an entry in the history of a model, or of a trial."""
-    scope, action = entry.get("scope") or "all", entry.get("action") or entry.get("outcome")
+    action = entry.get("action") or entry.get("outcome")
     return ErrorStep(
         str(entry.get("effect")),
-        str(scope),
+        read_scope(entry),
         str(action),
         bool(entry.get("forced")),
         read_fall(entry.get("of_effect")),
         read_fall(entry.get("final")),
     )
+
+
+def read_scope(entry: Mapping[str, Any]) -> list[str]:
+    """Return the scope of the effect of an entry in the history of a model."""
+    columns = entry.get("columns")
+    return list_scope(map(str, columns)) if isinstance(columns, list) else []
 
 
 def read_fall(given: Any) -> ErrorFall:

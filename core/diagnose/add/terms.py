@@ -16,6 +16,7 @@ from socast.core.models.features import (
     derive_coefficient_unit,
     get_unit,
     is_scope,
+    list_scope,
 )
 from socast.core.records import make_interval
 from socast.core.stats.scores import Estimate
@@ -44,13 +45,13 @@ _CONSTANTS: Final = frozenset(
 """Columns that are equal, or nearly equal, in all windows of a ride."""
 
 
-def build_term_columns(effect: str, scopes: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the columns of the term of an effect that holds within scopes.
+def build_term_columns(effect: str, scope: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the columns of the term of an effect that holds within a scope.
 
     Parameters
     ----------
-    scopes : sequence of str
-        `vehicle=ID` or `since=YYYY-MM-DD`, at most one of each kind; the term holds where all scopes do.
+    scope : sequence of str
+        `vehicle=ID`, `since=YYYY-MM-DD` or both; the term holds where all parts do.
 
     Examples
     --------
@@ -58,25 +59,25 @@ def build_term_columns(effect: str, scopes: Sequence[str] = ()) -> tuple[str, ..
     ('effect_cold_rolling', 'vehicle=taxi-003')
     """
     declared = effects.get(effect)
-    kinds = [scope.partition("=")[0] for scope in scopes]
-    for scope, kind in zip(scopes, kinds, strict=True):
-        if not is_scope(scope):
-            raise ModelError(f"scope {scope!r} is not valid: write {VEHICLE_SCOPE}ID or {SINCE_SCOPE}YYYY-MM-DD")
-        get_unit(scope)
+    kinds = [part.partition("=")[0] for part in scope]
+    for part, kind in zip(scope, kinds, strict=True):
+        if not is_scope(part):
+            raise ModelError(f"scope {part!r} is not valid: write {VEHICLE_SCOPE}ID or {SINCE_SCOPE}YYYY-MM-DD")
+        get_unit(part)
         if kinds.count(kind) > 1:
-            raise ModelError(f"scope {scope!r}: two scopes of this kind are given: add the effect once for each")
-    return (declared.energy_name, *scopes)
+            raise ModelError(f"scope {part!r}: two scopes of this kind are given: add the effect once for each")
+    return (declared.energy_name, *scope)
 
 
-def describe_scope(columns: Sequence[str]) -> str:
-    """Return the vehicle and the date from which a term holds, or `all`.
+def name_scoped(effect: str, scope: Sequence[str]) -> str:
+    """Return the name of an effect, and where it holds unless that is everywhere.
 
     Examples
     --------
-    >>> describe_scope(("effect_snow", "vehicle=taxi-003", "since=2018-06-01")), describe_scope(("effect_snow",))
-    ('vehicle taxi-003, since 2018-06-01', 'all')
+    >>> name_scoped("snow", ["vehicle=taxi-003", "since=2018-06-01"]), name_scoped("snow", [])
+    ('snow (vehicle=taxi-003, since=2018-06-01)', 'snow')
     """
-    return ", ".join(column.replace("=", " ", 1) for column in columns if is_scope(column)) or "all"
+    return f"{effect} ({', '.join(scope)})" if scope else effect
 
 
 def is_additive(terms: Sequence[Term]) -> bool:
@@ -105,15 +106,15 @@ def build_effect_term(model: LinearModel, effect: str, columns: tuple[str, ...])
             f"model {model.name} has {part}, which learn every missing effect: add effects to a model without them, "
             "such as one of the recipe road_load"
         )
-    scopes = [column for column in columns if is_scope(column)]
+    scope = list_scope(columns)
     for term in model.terms:
         of_term = [c.removeprefix(EFFECT_PREFIX).partition("@")[0] for c in term.columns if c.startswith(EFFECT_PREFIX)]
-        if effect.partition("@")[0] in of_term and sorted(filter(is_scope, term.columns)) == sorted(scopes):
+        if effect.partition("@")[0] in of_term and sorted(list_scope(term.columns)) == sorted(scope):
             raise ModelError(
                 f"effect {effect} is in model {model.name} already, as the term {term.name!r}: choose another, or give "
                 "it a --scope"
             )
-    return Term(name=", ".join([effect, *scopes]), columns=columns, unit=derive_coefficient_unit(columns))
+    return Term(name=", ".join([effect, *scope]), columns=columns, unit=derive_coefficient_unit(columns))
 
 
 def describe_coefficient(declared: Effect, estimate: Estimate) -> EstimatedCoefficient:

@@ -11,7 +11,7 @@ from socast.core.diagnose.siblings.scan import Scan
 CREDIBLE: Final = 0.9
 """Probability that a credible set holds."""
 TAIL: Final = (6.5, 7.8)
-"""Parameters ν and ν0 of the tempering of evidence between causes, see `weigh_causes`."""
+"""Parameters ν and ν0 of the tempering of evidence, see `weigh_causes`; fitted on 31 simulated data sets."""
 
 
 def weigh_causes(scan: Scan, sign: Ints) -> Floats:

@@ -25,7 +25,9 @@ PRIOR_CARS: Final = 4.0
 ROUNDS: Final = 12
 """Number of steps of expectation and maximisation."""
 EVERYWHERE_SHARE: Final = 0.01
-"""Expected size of an effect that all cars of a model have and that was not found, as a share of the energy. [1]"""
+"""Expected size of an effect that all cars of a model have and that was not found, as a share of the energy. [1]
+
+Without such effects, a simulated fleet in which nothing was hidden named `cornering`."""
 RIDGE: Final = 1e-9
 """Share of the diagonal that is added before a matrix is inverted."""
 

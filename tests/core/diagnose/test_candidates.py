@@ -7,7 +7,7 @@ import pytest
 
 from socast.core import effects
 from socast.core.diagnose.candidates import LEAST_SHARE, build_candidates
-from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.effects import ROAD_LOAD
 from socast.core.fit.fitting import fit_terms
 from socast.core.fit.recipes import ROAD_LOAD_TERMS, LinearRecipe
 from socast.core.fit.ride_blocks import RideFrame

@@ -18,7 +18,7 @@ from socast.core.diagnose.dataset import LEAST_RIDES, gather_windows
 from socast.core.diagnose.diagnosis import diagnose
 from socast.core.diagnose.records import CarDeviation, Comparisons, DiagnosedModel, Diagnosis, HeldOutRides
 from socast.core.diagnose.siblings.deviations import keep_declared_values
-from socast.core.effects.road_load import ROAD_LOAD
+from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.models.features import list_raw_columns
@@ -154,7 +154,7 @@ class TestHiddenEffect:
         assert first.causes == diagnosis.causes
         assert diagnosis.causes[0].effect == HIDDEN
         assert sum(cause.probability for cause in diagnosis.causes) == pytest.approx(1.0)
-        assert first.scope == "all"
+        assert first.scope == []
         assert first.columns == [f"effect_{first.variant}"]
         assert list_raw_columns(first.columns[0])
         assert first.probability > 0.8

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from socast.core.columns import GRAVITY
-from socast.core.effects import check_effect, get, get_library
-from socast.core.effects.road_load import ROAD_LOAD, STANDARD_AIR_DENSITY
+from socast.core.effects import ROAD_LOAD, check_effect, get, get_library
+from socast.core.effects.road_load import STANDARD_AIR_DENSITY
 from socast.core.effects.verification import ORDINARY_DRIVING
 from socast.core.vehicles import ACCESSORIES
 

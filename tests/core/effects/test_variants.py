@@ -27,7 +27,7 @@ def shift(n=240, seed=3):
         "occupants": np.where(np.arange(n) < n // 2, 1, 3),
         "soc_pct": np.where(np.arange(n) < 20, np.nan, 98.0),
         "odometer_km": np.where(np.arange(n) < 9, np.nan, 60_000.0),
-        "battery_temperature_c": np.where(np.arange(n) < n // 3, np.nan, -12.0),
+        "battery_temperature_c": np.where(np.arange(n) < n // 3, np.nan, np.linspace(-40.0, 45.0, n)),
         "longitude_deg": base["longitude_deg"] + 2e-5 * np.cumsum(np.sin(np.arange(n) / 9)),
         "ride_id": np.repeat(np.array(["A", "B"], dtype=object), n // 2),
     }

@@ -6,8 +6,8 @@ import pytest
 
 from socast.core import effects
 from socast.core.columns import ZERO_CELSIUS
+from socast.core.effects import ROAD_LOAD
 from socast.core.effects.declaration import Expectation
-from socast.core.effects.road_load import ROAD_LOAD
 from socast.core.errors import EffectError
 from socast.core.fit.priors import (
     build_curve,

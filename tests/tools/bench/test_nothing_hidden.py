@@ -22,7 +22,7 @@ from socast.tools.bench.nothing_hidden import (
 def make_diagnosis(z, missing=()):
     """Return the part of a diagnosis that the measurement reads."""
     rows = [{"effect": name, "z": value} for name, value in z.items()]
-    named = [{"effect": name, "scope": scope} for name, scope in missing]
+    named = [{"effect": name, "columns": [f"effect_{name}", *scope]} for name, *scope in missing]
     return {"data": {"rides": 30, "windows": 200}, "missing": named, "candidates": rows}
 
 
@@ -39,9 +39,9 @@ def test_trees_must_hold_the_product(tmp_path):
 
 
 def test_names_count_with_and_without_scope():
-    one = read_fleet(1, make_diagnosis({"snow": 4.0, "payload": None}, [("snow", "vehicle taxi-001")]))
+    one = read_fleet(1, make_diagnosis({"snow": 4.0, "payload": None}, [("snow", "vehicle=taxi-001")]))
     other = read_fleet(2, make_diagnosis({"snow": -1.0, "payload": 0.5}))
-    assert one.named == ["snow (vehicle taxi-001)"]
+    assert one.named == ["snow (vehicle=taxi-001)"]
     snow, payload = summarise_effects([one, other])
     assert (snow.effect, snow.fleets, snow.least, snow.median, snow.most, snow.named) == ("snow", 2, -1.0, 1.5, 4.0, 1)
     assert (payload.fleets, payload.named) == (1, 0)

@@ -31,7 +31,7 @@ def attempt(effect: str, action: str, before: float, after: float, **more: Any) 
     compared["change_kwh"] = {"value": after - before, "ci95": 0.01}
     coefficient = {"value": 1e-4, "ci95": [0.8e-4, 1.2e-4], "unit": "1/K", "low": 2e-5, "high": 3e-4, "plausible": True}
     return {
-        "action": action, "effect": effect, "columns": [f"effect_{effect}"], "scope": "all", **compared,
+        "action": action, "effect": effect, "columns": [f"effect_{effect}"], **compared,
         "gain": {"value": 0.1, "ci95": 0.02}, "of_effect": compared, "on_days": compared, "on_vehicles": None,
         "final": {"dates": ["2018-05-01"], **compared}, "noise_floor_kwh": 0.2, "accepted": action == "add",
         "reason": HELPS if action == "add" else "it may be chance",
@@ -47,7 +47,7 @@ def model() -> LinearModel:
         {"action": "fit", "recipe": "road_load", "mae_in_sample_kwh": {"*": 0.4, "a": 0.35}},
         attempt("cold_rolling", "add", 0.42, 0.31),
         attempt("snow", "refused", 0.31, 0.36),
-        attempt("headwind", "add", 0.31, 0.29, scope="vehicle taxi-003", forced=True),
+        attempt("headwind", "add", 0.31, 0.29, columns=["effect_headwind", "vehicle=taxi-003"], forced=True),
     )
     return msgspec.structs.replace(BASIC_PHYSICAL, name="mine", history=tried)
 
@@ -87,7 +87,7 @@ def test_history_shows_every_attempt_in_order(model):
     ]
     words = " ".join(text.split())
     assert "added by force" in words
-    assert "Added: cold_rolling, headwind (vehicle taxi-003), 1 refused; error 0.4200 -> 0.29 kWh per ride" in words
+    assert "Added: cold_rolling, headwind (vehicle=taxi-003), 1 refused; error 0.4200 -> 0.29 kWh per ride" in words
     assert "measurement noise alone 0.2 kWh" in words
 
 

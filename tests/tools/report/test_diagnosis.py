@@ -45,7 +45,7 @@ def page(result, tmp_path, **more):
 
 
 def test_terminal_shows_all_parts_in_order():
-    output = printed(make_diagnosis())
+    output = printed(make_diagnosis(), width=160)
     parts = [
         "634 rides of 5 vehicles on 10 vehicle-days, 2018-01-15 to 2018-09-13, in 7,428 windows.",
         "Excluded: 12 too short.",
@@ -62,7 +62,7 @@ def test_terminal_shows_all_parts_in_order():
         "coefficient 0.00011 1/K, 95 % interval 9e-05 to 0.00013; plausible",
         "not distinguishable from air_density in these data (r = 0.83); to distinguish them, record slow drives over a",
         "equal in energy, on average, to +1.2 m/s of headwind or +180 kg",
-        "2. brake_drag: brakes rub with 75 ± 25 N; only in vehicle taxi-003",
+        "2. brake_drag: brakes rub with 75 ± 25 N; only for vehicle=taxi-003",
         "NOT plausible (range 0 to 60 N): it may stand for another cause",
         (
             "Mean absolute error with all terms refitted to these rides for each car (in sample; each missing effect "
@@ -351,7 +351,7 @@ def test_unknown_values_are_tolerated(path, readers, known, tmp_path):
 
 def test_odd_names_are_escaped(tmp_path):
     result = make_diagnosis(
-        missing=[make_missing_effect(effect=ODD, variant=ODD, words=ODD, scope=f"vehicle {ODD}", group=[ODD, ODD])]
+        missing=[make_missing_effect(effect=ODD, variant=ODD, words=ODD, scope=[f"vehicle={ODD}"], group=[ODD, ODD])]
     )
     first, *others = result.slices
     result = replace(result, model=replace(result.model, name=ODD), slices=[replace(first, where=ODD), *others])

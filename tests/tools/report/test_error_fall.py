@@ -23,7 +23,7 @@ HELD_OUT = ErrorFall(
     removed=RemovedShare(0.48, 0.32, 0.61),
 )
 FINAL = HELD_OUT._replace(rides=102, above_after_kwh=Spread(0.0015, 0.002), removed=RemovedShare(0.88, 0.6, 1.2))
-STEP = ErrorStep("headwind", "all", "add", forced=False, held_out=HELD_OUT, final=FINAL)
+STEP = ErrorStep("headwind", (), "add", forced=False, held_out=HELD_OUT, final=FINAL)
 REFUSED = STEP._replace(effect="snow", action="refused", final=ErrorFall())
 
 
@@ -56,7 +56,7 @@ def test_lower_error_is_lower_in_the_picture_and_noise_is_below_it():
 
 
 def test_nothing_leaves_the_picture_however_long_the_steps():
-    steps = [STEP._replace(effect=f"cold_battery_heating_{i}", scope="vehicle taxi-003") for i in range(8)]
+    steps = [STEP._replace(effect=f"cold_battery_heating_{i}", scope=["vehicle=taxi-003"]) for i in range(8)]
     root = ET.fromstring(draw_error_fall(steps))
     _, _, width, height = map(float, root.get("viewBox", "").split())
     for each in root.iter(f"{SVG}text"):

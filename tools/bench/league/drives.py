@@ -13,8 +13,6 @@ from socast.core.batch import Floats
 
 STEP: Final = 0.5
 """Time between two points of a drive. [s]"""
-RADIUS: Final = 6_371_000.0
-"""Mean radius of the earth. [m]"""
 JOULES: Final = 3.6e6
 """Energy of a kilowatt-hour. [J]"""
 RESERVE: Final = 0.12

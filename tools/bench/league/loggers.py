@@ -7,8 +7,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from socast.core.batch import Floats, Ints
+from socast.core.columns import EARTH_RADIUS
 from socast.core.wire.messages import Message
-from socast.tools.bench.league.drives import RADIUS, Track, make_track
+from socast.tools.bench.league.drives import Track, make_track
 
 PERIODS: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 30.0, 60.0)
 """Times between samples. [s]"""
@@ -152,8 +153,8 @@ def sample(rng: np.random.Generator, car: Car) -> Log:
     columns = {
         "time_s": stamps,
         "seq": np.concatenate(counters) if car.counts else np.full(count, np.nan),
-        "latitude_deg": PLACE[0] + np.degrees(north / RADIUS),
-        "longitude_deg": PLACE[1] + np.degrees(east / RADIUS / np.cos(np.radians(PLACE[0]))),
+        "latitude_deg": PLACE[0] + np.degrees(north / EARTH_RADIUS),
+        "longitude_deg": PLACE[1] + np.degrees(east / EARTH_RADIUS / np.cos(np.radians(PLACE[0]))),
         "elevation_m": 60.0 + track.at("elevation", true) + _wander(rng, count, np.exp(-period / 60.0), 2.0)[0],
         "speed_kmh": np.round(track.at("speed", true) * 3.6, 1),
         "odometer_km": np.floor((20000.0 + 1e-3 * track.at("distance", true)) / car.odometer_step) * car.odometer_step,

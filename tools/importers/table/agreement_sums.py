@@ -7,14 +7,13 @@ import numpy as np
 import pandas as pd
 
 from socast.core.batch import Floats
+from socast.core.columns import EARTH_RADIUS
 from socast.tools.importers.table.row_messages import compute_power
 
 LONGEST_STEP: Final = 120.0
 """Longest time between two rows over which speed and power are integrated, and for which a value stays known. [s]"""
 LONGEST_ACCELERATION: Final = 15.0
 """Longest time between two rows from which an acceleration is taken. [s]"""
-EARTH_RADIUS: Final = 6371008.8
-"""Mean radius of the Earth. [m]"""
 MOVING: Final = 10 / 3.6
 """Speed above which fixes are compared, because they wander around a car at rest. [m/s]"""
 STANDING: Final = 0.3

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from socast.core.batch import Floats
+from socast.core.columns import EARTH_RADIUS
 from socast.tools.importers.table.time_source import TIME_UNITS, find_time_unit
 
 UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
@@ -30,7 +31,6 @@ USUAL_PERIODS: Final = (0.005, 120.0)
 """Times between two rows of a logger. [s]"""
 MOVING: Final = 10 / 3.6
 """Speed above which fixes are compared. [m/s]"""
-_RADIUS: Final = 6371008.8
 
 
 def judge_unit(parts: Sequence[np.ndarray], named: str | None, units: Mapping[str, str | None]) -> tuple[str, str]:
@@ -120,7 +120,7 @@ def _measure_fixes(rows: np.ndarray) -> Floats:
         return np.zeros(2)
     north = np.radians(np.diff(latitude))
     east = np.radians(np.diff(longitude)) * np.cos(np.radians(latitude[1:]))
-    distance = _RADIUS * np.hypot(north, east)
+    distance = EARTH_RADIUS * np.hypot(north, east)
     moves = (np.interp(at[1:], time, speed) > MOVING) & (distance < 5000.0)
     beside = np.diff(np.interp(at, time, integral))
     return np.array([distance[moves].sum(), beside[moves].sum()])

@@ -11,6 +11,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from socast.core.batch import Floats
+from socast.core.cleaning.clock import SIGMA
 from socast.core.vehicles import load_catalogue
 from socast.tools.importers.table.agreement_sums import CarSums
 
@@ -92,7 +93,7 @@ def fit_mass(pairs: Floats) -> MassFit | None:
             return None
         mass = float(free[kept] @ driven[kept]) / size
         residual = driven - mass * free
-        spread = 1.4826 * float(np.median(np.abs(residual[kept])))
+        spread = SIGMA * float(np.median(np.abs(residual[kept])))
         if spread <= 0.0:
             break
         kept = np.abs(residual) <= OUTLIER * spread

@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import plotly.graph_objects as go
 
+from socast.core.diagnose.add.terms import name_scoped
 from socast.core.diagnose.records import Diagnosis, ErrorAfterEffect, NamedEffect
 from socast.core.records import ConfidenceInterval
 from socast.tools.report.cells import format_count
@@ -72,7 +73,7 @@ def draw_effects(result: Diagnosis) -> list[Illustration]:
     rows = [one for one in result.missing if one.gain is not None]
     if not rows:
         return []
-    names = [f"{i}. {one.name}{_scope(one)}" for i, one in enumerate(rows, start=1)]
+    names = [f"{i}. {name_scoped(one.name, one.scope)}" for i, one in enumerate(rows, start=1)]
     gains = [PERCENT * (one.gain or 0.0) for one in rows]
     limits = [one.gain_ci95 for one in rows]
     spans = [None if pair is None else (PERCENT * pair[0], PERCENT * pair[1]) for pair in limits]
@@ -152,9 +153,5 @@ def _span(value: float, half: float | None) -> ConfidenceInterval | None:
     return None if half is None else (value - half, value + half)
 
 
-def _scope(part: NamedEffect | ErrorAfterEffect) -> str:
-    return "" if part.scope == "all" else f", {part.scope}"
-
-
 def _step(step: ErrorAfterEffect) -> str:
-    return "same terms refitted" if not step.effect else f"with {step.effect}{_scope(step)}"
+    return "same terms refitted" if not step.effect else f"with {name_scoped(step.effect, step.scope)}"

@@ -119,16 +119,7 @@ def _describe_bias(bias: float | None) -> str:
 
 def describe_scope(one: NamedEffect) -> str:
     """Return the vehicles and dates for which an effect is missing."""
-    return "in all vehicles on all dates" if one.scope == "all" else f"only {_add_preposition(one.scope)}"
-
-
-def _add_preposition(scope: str) -> str:
-    """Return a scope with its preposition.
-
-    >>> _add_preposition("vehicle taxi-003, since 2018-06-01")
-    'in vehicle taxi-003, since 2018-06-01'
-    """
-    return f"in {scope}" if scope.startswith("vehicle") else scope
+    return f"only for {', '.join(one.scope)}" if one.scope else "in all vehicles on all dates"
 
 
 def describe_gain(one: NamedEffect) -> str:

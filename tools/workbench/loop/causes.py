@@ -113,7 +113,7 @@ def add_to_model(
     name: str,
     effect: str,
     *,
-    scopes: Sequence[str] = (),
+    scope: Sequence[str] = (),
     even_if_undecided: bool = False,
     force: bool = False,
     report: Report = lambda *_: None,
@@ -134,7 +134,7 @@ def add_to_model(
     node = workspace.get_node(name)
     rides, windows = workspace.check_rides(node.model)
     report(0.0, "measuring the noise floor")
-    added: AdditionTrial = try_effect(node.model, effect, scopes, rides, windows, report=report)
+    added: AdditionTrial = try_effect(node.model, effect, scope, rides, windows, report=report)
     undecided = added.trial["outcome"] == UNDECIDED
     if not added.trial["accepted"] and (force or (undecided and even_if_undecided)):
         added = force_addition(added)
@@ -146,7 +146,7 @@ def add_to_model(
         "model": after.name,
         "before": describe_model(workspace, node),
         "after": describe_model(workspace, after),
-        "command": add_command(workspace, node, effect, scopes, even_if_undecided=even_if_undecided, force=force),
+        "command": add_command(workspace, node, effect, scope, even_if_undecided=even_if_undecided, force=force),
         "live_command": live_command(workspace, [node, after]) if after.name != node.name else "",
     }
 
@@ -168,26 +168,26 @@ def _describe_candidate(name: str, ranked: Mapping[str, TestedEffect]) -> dict[s
 
 def _describe_missing(workspace: Workspace, node: ModelNode, one: NamedEffect) -> dict[str, Any]:
     """Return the entry of a missing effect, with its sentences and the command that adds it."""
-    name, scopes = parse_term(one)
+    name, scope = parse_term(one)
     return {
         "name": name,
         "effect": one.effect,
-        "scopes": scopes,
+        "scope": scope,
         "probability": one.probability,
         "gain": one.gain,
         "gain_ci95": one.gain_ci95,
         "coefficient": one.coefficient.to_json(),
         "sentences": describe_missing_effect(one),
         "equivalents": one.equivalents,
-        "command": add_command(workspace, node, name, scopes),
+        "command": add_command(workspace, node, name, scope),
     }
 
 
 def _describe_deviation(workspace: Workspace, node: ModelNode, one: CarDeviation) -> dict[str, Any]:
     """Return a car that deviates or changed in sentences, and the effect that a term can hold, if any."""
     lines = [line.removeprefix("- ") for line in describe_deviation(one)]
-    record: dict[str, Any] = {"who": one.who, "sentences": lines, "name": None, "scopes": [], "command": None}
+    record: dict[str, Any] = {"who": one.who, "sentences": lines, "name": None, "scope": [], "command": None}
     if not one.columns:
         return record
-    name, scopes = parse_term(one)
-    return {**record, "name": name, "scopes": scopes, "command": add_command(workspace, node, name, scopes)}
+    name, scope = parse_term(one)
+    return {**record, "name": name, "scope": scope, "command": add_command(workspace, node, name, scope)}

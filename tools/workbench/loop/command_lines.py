@@ -23,14 +23,14 @@ def add_command(
     workspace: Workspace,
     node: ModelNode,
     effect: str,
-    scopes: Sequence[str] = (),
+    scope: Sequence[str] = (),
     *,
     even_if_undecided: bool = False,
     force: bool = False,
 ) -> str:
     """Return the command that adds an effect to a model."""
     words = ["socast", "add", effect, *_data(workspace), *_models([node])]
-    words += [word for scope in scopes for word in ("--scope", scope)]
+    words += [word for part in scope for word in ("--scope", part)]
     out = str(Path(node.path).with_name(f"{node.name}-{effect.partition('@')[0]}.json"))
     also = ["--force"] if force else ["--even-if-undecided"] if even_if_undecided else []
     return shlex.join([*words, *_options(workspace), *also, "-o", out])

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from socast.core.diagnose.add.add import ADDED
-from socast.core.diagnose.add.error_fall import list_error_steps
+from socast.core.diagnose.add.error_fall import list_error_steps, read_scope
 from socast.core.errors import SettingsError
 from socast.core.evaluate.compare.models import compare_predictions
 from socast.core.fit.recipes import RECIPES
@@ -110,6 +110,6 @@ def _find_step(before: ModelNode, after: ModelNode) -> dict[str, Any] | None:
 
 def _describe_step(entry: Mapping[str, Any]) -> dict[str, Any]:
     """Return one attempt of the history of a model."""
-    names = ("action", "effect", "scope", "mae_before_kwh", "mae_after_kwh", "change_kwh", "noise_floor_kwh", "final")
+    names = ("action", "effect", "mae_before_kwh", "mae_after_kwh", "change_kwh", "noise_floor_kwh", "final")
     more = ("words", "reason", "outcome", "forced", "coefficient", "gain", "rides", "first_date", "last_date")
-    return {name: entry.get(name) for name in (*names, *more)}
+    return {"scope": read_scope(entry), **{name: entry.get(name) for name in (*names, *more)}}

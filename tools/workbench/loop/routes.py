@@ -72,11 +72,11 @@ def _get_effect(workbench: Workbench, request: JsonRequest) -> dict[str, Any]:
 def _add_effect(workbench: Workbench, request: JsonRequest) -> dict[str, Any]:
     body, workspace = request.body, workbench.workspace
     model, effect = workspace.get_node(_require(body, "model")), _require(body, "effect")
-    scopes = [str(scope) for scope in body.get("scopes") or ()]
+    scope = [str(part) for part in body.get("scope") or ()]
     also = {name: bool(body.get(name)) for name in ("even_if_undecided", "force")}
     return workbench.jobs.start(
         f"adding {effect} to {model.name}",
-        lambda report: causes.add_to_model(workspace, model.name, effect, scopes=scopes, **also, report=report),
+        lambda report: causes.add_to_model(workspace, model.name, effect, scope=scope, **also, report=report),
     )
 
 

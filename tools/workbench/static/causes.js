@@ -118,7 +118,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
       el("h2", {}, "Cars and changes"),
       record.deviations.map((one) => el("div", { class: "card-head" },
         el("div", {}, one.sentences.map((line, i) => el("p", { class: i ? "note small" : null }, line)), command(one.command)),
-        one.name && el("button", { type: "button", disabled: !addable(), onclick: () => add(one.name, one.scopes) }, `Add ${one.name.replaceAll("_", " ")} for ${one.who}`)))));
+        one.name && el("button", { type: "button", disabled: !addable(), onclick: () => add(one.name, one.scope) }, `Add ${one.name.replaceAll("_", " ")} for ${one.who}`)))));
   }
 
   async function drawDetail() {
@@ -135,7 +135,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
       const cause = record.causes.find((each) => each.name === effect.name || each.name === name) ?? {};
       const missing = record.missing.find((each) => each.effect === name);
       const inModel = cause.status === "in the model";
-      const button = el("button", { type: "button", class: name === record.recommended ? "primary" : null, id: "add", disabled: !addable() || inModel, onclick: () => add(missing?.name ?? name, missing?.scopes ?? []) }, `Add ${name.replaceAll("_", " ")}`);
+      const button = el("button", { type: "button", class: name === record.recommended ? "primary" : null, id: "add", disabled: !addable() || inModel, onclick: () => add(missing?.name ?? name, missing?.scope ?? []) }, `Add ${name.replaceAll("_", " ")}`);
       const picture = el("div", {});
       const unit = unitOf(effect.unit);
       const fact = (words, value) => value && [el("dt", {}, words), el("dd", {}, value)];
@@ -164,18 +164,18 @@ function makeView(root, { state: first, workspace, context, redraw }) {
     });
   }
 
-  async function add(name, scopes, also = {}) {
+  async function add(name, scope, also = {}) {
     busy = true;
     document.getElementById("add")?.setAttribute("disabled", "");
     put(step, el("section", { class: "card" }, progress(`Adding ${name} to ${model}`)));
     step.scrollIntoView({ block: "center" });
     try {
-      const result = await context.job("/add", { model, effect: name, scopes, ...also }, (now) => {
+      const result = await context.job("/add", { model, effect: name, scope, ...also }, (now) => {
         put(step, el("section", { class: "card" }, progress(`Adding ${name} to ${model}`, now)));
       });
       if (context.signal.aborted) return;
       if (result.added) context.use(result.model, model); // first, as it changes the height of the head
-      showStep(result, name, scopes);
+      showStep(result, name, scope);
       context.announce(result.added ? `${name} was added; error of a ride on held-out days ${heldOut(result.trial)}.` : `${name} is ${result.trial.outcome}, and was not added: ${result.trial.reason}.`);
     } catch (error) {
       put(step, el("section", { class: "card" }, el("p", { class: "bad", role: "alert" }, error.message), el("button", { type: "button", onclick: () => put(step) }, "Close")));
@@ -185,7 +185,7 @@ function makeView(root, { state: first, workspace, context, redraw }) {
     }
   }
 
-  function showStep(result, name, scopes) {
+  function showStep(result, name, scope) {
     const actions = result.added
       ? [
         el("a", { class: "button primary", href: context.link({ page: "causes", model: result.model }) }, "Is another effect missing?"),
@@ -197,8 +197,8 @@ function makeView(root, { state: first, workspace, context, redraw }) {
       : [
         el("button", { type: "button", onclick: () => { put(step); redraw(); } }, "Choose another"),
         result.trial.outcome === "undecided"
-          ? el("button", { type: "button", onclick: () => add(name, scopes, { even_if_undecided: true }) }, "Add even so")
-          : el("button", { type: "button", class: "quiet", onclick: () => add(name, scopes, { force: true }) }, "Add it by force"),
+          ? el("button", { type: "button", onclick: () => add(name, scope, { even_if_undecided: true }) }, "Add even so")
+          : el("button", { type: "button", class: "quiet", onclick: () => add(name, scope, { force: true }) }, "Add it by force"),
       ];
     const live = [result.live_command && command(result.live_command, "Run it as a shadow in service"), command(result.command)];
     drawStep(step, result, { actions, live });

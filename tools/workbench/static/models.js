@@ -93,7 +93,7 @@ export function mount(root, first, context) {
     const table = el("div", { class: "table-frame", tabindex: "0", role: "region", "aria-label": "Steps" }, el("table", {},
       el("thead", {}, el("tr", {}, ["step", "result", "before, kWh", "after, kWh", "change, kWh"].map((words, i) => el("th", { class: i > 1 ? "number" : null, scope: "col" }, words)))),
       el("tbody", {}, steps.map((step, i) => el("tr", {},
-        el("th", { scope: "row" }, `${i + 1}. ${step.effect.replaceAll("_", " ")}${step.scope && step.scope !== "all" ? ` (${step.scope})` : ""}`),
+        el("th", { scope: "row" }, `${i + 1}. ${step.effect.replaceAll("_", " ")}${step.scope.length ? ` (${step.scope.join(", ")})` : ""}`),
         el("td", {}, el("span", { class: `chip ${outcomeOf(step)[1]}` }, outcomeOf(step)[0]), " ", el("span", { class: "small soft wide-only" }, step.action === "add" ? step.words : step.reason)),
         el("td", { class: "number" }, number(step.mae_before_kwh, 4)),
         el("td", { class: "number" }, number(step.mae_after_kwh, 4)),

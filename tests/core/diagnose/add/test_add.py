@@ -16,7 +16,7 @@ from socast.core.diagnose.add.holdout import (
     split_into_day_folds,
     split_into_vehicle_folds,
 )
-from socast.core.diagnose.add.terms import build_term_columns, describe_scope, is_additive
+from socast.core.diagnose.add.terms import build_term_columns, is_additive
 from socast.core.errors import EffectError, ModelError
 from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.recipes import RECIPES, make_term
@@ -105,7 +105,7 @@ def test_history_is_plain_json_and_survives_model_file(model, added, tmp_path):
     assert again.history[:-1] == model.history
     entry = again.history[-1]
     assert json.loads(json.dumps(entry)) == entry
-    assert (entry["action"], entry["effect"], entry["scope"]) == ("add", "cold_rolling", "all")
+    assert (entry["action"], entry["effect"], entry["scope"]) == ("add", "cold_rolling", [])
     assert entry["from_version"] == model.version
     assert entry["last_date"] == "2019-04-21"
     assert again.version not in {model.version, ""}
@@ -145,6 +145,7 @@ def test_effect_of_one_vehicle_or_since_a_date_is_recovered_within_its_scope(sco
     tables = planted({("effect_cold_rolling", scope): 2e-4}, rides=3)
     result = tried(tables, base_model(tables[0]), "cold_rolling", scope)
     assert result.trial["accepted"]
+    assert result.trial["scope"] == [scope]
     low, high = result.trial["coefficient"]["ci95"]
     assert low < 2e-4 < high
     term = result.model.terms[-1]
@@ -328,10 +329,6 @@ def test_model_file_with_damaged_scope_is_refused_in_one_line(scope, added, tmp_
         models.load(tmp_path / "bad.json")
     assert f"term 'cold_rolling': scope '{scope}'" in str(raised.value)
     assert "\n" not in str(raised.value)
-
-
-def test_scopes_are_described_in_words():
-    assert describe_scope(("effect_snow", "vehicle=a=b")) == "vehicle a=b"
 
 
 def test_live_forecast_with_scoped_effect_matches_ride_table(tmp_path):

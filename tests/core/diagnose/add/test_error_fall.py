@@ -84,6 +84,6 @@ def test_record_survives_the_history_of_a_model():
     fall = make_fall(0.12, 0.08)
     entry = to_json_values({"action": "add", "effect": "snow", "of_effect": fall.to_dict(), "final": None})
     [step] = list_error_steps([{"action": "fit"}, entry])
-    assert (step.effect, step.scope, step.held_out) == ("snow", "all", fall)
+    assert (step.effect, step.scope, step.held_out) == ("snow", [], fall)
     assert step.final.rides == 0
     assert read_fall({"mae_before_kwh": "?"}).rides == 0
