@@ -25,6 +25,7 @@ from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.diagnose import residual_structure
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
+from socast.core.diagnose.add.records import list_attempts
 from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.candidates import build_candidates
 from socast.core.diagnose.dataset import Windows, gather_windows
@@ -118,7 +119,7 @@ def diagnose(
         result = _diagnose(
             seen, model, without, least_gain, groups, places=places, seed=seed, dated=dated, report=report
         )
-    recorded = {date for entry in model.history for date in (entry.get("final") or {}).get("dates") or ()}
+    recorded = {date for attempt in list_attempts(model.history) if attempt.final for date in attempt.final.dates}
     unused = HeldOutRides(
         dates=list(held_out),
         rides=len(rides) - len(kept[0]),
