@@ -1,7 +1,7 @@
 """Declare what a fit tells: the entry in the history of a model, and its coefficients with intervals and errors."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
@@ -10,6 +10,8 @@ from socast.core.models import LinearModel
 from socast.core.models.limit import EnergyLimit
 from socast.core.models.linear import Training
 from socast.core.records import ConfidenceInterval, PartialRecord, Record, declare
+
+_Step = TypeVar("_Step", bound=Record)
 
 
 class FitStep(PartialRecord, frozen=True):
@@ -79,14 +81,17 @@ class FitSummary(Record, frozen=True):
     fits: Annotated[dict[str, VehicleModelFit], declare("Vehicle model, `*` for any other -> its fit.")]
 
 
-def read_fit_step(entry: Mapping[str, Any]) -> FitStep:
-    """Return an entry in the history of a model that fitted or adapted it; an empty step for any other."""
-    if entry.get("action") not in {"fit", "adapt"}:
-        return FitStep()
+def read_history_entry(entry: Mapping[str, Any], kind: type[_Step]) -> _Step:
+    """Return an entry in the history of a model as a record; what it lacks is unknown."""
     try:
-        return msgspec.convert({key: value for key, value in entry.items() if value is not None}, FitStep)
+        return msgspec.convert({key: value for key, value in entry.items() if value is not None}, kind)
     except msgspec.ValidationError as error:
         raise ModelError(f"the history of the model is damaged: {error}: fit the model again") from error
+
+
+def read_fit_step(entry: Mapping[str, Any]) -> FitStep:
+    """Return an entry in the history of a model that fitted or adapted it; an empty step for any other."""
+    return read_history_entry(entry, FitStep) if entry.get("action") in {"fit", "adapt"} else FitStep()
 
 
 def find_fit_step(model: LinearModel) -> FitStep:

@@ -3,11 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Final
 
-import msgspec
-
 from socast.core.diagnose.records import EstimatedCoefficient
-from socast.core.errors import ModelError
 from socast.core.evaluate.records import EstimatedValue
+from socast.core.fit.records import read_history_entry
 from socast.core.models import LinearModel
 from socast.core.records import Record, declare
 
@@ -168,14 +166,7 @@ class ModelHistory(Record, frozen=True):
 
 def list_attempts(history: Sequence[Mapping[str, Any]]) -> list[EffectAttempt]:
     """Return the effects that were tried on a model, the oldest first; what an entry lacks is unknown."""
-    entries = [entry for entry in history if entry.get("action") in ATTEMPTS]
-    try:
-        return [
-            msgspec.convert({key: value for key, value in entry.items() if value is not None}, EffectAttempt)
-            for entry in entries
-        ]
-    except msgspec.ValidationError as error:
-        raise ModelError(f"the history of the model is damaged: {error}: fit the model again") from error
+    return [read_history_entry(entry, EffectAttempt) for entry in history if entry.get("action") in ATTEMPTS]
 
 
 def summarise_history(model: LinearModel) -> ModelHistory:
