@@ -110,6 +110,8 @@ def to_json_values(value: Any) -> Any:
     """
     if isinstance(value, Record):
         return value.to_json()
+    if isinstance(value, msgspec.Struct):
+        return msgspec.to_builtins(value)
     if isinstance(value, Mapping):
         return {str(key): to_json_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Sequence
 
 import pandas as pd
+from msgspec.structs import asdict as _asdict
 
 from socast.core.diagnose.add.add import add_effect as _add
 from socast.core.diagnose.add.terms import build_term_columns as _build_term_columns
@@ -92,5 +93,5 @@ def add_effect(
     """
     columns = _build_term_columns(effect, scope)
     added = _add(model, effect, columns, _join(rides, windows), rides=rides, least=least_gain)
-    kept = added.model if added.trial["accepted"] else model
-    return AdditionTrial(kept, added.model, added.trial)
+    kept = added.model if added.trial.accepted else model
+    return AdditionTrial(model=kept, refitted=added.model, **_asdict(added.trial))

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import pandas as pd
 from msgspec.structs import asdict as _asdict
 
-from socast.core.diagnose.add.error_fall import read_step as _read_step
+from socast.core.diagnose.add.records import EffectTrial as _EffectTrial
 from socast.core.diagnose.records import Diagnosis as _Diagnosis
 from socast.core.evaluate.compare.records import Comparison as _Comparison
 from socast.core.evaluate.paper.records import RecipeEvaluation as _RecipeEvaluation
+from socast.core.evaluate.records import make_estimate_frame as _make_estimate_frame
 from socast.core.evaluate.soc.records import SocEvaluation as _SocEvaluation
 from socast.core.models import LinearModel
 from socast.core.records import Record as _Record
@@ -100,8 +101,11 @@ class SocEvaluation(_SocEvaluation, frozen=True):
         )
 
 
-class AdditionTrial:
+class AdditionTrial(_EffectTrial, frozen=True, kw_only=True):
     """Hold the trial of an effect that was added to a model.
+
+    `outcome` is `add`, `refused` or `undecided`, and `reason` says why. `errors` is a DataFrame. `to_json()` returns
+    everything but the models as plain values.
 
     Parameters
     ----------
@@ -109,36 +113,23 @@ class AdditionTrial:
         The refitted model with the effect if the trial accepts it, otherwise the model as it was.
     refitted : LinearModel
         The refitted model with the effect, also if the trial refuses it.
-    trial : dict
-        What `socast add --json` writes.
     """
 
-    def __init__(self, model: LinearModel, refitted: LinearModel, trial: dict[str, Any]) -> None:
-        self.model, self.refitted, self.trial = model, refitted, trial
-
-    @property
-    def outcome(self) -> str:
-        """`add`, `refused` or `undecided`."""
-        return str(self.trial["outcome"])
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the error of held-out rides falls beyond doubt."""
-        return bool(self.trial["accepted"])
-
-    @property
-    def reason(self) -> str:
-        """Why the effect was accepted or not."""
-        return str(self.trial["reason"])
+    model: LinearModel
+    refitted: LinearModel
 
     @property
     def errors(self) -> pd.DataFrame:
         """Mean absolute error of a ride before and after, one row for each way of holding rides out. [kWh]"""
-        from socast.tools.report.history import HELD_OUT  # noqa: PLC0415 - figures take a second to import
+        return _make_estimate_frame(
+            {"evaluated_on": what, **fall.to_json()}
+            for field, what in _import("socast.tools.report.history").HELD_OUT.items()
+            if (fall := getattr(self, field)) is not None
+        )[["evaluated_on", "rides", "clusters", "mae_before_kwh", "mae_after_kwh", "change_kwh", "change_kwh_ci95"]]
 
-        rows = [{"evaluated_on": words, **self.trial[key]} for key, words in HELD_OUT.items() if self.trial.get(key)]
-        names = ("evaluated_on", "rides", "days", "mae_before_kwh", "mae_after_kwh", "change_kwh")
-        return pd.DataFrame(rows, columns=[name for name in names if any(name in row for row in rows)])
+    def to_json(self) -> dict[str, Any]:
+        """Return the trial as the JSON values that `socast add --json` writes."""
+        return {name: value for name, value in super().to_json().items() if name in _EffectTrial.__struct_fields__}
 
     def plot(self) -> "go.Figure":
         """Return the error of a ride before and after, for each way of holding rides out. [kWh]"""
@@ -155,13 +146,9 @@ class AdditionTrial:
         return made
 
     def __repr__(self) -> str:
-        return f"AdditionTrial({self.trial['effect']}: {self.outcome}, {self.reason})"
+        return f"AdditionTrial({self.effect}: {self.outcome}, {self.reason})"
 
     def _repr_html_(self) -> str:
-        from socast.tools.report.error_fall import draw_error_fall  # noqa: PLC0415
-        from socast.tools.report.history import build_trial_sections  # noqa: PLC0415 - figures take a second to import
-        from socast.tools.report.page import render_tables  # noqa: PLC0415
-
-        tables = [table for section in build_trial_sections(self.trial) for table in section.tables]
-        shown = render_tables(repr(self), [], tables[:1])
-        return f"{draw_error_fall([_read_step(self.trial)])}{shown}"
+        table = _import("socast.tools.report.history").tabulate_errors(self)
+        shown = _import("socast.tools.report.page").render_tables(repr(self), [], [table])
+        return f"{_import('socast.tools.report.error_fall').draw_error_fall([self])}{shown}"

@@ -25,6 +25,7 @@ from socast.core import effects
 from socast.core.batch import Floats
 from socast.core.diagnose import residual_structure
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
+from socast.core.diagnose.add.records import list_attempts
 from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.candidates import build_candidates
 from socast.core.diagnose.dataset import Windows, gather_windows
@@ -55,7 +56,7 @@ from socast.core.diagnose.residual_structure import ResidualStructure
 from socast.core.diagnose.siblings.deviations import diagnose_deviations
 from socast.core.diagnose.slices.search import find_slices
 from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
-from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible
@@ -118,7 +119,7 @@ def diagnose(
         result = _diagnose(
             seen, model, without, least_gain, groups, places=places, seed=seed, dated=dated, report=report
         )
-    recorded = {date for entry in model.history for date in (entry.get("final") or {}).get("dates") or ()}
+    recorded = {date for attempt in list_attempts(model.history) if attempt.final for date in attempt.final.dates}
     unused = HeldOutRides(
         dates=list(held_out),
         rides=len(rides) - len(kept[0]),
@@ -175,7 +176,7 @@ def _diagnose(
         ),
         data=_describe_data(seen, dated=dated),
         episodes=[each.to_record() for each in episodes],
-        error=_describe_error(seen, base, floor),
+        error=_describe_error(seen, model, base, floor),
         error_location=location,
         slices=find_slices(seen.rides, error, seed=seed, dated=dated),
         missing=[_describe_missing(finding, selection) for finding in missing],
@@ -222,9 +223,11 @@ def _describe_data(seen: Windows, *, dated: bool) -> DiagnosedData:
     )
 
 
-def _describe_error(seen: Windows, base: BaseProjection, floor: float) -> ErrorSummary:
-    """Return the errors of the model per ride, as given and refitted to the same windows. [kWh]"""
-    error, used = seen.by_ride(seen.predicted - seen.measured), seen.by_ride(seen.measured)
+def _describe_error(seen: Windows, model: LinearModel, base: BaseProjection, floor: float) -> ErrorSummary:
+    """Return the errors of the model per ride, as given and refitted to windows. [kWh]"""
+    # whole rides, as forecasts and comparisons predict them: a constant does not add up over the windows of a ride
+    used = get_numbers(seen.rides, ENERGY)
+    error = model.predict_energy(seen.rides) - used
     refitted = seen.by_ride(base.convert_to_energy(base.residual))
     mae = float(np.mean(np.abs(error)))
     return ErrorSummary(

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import pandas as pd
 
-from socast.core.records import Record, declare
+from socast.core.records import ConfidenceInterval, Record, declare
 from socast.core.stats.scores import Estimate
 
 
@@ -14,6 +14,13 @@ class EstimatedValue(Record, frozen=True):
 
     value: float | None = None
     ci95: Annotated[float | None, declare("Half width of the 95 % interval.")] = None
+
+    @property
+    def interval(self) -> ConfidenceInterval | None:
+        """Ends of the 95 % interval, None where it is unknown."""
+        if self.value is None or self.ci95 is None:
+            return None
+        return self.value - self.ci95, self.value + self.ci95
 
 
 class RelativeErrors(Record, frozen=True):

@@ -57,6 +57,7 @@ from socast.core.fit.block_sums import (
     sum_residuals,
     survey_block,
 )
+from socast.core.fit.records import FitStep
 from socast.core.fit.regression import LEAST_GROUPS, NO_VARIATION, ClusterScores, Influence, Moments, Solution, solve
 from socast.core.fit.ride_blocks import ENERGY, RideSource, ThinnedRides, word_too_few_rides
 from socast.core.models import ANY, BASIC_PHYSICAL, VEHICLE_MODEL, Fit, LinearModel, Term, Training, stamp
@@ -226,7 +227,7 @@ class _Fitting:
         errors = {key: group.absolute / group.rides for key, group in sorted(self.groups.items()) if group.absolute}
         if self.only is not None and errors:
             errors[self.only] = errors[ANY]
-        history = ({"action": "fit", "recipe": self.plan.name, "mae_in_sample_kwh": errors},) if errors else ()
+        step = FitStep(action="fit", recipe=self.plan.name, mae_in_sample_kwh=errors)
         fits = {key: self._fit(group) for key, group in sorted(self.groups.items())}
         model = LinearModel(
             name=self.plan.name,
@@ -235,7 +236,7 @@ class _Fitting:
             terms=self.terms,
             fits=fits if self.only is None else fits | {self.only: fits[ANY]},
             training=training,
-            history=history,
+            history=(step.to_json(),) if errors else (),
         )
         return stamp(model)
 

@@ -37,6 +37,7 @@ from socast.core.fit.partial_pooling import (
     estimate_prior,
     sum_normal_equations,
 )
+from socast.core.fit.records import FitStep
 from socast.core.fit.ride_blocks import ENERGY, RideFrame, get_names, get_numbers, select_trainable
 from socast.core.fit.trees import fit_trees
 from socast.core.models import ANY, VEHICLE, VEHICLE_MODEL, Fit, LinearModel, Term, stamp
@@ -252,7 +253,7 @@ class PooledRecipe:
         return msgspec.structs.replace(
             start,
             fits=fits,
-            history=({"action": "fit", "recipe": self.name, "mae_in_sample_kwh": errors},),
+            history=(FitStep(action="fit", recipe=self.name, mae_in_sample_kwh=errors).to_json(),),
             cars={car: factor for own in learned.values() for car, factor in own.cars.items()},
             correction={key: own.trees for key, own in learned.items() if own.trees is not None} or None,
             interval=self._interval(groups, sums) if covariance else None,
@@ -348,7 +349,7 @@ def adapt(model: LinearModel, rides: pd.DataFrame) -> LinearModel:
                 known, prior, *compute_early_posterior(prior, group.sums()), rides=rides_before + len(group.energy)
             )
         told[key] = len(group.energy)
-    history = (*model.history, {"action": "adapt", "rides": told})
+    history = (*model.history, FitStep(action="adapt", rides=told).to_json())
     return stamp(msgspec.structs.replace(model, fits=fits, history=history))
 
 

@@ -17,6 +17,7 @@ from socast.core.fit.calibration import NEEDS, HeldOutErrors, calibrate_interval
 from socast.core.fit.distortions import DISTORTIONS
 from socast.core.fit.nested_effects import compute_coefficients, integrate_car_factor
 from socast.core.fit.priors import compute_curve_columns, is_curved
+from socast.core.fit.records import FitStep
 from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers, select_trainable
 from socast.core.fit.window_solver import GroupFit
 from socast.core.models import ANY, VEHICLE_MODEL, LinearModel, stamp
@@ -123,5 +124,5 @@ def _describe(model: LinearModel, rides: pd.DataFrame, left_out: dict[str, int])
         sd = float(np.sqrt(np.mean(own**2))) if len(own) else None
         fits[key] = msgspec.structs.replace(fit, residual_sd_kwh=sd)
     training = model.training and msgspec.structs.replace(model.training, left_out=dict(sorted(left_out.items())))
-    history = ({"action": "fit", "recipe": model.recipe, "mae_in_sample_kwh": errors},)
-    return msgspec.structs.replace(model, fits=fits, training=training, history=history)
+    step = FitStep(action="fit", recipe=model.recipe, mae_in_sample_kwh=errors)
+    return msgspec.structs.replace(model, fits=fits, training=training, history=(step.to_json(),))

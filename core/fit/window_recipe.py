@@ -1,14 +1,14 @@
 """Recipes of physical terms that are fitted to windows, with physics as the prior."""
 
 from dataclasses import dataclass
-from typing import Any
 
-import msgspec
 import numpy as np
 import pandas as pd
+from msgspec.structs import replace
 
 from socast.core.fit.distortions import DISTORTED_COLUMNS
 from socast.core.fit.measured_rows import join_tables
+from socast.core.fit.records import find_fit_step
 from socast.core.fit.ride_blocks import ENERGY, get_numbers
 from socast.core.fit.window_fit import READ, fit_rows
 from socast.core.fit.window_interval import add_window_interval
@@ -57,9 +57,10 @@ class WindowRecipe:
         model, groups = fit_rows(self.name, self.terms, rows, rides)
         if covariance:
             model = add_window_interval(model, groups, rides)
-        done: dict[str, Any] = {"action": "fit", "recipe": self.name}
-        first = (model.history or (done,))[0] | {"rows": "rides" if windows is None else "windows"}
-        return stamp(msgspec.structs.replace(model, history=(first, *model.history[1:])))
+        step = replace(
+            find_fit_step(model), action="fit", recipe=self.name, rows="rides" if windows is None else "windows"
+        )
+        return stamp(replace(model, history=(step.to_json(),)))
 
 
 def _select(rides: pd.DataFrame) -> pd.DataFrame:

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from socast.core import models
-from socast.core.diagnose.add.error_fall import list_error_steps
+from socast.core.diagnose.add.records import list_attempts
 from socast.tools.simulator.trace import REFERENCE_DENSITY
 from tests.support import picture_figure
 from tests.support.commands import refused
@@ -132,7 +132,7 @@ def test_figure_shows_the_falling_error_of_the_tutorial(shell):
 
 @pytest.mark.usefixtures("tutorial")
 def test_error_falls_beyond_doubt_on_the_final_hold_out_of_the_tutorial(shell):
-    [step] = list_error_steps(models.load(str(shell.folder / "better.json")).history)
+    [step] = list_attempts(models.load(str(shell.folder / "better.json")).history)
     for fall in (step.held_out, step.final):
         assert fall.change_kwh.value + fall.change_kwh.ci95 < 0.0
         assert fall.removed.low > 0.0

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from socast.core import models
-from socast.core.diagnose.add.error_fall import list_error_steps
+from socast.core.diagnose.add.records import list_attempts
 from socast.tools.report.error_fall import draw_error_fall
 from tests.support.documented_commands import PAGE, documented_commands, prepare_folder, run_command
 from tests.support.paths import ROOT
@@ -19,7 +19,7 @@ FIGURE: Final = ROOT / "docs" / "error-falls.svg"
 
 def error_figure(folder: Path) -> str:
     """Return the picture of `better.json` in the folder of the tutorial, as SVG."""
-    return draw_error_fall(list_error_steps(models.load(str(folder / "better.json")).history))
+    return draw_error_fall(list_attempts(models.load(str(folder / "better.json")).history))
 
 
 def main() -> None:

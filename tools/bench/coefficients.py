@@ -23,6 +23,7 @@ from rich.console import Console
 from socast.core import effects
 from socast.core.columns import STANDARD_AIR_DENSITY
 from socast.core.errors import SocastError
+from socast.core.fit.model_summary import list_coefficients
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.formatting import format_minus
 from socast.core.models import ANY
@@ -31,7 +32,6 @@ from socast.core.stats.clustered import compute_clustered_share
 from socast.core.vehicles import load_catalogue
 from socast.tools.bench.figures.published import publish
 from socast.tools.bench.nothing_hidden import parse_seeds
-from socast.tools.commands.fit import intervals
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.physics import ROTATING
 from socast.tools.simulator.settings import NO_FAULTS, PLAIN_PHENOMENA, Simulation
@@ -128,9 +128,9 @@ def measure_fleet(seed: int) -> list[Estimate]:
     key = model if model in fitted.fits else ANY
     true = find_truth(truth, rides)
     return [
-        Estimate(seed, each.term.name, true[each.term.name], each.value, each.low, each.high)
-        for each in intervals(fitted, key)
-        if each.term.name in true and each.low is not None and each.high is not None
+        Estimate(seed, each.term, true[each.term], each.value, each.low, each.high)
+        for each in list_coefficients(fitted, key)
+        if each.term in true and each.low is not None and each.high is not None
     ]
 
 

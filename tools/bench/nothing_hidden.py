@@ -21,9 +21,9 @@ from typing import Any, Final, NamedTuple
 
 from rich.console import Console
 
-from socast.core.diagnose.add.error_fall import read_scope
 from socast.core.diagnose.add.terms import name_scoped
 from socast.core.errors import SettingsError, SocastError
+from socast.core.models.features import list_scope
 from socast.tools.bench.figures.published import publish
 from socast.tools.terminal.rich_table import Column, make_table
 
@@ -186,7 +186,7 @@ def run_command(tree: Path, words: Sequence[str]) -> None:
 
 def read_fleet(seed: int, result: Mapping[str, Any]) -> Fleet:
     """Return what a diagnosis found in a fleet."""
-    named = [name_scoped(m["effect"], read_scope(m)) for m in result.get("missing") or ()]
+    named = [name_scoped(m["effect"], list_scope(m.get("columns") or ())) for m in result.get("missing") or ()]
     z = {row["effect"]: float(row["z"]) for row in result["candidates"] if row["z"] is not None}
     return Fleet(seed, result["data"]["rides"], result["data"]["windows"], named, z)
 

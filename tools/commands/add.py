@@ -10,6 +10,7 @@ import typer
 
 from socast.core import models
 from socast.core.diagnose.add import add
+from socast.core.diagnose.add.records import UNDECIDED
 from socast.core.diagnose.add.terms import build_term_columns
 from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.diagnose.residual_survey import survey_model
@@ -69,20 +70,20 @@ def add_effect(
     tables = read_tables(source, base)
     with show_elapsed("fitting with and without the effect"):
         added = try_effect(base, effect, scope or (), *tables, least=least_gain)
-    write_json(json_file, "add", added.trial)
+    write_json(json_file, "add", added.trial.to_json())
     console = make_console(json_file)
     if html_file:
         history.write_trial(added.trial, survey_both(base, added.model, *tables), html_file)
     history.print_trial(added.trial, console)
     if html_file:
         console.print(f"report in {html_file}", markup=False, highlight=False, soft_wrap=True)
-    if not added.trial["accepted"]:
-        undecided = added.trial["outcome"] == add.UNDECIDED
+    if not added.trial.accepted:
+        undecided = added.trial.outcome == UNDECIDED
         if not (force or (undecided and even_if_undecided)):
             models.save(add.log_attempt(base, added.trial), out)
             what, option = ("undecided", "--even-if-undecided") if undecided else ("refused", "--force")
             raise ModelError(
-                f"{effect} is not added, it is {what}: {added.trial['reason']}; {out} is model {base.name} unchanged, "
+                f"{effect} is not added, it is {what}: {added.trial.reason}; {out} is model {base.name} unchanged, "
                 f"with the attempt in its history; add the effect all the same with {option}"
             )
         added = add.force_addition(added)

@@ -310,7 +310,7 @@ def _auto(
             page.print_lines([f"The loop ends here: {error}"], console)
             break
         history.print_trial(added.trial, console)
-        if not added.trial["accepted"]:
+        if not added.trial.accepted:
             model = add.log_attempt(model, added.trial)
             page.print_lines(["The loop ends here: no error of held-out rides falls beyond doubt."], console)
             break

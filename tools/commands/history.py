@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from socast.core import models
+from socast.core.diagnose.add.records import summarise_history
 from socast.tools.terminal.output import EffectFiles, HtmlFile, JsonFile, check_outputs, show_report, write_json
 
 
@@ -16,9 +17,7 @@ def show_history(
     _: EffectFiles = None,
 ) -> None:
     """Show the history of a model: every effect that was tried, and the error after each step against the noise."""
-    from socast.tools.report import history  # noqa: PLC0415 - figures take seconds to import
-
     loaded = models.load(model)
     check_outputs([Path(model)], html_file, json_file)
-    write_json(json_file, "history", history.summarise(loaded))
+    write_json(json_file, "history", summarise_history(loaded).to_json())
     show_report("history", loaded, html_file, json_file)

@@ -1,10 +1,10 @@
 """Define the tables of a report before they are printed or become HTML, and format their figures."""
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from socast.core.evaluate.paper.published import PublishedFigure
+from socast.core.evaluate.records import EstimatedValue
 from socast.core.formatting import format_minus, format_range
-from socast.tools.report.evaluation.result import get_half_width, get_number
 
 PAPER_NOTE: Final = (
     "In parentheses: figures of the paper. They are from other data (the rides of one company), for orientation only."
@@ -13,6 +13,10 @@ PAPER_NOTE: Final = (
 
 UNKNOWN: Final = "–"
 """Text where there is no figure."""
+
+
+Figure = EstimatedValue | float | None
+"""A number, which may have an interval; None where it is unknown."""
 
 
 class Cell(NamedTuple):
@@ -70,15 +74,25 @@ class ReportTable(NamedTuple):
         return (*self.notes, PAPER_NOTE) if self.beside_paper else self.notes
 
 
-def format_energy(value: Any) -> str:
+def get_value(figure: Figure) -> float | None:
+    """Return a number, or the value of an estimate."""
+    return figure.value if isinstance(figure, EstimatedValue) else figure
+
+
+def get_half_width(figure: Figure) -> float | None:
+    """Return half of the width of the 95 % interval of a figure, None where it has none."""
+    return figure.ci95 if isinstance(figure, EstimatedValue) else None
+
+
+def format_energy(value: Figure) -> str:
     """Return an energy, with its interval where it has one. [kWh]
 
     Examples
     --------
-    >>> format_energy({"value": 0.3312, "ci95": 0.0052}), format_energy(1.25), format_energy(None)
+    >>> format_energy(EstimatedValue(value=0.3312, ci95=0.0052)), format_energy(1.25), format_energy(None)
     ('0.331 ± 0.0052', '1.250', '–')
     """
-    known, ci95 = get_number(value), get_half_width(value)
+    known, ci95 = get_value(value), get_half_width(value)
     if known is None:
         return UNKNOWN
     if ci95 is None:
@@ -86,7 +100,7 @@ def format_energy(value: Any) -> str:
     return format_minus(f"{known:.3f} ± {ci95:.{4 if ci95 < 0.00995 else 3}f}")
 
 
-def format_signed(value: Any, digits: int = 3) -> str:
+def format_signed(value: Figure, digits: int = 3) -> str:
     """Return an energy with its sign. [kWh]
 
     Examples
@@ -94,11 +108,11 @@ def format_signed(value: Any, digits: int = 3) -> str:
     >>> format_signed(0.02), format_signed(-0.02)
     ('+0.020', '−0.020')
     """
-    known = get_number(value)
+    known = get_value(value)
     return UNKNOWN if known is None else format_minus(f"{known:+.{digits}f}")
 
 
-def format_percent(share: Any, digits: int = 1) -> str:
+def format_percent(share: Figure, digits: int = 1) -> str:
     """Return a share as a percentage.
 
     Examples
@@ -106,7 +120,7 @@ def format_percent(share: Any, digits: int = 1) -> str:
     >>> format_percent(0.517), format_percent(None)
     ('51.7 %', '–')
     """
-    known = get_number(share)
+    known = get_value(share)
     return UNKNOWN if known is None else format_minus(f"{100.0 * known:.{digits}f} %")
 
 
@@ -123,27 +137,27 @@ def format_change(value: float | None, reference: float | None) -> str:
     return format_minus(f"{100.0 * (value / reference - 1.0):+.1f} %")
 
 
-def format_difference(estimate: Any, digits: int = 3) -> str:
+def format_difference(estimate: Figure, digits: int = 3) -> str:
     """Return a difference with its sign, and its interval where it has one.
 
     Examples
     --------
-    >>> format_difference({"value": 0.0123, "ci95": 0.004}), format_difference({"value": -1.25, "ci95": None}, 1)
+    >>> format_difference(EstimatedValue(value=0.0123, ci95=0.004)), format_difference(-1.25, 1)
     ('+0.012 ± 0.004', '−1.2')
     """
     width = get_half_width(estimate)
     return format_signed(estimate, digits) + ("" if width is None else f" ± {width:.{digits}f}")
 
 
-def format_estimate(estimate: Any, digits: int = 1) -> str:
+def format_estimate(estimate: Figure, digits: int = 1) -> str:
     """Return a figure, and its interval where it has one."""
-    known, width = get_number(estimate), get_half_width(estimate)
+    known, width = get_value(estimate), get_half_width(estimate)
     if known is None:
         return UNKNOWN
     return format_minus(f"{known:.{digits}f}") + ("" if width is None else f" ± {width:.{digits}f}")
 
 
-def format_probability(value: Any) -> str:
+def format_probability(value: Figure) -> str:
     """Return a probability.
 
     Examples
@@ -151,12 +165,12 @@ def format_probability(value: Any) -> str:
     >>> format_probability(0.0000001), format_probability(0.034), format_probability(None)
     ('< 0.001', '0.034', '–')
     """
-    known = get_number(value)
+    known = get_value(value)
     least = 0.001
     return UNKNOWN if known is None else f"< {least}" if known < least else f"{known:.3f}"
 
 
-def format_count(value: Any) -> str:
+def format_count(value: Figure) -> str:
     """Return a count.
 
     Examples
@@ -164,7 +178,7 @@ def format_count(value: Any) -> str:
     >>> format_count(12772.0)
     '12,772'
     """
-    known = get_number(value)
+    known = get_value(value)
     return UNKNOWN if known is None else f"{known:,.0f}"
 
 

@@ -2,26 +2,25 @@
 
 The README, the tutorial, the pages of `socast add` and `socast history` and the workbench show the SVG of
 `draw_error_fall`, and the terminal the bars of `print_error_fall`, both of the same steps
-(`socast.core.diagnose.add.error_fall`).
+(`socast.core.diagnose.add.records`).
 """
 
 from collections.abc import Callable, Sequence
 from html import escape
 from itertools import chain
-from math import ceil, floor, isfinite, log10
+from math import ceil, floor, log10
 from typing import Final, NamedTuple
 
 from rich.console import Console
 from rich.text import Text
 
-from socast.core.diagnose.add.error_fall import ErrorFall, ErrorStep, Spread
-from socast.core.diagnose.add.terms import name_scoped
+from socast.core.diagnose.add.records import ADDED, EffectAttempt, ErrorFall
 from socast.core.formatting import format_count, format_minus
 
 WH: Final = 1000.0
 """Wh of a kWh."""
-PANELS: Final = (("held_out", "held-out days"), ("final", "final hold-out"))
-"""Field of a step and the name of its rides."""
+PANELS: Final = (("held_out", "of_effect", "held-out days"), ("final", "final", "final hold-out"))
+"""Class of the lines of a panel, field of a step, and the name of its rides."""
 TITLE: Final = "Error of a ride above the measurement noise [Wh]"
 TOTAL_TITLE: Final = "Mean absolute error of a ride, with its noise, which is unknown [Wh]"
 CAPTION: Final = (
@@ -82,9 +81,8 @@ def describe_share(fall: ErrorFall) -> str:
 
     Examples
     --------
-    >>> from socast.core.diagnose.add.error_fall import RemovedShare
-    >>> share = RemovedShare(0.5, 0.38, 0.61)
-    >>> describe_share(ErrorFall(noise_kwh=0.02, above_after_kwh=Spread(0.005, 0.002), removed=share))
+    >>> from socast.core.diagnose.add.records import RemovedShare
+    >>> describe_share(ErrorFall(noise_kwh=0.02, removed=RemovedShare(value=0.5, low=0.38, high=0.61)))
     '50 % (38 to 61 %)'
     """
     return "; ".join(filter(None, _split_share(fall)))
@@ -93,35 +91,25 @@ def describe_share(fall: ErrorFall) -> str:
 def _split_share(fall: ErrorFall) -> tuple[str, str]:
     """Return the share that a step removed with its interval, and a remark where nothing beyond noise remains."""
     share = fall.removed
-    if isfinite(share.value):
+    if share.value is not None and share.low is not None and share.high is not None:
         ends = f"{_number(share.low)} to {_number(min(share.high, 1.0))} %"
         remark = "nothing beyond noise remains" if fall.is_noise_reached else ""
         return f"{_number(min(share.value, 1.0))} % ({ends})", remark
-    if not fall.is_noise_known:
+    if fall.noise_kwh is None:
         return "unknown", "because the noise is unknown"
     if fall.is_noise_overestimated:
         return "unknown", "the estimated noise exceeds the error"
     return "none", "there was nothing beyond noise"
 
 
-def describe_step(step: ErrorStep) -> str:
+def describe_step(step: EffectAttempt) -> str:
     """Return a sentence about the share of the error above the noise that a step removed."""
     parts = [f"on the {name}, {describe_share(fall)}" for _, name, fall in _list_falls(step)]
-    done = f"{name_step(step)} {_get_outcome(step)}. Share removed of the error that noise does not explain"
+    done = f"{step.name} {step.result}. Share removed of the error that noise does not explain"
     return f"{done}: {'; '.join(parts)}." if parts else ""
 
 
-def name_step(step: ErrorStep) -> str:
-    """Return the effect of a step with its scope."""
-    return name_scoped(step.effect, step.scope)
-
-
-def _get_outcome(step: ErrorStep) -> str:
-    """Return the past participle of what was done with an effect."""
-    return "added by force" if step.forced else {"add": "added"}.get(step.action, step.action)
-
-
-def draw_error_fall(steps: Sequence[ErrorStep], *, standalone: bool = True) -> str:
+def draw_error_fall(steps: Sequence[EffectAttempt], *, standalone: bool = True) -> str:
     """Return the picture as SVG; empty where no step has an error.
 
     Parameters
@@ -135,7 +123,7 @@ def draw_error_fall(steps: Sequence[ErrorStep], *, standalone: bool = True) -> s
         return ""
     panels = _place_panels(shown)
     falls = list(chain.from_iterable(panel.falls for panel in panels))
-    is_above = all(fall.is_noise_known for fall in falls if fall.rides)
+    is_above = all(fall.noise_kwh is not None for fall in falls if fall.rides)
     low, high, tick = _find_range(falls, is_above=is_above)
 
     def place(value: float) -> float:
@@ -161,28 +149,37 @@ def draw_error_fall(steps: Sequence[ErrorStep], *, standalone: bool = True) -> s
     return "".join((*parts, *below, "</svg>\n"))
 
 
-def _place_panels(steps: Sequence[ErrorStep]) -> list[_Panel]:
+def _place_panels(steps: Sequence[EffectAttempt]) -> list[_Panel]:
     """Return the panels that have something to show, side by side."""
-    falls = {key: tuple(getattr(step, key) for step in steps) for key, _ in PANELS}
-    used = [(key, name) for key, name in PANELS if any(fall.rides for fall in falls[key])]
+    falls = {key: tuple(_get_fall(step, field) for step in steps) for key, field, _ in PANELS}
+    used = [(key, name) for key, _, name in PANELS if any(fall.rides for fall in falls[key])]
     width = (RIGHT - LEFT - GAP * (len(used) - 1)) / len(used)
     return [_Panel(key, name, falls[key], LEFT + i * (width + GAP), width) for i, (key, name) in enumerate(used)]
 
 
-def _get_errors(fall: ErrorFall, *, is_above: bool) -> tuple[Spread, Spread]:
-    """Return the errors before and after, above the noise if it is known. [Wh]"""
-    pair = (fall.above_before_kwh, fall.above_after_kwh)
-    if not is_above:
-        pair = (Spread(fall.mae_before_kwh, 0.0), Spread(fall.mae_after_kwh, 0.0))
-    before, after = (Spread(WH * each.value, WH * each.ci95 if isfinite(each.ci95) else 0.0) for each in pair)
-    return before, after
+class _Error(NamedTuple):
+    """Hold an error and half the width of its 95 % interval, 0 where that is unknown. [Wh]"""
+
+    value: float
+    half: float = 0.0
+
+
+def _get_errors(fall: ErrorFall, *, is_above: bool) -> tuple[_Error, _Error]:
+    """Return the errors before and after, above the noise if it is known."""
+    if is_above:
+        before, after = (
+            _Error(WH * (each.value or 0.0), WH * (each.ci95 or 0.0))
+            for each in (fall.above_before_kwh, fall.above_after_kwh)
+        )
+        return before, after
+    return _Error(WH * (fall.mae_before_kwh or 0.0)), _Error(WH * (fall.mae_after_kwh or 0.0))
 
 
 def _find_range(falls: Sequence[ErrorFall], *, is_above: bool) -> tuple[float, float, float]:
     """Return the ends of the axis and the distance of its ticks. [Wh]"""
     errors = [each for fall in falls if fall.rides for each in _get_errors(fall, is_above=is_above)]
-    high = 1.04 * max([each.value + each.ci95 for each in errors] + [1e-3])
-    low = min([1.1 * (each.value - each.ci95) for each in errors] + [-high * BAND / (HEIGHT - BAND)])
+    high = 1.04 * max([each.value + each.half for each in errors] + [1e-3])
+    low = min([1.1 * (each.value - each.half) for each in errors] + [-high * BAND / (HEIGHT - BAND)])
     unit = 10.0 ** floor(log10(high / 4.0))
     tick = next(unit * step for step in (1.0, 2.0, 5.0, 10.0) if 5.0 * unit * step >= high)
     return low, high, tick
@@ -204,7 +201,7 @@ def _draw_grid(
             f'<rect class="noise" x="{x:.1f}" y="{zero:.1f}" width="{panel.width:.1f}" '
             f'height="{TOP + HEIGHT - zero:.1f}" fill="#e9edf1"/>'
         )
-        alone = next(fall.noise_kwh for fall in reversed(panel.falls) if fall.rides)
+        alone = next(fall.noise_kwh or 0.0 for fall in reversed(panel.falls) if fall.rides)
         parts.append(
             _text(end - 6, TOP + HEIGHT - 9, f"noise alone: {WH * alone:.1f} Wh", "soft", anchor="end", size=14)
         )
@@ -220,7 +217,7 @@ def _draw_grid(
 
 
 def _draw_step(
-    panel: _Panel, i: int, step: ErrorStep, fall: ErrorFall, place: Callable[[float], float], *, is_above: bool
+    panel: _Panel, i: int, step: EffectAttempt, fall: ErrorFall, place: Callable[[float], float], *, is_above: bool
 ) -> list[str]:
     """Return the error before and after a step, with the line on which it falls."""
     wide = panel.step_width
@@ -231,12 +228,12 @@ def _draw_step(
     pair, xs = _get_errors(fall, is_above=is_above), (middle - apart, middle + apart)
     ys = [place(each.value) for each in pair]
     line = f'class="{panel.key}-line" stroke="{COLOURS[panel.key]}"'
-    dashed = "" if step.action == "add" else ' stroke-dasharray="5 5"'
+    dashed = "" if step.action == ADDED else ' stroke-dasharray="5 5"'
     parts = [
         f'<line {line} stroke-width="3.5"{dashed} x1="{xs[0]:.1f}" y1="{ys[0]:.1f}" x2="{xs[1]:.1f}" y2="{ys[1]:.1f}"/>'
     ]
     for x, y, each, name in zip(xs, ys, pair, ("before", "after"), strict=True):
-        top, bottom = place(each.value + each.ci95), place(each.value - each.ci95)
+        top, bottom = place(each.value + each.half), place(each.value - each.half)
         parts.append(
             f'<line {line} stroke-width="2" x1="{x:.1f}" x2="{x:.1f}" y1="{top:.1f}" y2="{bottom:.1f}"/>'
             f'<circle class="{"open" if name == "before" else panel.key} {panel.key}-line" cx="{x:.1f}" cy="{y:.1f}" '
@@ -250,14 +247,14 @@ def _draw_step(
     return parts if panel.is_named else [*parts, number]
 
 
-def _draw_shares(steps: Sequence[ErrorStep], panels: Sequence[_Panel]) -> tuple[list[str], float]:
+def _draw_shares(steps: Sequence[EffectAttempt], panels: Sequence[_Panel]) -> tuple[list[str], float]:
     """Return the share that each step removed, below its panel, and the height of the whole picture. [px]"""
     y = TOP + HEIGHT + (48.0 if panels[0].is_named else 72.0)
     parts = [_text(14, y, REMOVED, "soft", size=14)]
     for i, step in enumerate(steps):
         y += 26
         place = f"{i + 1}. " if len(steps) > 1 else ""
-        parts.append(_text(14, y, f"{place}{name_step(step)} {_get_outcome(step)}", weight="bold"))
+        parts.append(_text(14, y, f"{place}{step.name} {step.result}", weight="bold"))
         shares = {one: _split_share(one.falls[i]) for one in panels if one.falls[i].rides}
         y += 24
         parts += [
@@ -278,50 +275,56 @@ def _text(
     )
 
 
-def print_error_fall(steps: Sequence[ErrorStep], console: Console) -> None:
+def print_error_fall(steps: Sequence[EffectAttempt], console: Console) -> None:
     """Print the picture with bars of block characters, within 80 columns; nothing where no step has an error."""
     shown = [(i, step) for i, step in enumerate(steps, start=1) if _list_falls(step)]
     if not shown:
         return
     falls = [fall for _, step in shown for _, _, fall in _list_falls(step)]
-    is_above = all(fall.is_noise_known for fall in falls)
+    is_above = all(fall.noise_kwh is not None for fall in falls)
     _, high, _ = _find_range(falls, is_above=is_above)
     console.print()
     console.print(Text(TITLE if is_above else TOTAL_TITLE, style="bold"))
     for i, step in shown:
-        console.print(Text(f" {i}. {name_step(step)} {_get_outcome(step)}"))
+        console.print(Text(f" {i}. {step.name} {step.result}"))
         for key, name, fall in _list_falls(step):
             for word, each in zip(("before", "after"), _get_errors(fall, is_above=is_above), strict=True):
                 label = f"{name if word == 'before' else '':<15} {word:<6} {format_minus(f'{each.value:.1f}'):>6} "
-                spread = f"± {each.ci95:<5.1f}" if each.ci95 else " " * 7
+                spread = f"± {each.half:<5.1f}" if each.half else " " * 7
                 bar = Text(f"    {label}{spread}")
                 bar.append(_draw_bar(each, high), style="blue" if key == "held_out" else "yellow")
                 console.print(bar)
             console.print(Text(f"{'':20}removed {describe_share(fall)}"))
     if is_above:
-        noise = " and ".join(dict.fromkeys(f"{WH * fall.noise_kwh:.1f}" for fall in falls))
+        noise = " and ".join(dict.fromkeys(f"{WH * (fall.noise_kwh or 0.0):.1f}" for fall in falls))
         ends = f"{CERTAIN} up to the 95 % interval, {LIKELY} up to the value, {POSSIBLE} up to the end of the interval"
         console.print(Text(f"Noise alone causes {noise} Wh; removed: share of what noise does not explain."))
         console.print(Text(f"{ends}."))
 
 
-def _draw_bar(error: Spread, high: float) -> str:
+def _draw_bar(error: _Error, high: float) -> str:
     """Return a bar up to an error, which tells its interval by lighter blocks.
 
     Examples
     --------
-    >>> _draw_bar(Spread(5.0, 2.0), 10.0)
+    >>> _draw_bar(_Error(5.0, 2.0), 10.0)
     '█████████▓▓▓▓▓▓░░░░░░'
     """
-    ends = [round(COLUMNS * max(value, 0.0) / high) for value in (error.value - error.ci95, error.value)]
-    last = round(COLUMNS * max(error.value + error.ci95, 0.0) / high)
+    ends = [round(COLUMNS * max(value, 0.0) / high) for value in (error.value - error.half, error.value)]
+    last = round(COLUMNS * max(error.value + error.half, 0.0) / high)
     return CERTAIN * ends[0] + LIKELY * (ends[1] - ends[0]) + POSSIBLE * (last - ends[1])
 
 
-def _list_falls(step: ErrorStep) -> list[tuple[str, str, ErrorFall]]:
-    """Return the rides on which a step was evaluated: key, name and errors."""
-    falls = [(key, name, getattr(step, key)) for key, name in PANELS]
-    return [each for each in falls if each[2].rides and isfinite(each[2].mae_before_kwh)]
+def _get_fall(step: EffectAttempt, field: str) -> ErrorFall:
+    """Return the errors of a step on some rides, without rides where it has none."""
+    fall: ErrorFall | None = getattr(step, field)
+    return fall or ErrorFall()
+
+
+def _list_falls(step: EffectAttempt) -> list[tuple[str, str, ErrorFall]]:
+    """Return the rides on which a step was evaluated: class, name and errors."""
+    falls = [(key, name, _get_fall(step, field)) for key, field, name in PANELS]
+    return [each for each in falls if each[2].rides and each[2].mae_before_kwh is not None]
 
 
 def _number(share: float) -> str:

@@ -2,39 +2,47 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
-import msgspec
 from rich.console import Console
 from rich.text import Text
 
-from socast.core.diagnose.add.error_fall import ATTEMPTS, ErrorStep, list_error_steps, read_scope, read_step
-from socast.core.diagnose.add.terms import name_scoped
-from socast.core.diagnose.records import EstimatedCoefficient
+from socast.core.diagnose.add.records import (
+    ADDED,
+    ATTEMPTS,
+    REFUSED,
+    UNDECIDED,
+    EffectAttempt,
+    EffectTrial,
+    ErrorFall,
+    list_attempts,
+    summarise_history,
+)
 from socast.core.evaluate.compare.records import ResidualSurvey
+from socast.core.fit.records import read_fit_step
 from socast.core.formatting import format_minus
 from socast.core.models import LinearModel
-from socast.core.records import to_json_values
-from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_change, format_count, format_signed
+from socast.tools.report.cells import UNKNOWN, Cell, ReportTable, Row, format_count, format_estimate
 from socast.tools.report.comparison.failures import illustrate_change
 from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
 from socast.tools.report.diagnosis.sentences import format_energy
 from socast.tools.report.error_fall import CAPTION, draw_error_fall, print_error_fall
 from socast.tools.report.evaluation.illustrations import Drawing, Illustration
-from socast.tools.report.evaluation.result import get_half_width, get_mapping, get_number
 from socast.tools.report.evaluation.sections import Section
 from socast.tools.report.evaluation.terminal import print_section
 from socast.tools.report.page import render_document, save
+from socast.tools.report.record_table import FORMATS, tabulate_records
 
-Entry = Mapping[str, Any]
-
-HELD_OUT: Final[Mapping[str, str]] = {
-    "of_effect": "held-out days, effect refitted",
-    "on_days": "held-out days, all refitted",
-    "on_vehicles": "held-out vehicles, all refitted",
-    "final": "final hold-out days",
-}
-"""Key of a comparison in a trial and the row title for it."""
+HELD_OUT: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "of_effect": "held-out days, effect refitted",
+        "on_days": "held-out days, all refitted",
+        "on_vehicles": "held-out vehicles, all refitted",
+        "final": "final hold-out days",
+    }
+)
+"""Field of a comparison in a trial and the row title for it."""
 TRIAL_NOTE: Final = (
     "In the first row, the coefficient of the effect is fitted without the held-out days; in the other rows, "
     "everything is fitted without what is held out. ± is half of the 95 % interval of the mean difference per ride, "
@@ -46,84 +54,81 @@ HISTORY_NOTE: Final = (
     "Error: mean absolute error of a ride on held-out days. Each step is evaluated on the rides given at that time, so "
     "a step may begin with another error than the previous step ended with."
 )
+STEP_FIELDS: Final = ("result", "mae_before_kwh", "mae_after_kwh", "change_kwh", "noise_floor_kwh", "final")
+OUTCOMES: Final = MappingProxyType({ADDED: "helps", REFUSED: "does not help", UNDECIDED: "may or may not help"})
+"""Outcome of a trial -> what it says of the effect."""
 
 
-def print_trial(trial: Any, console: Console) -> None:
+def print_trial(trial: EffectTrial, console: Console) -> None:
     """Print the comparison, the coefficient and the outcome of a trial."""
-    entry = to_json_values(trial)
-    for section in build_trial_sections(entry):
-        print_section(section, console)
-    print_error_fall([read_step(entry)], console)
+    tables = [tabulate_errors(trial), *_tabulate_conditions(trial)]
+    print_section(Section("trial", _title_trial(trial), "", tables), console)
+    print_error_fall([trial], console)
     console.print()
-    for line in describe_coefficients(entry):
+    for line in _describe_coefficients(trial, trial.words_by_vehicle_model):
         console.print(Text(line))
-    for line in entry.get("warnings") or ():
+    for line in trial.warnings:
         console.print(Text(f"warning: {line}", style="yellow"))
-    console.print(Text(_outcome(entry), style="bold"))
+    console.print(Text(_describe_outcome(trial), style="bold"))
 
 
-def write_trial(trial: Any, surveys: Sequence[ResidualSurvey], path: Path) -> None:
+def write_trial(trial: EffectTrial, surveys: Sequence[ResidualSurvey], path: Path) -> None:
     """Write the trial of an effect as an HTML page that loads no other file."""
-    entry = to_json_values(trial)
-    errors, *_ = build_trial_sections(entry)
-    text = " ".join(f"{line}." for line in (*describe_coefficients(entry), *(entry.get("warnings") or ())))
+    lines = _describe_coefficients(trial, trial.words_by_vehicle_model)
+    text = " ".join(f"{line}." for line in (*lines, *trial.warnings))
     changes = illustrate_change(*surveys) if surveys else []
     sections = [
-        Section("fall", "Error above the noise", _outcome(entry), []),
+        Section("fall", "Error above the noise", _describe_outcome(trial), []),
         *([Section("change", "Where it fails, before and after", "", [])] if changes else []),
-        errors._replace(title="Before and after", text=text, tables=errors.tables[:1]),
-        errors._replace(key="conditions", title="By condition", tables=errors.tables[1:], closed=True),
+        Section("trial", "Before and after", text, [tabulate_errors(trial)]),
+        Section("conditions", "By condition", "", _tabulate_conditions(trial), closed=True),
     ]
-    drawn: dict[str, Sequence[Illustration | Drawing]] = {"fall": _draw_steps([read_step(entry)]), "change": changes}
+    drawn: dict[str, Sequence[Illustration | Drawing]] = {"fall": _draw_steps([trial]), "change": changes}
     made_by = "<p>Made by <code>socast add</code>.</p>"
     shown = [section for section in sections if section.tables or drawn.get(section.key) or section.key == "fall"]
-    save(render_document("add", errors.title, "", shown, lambda key: drawn.get(key, []), made_by), path)
+    save(render_document("add", _title_trial(trial), "", shown, lambda key: drawn.get(key, []), made_by), path)
 
 
-def describe_coefficients(trial: Entry) -> list[str]:
+def _title_trial(trial: EffectAttempt) -> str:
+    return f"{trial.name}: before and after"
+
+
+def _describe_coefficients(trial: EffectAttempt, words: Mapping[str, str] = MappingProxyType({})) -> list[str]:
     """Return the coefficient in words and figures, and those of vehicle models with a coefficient of their own."""
-    lines = [str(trial.get("words") or ""), _word_coefficient(trial.get("coefficient"))]
-    by_vehicle_model = get_mapping(trial, "by_vehicle_model")
-    words = get_mapping(trial, "words_by_vehicle_model")
-    lines += [f"{key}: {words.get(key, '')} ({_word_coefficient(value)})" for key, value in by_vehicle_model.items()]
+    lines = [trial.words, describe_coefficient(trial.coefficient)]
+    for key, coefficient in trial.by_vehicle_model.items():
+        lines.append(f"{key}: {words.get(key, '')} ({describe_coefficient(coefficient)})")
     return [line for line in lines if line]
 
 
-def _word_coefficient(value: Any) -> str:
-    """Return a coefficient of the history of a model in words."""
-    return describe_coefficient(msgspec.convert(value or {}, EstimatedCoefficient))
-
-
-def _outcome(trial: Entry) -> str:
+def _describe_outcome(trial: EffectAttempt) -> str:
     """Return a sentence that states whether the effect helps, and why."""
-    words = {"add": "helps", "refused": "does not help", "undecided": "may or may not help"}
-    outcome = str(trial.get("outcome") or ("add" if trial.get("accepted") else "refused"))
-    return f"{_name(trial)} {words[outcome]}: {trial.get('reason')}."
+    outcome = trial.outcome or (ADDED if trial.accepted else REFUSED)
+    return f"{trial.name} {OUTCOMES[outcome]}: {trial.reason}."
 
 
-def build_trial_sections(trial: Entry) -> list[Section]:
-    """Return the tables of a trial: the errors before and after, overall and by condition."""
-    comparisons = [(what, get_mapping(trial, key)) for key, what in HELD_OUT.items() if get_mapping(trial, key)]
-    rows = tuple(_compared(what, one) for what, one in comparisons)
-    floor = (
-        f"Measurement noise alone: {format_energy(trial.get('noise_floor_kwh'))}.{_compare_given(trial)} {TRIAL_NOTE}"
-    )
-    heads = ("rides", "vehicle-\ndays", "before,\nkWh", "after,\nkWh", "change,\nkWh", "change")
-    title = f"{_name(trial)}: before and after"
-    tables = [ReportTable("Mean absolute error of a ride", "evaluated on", heads, rows, (floor,))]
-    parts = get_mapping(trial, "conditions")
-    for what, bins in parts.items():
-        rows_of_bins = tuple(_compared(format_minus(str(one.get("where"))), one) for one in bins)
-        tables.append(ReportTable(f"By {what}, held-out days", what, heads, rows_of_bins))
-    return [Section("trial", title, "", [table for table in tables if table.rows])]
+def tabulate_errors(trial: EffectAttempt) -> ReportTable:
+    """Return the errors before and after, on what is held out."""
+    falls = {what: getattr(trial, field) for field, what in HELD_OUT.items()}
+    note = f"Measurement noise alone: {format_energy(trial.noise_floor_kwh)}.{_compare_given(trial)} {TRIAL_NOTE}"
+    known = {what: fall for what, fall in falls.items() if fall is not None and fall.rides}
+    return tabulate_records("Mean absolute error of a ride", known, ErrorFall, corner="evaluated on", notes=(note,))
 
 
-def _compare_given(trial: Entry) -> str:
+def _tabulate_conditions(trial: EffectTrial) -> list[ReportTable]:
+    """Return the errors before and after by condition, on held-out days."""
+    tables = [
+        tabulate_records(
+            f"By {what}, held-out days", {each.where: each for each in bins}, ErrorFall, corner=what, label=format_minus
+        )
+        for what, bins in trial.conditions.items()
+    ]
+    return [table for table in tables if table.rows]
+
+
+def _compare_given(trial: EffectAttempt) -> str:
     """Return the error of the model as given beside that of the refitted one, and why the latter is larger if it is."""
-    given, refitted = (
-        get_number(trial.get("mae_given_kwh")),
-        get_number(get_mapping(trial, "on_days").get("mae_before_kwh")),
-    )
+    given, refitted = trial.mae_given_kwh, trial.on_days.mae_before_kwh
     if given is None:
         return ""
     line = f" The model as given: {format_energy(given)} on the days that are held out in turn"
@@ -135,67 +140,26 @@ def _compare_given(trial: Entry) -> str:
     )
 
 
-def _compared(name: str, one: Entry) -> Row:
-    """Return one row with the errors before and after."""
-    was, now = get_number(one.get("mae_before_kwh")), get_number(one.get("mae_after_kwh"))
-    return Row(
-        name,
-        (
-            Cell(format_count(one.get("rides"))),
-            Cell(format_count(one.get("clusters"))),
-            Cell(_error(was)),
-            Cell(_error(now)),
-            Cell(_spread(one.get("change_kwh"))),
-            Cell(format_change(now, was)),
-        ),
-    )
-
-
-def summarise(model: LinearModel) -> dict[str, Any]:
-    """Return the history of a model as JSON values."""
-    steps = list_attempts(model)
-    taken = [step for step in steps if step["action"] == "add"]
-    return {
-        "model": model.name,
-        "version": model.version,
-        "recipe": model.recipe,
-        "mae_first_kwh": steps[0].get("mae_before_kwh") if steps else None,
-        "mae_last_kwh": taken[-1].get("mae_after_kwh") if taken else None,
-        "noise_floor_kwh": steps[-1].get("noise_floor_kwh") if steps else None,
-        "steps": list(model.history),
-    }
-
-
-def list_attempts(model: LinearModel) -> list[Entry]:
-    """Return the entries of the effects that were tried, the oldest first."""
-    return [entry for entry in model.history if entry.get("action") in ATTEMPTS]
-
-
 def show(model: LinearModel, console: Console) -> None:
     """Print the history of a model."""
     print_section(Section("history", _title(model), "", [tabulate_history(model)]), console)
-    print_error_fall(list_error_steps(model.history), console)
+    print_error_fall(list_attempts(model.history), console)
     console.print()
-    for i, entry in enumerate(model.history):
-        if entry in list_attempts(model):
-            console.print(Text(f"{i}. {_describe_attempt(entry)}"))
+    for place, attempt in _number_attempts(model).items():
+        console.print(Text(f"{place}. {_describe_attempt(attempt)}"))
     console.print(Text(describe_progress(model), style="bold"))
 
 
 def write(model: LinearModel, path: Path) -> None:
     """Write the history of a model as an HTML page that loads no other file."""
     shown = [Section("history", "Step by step", describe_progress(model), [tabulate_history(model)])]
-    for i, entry in enumerate(list_attempts(model), start=1):
-        section = build_trial_sections(entry)[0]
-        text = " ".join(f"{line}." for line in (*describe_coefficients(entry), _outcome(entry).removesuffix(".")))
-        shown.append(Section(f"step-{i}", f"{i}. {section.title}", text, section.tables))
+    for i, attempt in enumerate(list_attempts(model.history), start=1):
+        text = " ".join(f"{line}." for line in (*_describe_coefficients(attempt), _describe_outcome(attempt)[:-1]))
+        shown.append(Section(f"step-{i}", f"{i}. {_title_trial(attempt)}", text, [tabulate_errors(attempt)]))
+    drawn = draw_errors(model)
     made_by = "<p>Made by <code>socast history</code>.</p>"
-    save(
-        render_document(
-            "history", _title(model), "", shown, lambda key: draw_errors(model) if key == "history" else [], made_by
-        ),
-        path,
-    )
+    page = render_document("history", _title(model), "", shown, lambda key: drawn if key == "history" else [], made_by)
+    save(page, path)
 
 
 def _title(model: LinearModel) -> str:
@@ -204,104 +168,78 @@ def _title(model: LinearModel) -> str:
 
 def describe_progress(model: LinearModel) -> str:
     """Return a sentence that states how far the error fell."""
-    tried = list_attempts(model)
+    tried, whole = list_attempts(model.history), summarise_history(model)
     if not tried:
         return "No effect has been tried. Find a missing effect with socast diagnose, and add it with socast add."
-    taken = [step for step in tried if step["action"] == "add"]
-    first, floor = tried[0].get("mae_before_kwh"), tried[-1].get("noise_floor_kwh")
-    names = ", ".join(map(_name, taken))
-    added = f"Added: {names}" if taken else "No effect was added"
-    numbers = {word: sum(step["action"] == word for step in tried) for word in ATTEMPTS[1:]}
+    names = ", ".join(attempt.name for attempt in tried if attempt.action == ADDED)
+    numbers = {word: sum(attempt.action == word for attempt in tried) for word in ATTEMPTS[1:]}
     beside = "".join(f", {format_count(number)} {word}" for word, number in numbers.items() if number)
-    last = taken[-1].get("mae_after_kwh") if taken else None
-    fall = f"error {_error(first)} -> {format_energy(last)}" if taken else f"error {format_energy(first)}"
-    return f"{added}{beside}; {fall} per ride on held-out days; measurement noise alone {format_energy(floor)}."
+    first, last, floor = (
+        format_energy(error) for error in (whole.mae_first_kwh, whole.mae_last_kwh, whole.noise_floor_kwh)
+    )
+    fall = f"error {format_estimate(whole.mae_first_kwh, 4)} -> {last}" if names else f"error {first}"
+    added = f"Added: {names}" if names else "No effect was added"
+    return f"{added}{beside}; {fall} per ride on held-out days; measurement noise alone {floor}."
+
+
+def _number_attempts(model: LinearModel) -> dict[int, EffectAttempt]:
+    """Return the effects that were tried by their place in the history."""
+    places = [place for place, entry in enumerate(model.history) if entry.get("action") in ATTEMPTS]
+    return dict(zip(places, list_attempts(model.history), strict=True))
 
 
 def tabulate_history(model: LinearModel) -> ReportTable:
     """Return a table with every step of the history."""
-    rows = tuple(_step(i, entry) for i, entry in enumerate(model.history))
-    heads = ("result", "before,\nkWh", "after,\nkWh", "change,\nkWh", "noise,\nkWh", "final,\nkWh")
-    return ReportTable("", "step", heads, rows, (HISTORY_NOTE,) if list_attempts(model) else ())
-
-
-def _step(place: int, entry: Entry) -> Row:
-    """Return one row of the history."""
-    action = str(entry.get("action"))
-    if action not in ATTEMPTS:
-        fitted = [value for value in get_mapping(entry, "mae_in_sample_kwh").values() if get_number(value) is not None]
-        recipe = f"recipe {entry['recipe']}" if entry.get("recipe") else ""
-        inside = f"in-sample error {_error(max(fitted))} kWh at most" if fitted else ""
-        blank = tuple(Cell("") for _ in range(5))
-        return Row(
-            f"{place}. {', '.join(each for each in (recipe or action, inside) if each)}", (Cell(_past(action)), *blank)
-        )
-    done = "added by force" if entry.get("forced") else "added" if action == "add" else action
-    final = get_mapping(entry, "final")
-    return Row(
-        f"{place}. {_name(entry)}",
-        (
-            Cell(done),
-            Cell(_error(entry.get("mae_before_kwh"))),
-            Cell(_error(entry.get("mae_after_kwh")), strong=action == "add"),
-            Cell(_spread(entry.get("change_kwh"))),
-            Cell(_error(entry.get("noise_floor_kwh"))),
-            Cell(_final(final)),
-        ),
+    attempts = _number_attempts(model)
+    table = tabulate_records(
+        "",
+        {f"{place}. {attempt.name}": attempt for place, attempt in attempts.items()},
+        EffectAttempt,
+        corner="step",
+        fields=STEP_FIELDS,
+        notes=(HISTORY_NOTE,) if attempts else (),
+        strong=lambda field, place, _: field == "mae_after_kwh" and [*attempts.values()][place - 1].action == ADDED,
+        formats={**FORMATS, "before and after": _format_fall},
     )
+    rows = iter(table.rows)
+    every = [
+        next(rows) if place in attempts else _describe_fit(place, entry) for place, entry in enumerate(model.history)
+    ]
+    return table._replace(rows=tuple(every))
 
 
-def _final(final: Entry) -> str:
-    """Return the errors before and after on the final hold-out days."""
-    if not final:
+def _describe_fit(place: int, entry: Mapping[str, Any]) -> Row:
+    """Return the row of a step that tried no effect."""
+    step = read_fit_step(entry)
+    recipe = f"recipe {step.recipe}" if step.recipe else step.action or "unknown step"
+    errors = step.mae_in_sample_kwh
+    inside = [f"in-sample error {format_estimate(max(errors.values()), 4)} kWh at most"] if errors else []
+    done = {"fit": "fitted", "adapt": "adapted"}.get(step.action, UNKNOWN)
+    return Row(f"{place}. {', '.join([recipe, *inside])}", (Cell(done), *(Cell("") for _ in STEP_FIELDS[1:])))
+
+
+def _format_fall(fall: ErrorFall | None) -> str:
+    """Return the errors before and after."""
+    if fall is None:
         return UNKNOWN
-    return f"{_error(final.get('mae_before_kwh'))} → {_error(final.get('mae_after_kwh'))}"
+    return f"{format_estimate(fall.mae_before_kwh, 4)} → {format_estimate(fall.mae_after_kwh, 4)}"
 
 
-def _past(action: str) -> str:
-    """Return the past participle of an action.
-
-    Examples
-    --------
-    >>> _past("fit"), _past("adapt")
-    ('fitted', 'adapted')
-    """
-    return {"fit": "fitted"}.get(action, f"{action}ed")
-
-
-def _describe_attempt(entry: Entry) -> str:
+def _describe_attempt(attempt: EffectAttempt) -> str:
     """Return what the coefficient of an effect means, or why the effect was refused."""
-    name = _name(entry)
-    if entry["action"] != "add":
-        return f"{name} was {entry['action']}: {entry.get('reason')}"
-    plausible = get_mapping(entry, "coefficient").get("plausible", True)
-    forced = f"; added by force, although {entry.get('reason')}" if entry.get("forced") else ""
-    return f"{entry.get('words') or name}{'' if plausible else ' (not plausible)'}{forced}"
+    if attempt.action != ADDED:
+        return f"{attempt.name} was {attempt.action}: {attempt.reason}"
+    doubt = "" if attempt.coefficient.plausible else " (not plausible)"
+    forced = f"; added by force, although {attempt.reason}" if attempt.forced else ""
+    return f"{attempt.words or attempt.name}{doubt}{forced}"
 
 
 def draw_errors(model: LinearModel) -> list[Drawing]:
     """Return the picture of the error before and after each step, in a list that is empty without a step."""
-    return _draw_steps(list_error_steps(model.history))
+    return _draw_steps(list_attempts(model.history))
 
 
-def _draw_steps(steps: Sequence[ErrorStep]) -> list[Drawing]:
+def _draw_steps(steps: Sequence[EffectAttempt]) -> list[Drawing]:
     """Return the picture of the error before and after steps, in a list that is empty without one."""
     svg = draw_error_fall(steps)
     return [Drawing("falling", "Error before and after each step", CAPTION, svg)] if svg else []
-
-
-def _name(entry: Entry) -> str:
-    return name_scoped(str(entry.get("effect")), read_scope(entry))
-
-
-def _error(value: Any) -> str:
-    known = get_number(value)
-    return UNKNOWN if known is None else f"{known:.4f}"
-
-
-def _spread(value: Any) -> str:
-    """Return a change with half the width of its interval."""
-    known, half = get_number(value), get_half_width(value)
-    if known is None:
-        return UNKNOWN
-    return format_signed(known, 4) + ("" if half is None else f" ± {half:.4f}")

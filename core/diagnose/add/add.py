@@ -21,7 +21,7 @@ error once. Evaluate on the final hold-out once; do not tune on it.
 
 from collections.abc import Callable, Sequence
 from math import isnan
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -39,6 +39,15 @@ from socast.core.diagnose.add.holdout import (
     select_final_days,
     split_into_day_folds,
     split_into_vehicle_folds,
+)
+from socast.core.diagnose.add.records import (
+    ADDED,
+    REFUSED,
+    UNDECIDED,
+    EffectTrial,
+    ErrorFall,
+    FinalErrorFall,
+    list_attempts,
 )
 from socast.core.diagnose.add.refit import (
     RefittedPair,
@@ -59,6 +68,7 @@ from socast.core.diagnose.candidates import find_coefficient_limits
 from socast.core.diagnose.ranking import LEAST_GAIN, LEVEL
 from socast.core.effects import Effect
 from socast.core.errors import ModelError
+from socast.core.evaluate.records import hold_estimate
 from socast.core.fit.block_sums import build_design
 from socast.core.fit.calibration import add_interval
 from socast.core.fit.recipes import RECIPES
@@ -67,19 +77,11 @@ from socast.core.fit.window_recipe import WindowRecipe
 from socast.core.formatting import format_minus, rounded
 from socast.core.models import ANY, VEHICLE_MODEL, LinearModel, Term, stamp
 from socast.core.models.features import EFFECT_PREFIX, VEHICLE_SCOPE, Columns, list_raw_columns, list_scope
-from socast.core.records import to_json_values
 
-ADDED: Final = "add"
-REFUSED: Final = "refused"
-UNDECIDED: Final = "undecided"
-"""Outcomes of a trial, and actions in the history of a model."""
 MAX_FINAL_SHARE: Final = 0.5
 """Share of the rides with the effect that may be in the final hold-out; above it, there is no final hold-out."""
-
 MOST_DAYS: Final = 1e5
 """Number of vehicle-days beyond which nobody waits for a decision."""
-TRIAL_ONLY: Final = ("conditions", "words_by_vehicle_model", "warnings")
-"""Keys of a trial that its entry in the history does not have."""
 
 
 class AdditionTrial(NamedTuple):
@@ -89,14 +91,10 @@ class AdditionTrial(NamedTuple):
     ----------
     model : LinearModel
         The refitted model with the effect and with the trial in its history, also if the trial refuses the effect.
-    trial : dict
-        The entry in the history, and in addition `conditions` (the comparison by temperature, distance, speed and
-        vehicle), `words_by_vehicle_model` and `warnings`. `outcome` is `ADDED`, `REFUSED` or `UNDECIDED`, `accepted`
-        states whether it is the first, and `reason` why.
     """
 
     model: LinearModel
-    trial: dict[str, Any]
+    trial: EffectTrial
 
 
 def add_effect(
@@ -131,52 +129,53 @@ def add_effect(
     pair = _refit(model, addition, data, seed)
     final = _choose_final_days(model, data, active)
     limits = find_coefficient_limits(effect, declared.sign)
-    results, by_condition = _evaluate(addition, data, final, seed, declared.sign, limits, report)
-    results["mae_given_kwh"] = _compute_given_error(model, data, final)
-    results |= _decide(results, least)
+    evaluated = _evaluate(addition, data, final, seed, declared.sign, limits, report)
+    outcome, reason = _judge(evaluated, least)
     grown = _name_model(pair.after, model, data)
-    entry = to_json_values(
-        {
-            "action": results["outcome"],
-            "effect": effect,
-            "columns": list(columns),
-            "scope": list_scope(columns),
-            **results,
-            **_describe_coefficients(declared, pair),
-            "least_gain": least,
-            "seed": seed,
-            "fingerprint": grown.training.fingerprint if grown.training else "",
-            "from_version": model.version,
-        }
+    coefficients = {key: describe_coefficient(declared, estimate) for key, estimate in pair.coefficients.items()}
+    words = {key: explain_coefficient(declared, estimate) for key, estimate in pair.coefficients.items()}
+    doubts = {key: warn_if_implausible(declared, estimate) for key, estimate in pair.coefficients.items()}
+    trial = msgspec.structs.replace(
+        evaluated,
+        action=outcome,
+        effect=effect,
+        columns=tuple(columns),
+        mae_given_kwh=_compute_given_error(model, data, final),
+        outcome=outcome,
+        accepted=outcome == ADDED,
+        reason=reason,
+        coefficient=coefficients.pop(ANY),
+        words=words.pop(ANY),
+        by_vehicle_model=coefficients,
+        least_gain=least,
+        seed=seed,
+        fingerprint=grown.training.fingerprint if grown.training else "",
+        from_version=model.version,
+        words_by_vehicle_model=words,
+        warnings=[f"{key}: {doubt}" for key, doubt in doubts.items() if doubt],
     )
-    grown = msgspec.structs.replace(grown, history=(*model.history, entry))
+    grown = log_attempt(msgspec.structs.replace(grown, history=model.history), trial)
     if rides is not None:
         report(0.9, "calibrating the interval of the model")
         grown = add_interval(grown, rides)
-    warnings = [
-        f"{key}: {line}" for key, value in pair.coefficients.items() if (line := warn_if_implausible(declared, value))
-    ]
-    words = {key: explain_coefficient(declared, pair.coefficients[key]) for key in entry["by_vehicle_model"]}
-    extra = {"conditions": by_condition, "words_by_vehicle_model": words, "warnings": warnings}
-    return AdditionTrial(stamp(grown), entry | extra)
+    return AdditionTrial(stamp(grown), trial)
 
 
-def log_attempt(model: LinearModel, trial: dict[str, Any]) -> LinearModel:
+def log_attempt(model: LinearModel, trial: EffectTrial) -> LinearModel:
     """Return a model that is unchanged except for a trial in its history."""
-    entry = {key: value for key, value in trial.items() if key not in TRIAL_ONLY}
-    return msgspec.structs.replace(model, history=(*model.history, entry))
+    return msgspec.structs.replace(model, history=(*model.history, trial.to_entry()))
 
 
 def force_addition(added: AdditionTrial) -> AdditionTrial:
     """Return the trial of an effect that was refused or undecided as one that added the effect by force."""
-    last = {**added.model.history[-1], "action": ADDED, "forced": True}
-    model = msgspec.structs.replace(added.model, history=(*added.model.history[:-1], last))
-    return AdditionTrial(stamp(model), added.trial | {"action": ADDED, "forced": True})
+    trial = msgspec.structs.replace(added.trial, action=ADDED, forced=True)
+    model = msgspec.structs.replace(added.model, history=added.model.history[:-1])
+    return AdditionTrial(stamp(log_attempt(model, trial)), trial)
 
 
 def _split_terms(model: LinearModel, term: Term) -> TermAddition:
     """Return the original terms of a model, the effects that were added to it, and the term to add."""
-    added = [tuple(entry.get("columns", ())) for entry in model.history if entry.get("action") == ADDED]
+    added = [attempt.columns for attempt in list_attempts(model.history) if attempt.action == ADDED]
     original = tuple(each for each in model.terms if each.columns not in added)
     has_priors = isinstance(RECIPES.get(model.recipe), WindowRecipe)
     return TermAddition(original, tuple(each for each in model.terms if each.columns in added), term, has_priors)
@@ -235,16 +234,6 @@ def _refit(model: LinearModel, addition: TermAddition, data: RideRows, seed: int
     return pair
 
 
-def _describe_coefficients(declared: Effect, pair: RefittedPair) -> dict[str, Any]:
-    """Return the coefficient of the effect, its meaning, and those of vehicle models with one of their own."""
-    values = {key: describe_coefficient(declared, estimate) for key, estimate in pair.coefficients.items()}
-    return {
-        "coefficient": values.pop(ANY),
-        "words": explain_coefficient(declared, pair.coefficients[ANY]),
-        "by_vehicle_model": values,
-    }
-
-
 def _evaluate(
     addition: TermAddition,
     data: RideRows,
@@ -253,8 +242,8 @@ def _evaluate(
     sign: int,
     limits: tuple[float, float],
     report: Callable[[float, str], None],
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the results of the trial, and the comparison by conditions."""
+) -> EffectTrial:
+    """Return the errors of the trial, without its outcome and its coefficient."""
     development = data.only(~_are_on_days(data, final))
     folds = split_into_day_folds(development, seed)
     report(0.15, "evaluating the effect on held-out days")
@@ -268,25 +257,27 @@ def _evaluate(
     report(0.6, "refitting all terms and evaluating on held-out vehicles")
     on_vehicles = _compare_on_vehicles(addition, development, seed)
     report(0.8, "evaluating on the final hold-out days")
-    results = {
-        "rides": len(data.table),
-        "windows": len(data.rows),
-        "vehicles": int(data.table["vehicle_id"].nunique()),
-        "first_date": min(data.dates),
-        "last_date": max(data.dates),
-        "gain": {"value": evidence.gain.value, "ci95": evidence.gain.ci95},
-        "p": evidence.p,
-        **{key: of_effect[key] for key in ("mae_before_kwh", "mae_after_kwh", "change_kwh")},
-        "noise_floor_kwh": of_effect["noise_kwh"],
-        "of_effect": of_effect,
-        "on_days": on_days,
-        "on_vehicles": on_vehicles,
-        "final": _compare_on_final_days(addition, data, final) if final else None,
-    }
-    return results, compare_by_condition(development.table, before, after)
+    return EffectTrial(
+        rides=len(data.table),
+        windows=len(data.rows),
+        vehicles=int(data.table["vehicle_id"].nunique()),
+        first_date=min(data.dates),
+        last_date=max(data.dates),
+        gain=hold_estimate(evidence.gain),
+        p=evidence.p,
+        mae_before_kwh=of_effect.mae_before_kwh,
+        mae_after_kwh=of_effect.mae_after_kwh,
+        change_kwh=of_effect.change_kwh,
+        noise_floor_kwh=of_effect.noise_kwh,
+        of_effect=of_effect,
+        on_days=on_days,
+        on_vehicles=on_vehicles,
+        final=_compare_on_final_days(addition, data, final) if final else None,
+        conditions=compare_by_condition(development.table, before, after),
+    )
 
 
-def _compare_on_vehicles(addition: TermAddition, data: RideRows, seed: int) -> dict[str, Any] | None:
+def _compare_on_vehicles(addition: TermAddition, data: RideRows, seed: int) -> ErrorFall | None:
     """Return the comparison on held-out vehicles, or None where the effect is limited to one vehicle."""
     folds = split_into_vehicle_folds(data, seed)
     if not folds or any(column.startswith(VEHICLE_SCOPE) for column in addition.added.columns):
@@ -306,68 +297,65 @@ def _are_on_days(data: RideRows, days: Sequence[str]) -> Mask:
     return np.isin(np.asarray(data.dates, dtype=str), list(days))
 
 
-def _compare_on_final_days(addition: TermAddition, data: RideRows, days: tuple[str, ...]) -> dict[str, Any]:
+def _compare_on_final_days(addition: TermAddition, data: RideRows, days: tuple[str, ...]) -> FinalErrorFall:
     """Return the comparison on the final hold-out days."""
     predictions = predict_held_out(addition, data, [_are_on_days(data, days)])
-    return {"dates": list(days), **compare_errors(data.table, *predictions)}
+    return FinalErrorFall(dates=days, **msgspec.structs.asdict(compare_errors(data.table, *predictions)))
 
 
-def _decide(results: dict[str, Any], least: float) -> dict[str, Any]:
-    """Return the outcome of a trial, whether it adds the effect, and why."""
-    outcome, reason = _judge(results, least)
-    return {"outcome": outcome, "accepted": outcome == ADDED, "reason": reason}
-
-
-def _judge(results: dict[str, Any], least: float) -> tuple[str, str]:
+def _judge(trial: EffectTrial, least: float) -> tuple[str, str]:
     """Return the outcome of a trial, and why."""
-    gain, half, change = results["gain"]["value"], results["gain"]["ci95"], results["change_kwh"]
+    gain, half = trial.gain.value, trial.gain.ci95
+    if gain is None or half is None or trial.change_kwh.ci95 is None:
+        return UNDECIDED, "there are too few vehicle-days to distinguish a gain from chance; give more days"
     share, low, high = (
         format_minus(f"{round(100.0 * each, 1) + 0.0:.1f}") for each in (gain, gain - half, gain + half)
     )
-    interval = f"95 % interval {low} % to {high} %"
-    statement = f"it explains {share} % ({interval}) of the squared error on held-out days"
-    if isnan(half) or isnan(change["ci95"]):
-        return UNDECIDED, "there are too few vehicle-days to distinguish a gain from chance; give more days"
-    if growth := _find_growth(results):
+    statement = f"it explains {share} % (95 % interval {low} % to {high} %) of the squared error on held-out days"
+    if growth := _find_growth(trial):
         return REFUSED, growth
     if gain < least:
         below = f"{statement}; below {100.0 * least:g} % it is not worth a term"
         if gain + half < least:
             return REFUSED, below
-        return UNDECIDED, below + _count_deciding(results["of_effect"]["clusters"], least - gain, half)
-    doubt = _find_doubt(results, statement)
+        return UNDECIDED, below + _count_deciding(trial.of_effect.clusters, least - gain, half)
+    doubt = _find_doubt(trial, statement, gain, half)
     return (UNDECIDED, doubt) if doubt else (ADDED, statement)
 
 
-def _find_doubt(results: dict[str, Any], statement: str) -> str:
+def _find_doubt(trial: EffectTrial, statement: str, gain: float, half: float) -> str:
     """Return why a gain may be due to chance and what would decide, empty where it is beyond chance."""
-    gain, half = results["gain"]["value"], results["gain"]["ci95"]
-    if results["p"] >= LEVEL or gain - half <= 0.0:
-        by_chance = f"its evidence in these rides may be due to chance, p = {results['p']:.2g}"
-        doubt = by_chance if results["p"] >= LEVEL else f"{statement}, which may be due to chance"
-        return doubt + _count_deciding(results["of_effect"]["clusters"], gain, half)
-    growing = _list_growing(results)
+    p = 1.0 if trial.p is None else trial.p
+    if p >= LEVEL or gain - half <= 0.0:
+        by_chance = f"its evidence in these rides may be due to chance, p = {p:.2g}"
+        doubt = by_chance if p >= LEVEL else f"{statement}, which may be due to chance"
+        return doubt + _count_deciding(trial.of_effect.clusters, gain, half)
+    growing = _list_growing(trial)
     return f"{statement}, but the mean error of rides grows: {growing}; give more days" if growing else ""
 
 
-def _find_growth(results: dict[str, Any]) -> str:
+def _find_growth(trial: EffectTrial) -> str:
     """Return on which held-out rides the error clearly grows, empty where it does so on none."""
-    held_out = {"of_effect": "held-out rides", "on_days": "held-out rides, with all terms refitted,"}
-    held_out |= {"on_vehicles": "held-out vehicles, with all terms refitted,"}
-    for key, what in held_out.items():
-        change = (results[key] or {}).get("change_kwh")
-        if change and (growth := change["value"] - change["ci95"]) > 0.0:
-            return f"the error of {what} grows by at least {growth:.2g} kWh"
+    held_out = {
+        "held-out rides": trial.of_effect,
+        "held-out rides, with all terms refitted,": trial.on_days,
+        "held-out vehicles, with all terms refitted,": trial.on_vehicles,
+    }
+    for what, fall in held_out.items():
+        limits = fall.change_kwh.interval if fall else None
+        if limits and limits[0] > 0.0:
+            return f"the error of {what} grows by at least {limits[0]:.2g} kWh"
     return ""
 
 
-def _list_growing(results: dict[str, Any]) -> str:
+def _list_growing(trial: EffectTrial) -> str:
     """Return on which held-out days the mean error of rides grows, though perhaps by chance, and by how much."""
     found = []
-    for key, what in (("of_effect", "on held-out days"), ("on_days", "with all terms refitted")):
-        change = results[key]["change_kwh"]
-        if change["value"] > 0.0:
-            found.append(f"by {rounded(1000.0 * change['value'], 1000.0 * change['ci95'])} Wh {what}")
+    for fall, what in ((trial.of_effect, "on held-out days"), (trial.on_days, "with all terms refitted")):
+        change = fall.change_kwh
+        if change.value is not None and change.value > 0.0:
+            half = None if change.ci95 is None else 1000.0 * change.ci95
+            found.append(f"by {rounded(1000.0 * change.value, half)} Wh {what}")
     return " and ".join(found)
 
 

@@ -16,10 +16,12 @@ from zlib import crc32
 
 import numpy as np
 import pandas as pd
+from msgspec.structs import asdict
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.add.error_fall import measure_fall
+from socast.core.diagnose.add.records import ConditionErrorFall, ErrorFall, list_attempts
 from socast.core.diagnose.add.refit import TermAddition, hide_vehicle_models, refit_with
 from socast.core.errors import ModelError
 from socast.core.fit.measurement_noise import compute_noise_variance
@@ -156,7 +158,7 @@ def predict_held_out(
     return before, after
 
 
-def compare_errors(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, Any]:
+def compare_errors(table: pd.DataFrame, before: Floats, after: Floats) -> ErrorFall:
     """Return the errors of two models on the same rides, and how far the second one is nearer to the noise.
 
     Units: table [kWh], before [kWh], after [kWh].
@@ -164,7 +166,7 @@ def compare_errors(table: pd.DataFrame, before: Floats, after: Floats) -> dict[s
     known = np.isfinite(before) & np.isfinite(after)
     measured, noise = (get_numbers(table, name)[known] for name in ("measured", "noise"))
     clusters = assign_vehicle_days(table.loc[known])
-    return measure_fall(measured, before[known], after[known], noise, clusters).to_dict()
+    return measure_fall(measured, before[known], after[known], noise, clusters)
 
 
 APART: Final = 5
@@ -179,14 +181,14 @@ LEAST: Final = 10
 """Number of rides from which on a bin is reported."""
 
 
-def compare_by_condition(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, list[dict[str, Any]]]:
+def compare_by_condition(table: pd.DataFrame, before: Floats, after: Floats) -> dict[str, list[ConditionErrorFall]]:
     """Return the comparison by temperature, distance, speed and vehicle, for bins with at least `LEAST` rides."""
     bins = {what: _bins(get_numbers(table, column), cuts, unit) for column, (what, cuts, unit) in CONDITIONS.items()}
     vehicles = np.array(get_names(table, "vehicle_id"), dtype=object)
     bins["vehicle"] = [(str(name), vehicles == name) for name in sorted(set(vehicles))]
     return {
         what: [
-            {"where": label, **compare_errors(table.loc[here], before[here], after[here])}
+            ConditionErrorFall(where=label, **asdict(compare_errors(table.loc[here], before[here], after[here])))
             for label, here in parts
             if here.sum() >= LEAST
         ]
@@ -215,10 +217,9 @@ def select_final_days(history: Sequence[Mapping[str, Any]], dates: Sequence[str]
     ('2018-01-03', '2018-01-08', '2018-01-13', '2018-01-18')
     """
     there = sorted({date for date in dates if date})
-    for entry in reversed(history):
-        before = (entry.get("final") or {}).get("dates") or ()
-        if set(before) & set(there):
-            return tuple(str(date) for date in before)
+    for attempt in reversed(list_attempts(history)):
+        if attempt.final and set(attempt.final.dates) & set(there):
+            return attempt.final.dates
     return tuple(there[APART // 2 :: APART]) if len(there) >= LEAST_DATES else ()
 
 

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 import pytest
+from msgspec.structs import replace as replace_fields
 
 from socast.core import effects
 from socast.core.diagnose import diagnosis as diagnosing
@@ -20,7 +21,8 @@ from socast.core.diagnose.records import CarDeviation, Comparisons, DiagnosedMod
 from socast.core.diagnose.siblings.deviations import keep_declared_values
 from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError
-from socast.core.fit.recipes import fit_to_windows
+from socast.core.evaluate.compare.models import compare_predictions, select_rides
+from socast.core.fit.recipes import fit_to_windows, make_term
 from socast.core.models.features import list_raw_columns
 from socast.tools.bench.hidden import cases
 from socast.tools.bench.hidden.cases import Case, SeedData
@@ -112,10 +114,10 @@ class TestPromise:
 
     def test_errors_are_per_ride_and_above_noise_floor(self, diagnosis, used, model):
         seen, error = gather_windows(*used, model), diagnosis.error
-        off = np.bincount(seen.ride, seen.predicted - seen.measured)
+        off = model.predict_energy(seen.rides) - seen.rides["energy_kwh"]
         assert error.mae_kwh == pytest.approx(np.mean(np.abs(off)))
         assert error.bias_kwh == pytest.approx(np.mean(off))
-        assert error.relative == pytest.approx(error.mae_kwh / np.mean(np.bincount(seen.ride, seen.measured)))
+        assert error.relative == pytest.approx(error.mae_kwh / np.mean(seen.rides["energy_kwh"]))
         # both are estimates of few rides, and the power that no sample shows is as uncertain as that of a real car
         assert 0.0 < error.noise_floor_kwh < 1.1 * error.mae_refitted_kwh
         assert error.mae_refitted_kwh <= error.mae_kwh
@@ -208,6 +210,18 @@ def small():
     """Tables of two cars, and a model fitted to them."""
     tables = make_tables(make_windows(cars=2, days=8))
     return tables, fit_to_windows("road_load", *tables, covariance=False)
+
+
+def test_error_of_a_ride_is_the_one_that_a_comparison_states(small):
+    """A constant is added once to a ride, however many windows it has."""
+    (rides, windows), model = small
+    fits = {key: replace_fields(fit, coefficients=(*fit.coefficients, 0.2)) for key, fit in model.fits.items()}
+    with_constant = replace_fields(model, terms=(*model.terms, make_term()), fits=fits)
+    error = diagnose(rides, windows, with_constant, places=False).error
+    compared = compare_predictions(select_rides(rides, {"it": with_constant})).models["it"]
+    assert error.mae_kwh == pytest.approx(compared.mae_kwh.value)
+    assert error.relative == pytest.approx(compared.relative)
+    assert error.bias_kwh == pytest.approx(compared.bias_kwh.value)
 
 
 @pytest.mark.parametrize("dated", [True, False])

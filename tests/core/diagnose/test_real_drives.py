@@ -192,9 +192,9 @@ def test_error_of_held_out_rides_falls_for_i3():
         join_tables(*diagnosed.blind),
         rides=diagnosed.blind.rides,
     ).trial
-    assert trial["accepted"]
-    assert trial["coefficient"]["plausible"]
-    assert trial["on_days"]["fall"] > 0.3
+    assert trial.accepted
+    assert trial.coefficient.plausible
+    assert trial.on_days.fall > 0.3
 
 
 @BOTH

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from socast.core import models
-from socast.core.diagnose.add.error_fall import list_error_steps
+from socast.core.diagnose.add.records import EffectTrial, list_attempts
 from socast.core.models import BASIC_PHYSICAL, LinearModel
 from socast.tools.report import history
 from socast.tools.report.error_fall import draw_error_fall
@@ -38,6 +38,11 @@ def attempt(effect: str, action: str, before: float, after: float, **more: Any) 
         "words": f"{effect} in words",
         "coefficient": coefficient, "by_vehicle_model": {},
     } | more  # fmt: skip
+
+
+def read_trial(values: dict[str, Any]) -> EffectTrial:
+    """Return a trial of JSON values."""
+    return msgspec.convert(values, EffectTrial)
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +106,7 @@ def test_history_of_fitted_model_has_no_attempts(model):
 
 def test_history_figure_is_the_picture_of_the_falling_error(model):
     [one] = history.draw_errors(model)
-    assert one.svg == draw_error_fall(list_error_steps(model.history))
+    assert one.svg == draw_error_fall(list_attempts(model.history))
 
 
 def test_command_prints_and_writes_history(path, capsys):
@@ -133,24 +138,26 @@ def test_errors_of_history_are_one_line(path, capsys):
 
 
 def test_trial_shows_errors_before_and_after(model):
-    text = " ".join(printed(history.print_trial, {**model.history[1], "warnings": ["it is too large"], "conditions": {
-        "distance": [{"where": "below 2 km", **model.history[1]["of_effect"]}]}}).split())  # fmt: skip
+    entry = model.history[1]
+    bins = [{"where": "below 2 km", **entry["of_effect"]}]
+    trial = read_trial({**entry, "warnings": ["it is too large"], "conditions": {"distance": bins}})
+    text = " ".join(printed(history.print_trial, trial).split())
     for part in ("held-out days, effect refitted", "final hold-out days", "By distance", "below 2 km", "−26.2 %",
                  "warning: it is too large", "cold_rolling helps: it explains 10.0 % (95 % interval 8.0 % to",
                  "12.0 %) of the squared error on held-out days."):  # fmt: skip
         assert part in text, part
-    assert "snow does not help: it may be chance." in printed(history.print_trial, model.history[2])
+    assert "snow does not help: it may be chance." in printed(history.print_trial, read_trial(model.history[2]))
     reason = (
         "it explains 0.3 % (95 % interval 0.1 % to 0.5 %) of the squared error on held-out days, which is below 0.5 %"
     )
     below = attempt("snow", "refused", 0.3, 0.3, gain={"value": 0.003, "ci95": 0.002}, reason=reason)
     ending = "(95 % interval 0.1 % to 0.5 %) of the squared error on held-out days, which is below 0.5 %."
-    assert ending in " ".join(printed(history.print_trial, below).split())
+    assert ending in " ".join(printed(history.print_trial, read_trial(below)).split())
 
 
 def test_header_of_a_trial_and_of_a_history_breaks_no_word_at_80_columns(model):
     console = Console(width=80, file=StringIO(), color_system=None)
-    history.print_trial(attempt("cold_rolling", "add", 0.42, 0.31), console)
+    history.print_trial(read_trial(attempt("cold_rolling", "add", 0.42, 0.31)), console)
     history.show(model, console)
     lines = [line.split() for line in console.file.getvalue().splitlines()]
     heads = [words for words in lines if "before," in words or words.count("kWh") > 2]

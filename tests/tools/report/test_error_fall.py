@@ -4,9 +4,11 @@ from io import StringIO
 from xml.etree import ElementTree as ET
 
 import pytest
+from msgspec.structs import asdict, replace
 from rich.console import Console
 
-from socast.core.diagnose.add.error_fall import ErrorFall, ErrorStep, RemovedShare, Spread
+from socast.core.diagnose.add.records import EffectAttempt, ErrorFall, FinalErrorFall, RemovedShare
+from socast.core.evaluate.records import EstimatedValue
 from socast.tools.report.error_fall import describe_share, describe_step, draw_error_fall, print_error_fall
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -16,22 +18,29 @@ HELD_OUT = ErrorFall(
     mae_before_kwh=0.036,
     mae_after_kwh=0.030,
     fall=0.16,
-    change_kwh=Spread(-0.006, 0.002),
+    change_kwh=EstimatedValue(value=-0.006, ci95=0.002),
     noise_kwh=0.0235,
-    above_before_kwh=Spread(0.0125, 0.003),
-    above_after_kwh=Spread(0.0065, 0.002),
-    removed=RemovedShare(0.48, 0.32, 0.61),
+    above_before_kwh=EstimatedValue(value=0.0125, ci95=0.003),
+    above_after_kwh=EstimatedValue(value=0.0065, ci95=0.002),
+    removed=RemovedShare(value=0.48, low=0.32, high=0.61),
 )
-FINAL = HELD_OUT._replace(rides=102, above_after_kwh=Spread(0.0015, 0.002), removed=RemovedShare(0.88, 0.6, 1.2))
-STEP = ErrorStep("headwind", (), "add", forced=False, held_out=HELD_OUT, final=FINAL)
-REFUSED = STEP._replace(effect="snow", action="refused", final=ErrorFall())
+FINAL = FinalErrorFall(
+    **asdict(HELD_OUT)
+    | {
+        "rides": 102,
+        "above_after_kwh": EstimatedValue(value=0.0015, ci95=0.002),
+        "removed": RemovedShare(value=0.88, low=0.6, high=1.2),
+    }
+)
+STEP = EffectAttempt(effect="headwind", action="add", of_effect=HELD_OUT, final=FINAL)
+REFUSED = replace(STEP, effect="snow", action="refused", final=None)
 
 
 def texts(svg: str) -> list[str]:
     return ["".join(each.itertext()) for each in ET.fromstring(svg).iter(f"{SVG}text")]
 
 
-def printed(*steps: ErrorStep) -> str:
+def printed(*steps: EffectAttempt) -> str:
     console = Console(width=80, file=StringIO(), color_system=None)
     print_error_fall(steps, console)
     return console.file.getvalue()
@@ -56,7 +65,7 @@ def test_lower_error_is_lower_in_the_picture_and_noise_is_below_it():
 
 
 def test_nothing_leaves_the_picture_however_long_the_steps():
-    steps = [STEP._replace(effect=f"cold_battery_heating_{i}", scope=["vehicle=taxi-003"]) for i in range(8)]
+    steps = [replace(STEP, effect=f"cold_battery_heating_{i}", columns=("vehicle=taxi-003",)) for i in range(8)]
     root = ET.fromstring(draw_error_fall(steps))
     _, _, width, height = map(float, root.get("viewBox", "").split())
     for each in root.iter(f"{SVG}text"):
@@ -81,19 +90,19 @@ def test_page_with_its_own_colours_gets_no_style():
 
 
 def test_names_are_escaped():
-    svg = draw_error_fall([STEP._replace(effect='<script>"&')])
+    svg = draw_error_fall([replace(STEP, effect='<script>"&')])
     assert '<script>"& added' in texts(svg)
     assert "<script" not in svg
 
 
 def test_nothing_is_drawn_without_an_error():
-    assert draw_error_fall([]) == draw_error_fall([STEP._replace(held_out=ErrorFall(), final=ErrorFall())]) == ""
-    assert printed() == printed(STEP._replace(held_out=ErrorFall(), final=ErrorFall())) == ""
+    assert draw_error_fall([]) == draw_error_fall([replace(STEP, of_effect=ErrorFall(), final=None)]) == ""
+    assert printed() == printed(replace(STEP, of_effect=ErrorFall(), final=None)) == ""
 
 
 def test_error_without_known_noise_is_drawn_as_a_whole():
     old = ErrorFall(rides=100, clusters=30, mae_before_kwh=0.42, mae_after_kwh=0.31)
-    shown = texts(draw_error_fall([STEP._replace(held_out=old, final=old)]))
+    shown = texts(draw_error_fall([replace(STEP, of_effect=old, final=None)]))
     assert "420.0" in shown
     assert not any("noise alone" in each for each in shown)
     assert "unknown" in shown
@@ -104,11 +113,11 @@ def test_error_without_known_noise_is_drawn_as_a_whole():
     [
         (HELD_OUT, "48 % (32 to 61 %)"),
         (FINAL, "88 % (60 to 100 %); nothing beyond noise remains"),
-        (HELD_OUT._replace(removed=RemovedShare(-0.1, -0.3, 0.1)), "−10 % (−30 to 10 %)"),
-        (HELD_OUT._replace(removed=RemovedShare(), noise_kwh=float("nan")), "unknown; because the noise is unknown"),
-        (HELD_OUT._replace(removed=RemovedShare()), "none; there was nothing beyond noise"),
+        (replace(HELD_OUT, removed=RemovedShare(value=-0.1, low=-0.3, high=0.1)), "−10 % (−30 to 10 %)"),
+        (replace(HELD_OUT, removed=RemovedShare(), noise_kwh=None), "unknown; because the noise is unknown"),
+        (replace(HELD_OUT, removed=RemovedShare()), "none; there was nothing beyond noise"),
         (
-            HELD_OUT._replace(removed=RemovedShare(), above_after_kwh=Spread(-0.01, 0.002)),
+            replace(HELD_OUT, removed=RemovedShare(), above_after_kwh=EstimatedValue(value=-0.01, ci95=0.002)),
             "unknown; the estimated noise exceeds the error",
         ),
     ],

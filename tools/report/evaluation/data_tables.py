@@ -18,8 +18,9 @@ from socast.tools.report.cells import (
     format_energy,
     format_percent,
     format_published,
+    get_value,
 )
-from socast.tools.report.evaluation.result import get_value, get_vehicle_name, list_clusters, list_vehicle_models
+from socast.tools.report.evaluation.result import get_vehicle_name, list_clusters, list_vehicle_models
 
 MEASURED_BY: Final = MappingProxyType({"vi": "voltage and current", "soc": "state of charge"})
 """Sources of the measured energy of a ride -> their names for readers."""

@@ -6,12 +6,13 @@ no coverage. Reports leave empty parts out.
 
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 from socast.core.evaluate.paper.published import AVERAGE, PHYSICAL
 from socast.core.evaluate.paper.records import NewVehicleErrors, RecipeEvaluation
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.vehicles import load_catalogue
+from socast.tools.report.cells import Figure, get_value
 
 FITTED: Final = "fitted_physical"
 """Recipe of the fitted physical model, the reference for errors on a new vehicle model."""
@@ -33,24 +34,6 @@ ALL: Final = "all"
 """Key of all vehicle models together."""
 NOT_CLUSTERS: Final = ("total", AVERAGE)
 """Columns beside the clusters of distance."""
-
-
-def get_mapping(result: Any, *path: str) -> Mapping[str, Any]:
-    """Return the mapping along a path of keys, an empty one where there is none."""
-    for key in path:
-        result = result.get(key) if isinstance(result, Mapping) else None
-    return result if isinstance(result, Mapping) else {}
-
-
-def get_number(value: Any) -> float | None:
-    """Return a value as a number; None where there is none, and for a bool."""
-    value = value.get("value") if isinstance(value, Mapping) else getattr(value, "value", value)
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
-
-
-def get_half_width(value: Any) -> float | None:
-    """Return half of the width of an estimate's 95 % confidence interval, None where it has none."""
-    return get_number(value.get("ci95") if isinstance(value, Mapping) else getattr(value, "ci95", None))
 
 
 def compute_mean(values: Iterable[float | None]) -> float | None:
@@ -90,12 +73,7 @@ def get_vehicle_name(key: str) -> str:
     return known.name.partition(",")[0] if known else key
 
 
-def get_value(figure: EstimatedValue | float | None) -> float | None:
-    """Return a number, or the value of an estimate."""
-    return figure.value if isinstance(figure, EstimatedValue) else figure
-
-
-def list_clusters(result: RecipeEvaluation, rows: Iterable[Mapping[str, EstimatedValue | float | None]]) -> list[str]:
+def list_clusters(result: RecipeEvaluation, rows: Iterable[Mapping[str, Figure]]) -> list[str]:
     """Return the clusters of distance that have a figure in any row, in the order of the result, others last."""
     filled = {
         cluster

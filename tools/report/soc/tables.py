@@ -106,7 +106,6 @@ FORMATS: Final[Mapping[str, Callable[[Any], str]]] = MappingProxyType(
         "value": lambda estimate: format_estimate(estimate.value, 1),
         "clustered share": format_share,
         "skill": format_skill,
-        "four decimals": lambda value: format_estimate(value, 4),
     }
 )
 """Formats of the fields of these tables."""

@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from socast.core import effects
-from socast.core.diagnose.add.add import REFUSED, UNDECIDED, AdditionTrial, force_addition
+from socast.core.diagnose.add.add import AdditionTrial, force_addition
+from socast.core.diagnose.add.records import ADDED, UNDECIDED, EffectAttempt, list_attempts
 from socast.core.diagnose.deviation_words import find_leading_deviation
 from socast.core.diagnose.partial_residual import compute_candidate_residual
 from socast.core.diagnose.records import CarDeviation, Diagnosis, NamedEffect, TestedEffect
 from socast.core.errors import SocastError
-from socast.core.records import to_json_values
 from socast.tools.commands.add import try_effect
 from socast.tools.commands.diagnose import parse_term
 from socast.tools.commands.effects import find_topic, make_effect_record
@@ -41,9 +41,7 @@ def describe_causes_of(workspace: Workspace, node: ModelNode, diagnosis: Diagnos
     """
     ranked = {row.effect: row for row in diagnosis.tested}
     credible = set(diagnosis.credible_set)
-    tried = {
-        str(entry.get("effect")): entry for entry in node.model.history if entry.get("action") in {REFUSED, UNDECIDED}
-    }
+    tried = {each.effect: each for each in list_attempts(node.model.history) if each.action != ADDED}
     causes = [
         {
             "name": cause.effect,
@@ -135,14 +133,14 @@ def add_to_model(
     rides, windows = workspace.check_rides(node.model)
     report(0.0, "measuring the noise floor")
     added: AdditionTrial = try_effect(node.model, effect, scope, rides, windows, report=report)
-    undecided = added.trial["outcome"] == UNDECIDED
-    if not added.trial["accepted"] and (force or (undecided and even_if_undecided)):
+    undecided = added.trial.outcome == UNDECIDED
+    if not added.trial.accepted and (force or (undecided and even_if_undecided)):
         added = force_addition(added)
     after = workspace.models.insert_trial(node.name, added)
     return {
-        "accepted": added.trial["accepted"],
-        "added": added.trial["action"] == "add",
-        "trial": to_json_values(added.trial),
+        "accepted": added.trial.accepted,
+        "added": added.trial.action == ADDED,
+        "trial": added.trial.to_json(),
         "model": after.name,
         "before": describe_model(workspace, node),
         "after": describe_model(workspace, after),
@@ -151,9 +149,9 @@ def add_to_model(
     }
 
 
-def _describe_attempt(entry: Mapping[str, Any] | None) -> dict[str, str] | None:
+def _describe_attempt(attempt: EffectAttempt | None) -> dict[str, str] | None:
     """Return the outcome of the last attempt that did not add an effect, and why; None without one."""
-    return {"outcome": str(entry["action"]), "reason": str(entry.get("reason"))} if entry else None
+    return {"outcome": attempt.action, "reason": attempt.reason} if attempt else None
 
 
 def _describe_candidate(name: str, ranked: Mapping[str, TestedEffect]) -> dict[str, Any]:

@@ -1,13 +1,13 @@
 """The models of a workbench as a tree: each is a file, and each but the roots has the model that it was made of."""
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from threading import RLock
 from typing import Any, Final, NamedTuple
 
 from socast.core import models
-from socast.core.diagnose.add.add import REFUSED, UNDECIDED, AdditionTrial, log_attempt
+from socast.core.diagnose.add.add import AdditionTrial, log_attempt
+from socast.core.diagnose.add.records import ADDED, REFUSED, UNDECIDED, EffectAttempt, list_attempts
 from socast.core.errors import ModelError, SettingsError
 from socast.core.models import LinearModel
 
@@ -112,8 +112,8 @@ class ModelTree:
     def insert_trial(self, name: str, added: AdditionTrial) -> ModelNode:
         """Insert the model that a trial accepted, or write the refused attempt into the history of its model."""
         base = self.find(name)
-        if added.trial["action"] == "add":
-            effect = str(added.trial["effect"]).partition("@")[0]
+        if added.trial.action == ADDED:
+            effect = added.trial.effect.partition("@")[0]
             return self.insert(f"{name}-{effect}", added.model, parent=name, origin="added")
         with self._lock:
             file = self.folder / f"{name}{SUFFIX}"
@@ -155,7 +155,8 @@ class ModelTree:
 
     def _find_parent(self, model: LinearModel) -> str:
         """Return the name of the model to which the last effect of a model was added."""
-        version = _find_last_addition(model).get("from_version")
+        added = _find_last_addition(model)
+        version = added.from_version if added else None
         return next((node.name for node in self._nodes.values() if node.model.version == version), "")
 
     def _find_free_name(self, name: str) -> str:
@@ -168,20 +169,20 @@ class ModelTree:
 
 def _describe_last_addition(node: ModelNode) -> dict[str, Any]:
     """Return the effect that made a model of its parent, and the errors on held-out days before and after."""
-    entry = _find_last_addition(node.model) if node.parent else {}
-    return {name: entry.get(name) for name in ("effect", "mae_before_kwh", "mae_after_kwh")}
+    added = _find_last_addition(node.model) if node.parent else None
+    return {name: getattr(added, name, None) for name in ("effect", "mae_before_kwh", "mae_after_kwh")}
 
 
 def _count_attempts(model: LinearModel) -> dict[str, int]:
     """Return how many effects were tried on a model after its last addition and not added, by outcome."""
-    actions = [entry.get("action") for entry in model.history]
-    last = max((i for i, action in enumerate(actions) if action == "add"), default=-1)
+    actions = [attempt.action for attempt in list_attempts(model.history)]
+    last = max((i for i, action in enumerate(actions) if action == ADDED), default=-1)
     return {outcome: actions[last + 1 :].count(outcome) for outcome in (REFUSED, UNDECIDED)}
 
 
-def _find_last_addition(model: LinearModel) -> Mapping[str, Any]:
-    """Return the entry of the last effect that was added to a model, empty without any."""
-    return next((entry for entry in reversed(model.history) if entry.get("action") == "add"), {})
+def _find_last_addition(model: LinearModel) -> EffectAttempt | None:
+    """Return the last effect that was added to a model, None without any."""
+    return next((each for each in reversed(list_attempts(model.history)) if each.action == ADDED), None)
 
 
 def read_model_file(node: ModelNode) -> bytes:

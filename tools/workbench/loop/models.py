@@ -1,19 +1,16 @@
 """Records of the page about models: the tree, the history of each, comparisons, and shadows in service."""
 
-from collections.abc import Mapping
 from typing import Any
 
-from socast.core.diagnose.add.add import ADDED
-from socast.core.diagnose.add.error_fall import list_error_steps, read_scope
+from socast.core.diagnose.add.records import ADDED, EffectAttempt, list_attempts
 from socast.core.errors import SettingsError
 from socast.core.evaluate.compare.models import compare_predictions
-from socast.core.fit.recipes import RECIPES
+from socast.core.fit.model_summary import summarise_model
 from socast.core.models import ANY
 from socast.core.pipeline import Pipeline
 from socast.core.records import to_json_values
 from socast.stream.loop import collect_garbage_rarely, feed
 from socast.stream.source import merge_sources
-from socast.tools.commands.fit import summary
 from socast.tools.terminal.model_comparison import make_records
 from socast.tools.terminal.recordings import open_recordings
 from socast.tools.workbench.loop.command_lines import (
@@ -38,8 +35,8 @@ def describe_model(workspace: Workspace, node: ModelNode) -> dict[str, Any]:
     """Return the coefficients of a model with their intervals, its history, and its steps against the noise floor."""
     from socast.tools.report import error_fall, history  # noqa: PLC0415 - figures take seconds to import
 
-    recipe = RECIPES.get(node.model.recipe)
-    fitted = to_json_values(summary(node.model, recipe.title if recipe else node.model.recipe))
+    fitted, attempts = summarise_model(node.model), list_attempts(node.model.history)
+    coefficients = {key: to_json_values(fit.coefficients) for key, fit in fitted.fits.items()}
     commands = [history_command(node)]
     return {
         "name": node.name,
@@ -47,13 +44,13 @@ def describe_model(workspace: Workspace, node: ModelNode) -> dict[str, Any]:
         "file": str(node.file),
         "version": node.model.version,
         "origin": node.origin,
-        "title": fitted["title"],
-        "training": fitted["training"],
-        "coefficients": fitted["fits"].get(ANY, {}).get("coefficients", []),
-        "by_vehicle_model": {key: fit["coefficients"] for key, fit in fitted["fits"].items() if key != ANY},
+        "title": fitted.title,
+        "training": to_json_values(fitted.training),
+        "coefficients": coefficients.pop(ANY, []),
+        "by_vehicle_model": coefficients,
         "progress": history.describe_progress(node.model),
-        "picture": error_fall.draw_error_fall(list_error_steps(node.model.history), standalone=False),
-        "steps": [_describe_step(entry) for entry in history.list_attempts(node.model)],
+        "picture": error_fall.draw_error_fall(attempts, standalone=False),
+        "steps": [_describe_step(attempt) for attempt in attempts],
         "commands": [*(list_fit_commands(workspace, node) if node.origin == "fitted" else []), *commands],
     }
 
@@ -104,12 +101,12 @@ def _find_step(before: ModelNode, after: ModelNode) -> dict[str, Any] | None:
     """Return the step that made a model of another, with its errors on held-out days; None where there is none."""
     if after.parent != before.name:
         return None
-    taken = [entry for entry in after.model.history if entry.get("action") == ADDED]
+    taken = [attempt for attempt in list_attempts(after.model.history) if attempt.action == ADDED]
     return _describe_step(taken[-1]) if taken else None
 
 
-def _describe_step(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _describe_step(attempt: EffectAttempt) -> dict[str, Any]:
     """Return one attempt of the history of a model."""
-    names = ("action", "effect", "mae_before_kwh", "mae_after_kwh", "change_kwh", "noise_floor_kwh", "final")
+    names = ("action", "effect", "scope", "mae_before_kwh", "mae_after_kwh", "change_kwh", "noise_floor_kwh", "final")
     more = ("words", "reason", "outcome", "forced", "coefficient", "gain", "rides", "first_date", "last_date")
-    return {"scope": read_scope(entry), **{name: entry.get(name) for name in (*names, *more)}}
+    return {name: to_json_values(getattr(attempt, name)) for name in (*names, *more)}

@@ -56,14 +56,14 @@ def added(cold, model) -> AdditionTrial:
 
 def test_planted_effect_and_other_coefficients_are_recovered(added):
     trial = added.trial
-    assert trial["accepted"]
-    low, high = trial["coefficient"]["ci95"]
+    assert trial.accepted
+    low, high = trial.coefficient.ci95
     assert low < COLD < high
     assert high - low < 0.6 * COLD
-    assert trial["coefficient"]["plausible"]
-    assert trial["coefficient"]["unit"] == "1/K"
-    assert not trial["warnings"]
-    assert "for each degree below 20 °C" in trial["words"]
+    assert trial.coefficient.plausible
+    assert trial.coefficient.unit == "1/K"
+    assert not trial.warnings
+    assert "for each degree below 20 °C" in trial.words
     for fit in added.model.fits.values():
         for value, truth in zip(fit.coefficients, [*BASE.values(), AUXILIARY, COLD], strict=True):
             assert value == pytest.approx(truth, rel=0.12)
@@ -72,29 +72,29 @@ def test_planted_effect_and_other_coefficients_are_recovered(added):
 def test_error_falls_on_held_out_days_vehicles_and_final_days(added):
     trial = added.trial
     for part in ("of_effect", "on_days", "on_vehicles", "final"):
-        one = trial[part]
-        assert one["mae_after_kwh"] < 0.5 * one["mae_before_kwh"], part
-        assert one["change_kwh"]["value"] + one["change_kwh"]["ci95"] < 0.0, part
-    assert trial["of_effect"]["rides"] + trial["final"]["rides"] == trial["rides"] == 160
-    assert trial["mae_after_kwh"] < 1.3 * trial["noise_floor_kwh"]
-    cold = trial["conditions"]["outside temperature"][0]
-    assert cold["where"] == "below -10 °C"
-    assert cold["mae_after_kwh"] < cold["mae_before_kwh"]
-    assert {one["where"] for one in trial["conditions"]["vehicle"]} == {f"taxi-{i}" for i in range(4)}
+        one = getattr(trial, part)
+        assert one.mae_after_kwh < 0.5 * one.mae_before_kwh, part
+        assert one.change_kwh.value + one.change_kwh.ci95 < 0.0, part
+    assert trial.of_effect.rides + trial.final.rides == trial.rides == 160
+    assert trial.mae_after_kwh < 1.3 * trial.noise_floor_kwh
+    cold = trial.conditions["outside temperature"][0]
+    assert cold.where == "below -10 °C"
+    assert cold.mae_after_kwh < cold.mae_before_kwh
+    assert {one.where for one in trial.conditions["vehicle"]} == {f"taxi-{i}" for i in range(4)}
 
 
 def test_decision_does_not_depend_on_final_hold_out(cold, model, added):
     rides, windows = cold
-    apart = added.trial["final"]["dates"]
+    apart = added.trial.final.dates
     assert len(apart) == 4
     last = windows["ride_key"].isin(rides.loc[rides["date"].isin(apart), "ride_key"])
     spoilt = windows.assign(**{name: windows[name] + 0.1 * last for name in ("energy_kwh", "energy_vi_kwh")})
     trial = add_effect(
         model, "cold_rolling", build_term_columns("cold_rolling"), join_tables(rides, spoilt), rides=rides
     ).trial
-    assert trial["final"]["mae_after_kwh"] > 0.5
+    assert trial.final.mae_after_kwh > 0.5
     for key in ("gain", "p", "of_effect", "on_days", "on_vehicles", "accepted"):
-        assert trial[key] == added.trial[key], key
+        assert getattr(trial, key) == getattr(added.trial, key), key
 
 
 def test_history_is_plain_json_and_survives_model_file(model, added, tmp_path):
@@ -115,10 +115,10 @@ def test_history_is_plain_json_and_survives_model_file(model, added, tmp_path):
 
 def test_decoy_is_refused_and_attempt_is_logged(cold, added):
     result = tried(cold, added.model, "headwind")
-    assert not result.trial["accepted"]
-    assert "not worth a term" in result.trial["reason"]
+    assert not result.trial.accepted
+    assert "not worth a term" in result.trial.reason
     kept = log_attempt(added.model, result.trial)
-    assert kept.history[-1]["action"] == result.trial["outcome"] != "add"
+    assert kept.history[-1]["action"] == result.trial.outcome != "add"
     assert kept.terms == added.model.terms
     assert kept.version == added.model.version
     assert decode_model(encode_model(kept)) == kept
@@ -130,28 +130,28 @@ def test_decoy_is_refused_and_attempt_is_logged(cold, added):
 
 def test_second_effect_does_not_change_first(cold, added):
     result = tried(cold, added.model, "headwind").trial
-    assert result["mae_before_kwh"] == pytest.approx(added.trial["mae_after_kwh"], rel=0.05)
-    assert result["final"]["dates"] == added.trial["final"]["dates"]
+    assert result.mae_before_kwh == pytest.approx(added.trial.mae_after_kwh, rel=0.05)
+    assert result.final.dates == added.trial.final.dates
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_is_added_where_nothing_is_missing(seed):
     tables = planted(seed=10 + seed, rides=2, windows=5)
-    assert not tried(tables, base_model(tables[0]), "wet_road").trial["accepted"]
+    assert not tried(tables, base_model(tables[0]), "wet_road").trial.accepted
 
 
 @pytest.mark.parametrize("scope", ["vehicle=taxi-2", "since=2018-06-01"])
 def test_effect_of_one_vehicle_or_since_a_date_is_recovered_within_its_scope(scope):
     tables = planted({("effect_cold_rolling", scope): 2e-4}, rides=3)
     result = tried(tables, base_model(tables[0]), "cold_rolling", scope)
-    assert result.trial["accepted"]
-    assert result.trial["scope"] == [scope]
-    low, high = result.trial["coefficient"]["ci95"]
+    assert result.trial.accepted
+    assert result.trial.scope == [scope]
+    low, high = result.trial.coefficient.ci95
     assert low < 2e-4 < high
     term = result.model.terms[-1]
     assert term == Term(name=f"cold_rolling, {scope}", columns=("effect_cold_rolling", scope), unit="1/K")
     assert decode_model(encode_model(result.model)) == result.model
-    assert (result.trial["on_vehicles"] is None) == scope.startswith("vehicle")
+    assert (result.trial.on_vehicles is None) == scope.startswith("vehicle")
     rides = tables[0].assign(vehicle_id="another", start_s=START)
     without = result.model.predict_energy(rides.assign(effect_cold_rolling=0.0))
     assert result.model.predict_energy(rides).tolist() == without.tolist()
@@ -165,15 +165,15 @@ def test_no_final_hold_out_if_effect_acts_only_on_its_days():
         for table, dates in zip(tables, (tables[0]["date"], join_tables(*tables)["date"]), strict=True)
     )
     result = tried((rides, windows), base_model(rides), "wet_road").trial
-    assert result["final"] is None
-    assert result["of_effect"]["rides"] == result["rides"]
+    assert result.final is None
+    assert result.of_effect.rides == result.rides
 
 
 def test_differing_vehicle_models_get_separate_coefficients():
     ids = {("effect_cold_rolling", f"vehicle=taxi-{i}"): (0.5e-4 if i % 2 else 2.5e-4) for i in range(4)}
     tables = planted(ids)
     result = tried(tables, base_model(tables[0]), "cold_rolling")
-    by_kind = {key: one["value"] for key, one in result.trial["by_vehicle_model"].items()}
+    by_kind = {key: one.value for key, one in result.trial.by_vehicle_model.items()}
     assert by_kind[KINDS[0]] == pytest.approx(2.5e-4, rel=0.15)
     assert by_kind[KINDS[1]] == pytest.approx(0.5e-4, rel=0.4)
     for key, value in by_kind.items():
@@ -184,16 +184,16 @@ def test_differing_vehicle_models_get_separate_coefficients():
 def test_implausible_coefficient_gives_warning():
     tables = planted({"effect_cold_rolling": 8e-4})
     result = tried(tables, base_model(tables[0]), "cold_rolling")
-    assert result.trial["accepted"]
-    assert not result.trial["coefficient"]["plausible"]
-    assert "outside its plausible range, 2e-05 to 0.0003 1/K: it is too large" in result.trial["warnings"][0]
+    assert result.trial.accepted
+    assert not result.trial.coefficient.plausible
+    assert "outside its plausible range, 2e-05 to 0.0003 1/K: it is too large" in result.trial.warnings[0]
 
 
 def test_effect_of_wrong_sign_is_refused_with_warning():
     tables = planted({"effect_cold_rolling": -2e-4})
     result = tried(tables, base_model(tables[0]), "cold_rolling")
-    assert not result.trial["accepted"]
-    assert "which physics forbids" in result.trial["warnings"][0]
+    assert not result.trial.accepted
+    assert "which physics forbids" in result.trial.warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -225,7 +225,7 @@ def test_errors_of_add_effect_name_cause_and_remedy(effect, scopes, error, words
 def test_variant_is_another_column_of_same_effect(cold, model, added):
     result = tried(cold, model, "cold_rolling@reference=283.15")
     assert result.model.terms[-1].columns == ("effect_cold_rolling@reference=283.15",)
-    assert "below 10 °C" in result.trial["words"]
+    assert "below 10 °C" in result.trial.words
     with pytest.raises(ModelError, match="in model base already, as the term 'cold_rolling'"):
         tried(cold, added.model, "cold_rolling@reference=283.15")
 
@@ -256,8 +256,8 @@ def test_model_with_constant_is_fitted_to_whole_rides(cold):
     result = add_effect(
         with_constant, "cold_rolling", build_term_columns("cold_rolling"), join_tables(rides, windows), rides=rides
     )
-    assert result.trial["windows"] == result.trial["rides"]
-    assert result.trial["coefficient"]["ci95"][0] < COLD < result.trial["coefficient"]["ci95"][1]
+    assert result.trial.windows == result.trial.rides
+    assert result.trial.coefficient.ci95[0] < COLD < result.trial.coefficient.ci95[1]
     with pytest.raises(ModelError, match="hold for whole rides only"):
         add_effect(with_constant, "cold_rolling", build_term_columns("cold_rolling"), join_tables(rides, windows))
 
@@ -295,25 +295,25 @@ def test_interval_of_paired_difference_is_clustered_by_vehicle_day():
         before = table["measured"] + 0.5
         after = table["measured"] + 0.4 + shared
         result = compare_errors(table, before.to_numpy(), after.to_numpy())
-        held.append(abs(result["change_kwh"]["value"] + 0.1) < result["change_kwh"]["ci95"])
-        assert result["clusters"] == 30
+        held.append(abs(result.change_kwh.value + 0.1) < result.change_kwh.ci95)
+        assert result.clusters == 30
     assert 0.90 < np.mean(held) < 0.99
 
 
 def test_unpredicted_rides_are_left_out_of_comparison():
     table = pd.DataFrame({"vehicle_id": list("aab"), "date": "d", "measured": [1.0, 1.0, 1.0], "noise": 0.0})
     result = compare_errors(table, np.array([1.5, 1.5, np.nan]), np.array([1.25, 1.25, 1.0]))
-    assert (result["rides"], result["mae_before_kwh"], result["mae_after_kwh"]) == (2, 0.5, 0.25)
+    assert (result.rides, result.mae_before_kwh, result.mae_after_kwh) == (2, 0.5, 0.25)
     nothing = compare_errors(table, np.full(3, np.nan), np.full(3, np.nan))
-    assert nothing["rides"] == 0
-    assert np.isnan(nothing["change_kwh"]["value"])
+    assert nothing.rides == 0
+    assert nothing.change_kwh.value is None
 
 
 def test_final_days_of_history_are_kept_and_chosen_again_for_new_dates():
     dates = [f"2018-01-{day:02d}" for day in range(1, 21)]
     assert select_final_days((), dates * 3) == ("2018-01-03", "2018-01-08", "2018-01-13", "2018-01-18")
     assert select_final_days((), dates[1:]) == ()
-    history = ({"final": None}, {"final": {"dates": ["2018-01-05"]}}, {"action": "refused"})
+    history = ({"final": None}, {"action": "add", "final": {"dates": ["2018-01-05"]}}, {"action": "refused"})
     assert select_final_days(history, dates) == ("2018-01-05",)
     assert select_final_days(history, dates[:6]) == ("2018-01-05",)
     later = [date.replace("2018", "2019") for date in dates]

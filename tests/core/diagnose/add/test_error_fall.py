@@ -1,13 +1,12 @@
 """The error above the noise, the share of it that a step removed, and their intervals."""
 
-from math import isnan
-
 import numpy as np
 import pytest
 
-from socast.core.diagnose.add.error_fall import ErrorFall, list_error_steps, measure_fall, read_fall
+from socast.core.diagnose.add.error_fall import measure_fall
+from socast.core.diagnose.add.records import EffectTrial, ErrorFall, list_attempts
+from socast.core.errors import ModelError
 from socast.core.fit.measurement_noise import MEAN_OVER_SD
-from socast.core.records import to_json_values
 
 RIDES = 600
 CLUSTERS = np.repeat(np.arange(RIDES // 3), 3)
@@ -55,7 +54,7 @@ def test_intervals_contain_the_truth_at_their_rate():
 
 def test_no_share_is_stated_where_nothing_beyond_noise_was_there():
     fall = make_fall(0.0, 0.0)
-    assert isnan(fall.removed.value)
+    assert fall.removed.value is None
     assert fall.is_noise_reached
 
 
@@ -63,15 +62,15 @@ def test_noise_above_the_error_is_overestimated_and_gives_no_share():
     fall = make_fall(0.05, 0.0, stated=1.6)
     assert fall.is_noise_overestimated
     assert not fall.is_noise_reached
-    assert isnan(fall.removed.value)
+    assert fall.removed.value is None
 
 
 def test_unknown_noise_gives_the_error_alone():
     zeros = np.zeros(RIDES)
     fall = measure_fall(zeros, zeros + 0.2, zeros + 0.1, zeros * np.nan, CLUSTERS)
     assert fall.change_kwh.value == pytest.approx(-0.1)
-    assert not fall.is_noise_known
-    assert isnan(fall.above_after_kwh.value)
+    assert fall.noise_kwh is None
+    assert fall.above_after_kwh.value is None
 
 
 def test_ride_of_unknown_noise_has_the_mean_of_the_others():
@@ -81,9 +80,16 @@ def test_ride_of_unknown_noise_has_the_mean_of_the_others():
 
 
 def test_record_survives_the_history_of_a_model():
-    fall = make_fall(0.12, 0.08)
-    entry = to_json_values({"action": "add", "effect": "snow", "of_effect": fall.to_dict(), "final": None})
-    [step] = list_error_steps([{"action": "fit"}, entry])
-    assert (step.effect, step.scope, step.held_out) == ("snow", [], fall)
-    assert step.final.rides == 0
-    assert read_fall({"mae_before_kwh": "?"}).rides == 0
+    trial = EffectTrial(action="add", effect="snow", of_effect=make_fall(0.12, 0.08), warnings=["too large"])
+    entry = trial.to_entry()
+    assert "warnings" not in entry
+    [attempt] = list_attempts([{"action": "fit"}, entry])
+    assert (attempt.effect, attempt.scope, attempt.of_effect) == ("snow", [], trial.of_effect)
+    assert attempt.to_json() == entry
+    assert attempt.final is None
+
+
+def test_damaged_history_is_refused_in_one_line():
+    with pytest.raises(ModelError, match=r"the history of the model is damaged: Expected .* `\$.of_effect") as raised:
+        list_attempts([{"action": "add", "of_effect": {"mae_before_kwh": "?"}}])
+    assert "\n" not in str(raised.value)

@@ -1,10 +1,10 @@
 """Test which trials add an effect, which refuse it, and which leave it undecided."""
 
-from math import nan
-
 import pytest
 
-from socast.core.diagnose.add.add import ADDED, REFUSED, UNDECIDED, _judge
+from socast.core.diagnose.add.add import _judge
+from socast.core.diagnose.add.records import ADDED, REFUSED, UNDECIDED, EffectTrial, ErrorFall
+from socast.core.evaluate.records import EstimatedValue
 
 LEAST = 0.002
 
@@ -12,11 +12,20 @@ LEAST = 0.002
 def make_results(gain, p, change, *, on_days=(-0.01, 0.005), on_vehicles=None):
     """Return the results of a trial; changes are (kWh, half of the 95 % interval)."""
 
-    def compared(pair):
-        return pair and {"clusters": 100, "change_kwh": {"value": pair[0], "ci95": pair[1]}}
+    def estimate(pair):
+        return EstimatedValue(value=pair[0], ci95=pair[1])
 
-    changes = {"of_effect": compared(change), "on_days": compared(on_days), "on_vehicles": compared(on_vehicles)}
-    return {"gain": {"value": gain[0], "ci95": gain[1]}, "p": p, **changes["of_effect"], **changes}
+    def compared(pair):
+        return pair and ErrorFall(clusters=100, change_kwh=estimate(pair))
+
+    return EffectTrial(
+        gain=estimate(gain),
+        p=p,
+        change_kwh=estimate(change),
+        of_effect=compared(change),
+        on_days=compared(on_days),
+        on_vehicles=compared(on_vehicles),
+    )
 
 
 @pytest.mark.parametrize(
@@ -31,7 +40,7 @@ def make_results(gain, p, change, *, on_days=(-0.01, 0.005), on_vehicles=None):
             make_results((0.001, 0.01), 0.3, (0.0, 0.01)), UNDECIDED, "about 10,000 vehicle-days", id="may explain"
         ),
         pytest.param(make_results((0.05, 0.1), 0.3, (-0.02, 0.01)), UNDECIDED, "p = 0.3; about 400", id="by chance"),
-        pytest.param(make_results((0.2, nan), 1e-6, (-0.02, nan)), UNDECIDED, "give more days", id="one day"),
+        pytest.param(make_results((0.2, None), 1e-6, (-0.02, None)), UNDECIDED, "give more days", id="one day"),
         pytest.param(
             make_results((0.2, 0.05), 1e-6, (-0.02, 0.01), on_days=(0.05, 0.02)),
             *(REFUSED, "with all terms refitted, grows by at least 0.03"),

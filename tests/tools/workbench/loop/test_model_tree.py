@@ -4,7 +4,8 @@ import msgspec
 import pytest
 
 from socast.core import models
-from socast.core.diagnose.add.add import AdditionTrial
+from socast.core.diagnose.add.add import AdditionTrial, log_attempt
+from socast.core.diagnose.add.records import ADDED, REFUSED, EffectTrial
 from socast.core.errors import SettingsError
 from socast.core.models import BASIC_PHYSICAL, EXTENDED_PHYSICAL
 from socast.tools.workbench.loop.model_tree import ModelTree
@@ -12,14 +13,14 @@ from socast.tools.workbench.loop.model_tree import ModelTree
 
 def make_trial(base, effect, *, accepted=True):
     """Return a trial of an effect whose model differs from its base in the name only."""
-    trial = {
-        "action": "add" if accepted else "refused",
-        "effect": effect,
-        "accepted": accepted,
-        "reason": "chance",
-        "from_version": base.version,
-    }
-    grown = msgspec.structs.replace(base, name=f"{base.name} with {effect}", history=(*base.history, trial))
+    trial = EffectTrial(
+        action=ADDED if accepted else REFUSED,
+        effect=effect,
+        accepted=accepted,
+        reason="chance",
+        from_version=base.version,
+    )
+    grown = msgspec.structs.replace(log_attempt(base, trial), name=f"{base.name} with {effect}")
     return AdditionTrial(models.stamp(grown), trial)
 
 
