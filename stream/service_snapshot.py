@@ -290,8 +290,8 @@ class SnapshotTaker:
 
     def _read_vehicles(self) -> dict[str, Any]:
         """Return the numbers of vehicles, the newest sample and, if asked for, values of each vehicle."""
-        now, lanes = self._now(), self._pipeline.cleaner.lanes_heard()
-        newest = self._pipeline.cleaner.state["stamp"][lanes]
+        now, lanes = self._now(), self._pipeline.totals.cleaner.lanes_heard()
+        newest = self._pipeline.totals.cleaner.state["stamp"][lanes]
         possible = newest[newest <= now + AHEAD_S]
         out: dict[str, Any] = {
             "active_vehicles": int(np.count_nonzero(possible >= now - ACTIVE_S)),

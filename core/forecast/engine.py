@@ -41,76 +41,9 @@ from socast.core.totals.context import RunContext
 from socast.core.totals.tables import model_columns
 from socast.core.vehicles.fleet import UNKNOWN, Cars, ReplacedKind
 
-MOST_PENDING: Final = 16_000
-"""Number of pending samples and messages from which forecasts are computed; a forecast costs less where many are
-computed at once."""
 SHORT_SHIFT: Final = 0.5
 """A shorter shift does not update the consumption factors. [h]"""
 _UNKNOWN_END: Final = np.full((), np.nan, END_OF_SHIFT)[()]
-
-
-class PendingInput:
-    """Collect totals, dispatch messages and weather forecasts until it pays to compute forecasts.
-
-    Batches may be small. Forecasts do not depend on where they are cut, so they are processed together. Messages
-    are counted from the first pending batch.
-
-    Attributes
-    ----------
-    before : int
-        Number of messages since the first pending batch, before the present one.
-    """
-
-    def __init__(self, none: Totals) -> None:
-        self._none = none
-        self._sums: list[Sums] = []
-        self._arrivals: list[PlanArrival | DriverNamed | ForecastArrival] = []
-        self._replaced: list[ReplacedKind] = []
-        self.size = 0
-        self.before = 0  # messages of batches before the present one
-
-    def __bool__(self) -> bool:
-        return bool(self._sums or self._arrivals)
-
-    @property
-    def is_full(self) -> bool:
-        """Return whether so much is pending that forecasts should be computed."""
-        return self.size >= MOST_PENDING
-
-    def add_sums(self, sums: Sums, rows: int) -> None:
-        """Add the sums of a number of rows."""
-        self._sums.append(Sums(*(totals._replace(at=totals.at + self.before) for totals in sums)))
-        self.size += rows
-
-    def add_arrival(self, message: PlanArrival | DriverNamed | ForecastArrival) -> None:
-        """Add a plan, the name of a driver or a weather forecast, in the order of their arrival."""
-        self._arrivals.append(message._replace(at=self.before + message.at))
-        self.size += 1
-
-    def add_replaced(self, kinds: Sequence[ReplacedKind]) -> None:
-        """Add the kinds of car that vehicle messages replaced, in the order of their arrival."""
-        self._replaced += [each._replace(at=self.before + each.at) for each in kinds]
-
-    def end_batch(self, messages: int) -> None:
-        """Mark the end of a batch with a number of messages."""
-        self.before = self.before + messages if self else 0
-        if not self:
-            self._replaced = []
-
-    def take(self, end: int) -> "DueInput":
-        """Return and drop all sums, joined, and the messages up to the place `end` in the batch."""
-        sums, self._sums, self.size = self._sums, [], 0
-        due = [each for each in self._arrivals if each.at <= self.before + end]
-        self._arrivals = self._arrivals[len(due) :]
-        replaced, self._replaced = self._replaced, [each for each in self._replaced if each.at > self.before + end]
-        plans = [each for each in due if isinstance(each, PlanArrival)]
-        drivers = [each for each in due if isinstance(each, DriverNamed)]
-        forecasts = [each for each in due if isinstance(each, ForecastArrival)]
-        rides, idle, running = (
-            join_totals([getattr(each, name) for each in sums], self._none)
-            for name in ("rides", "idle_periods", "running")
-        )
-        return DueInput(Sums(rides, idle, self._none, running), plans, drivers, forecasts, replaced)
 
 
 class DueInput(NamedTuple):

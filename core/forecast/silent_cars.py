@@ -77,6 +77,8 @@ class RestOfBatch(NamedTuple):
         Messages between the rows of the batch.
     first : int
         Number of the first event of the rest.
+    midnight : float
+        Midnight at which the day ends that the update begins. [Unix s]
     """
 
     batch: Batch
@@ -84,6 +86,7 @@ class RestOfBatch(NamedTuple):
     events: list[Event]
     first: int
     order: MessageOrder
+    midnight: float
 
     def find_later(self, kept: Ints) -> Ints:
         """Return the lanes in the rest that are not among some kept ones, in the order in which they appear."""

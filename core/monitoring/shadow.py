@@ -6,13 +6,15 @@ in service before it is switched on.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import chain
 from math import isfinite
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from socast.core import effects
 from socast.core.batch import Floats, Ints
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.effects.declaration import Effect
@@ -23,9 +25,10 @@ from socast.core.monitoring.running_error import ModelMonitor
 from socast.core.signals.signals import Signals
 from socast.core.stats.confidence_sequence import LEVEL
 from socast.core.totals.accumulator import Totals
+from socast.core.totals.clean_rows import PowerOfEffect
 from socast.core.totals.context import RunContext
 from socast.core.totals.measured_energy import measure_energy
-from socast.core.totals.tables import model_columns
+from socast.core.totals.tables import model_columns, unfit_reason
 from socast.core.wire.messages import Message, ModelErrors, encode, identify_model
 
 MOST_VEHICLE_MODELS: Final = 64
@@ -103,6 +106,14 @@ class ShadowModels:
         """Return the energy by each model from columns of the ride table; NaN where a model fails. [kWh]"""
         return [self._predict_or_count(monitor, columns, rows) for monitor in self.monitors]
 
+    def list_effects(self, also: Sequence[str]) -> tuple[list[str], list[PowerOfEffect]]:
+        """Return the names and powers of all effects, those of the first model and others first."""
+        first, *rest = (monitor.model.effects for monitor in self.monitors)
+        trusted = dict.fromkeys((*first, *also))
+        found = [effects.get(name) for name in trusted | dict.fromkeys(chain(*rest))]
+        powers = [each.power if i < len(trusted) else partial(self.power, each) for i, each in enumerate(found)]
+        return [each.name for each in found], [(each.per, power) for each, power in zip(found, powers, strict=True)]
+
     def power(self, effect: Effect, signals: Signals) -> Floats:
         """Return the power of an effect that only shadows have; NaN, counted as a fault, where it fails. [W/unit]"""
         try:
@@ -111,8 +122,11 @@ class ShadowModels:
             self.faults[f"effect {effect.name}: {type(fault).__name__}"] += 1
             return np.full(signals.clean.dt.shape, np.nan)
 
-    def add(self, rides: Totals, fit: NDArray[np.bool_], context: RunContext) -> None:
-        """Add rides that have ended."""
+    def add(self, rides: Totals, context: RunContext) -> None:
+        """Add rides that have ended, if errors are kept or there are shadows."""
+        if not len(rides.lane) or not (self._keep or self):
+            return
+        fit = np.array([reason is None for reason in unfit_reason(rides, context)])
         measured = measure_energy(rides, context.cars).energy
         rows = np.flatnonzero(fit & np.isfinite(measured))
         if not len(rows):
@@ -145,7 +159,9 @@ class ShadowModels:
             self._keep_messages()
 
     def close(self) -> None:
-        """End the vehicle-days in progress, at the end of the stream."""
+        """End the vehicle-days in progress at the end of the stream, if there are shadows."""
+        if not self:
+            return
         for monitor in self.monitors:
             monitor.close()
         if isfinite(self._time):
@@ -168,7 +184,9 @@ class ShadowModels:
         ]
 
     def quality(self) -> dict[str, Any]:
-        """Return counters: `unpredicted_by_shadow` of rides by model; `shadow_faults` of batches by cause."""
+        """Return `unpredicted_by_shadow`, of rides by model, and `shadow_faults`, of batches by cause, of shadows."""
+        if not self:
+            return {}
         counts = {monitor.label: monitor.unpredicted for monitor in self.monitors[1:]}
         return {"unpredicted_by_shadow": counts, "shadow_faults": dict(self.faults)}
 

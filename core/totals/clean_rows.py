@@ -1,4 +1,4 @@
-"""Rows between cleaning and totals: samples with their weather and car, and the sums that they add to."""
+"""Rows between cleaning and totals: samples with their weather and car, and what each adds to the totals."""
 
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
@@ -11,8 +11,7 @@ from socast.core.cleaning.clean_columns import Clean
 from socast.core.cleaning.quality import Quality
 from socast.core.signals.signals import Signals
 from socast.core.signals.weather import Sky
-from socast.core.totals.accumulator import AMOUNTS, NO_ENDS, Accumulator, Sums
-from socast.core.vehicles.fleet import Cars
+from socast.core.totals.accumulator import AMOUNTS, NO_ENDS
 
 WITNESSES: Final = (
     *("mistimed", "unseen", "disputed", "stale_fall"),
@@ -56,16 +55,6 @@ class CleanRows(NamedTuple):
         ends = self.ends[(self.ends["row"] > first) & (self.ends["row"] <= stop)].copy()
         ends["row"] -= start
         return CleanRows(clean, sky, self.kind[part], None if self.place is None else self.place[part], ends)
-
-
-def sum_rows(
-    rows: CleanRows, cars: Cars, powers: Sequence[PowerOfEffect], accumulator: Accumulator, lanes: int
-) -> Sums:
-    """Compute signals and effects of cleaned rows, and add them to the totals."""
-    signals = Signals(rows.clean, rows.sky, cars.parameters_of(rows.kind))
-    with np.errstate(all="ignore"):  # a user's effect may divide by a speed that it then masks
-        energies = [(per, power(signals)) for per, power in powers]
-    return accumulator.add(rows.clean, rows.kind, compute_amounts(signals, energies), lanes, rows.place, rows.ends)
 
 
 def compute_amounts(signals: Signals, powers: Sequence[tuple[str, Floats]]) -> Floats:

@@ -1,30 +1,34 @@
 """Totals of closed rides and windows, kept until a table is made of them."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from socast.core.batch import Ints
+from socast.core.batch import Ints, Lanes
 from socast.core.totals.accumulator import Sums, Totals, join_totals
+from socast.core.wire.rides import RideDrivers, RideNames
 
 
 class ClosedTotals:
-    """Keep the totals of closed rides and windows until they are taken."""
+    """Keep the totals of closed rides and windows until they are taken, with the name and driver of each ride."""
 
-    def __init__(self, none: Totals) -> None:
-        self._none = none
+    def __init__(self, none: Totals, lanes: Lanes, names: RideNames, drivers: RideDrivers, *, keep: bool) -> None:
+        self._none, self._keep = none, keep
+        self._lanes, self._find_names, self._find_drivers = lanes, names.names, drivers.find_all
         self._rides: list[Totals] = []
         self._ride_names: list[str | None] = []
         self._drivers: list[str | None] = []
         self._windows: list[Totals] = []
 
-    def add(self, sums: Sums, ride_names: Sequence[str | None], drivers: Sequence[str | None]) -> None:
+    def add(self, sums: Sums) -> None:
         """Keep what a batch closed."""
-        if len(sums.rides.lane):
-            self._rides.append(_copy(sums.rides))
-            self._ride_names += ride_names
-            self._drivers += drivers
-        if len(sums.windows.lane):
+        rides = sums.rides
+        if len(rides.lane):
+            names = self._find_names(rides.at_last("code").tolist())
+            drivers = self._find_drivers(map(self._lanes.names.__getitem__, rides.lane), names, rides.at)
+            if self._keep:
+                self._rides.append(_copy(rides))
+                self._ride_names += names
+                self._drivers += drivers
+        if self._keep and len(sums.windows.lane):
             self._windows.append(_copy(sums.windows))
 
     def get_lanes(self) -> Ints:

@@ -38,39 +38,6 @@ LEAST: Final = 20_000
 _LANE, _RIDE, _CODE, _PLACE = (FIELDS.index(name) for name in ("lane", "ride", "code", "place"))
 
 
-class CausalRows:
-    """Pass rows on at once, with the methods of `DeferredRows`, for forecasts and for tables of the past only."""
-
-    waits = False
-    messages = 0
-
-    def add(self, rows: CleanRows) -> list[CleanRows]:
-        """Return the rows."""
-        return [rows]
-
-    def end_batch(self, messages: int) -> None:
-        """Keep no count of messages."""
-
-    def close(self) -> list[CleanRows]:
-        """Return no rows, as none is kept."""
-        return []
-
-    def sum_up(
-        self, released: Sequence[CleanRows], sum_up: Callable[[CleanRows], Sums], _block: int
-    ) -> Iterator[tuple[Sums, Ints | None]]:
-        """Yield the totals of rows, which are of one block at most."""
-        for rows in released:
-            yield sum_up(rows), None
-
-    def add_daily_update(self, _place: int, kind_of_lane: Ints) -> list[Ints]:
-        """Return the daily update, which takes effect at once."""
-        return [kind_of_lane]
-
-    def ride_codes(self) -> Floats:
-        """Return no codes of rides, as no row is kept."""
-        return np.empty(0)
-
-
 class DeferredRows:
     """Keep the rows of open rides, and release those of closed rides with smoothed elevation.
 
@@ -83,15 +50,11 @@ class DeferredRows:
 
     Attributes
     ----------
-    waits : bool
-        Whether rows of rides that have ended may still be kept.
     messages : int
         Number of messages in all batches before the present one.
     totals : DeferredTotals
         Totals of released rows, which wait for rows that are kept.
     """
-
-    waits = True
 
     def __init__(self, least: int = LEAST, longest: int = LONGEST_PIECE) -> None:
         self.least, self.longest = least, longest
@@ -148,10 +111,9 @@ class DeferredRows:
         if released:
             yield from self.totals.take(self.first_place)
 
-    def add_daily_update(self, place: int, kind_of_lane: Ints) -> list[Ints]:
-        """Let a daily update wait, see `DeferredTotals`, and return none; `place` is that in the batch."""
+    def add_daily_update(self, place: int, kind_of_lane: Ints) -> None:
+        """Let a daily update wait, see `DeferredTotals`; `place` is that in the batch."""
         self.totals.add_daily_update(self.messages + place, kind_of_lane)
-        return []
 
     @property
     def first_place(self) -> float:

@@ -191,10 +191,6 @@ class DisplayYields:
         factor = np.where(usable, score / np.where(usable, information, 1.0), 0.0)
         return np.where(usable, self._code_of_kind[kinds], -1), weight, weight * factor
 
-    def learn_from(self, earlier: "DisplayYields") -> None:
-        """Take over what another instance has learned of the same lanes."""
-        self.load(earlier.dump())
-
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order."""
         forgotten = np.delete(self._lanes, lanes[lanes < len(self._lanes)])

@@ -10,7 +10,7 @@ from socast.core.cleaning.quality import CAUSES
 from socast.core.totals.accumulator import Totals
 from socast.core.totals.context import RunContext
 from socast.core.totals.logger_faults import LoggerFaults, add_faults, count_faults
-from socast.core.totals.tables import model_columns
+from socast.core.totals.tables import model_columns, unfit_reason
 
 
 class RunCounters:
@@ -40,11 +40,13 @@ class RunCounters:
         for place in range(len(CAUSES)):
             self.samples[place] += np.count_nonzero(marked & (1 << place))
 
-    def count_rides(self, rides: Totals, unfit_reasons: Any, context: RunContext) -> None:
+    def count_rides(self, rides: Totals, context: RunContext) -> None:
         """Count rides that have ended."""
+        if not len(rides.lane):
+            return
         kinds = rides.at_last("kind").astype(np.int64).tolist()
         self.rides += len(rides.lane)
-        self.unfit.update(reason for reason in unfit_reasons.tolist() if reason is not None)
+        self.unfit.update(reason for reason in unfit_reason(rides, context).tolist() if reason is not None)
         self.unpredicted.update(why for why in map(context.cars.unpredicted, kinds) if why is not None)
         add_faults(self.faults, count_faults(rides, context.vehicle_ids))
         model: Any = context.model

@@ -113,8 +113,8 @@ class DuplicateFilter:
         self._count, self._most = 0, LEAST
         self._part = _Part(MessageBlock.of([]), None, np.empty(0, np.uint64), np.empty(0, np.bool_))
 
-    def select_new(self, messages: Sequence[Message]) -> tuple[MessageBlock, int]:
-        """Return the messages that were not taken in before, and remember them.
+    def select_new(self, messages: Sequence[Message]) -> tuple[MessageBlock, MessageBlock]:
+        """Return the messages that were not taken in before, and remember them; return the others too.
 
         Messages are taken up to the one at which the halves may turn over. Call `forget` with those that are refused
         before you give the others.
@@ -127,9 +127,10 @@ class DuplicateFilter:
         """
         self._turn_over_if_full()
         self._batches.forget()
-        block, hashes, samples = self._hash_messages(MessageBlock.of(messages), self._most - self._count)
+        messages = MessageBlock.of(messages)
+        block, hashes, samples = self._hash_messages(messages, self._most - self._count)
         self._part = _Part(block, samples, hashes, self._remember(hashes))
-        return self._part.select(self._part.is_new), len(block)
+        return self._part.select(self._part.is_new), messages[len(block) :]
 
     def hash(self, messages: Sequence[Message]) -> tuple[Hashes, list[Sequence[Any]] | None]:
         """Return the hashes of the samples of messages, and the samples of each; None if each message is one.

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from socast.core.batch import Ints
 from socast.core.wire.decoder import Event
 from socast.core.wire.messages import Vehicle, Weather, Wire
 
@@ -31,10 +32,12 @@ class Silence(Wire):
 
 
 class Piece(NamedTuple):
-    """Hold where a piece of a batch begins, and what applies between its rows.
+    """Hold the rows of a piece of a batch from `start` up to `stop`, and what applies between them.
 
     Parameters
     ----------
+    kind : (rows,) int
+        Kind of the car of each row.
     changes : list of VehicleChange
         Vehicle messages, with the row of the piece before which each came.
     ride_events : list of tuple
@@ -44,6 +47,8 @@ class Piece(NamedTuple):
     """
 
     start: int
+    stop: int
+    kind: Ints
     changes: list[VehicleChange]
     ride_events: list[tuple[Any, ...]]
     observations: list[tuple[int, Weather]]

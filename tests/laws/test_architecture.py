@@ -2,12 +2,21 @@
 
 import ast
 import re
+import threading
 from collections import defaultdict
-from functools import cache
+from functools import cache, reduce
 from graphlib import TopologicalSorter
+from importlib import import_module
 from pathlib import Path
 
+from socast.core.pipeline import Pipeline
+from socast.stream.loop import run
+from socast.stream.zenoh_session import Connection, Node
+from socast.stream.zenoh_sink import LatestOnlySink, ZenohSink
+from socast.stream.zenoh_source import ZenohSource
 from tests.support.paths import ROOT
+from tests.support.telemetry import drive, leaf, telemetry
+from tests.support.zenoh_sessions import eventually, router
 
 ORDER = (
     *(
@@ -61,6 +70,13 @@ PLACES = {
 """Files of the code -> where they are when the product is installed."""
 MODULES = {".".join(place.with_suffix("").parts).removesuffix(".__init__"): path for path, place in PLACES.items()}
 PAGE = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+WAY = re.findall(r"^\d+\. `([\w.]+)`, `([\w/]+)\.py`: ", PAGE, re.MULTILINE)
+"""Functions of the way of a live sample, and their files."""
+MOST_HOPS = 10
+CALLERS = {f"socast.{name}" for name in ("stream.loop", "core.pipeline", "core.totals.sample_totals")} | {
+    "socast.core.forecast.due_forecasts"
+}
+"""Modules that call the functions of the way in turn, and pass on what each returns."""
 
 
 @cache
@@ -213,3 +229,66 @@ def test_page_names_every_package_and_only_files_that_exist():
 
 def test_page_fits_one_page():
     assert len(PAGE.split()) < 1500
+
+
+def test_way_of_a_sample_has_few_hops_and_none_back():
+    modules = [f"socast.{file.replace('/', '.')}" for _, file in WAY]
+    assert 2 < len(modules) == len(set(modules)) <= MOST_HOPS + 1
+    at = modules.index("socast.core.pipeline")
+    assert all(module.startswith("socast.stream.") for module in (*modules[:at], modules[-1]))
+    steps = [place(module) for module in modules[at + 1 : -1]]
+    assert steps == sorted(steps)
+    assert max(steps) < place("socast.core.pipeline")
+
+
+def test_live_sample_takes_the_way_that_the_page_lists():
+    """Its functions run in the order of the page, once each; between two of them are only their known callers."""
+    codes = {find_code(f"socast.{file.replace('/', '.')}", name): number for number, (name, file) in enumerate(WAY)}
+    received, queued, fed, taken, *_ = codes
+    hops, strangers = [], set()
+
+    def watch(frame, event, result):
+        code = frame.f_code
+        if code not in codes:
+            return
+        if event == "return":  # these run all the time, and hold the sample when they hand it on
+            if (code is received and result.messages) or (code is queued and result):
+                hops.append(codes[code])
+        elif event == "call" and code not in {received, queued, fed}:
+            if code is taken:
+                hops.append(codes[frame.f_back.f_code])
+            hops.append(codes[code])
+            strangers.update(list_callers(frame) - CALLERS)
+
+    pipeline, stop = Pipeline(), threading.Event()
+    pipeline.take([leaf()])
+    (message,) = telemetry(drive(1))
+    threading.setprofile(watch)
+    try:
+        with router(recovery=False) as (node, endpoint), Node(Connection(connect=(endpoint,))) as client:
+            source, sinks = ZenohSource(node, stop), [LatestOnlySink(ZenohSink(node))]
+            loop = threading.Thread(target=run, args=(source, pipeline, sinks), kwargs={"keep_open": True})
+            loop.start()
+            assert eventually(ZenohSink(client).has_subscriber)
+            client.session.put(message.key, message.payload)
+            assert eventually(lambda: len(hops) >= len(WAY))
+            stop.set()
+            loop.join(60)
+    finally:
+        threading.setprofile(None)
+        stop.set()
+    assert [WAY[hop][0] for hop in hops] == [name for name, _ in WAY]
+    assert strangers == set()
+
+
+def find_code(module, name):
+    """Return the code of a function of a module; the names of the page exist."""
+    return reduce(getattr, name.split("."), import_module(module)).__code__
+
+
+def list_callers(frame):
+    """Return the modules of the code that called a function, without its own module."""
+    own, names = frame.f_globals["__name__"], set()
+    while (frame := frame.f_back) is not None:
+        names.add(frame.f_globals["__name__"])
+    return {name for name in names if name.startswith("socast.")} - {own}

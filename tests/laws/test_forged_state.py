@@ -25,8 +25,8 @@ def test_state_that_was_not_forged_is_accepted(name):
 def test_every_component_has_a_schema():
     deferred = Pipeline(keep_forecasts=False, two_sided=True)
     for pipeline in (make_pipeline(), deferred):
-        assert SCHEMAS.keys() >= pipeline._components().keys()
-    assert SCHEMAS.keys() == deferred._components().keys() | make_pipeline()._components().keys()
+        assert SCHEMAS.keys() >= pipeline._get_components().keys()
+    assert SCHEMAS.keys() == deferred._get_components().keys() | make_pipeline()._get_components().keys()
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")

@@ -57,7 +57,12 @@ def test_silent_car_is_forgotten_by_every_component():
     assert "new-5" not in names
     assert "quiet-5" not in names
     lanes = len(names)
-    parts = pipeline.cleaner.state, pipeline.engine.state, pipeline.engine.log._next, pipeline.accumulator._open
+    parts = (
+        pipeline.totals.cleaner.state,
+        pipeline.engine.state,
+        pipeline.engine.log._next,
+        pipeline.totals.accumulator._open,
+    )
     assert max(map(len, parts)) <= 2 * lanes
     assert max(pipeline.engine.plans.plans) < lanes
     assert {status.vehicle_id for status in pipeline.status()} <= set(names)
@@ -120,7 +125,7 @@ def test_divisions_near_the_update_give_the_same_state(step):
     lanes = len(whole.lanes)  # arrays have room for more
     assert parts.day_rollover._clocks[:lanes].tobytes() == whole.day_rollover._clocks[:lanes].tobytes()
     assert parts.day_rollover._newest.tolist() == whole.day_rollover._newest.tolist()
-    assert parts.cleaner.state[:lanes].tobytes() == whole.cleaner.state[:lanes].tobytes()
+    assert parts.totals.cleaner.state[:lanes].tobytes() == whole.totals.cleaner.state[:lanes].tobytes()
     assert parts.engine.state[:lanes].tobytes() == whole.engine.state[:lanes].tobytes()
 
 

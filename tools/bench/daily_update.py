@@ -74,7 +74,7 @@ def _learn(pipeline: Pipeline, cars: int) -> None:
     """End the rides and idle periods of a day of a fleet, with twenty times the running totals of each car."""
     statistics, lanes = pipeline.engine.statistics, np.arange(cars)
     for _, at in product(range(RIDES), range(0, cars, AT_ONCE)):
-        totals = pipeline.accumulator.running(lanes[at : at + AT_ONCE])
+        totals = pipeline.totals.accumulator.running(lanes[at : at + AT_ONCE])
         totals = totals._replace(amounts=20.0 * totals.amounts)
         predicted = np.full(len(totals.lane), 3.0)
         statistics.add_rides(totals, predicted)

@@ -8,7 +8,8 @@ from unittest.mock import patch
 
 from socast.core.forecast import engine, soc_filter
 from socast.core.forecast.engine import ForecastEngine
-from socast.core.pipeline import BLOCK, Pipeline
+from socast.core.pipeline import Pipeline
+from socast.core.totals.sample_totals import BLOCK
 from socast.core.wire.messages import Leg, Message, Plan, encode
 from socast.tools.bench.fleet import PERIOD_S, START_S, make_rounds, make_vehicles, name_car
 from socast.tools.bench.measures import Measure, cut_blocks

@@ -14,10 +14,9 @@ from socast.core.models import EXTENDED_PHYSICAL
 from socast.core.pipeline import Pipeline
 from socast.core.wire.arrow_batch import write_rows
 from socast.core.wire.messages import Message
-from socast.stream.latest_only_sink import LatestOnlySink
 from socast.stream.loop import PUBLISH_S, Tally, run
 from socast.stream.zenoh_session import Connection, Node, find_free_port
-from socast.stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_sink import LatestOnlySink, ZenohSink
 from socast.stream.zenoh_source import ZenohSource
 from socast.tools.bench.fleet import make_rounds, make_vehicles
 from socast.tools.bench.measures import Measure, alternate_timings

@@ -13,8 +13,9 @@ from mcap.reader import make_reader
 
 from socast.core.batch import Batch, Lanes
 from socast.core.models import EXTENDED_PHYSICAL
-from socast.core.pipeline import BLOCK, Pipeline
+from socast.core.pipeline import Pipeline
 from socast.core.settings import Limits
+from socast.core.totals.sample_totals import BLOCK
 from socast.core.wire.decoder import Decoder
 from socast.core.wire.messages import Message
 from socast.stream.loop import feed
@@ -115,10 +116,10 @@ def measure_arrays(repeats: int = 5, cars: int = 1000, turns: int = 200) -> Meas
 
     def run() -> float:
         fresh = _prepared_pipeline(cars)
-        kind = fresh.cars.kinds(batch.lane, [], cars)
+        kind, totals = fresh.cars.kinds(batch.lane, [], cars), fresh.totals
         return time_action(
             lambda: [
-                fresh.sum_up(fresh.clean_up(batch.rows(at, at + BLOCK), kind[at : at + BLOCK]))
+                totals.sum_up(totals.clean_up(batch.rows(at, at + BLOCK), kind[at : at + BLOCK]))
                 for at in range(0, n, BLOCK)
             ]
         )

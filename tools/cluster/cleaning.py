@@ -5,7 +5,7 @@ all messages. What the display of a car stands for is learned later, over all ca
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, BinaryIO, Final
@@ -21,10 +21,13 @@ from socast.core.forecast.day_rollover import DailyUpdate
 from socast.core.pipeline import Pipeline
 from socast.core.settings import BOUNDS_OF_LIMITS, Limits
 from socast.core.totals.accumulator import EDGES, Sums, Totals
+from socast.core.totals.context import RunContext
 from socast.core.totals.display_record import create_unknown_yields
+from socast.core.totals.run_counters import RunCounters
 from socast.core.wire.decoder import Event
 from socast.core.wire.message_order import MessageOrder, Silence
 from socast.core.wire.messages import KINDS, Vehicle, Weather
+from socast.core.wire.rides import RideNames
 from socast.tools.cluster.decoding import decode_events, read_texts
 from socast.tools.cluster.job import (
     COLUMNS,
@@ -111,10 +114,14 @@ def read_totals(rows: Floats, width: int) -> Totals:
 
 
 class _WaitingDisplays:
-    """Leave the displays of totals for later."""
+    """Write totals, with the names of the rides, and leave their displays for later."""
+
+    def __init__(self, names: RideNames, take: Callable[[Sums, list[str | None]], None]) -> None:
+        self._get_names, self._take = names.names, take
 
     def attach(self, sums: Sums, lanes: int) -> Sums:  # noqa: ARG002 - as of DisplayYields
-        """Return the totals themselves."""
+        """Write totals, and return them."""
+        self._take(sums, self._get_names(sums.rides.at_last("code").tolist()) if len(sums.rides.lane) else [])
         return sums
 
     def apply_daily_update(self, kind_of_lane: Ints) -> None:
@@ -132,6 +139,13 @@ class _GivenOrder(MessageOrder):
         return self._of_events[number]
 
 
+class _SampleCounters(RunCounters):
+    """Leave the counts of rides for later."""
+
+    def count_rides(self, rides: Totals, context: RunContext) -> None:
+        """Do nothing."""
+
+
 class _PartPipeline(Pipeline):
     """Run the steps on the cars of a part, and write the totals that close."""
 
@@ -142,29 +156,22 @@ class _PartPipeline(Pipeline):
             job.settings,
             also=job.wanted,
             keep_forecasts=False,
+            keep_tables=False,
             two_sided=True,
             elevation_map=elevation_map,
             limits=_MOST,
         )
-        self.displays: Any = _WaitingDisplays()
-        self._take_sums = take
+        displays: Any = _WaitingDisplays(self.decoder.rides, take)
+        self.totals.displays, self.totals.counters = displays, _SampleCounters()
         self.lanes.load(vehicles)
         self.cars.load([[msgspec.to_builtins(message) for message in kinds], [0] * len(vehicles), {}])
-        self.cleaner.fleet_clock["check"] = np.inf  # silences come as events
-
-    def _take_closed(self, sums: Sums) -> None:
-        """Write totals."""
-        has_rides = len(sums.rides.lane) > 0
-        self._take_sums(sums, self.decoder.rides.names(sums.rides.at_last("code").tolist()) if has_rides else [])
+        self.totals.cleaner.fleet_clock["check"] = np.inf  # silences come as events
 
     def process(self, batch: Batch, places: Ints, events: Sequence[tuple[int, int, Any]]) -> None:
         """Run all steps on samples with their places, and on events: place, lane and value of each."""
         rows = np.searchsorted(places, [place for place, *_ in events], side="right")  # a silence follows its sample
         values = [Event(int(row), lane, value) for row, (_, lane, value) in zip(rows, events, strict=True)]
         self._process(batch, values, _GivenOrder(places, [place for place, *_ in events]), [])
-
-    def forget_ride_names(self) -> None:
-        """Forget the names of rides that have ended, once there are many."""
         self._forget_ride_names()
 
 
@@ -194,11 +201,11 @@ def clean_part(job: Job, part: int) -> PartCounts:
         file.close()
     write_text(job.of_part(part, "names"), {"ride_id": names})
     return PartCounts(
-        pipeline.counters.samples.tolist(),
+        pipeline.totals.counters.samples.tolist(),
         pipeline.decoder.received,
         pipeline.decoder.rejected,
         int(pipeline.decoder.losses.lost().sum()),
-        pipeline.cleaner.map_lookup.count_fixes().get("elevation_map", {}),
+        pipeline.totals.cleaner.map_lookup.count_fixes().get("elevation_map", {}),
         rides.rows,
         windows.rows,
     )
@@ -232,8 +239,6 @@ def _run(
     events: list[tuple[int, int, Any]] = []
     taken = 0
     for number, span in enumerate(spans):
-        if not batches:
-            pipeline.forget_ride_names()
         table, place = _read_rows(pipeline, job, part, span, lanes, events)
         batches.append(table)
         places.append(place)

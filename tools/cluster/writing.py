@@ -12,7 +12,7 @@ from socast.core.totals.context import RunContext
 from socast.core.totals.display_record import DISPLAY_YIELD
 from socast.core.totals.logger_faults import LoggerFaults
 from socast.core.totals.run_counters import RunCounters
-from socast.core.totals.tables import tabulate_rides, tabulate_windows, unfit_reason
+from socast.core.totals.tables import tabulate_rides, tabulate_windows
 from socast.tools.cluster.cleaning import count_columns, read_totals
 from socast.tools.cluster.displays import Slice
 from socast.tools.cluster.job import Job, load_surroundings, read_rows, read_text
@@ -29,7 +29,7 @@ def make_context(job: Job) -> tuple[RunContext, int]:
     shared = msgspec.msgpack.decode(job.of_run("shared").read_bytes(), type=Shared)
     pipeline.lanes.load(shared.vehicles)
     pipeline.cars.load([[msgspec.to_builtins(kind) for kind in shared.kinds], [0] * len(shared.vehicles), {}])
-    return pipeline.context, pipeline.accumulator.width
+    return pipeline.context, pipeline.totals.accumulator.width
 
 
 def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], Counter[str], LoggerFaults]:
@@ -57,7 +57,7 @@ def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], C
     totals = read_totals(rows, width)._replace(display=display)
     counters = RunCounters()
     if piece.name == "rides":
-        counters.count_rides(totals, unfit_reason(totals, context), context)
+        counters.count_rides(totals, context)
         names, drivers = (
             read_text(job.of_run("names"), name, piece.start, piece.stop) for name in ("ride_id", "driver_id")
         )

@@ -39,7 +39,7 @@ def check(
     pipeline = Pipeline(
         settings=settings, keep_forecasts=False, two_sided=True, elevation_map=open_elevation(elevation or ())
     )
-    pipeline.counters = counters = CarCounters()
+    pipeline.totals.counters = counters = CarCounters()
     rides: list[pd.DataFrame] = []
     tabulate(sources, pipeline, lambda ended, _: rides.append(ended[list(RIDE_COLUMNS)]))
     names = pipeline.lanes.names

@@ -17,12 +17,11 @@ from socast.core.errors import SettingsError, SocastError
 from socast.core.models import LinearModel
 from socast.core.pipeline import Pipeline
 from socast.core.settings import Settings
-from socast.stream.latest_only_sink import LatestOnlySink
 from socast.stream.loop import PUBLISH_S, Tally, combine_watches, run, stop_on_signals
 from socast.stream.mcap_reader import McapSource
 from socast.stream.structured_log import log_lines
 from socast.stream.zenoh_session import Connection, Node
-from socast.stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_sink import LatestOnlySink, ZenohSink
 from socast.stream.zenoh_source import ZenohSource
 from socast.tools.commands.info import describe_recording
 from socast.tools.terminal.demo_alarms import AlarmWatch, read_findings

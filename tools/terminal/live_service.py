@@ -19,7 +19,6 @@ from socast.core.wire.messages import Message
 from socast.core.wire.shard import Shard
 from socast.stream.checkpoints import Checkpoints
 from socast.stream.idle_keys import IdleKeys
-from socast.stream.latest_only_sink import LatestOnlySink
 from socast.stream.loop import PUBLISH_S, REPORT_S, Watch, act_on_hangup, combine_watches, run, stop_on_signals
 from socast.stream.query_service import QueryService, QuerySource
 from socast.stream.recorder import Recorder
@@ -34,7 +33,7 @@ from socast.stream.zenoh_overlap import OverlapWatch
 from socast.stream.zenoh_queryable import ZenohQueryable
 from socast.stream.zenoh_receiver import shares_batches
 from socast.stream.zenoh_session import Connection, Node
-from socast.stream.zenoh_sink import ZenohSink
+from socast.stream.zenoh_sink import LatestOnlySink, ZenohSink
 from socast.stream.zenoh_source import ZenohSource
 from socast.stream.zenoh_standby import LEASE_S, FencedSink, Standby, StandbyQueryable, TakeoverSink
 from socast.tools.terminal.forecast_options import ForecastOptions, describe_forecasts, make_pipeline
@@ -236,7 +235,7 @@ def _restore(pipeline: Pipeline, checkpoints: Checkpoints | None) -> list[Messag
             "and rides in progress have no prediction where an effect is new; all else continues",
             extra=event_fields(difference=pipeline.model_change),
         )
-    if pipeline.cleaner.has_new_map:
+    if pipeline.totals.cleaner.has_new_map:
         _log.warning("the state was made with another elevation map: elevation starts anew, all else continues")
     return forecasts
 
@@ -310,7 +309,7 @@ def _log_start(node: Node, pipeline: Pipeline, models: Sequence[LinearModel], mo
     beside = {"shadows": ",".join(shadow.name for shadow in models[1:])} if models[1:] else {}
     if shard := node.connection.shard:
         beside |= {"shard": str(shard), "by": shard.by}
-    if elevation := pipeline.cleaner.map_lookup.identity:
+    if elevation := pipeline.totals.cleaner.map_lookup.identity:
         beside |= {"elevation_map": elevation}
     if monitor.server:
         beside |= {"metrics": str(monitor.server.address)}

@@ -144,7 +144,7 @@ def test_restart_with_the_same_map_changes_no_result():
     first, second = Pipeline(elevation_map=map_of_hills()), Pipeline(elevation_map=map_of_hills())
     out = first.push(messages[:150])
     second.restore(first.snapshot())
-    assert not second.cleaner.has_new_map
+    assert not second.totals.cleaner.has_new_map
     assert [*out, *second.push(messages[150:]), *second.finish()] == expected
     assert second.take_rides().equals(whole.take_rides())
 
@@ -154,8 +154,8 @@ def test_restart_with_another_map_makes_no_climb():
     first, second = Pipeline(), Pipeline(elevation_map=map_of_hills())
     first.push(messages[:150])
     second.restore(first.snapshot())
-    assert second.cleaner.has_new_map
-    state = second.cleaner.state
+    assert second.totals.cleaner.has_new_map
+    state = second.totals.cleaner.state
     assert np.isnan(state["elevation"]).all()
     assert np.isnan(state["offset_variance"]).all()
     second.push(messages[150:])

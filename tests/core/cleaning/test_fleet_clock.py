@@ -108,4 +108,4 @@ def test_clock_of_a_large_fleet_advances_with_the_time_of_its_cars():
 
 def test_kernel_counts_the_cars_of_the_fleet():
     pipeline = ran([leaf("a"), leaf("b"), *in_order(sent("a", 20), sent("b", 20))])[0]
-    assert pipeline.cleaner.fleet_clock["cars"] == 2
+    assert pipeline.totals.cleaner.fleet_clock["cars"] == 2

@@ -135,7 +135,7 @@ class Fitted:
 def test_live_path_computes_only_the_variant_that_the_model_reads():
     cold = without(drive(100, speed=10.0, ambient_c=-20.0), "metres")
     pipeline, out = ran([leaf(), *telemetry(cold)], model=Fitted())
-    assert [effect.name for effect in pipeline.effects] == ["cold_rolling@reference=283.15"]
+    assert pipeline.context.effects == ["cold_rolling@reference=283.15"]
     rides = pipeline.take_rides()
     assert [name for name in rides if name.startswith("effect_")] == ["effect_cold_rolling@reference=283.15"]
     weight = (rides["mass_kg"][0] + 75) * 9.80665

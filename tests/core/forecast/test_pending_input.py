@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import socast.core.pipeline
-from socast.core.forecast.engine import PendingInput
+from socast.core.forecast.due_forecasts import PendingInput
 from socast.core.forecast.plan_tracker import DriverNamed, PlanArrival
+from socast.core.totals import sample_totals
 from socast.core.totals.accumulator import Accumulator, join_totals
 from socast.core.vehicles.fleet import ReplacedKind
 from tests.support.fleet_days import CARS, DAYS, merged, plan, shift, trained_pipeline
@@ -61,7 +61,7 @@ def test_blocks_of_few_rows_change_no_forecast(cuts):
 
 def in_blocks(block, messages, cuts):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(socast.core.pipeline, "BLOCK", block)
+        patch.setattr(sample_totals, "BLOCK", block)
         return whole(messages, cuts)
 
 
@@ -114,8 +114,8 @@ def test_changes_of_the_vehicle_model_between_plans_and_shifts_give_same_forecas
 
 def test_vehicle_messages_and_observations_do_not_cut_a_batch(monkeypatch):
     pipeline, calls = trained_pipeline(), []
-    clean = pipeline.cleaner.clean_between
-    monkeypatch.setattr(pipeline.cleaner, "clean_between", lambda *args: calls.append(1) or clean(*args))
+    clean = pipeline.totals.cleaner.clean_between
+    monkeypatch.setattr(pipeline.totals.cleaner, "clean_between", lambda *args: calls.append(1) or clean(*args))
     samples = [m for _, m in shift("c", DAYS)][:200]
     between = zip((leaf("c", mass_kg=1500.0 + i % 3) for i in range(200)), (m for _, m in weather(200)), strict=True)
     pipeline.push([m for sample, others in zip(samples, between, strict=True) for m in (sample, *others)])

@@ -151,9 +151,9 @@ def test_forecasts_for_the_new_day_are_kept_over_midnight():
 
 def test_forecast_is_no_observation():
     pipeline = trained_pipeline(settings=SETTINGS)
-    before = str(pipeline.stations.dump())
+    before = str(pipeline.totals.stations.dump())
     pipeline.push(cold_ahead(START + DAY * DAYS, -10.0))
-    assert str(pipeline.stations.dump()) == before
+    assert str(pipeline.totals.stations.dump()) == before
     assert pipeline.quality()["undecodable"] == {}
     pipeline.push([observed(time=1.0, temperature_c=99.0, issued_s=1.0)])
     assert pipeline.quality()["undecodable"] == {"out_of_range": 1}

@@ -57,7 +57,7 @@ def test_every_feature_is_numeric_and_available_during_a_ride():
     pipeline = Pipeline()
     table = pipeline.take_rides()
     running = model_columns(
-        pipeline.accumulator.running(np.empty(0, np.int64)), pipeline.context, ["winter", "vehicle_id"]
+        pipeline.totals.accumulator.running(np.empty(0, np.int64)), pipeline.context, ["winter", "vehicle_id"]
     )
     for column in FEATURES:
         assert pd.api.types.is_numeric_dtype(table[column]), column

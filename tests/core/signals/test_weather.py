@@ -172,9 +172,9 @@ def test_station_that_is_silent_for_days_is_forgotten_at_the_daily_update():
     messages = [observed("once"), *(m for pair in zip(often, sent, strict=True) for m in (pair[0], *pair[1]))]
     for cuts in ((), range(0, len(messages), 3)):
         pipeline, _ = ran(messages, cuts, limits=Limits(silent_days=2.0))
-        assert [name for name, *_ in pipeline.stations.dump()] == ["often"]
+        assert [name for name, *_ in pipeline.totals.stations.dump()] == ["often"]
         pipeline, _ = ran(messages, cuts, limits=Limits(silent_days=5.0))
-        assert [name for name, *_ in pipeline.stations.dump()] == ["once", "often"]
+        assert [name for name, *_ in pipeline.totals.stations.dump()] == ["once", "often"]
 
 
 def test_loaded_state_equals_the_dumped_state():

@@ -134,7 +134,7 @@ def test_running_totals_at_the_end_equal_those_of_the_ride():
     messages = [leaf(), *telemetry(full())]
     pipeline = Pipeline()
     pipeline.push(messages)
-    running = pipeline.accumulator.running(np.array([0]))
+    running = pipeline.totals.accumulator.running(np.array([0]))
     status = pipeline.status()[0]
     last = pipeline.push([])
     pipeline.finish()
@@ -167,7 +167,7 @@ def test_running_distance_equals_the_sum_of_the_rows_so_far():
     clean = cleaned(columns)
     for i, message in enumerate(messages):
         pipeline.push([message])
-        assert pipeline.accumulator.running(np.array([0])).amount("distance")[0] == pytest.approx(
+        assert pipeline.totals.accumulator.running(np.array([0])).amount("distance")[0] == pytest.approx(
             clean.distance[: i + 1].sum()
         )
 
@@ -208,7 +208,7 @@ def summed(columns, monkeypatch):
     """Return the totals of the samples of a car: rides, idle periods, windows and running totals."""
     pipeline, kept = Pipeline(keep_forecasts=False), []
     monkeypatch.setattr(pipeline.day_rollover, "find_rollovers", lambda *_: [])  # a list is one batch
-    monkeypatch.setattr(pipeline, "_take_closed", kept.append)
+    monkeypatch.setattr(pipeline.totals.closed, "add", kept.append)
     pipeline.take([leaf()])
     pipeline.take(telemetry(columns))
     (sums,) = kept

@@ -50,7 +50,7 @@ def rows_of(messages):
 def tabulated(messages, cuts=(), least=100, **options):
     """Return the two-sided tables of messages, which arrive in parts."""
     pipeline = Pipeline(keep_forecasts=False, two_sided=True, **options)
-    pipeline.deferred.least = pipeline.deferred._until_release = least
+    pipeline.totals.deferred.least = pipeline.totals.deferred._until_release = least
     for part in chunked([*map(leaf, CARS), *messages], cuts):
         pipeline.take(part)
     pipeline.finish()
@@ -193,7 +193,7 @@ def causal_tables():
 def test_columns_without_climb_equal_those_of_the_causal_pipeline_to_the_bit(least):
     messages = simulated()
     two_sided = Pipeline(keep_forecasts=False, two_sided=True)
-    two_sided.deferred.least = two_sided.deferred._until_release = least
+    two_sided.totals.deferred.least = two_sided.totals.deferred._until_release = least
     for part in chunked(messages, range(0, len(messages), 3001)):
         two_sided.take(part)
     two_sided.finish()
@@ -208,7 +208,7 @@ def test_snapshot_within_waiting_totals_continues_as_if_uninterrupted():
     messages = simulated()
     whole, first, second = (Pipeline(keep_forecasts=False, two_sided=True) for _ in range(3))
     for each in (whole, first, second):
-        each.deferred.least = each.deferred._until_release = 500
+        each.totals.deferred.least = each.totals.deferred._until_release = 500
     whole.take(messages)
     first.take(messages[:15_000])
     rides = [first.take_rides()]

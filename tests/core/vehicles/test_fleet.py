@@ -88,8 +88,8 @@ def test_message_within_a_batch_applies_from_its_row_on_for_any_chunking(cuts):
     whole, expected = ran(messages)
     assert out == expected
     assert pipeline.take_rides().equals(whole.take_rides())
-    rolling = pipeline.accumulator
-    assert rolling is not whole.accumulator
+    rolling = pipeline.totals.accumulator
+    assert rolling is not whole.totals.accumulator
 
 
 def test_changed_mass_enters_the_effects_from_its_row_on():

@@ -27,9 +27,8 @@ def select_all(filter_, messages):
     """Return the messages that are new, as a pipeline does that refuses none."""
     out = []
     while messages:
-        new, count = filter_.select_new(messages)
+        new, messages = filter_.select_new(messages)
         out += new
-        messages = messages[count:]
     return out
 
 

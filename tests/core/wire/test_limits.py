@@ -61,7 +61,7 @@ def test_new_stations_beyond_the_limit_are_ignored_and_known_ones_go_on():
     assert quality["undecodable"] == {"too_many_stations": 3}
     restored = Pipeline(limits=Limits(stations=1))
     restored.restore(pipeline.snapshot())
-    assert len(restored.stations) == 2
+    assert len(restored.totals.stations) == 2
 
 
 def test_new_vehicle_models_beyond_the_limits_do_not_change_their_cars():

@@ -23,7 +23,6 @@ from socast.core.cleaning.kernel import Cleaner
 from socast.core.columns import JOULES_PER_KWH
 from socast.core.effects import Effect
 from socast.core.models import EXTENDED_PHYSICAL
-from socast.core.pipeline import BLOCK
 from socast.core.settings import Settings
 from socast.core.signals.signals import Signals, flag_ambient
 from socast.core.signals.weather import Sky, Stations
@@ -31,6 +30,7 @@ from socast.core.totals.accumulator import AMOUNTS, Accumulator, Totals
 from socast.core.totals.clean_rows import compute_amounts
 from socast.core.totals.context import RunContext
 from socast.core.totals.display_yield import DisplayYields
+from socast.core.totals.sample_totals import BLOCK
 from socast.core.totals.tables import tabulate_rides, tabulate_windows
 from socast.core.vehicles.fleet import Cars
 from socast.core.wire.decoder import Decoder

@@ -16,9 +16,9 @@ def compute_ride_parts(pipeline: Pipeline, vehicle_id: str) -> dict[str, float] 
         Energy by name of the term [kWh]; None between rides, and for a model that has no terms.
     """
     lane = pipeline.lanes.find(vehicle_id)
-    if lane is None or lane not in pipeline.cleaner.lanes_heard() or not isinstance(pipeline.model, LinearModel):
+    if lane is None or lane not in pipeline.totals.cleaner.lanes_heard() or not isinstance(pipeline.model, LinearModel):
         return None
-    totals = pipeline.describe_running(np.array([lane]))
+    totals = pipeline.totals.describe_running(np.array([lane]))
     if totals.ride[0] < 0:
         return None
     needs = (*pipeline.model.needs, "vehicle_model", "vehicle_id")

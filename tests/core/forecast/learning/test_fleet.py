@@ -123,7 +123,7 @@ def test_pending_statistics_survive_dump_and_load():
     pipeline.push(days([DAYS], "abc"))
     pipeline.push([m for _, m in shift("d", DAYS)][:200])
     statistics = pipeline.engine.statistics
-    other = FleetStatistics(pipeline.context, pipeline.accumulator.width)
+    other = FleetStatistics(pipeline.context, pipeline.totals.accumulator.width)
     other.load(statistics.dump())
     assert repr(other.dump()) == repr(statistics.dump())
     assert effective(other) == effective(statistics)

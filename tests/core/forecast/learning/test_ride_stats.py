@@ -148,7 +148,7 @@ def test_knot_weights_interpolate_between_two_neighbours(values):
 def test_loaded_state_gives_the_same_tables():
     pipeline = train()
     statistics = pipeline.engine.statistics
-    other = RideStatistics(pipeline.accumulator.width)
+    other = RideStatistics(pipeline.totals.accumulator.width)
     other.load(statistics.rides.dump())
     assert repr(other.tables) == repr(statistics.rides.tables)
     other.update_tables(pipeline.context)
@@ -239,7 +239,7 @@ def test_mean_pause_is_that_of_idle_periods():
 def test_tables_are_averages_fitted_to_the_measured_rides():
     pipeline = train()
     statistics = pipeline.engine.statistics.rides
-    plain = RideStatistics(pipeline.accumulator.width)
+    plain = RideStatistics(pipeline.totals.accumulator.width)
     plain.load(statistics.dump())
     equations = type(equations_of(plain))(*(part.copy() for part in equations_of(plain)))
     for name in ("matrix", "right"):

@@ -5,8 +5,8 @@ from threading import Event
 import pytest
 
 from socast.core.wire.messages import Message
-from socast.stream.latest_only_sink import LatestOnlySink
 from socast.stream.memory import MemorySink
+from socast.stream.zenoh_sink import LatestOnlySink
 
 
 class Slow(MemorySink):
