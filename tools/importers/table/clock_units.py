@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from socast.core.batch import Floats
-from socast.core.columns import EARTH_RADIUS
+from socast.tools.importers.table.agreement_sums import MOVING, measure_fixes
 from socast.tools.importers.table.time_source import TIME_UNITS, find_time_unit
 
 UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
@@ -29,8 +29,6 @@ LONGEST_GAP: Final = 20.0
 """Longest step over which speed is integrated, in usual steps."""
 USUAL_PERIODS: Final = (0.005, 120.0)
 """Times between two rows of a logger. [s]"""
-MOVING: Final = 10 / 3.6
-"""Speed above which fixes are compared. [m/s]"""
 
 
 def judge_unit(parts: Sequence[np.ndarray], named: str | None, units: Mapping[str, str | None]) -> tuple[str, str]:
@@ -118,9 +116,7 @@ def _measure_fixes(rows: np.ndarray) -> Floats:
     longitude = _take(rows, "longitude_deg")[1]
     if len(time) < 2 or len(at) < 2 or len(longitude) != len(latitude):
         return np.zeros(2)
-    north = np.radians(np.diff(latitude))
-    east = np.radians(np.diff(longitude)) * np.cos(np.radians(latitude[1:]))
-    distance = EARTH_RADIUS * np.hypot(north, east)
+    distance = measure_fixes(latitude, longitude)
     moves = (np.interp(at[1:], time, speed) > MOVING) & (distance < 5000.0)
     beside = np.diff(np.interp(at, time, integral))
     return np.array([distance[moves].sum(), beside[moves].sum()])

@@ -1,4 +1,4 @@
-"""Guess from its cells what a column holds, where its name says too little."""
+"""Guess from its cells what a column holds, where its name says too little, and which words mean a parked car."""
 
 import re
 from collections.abc import Collection, Sequence
@@ -11,15 +11,11 @@ import pyarrow.compute as pc
 from socast.core.batch import Floats
 from socast.tools.importers.table.cells import to_numbers
 from socast.tools.importers.table.guess_names import TIME, NamedColumn
-from socast.tools.importers.table.table_file import Block, TableFile
+from socast.tools.importers.table.guess_time import TRIED, Blocks
 from socast.tools.importers.table.text_times import parse_times
 from socast.tools.importers.table.time_forms import list_forms
 from socast.tools.importers.table.units import convertible
 
-Blocks = Sequence[tuple[TableFile, Block]]
-
-TRIED: Final = 2000
-"""Cells of a column that are tried."""
 LOWEST_VOLTAGE: Final = 20.0
 HIGHEST_VOLTAGE: Final = 1500.0
 """Limits of the voltage of a traction battery, within which a column `V` must lie. [V]"""
@@ -30,6 +26,15 @@ _CLOCK: Final = r"\d.*\d\d?[:.hH-]\d\d"
 """Cells among which dates with a time of day may be."""
 _BARE: Final = re.compile(
     r"^(V|U|I|[tT]emp(?:erature)?)[ _]*[\[(]?(V|A|(?:[dD]eg ?|°)?[cCfFK]|[cC]elsius|[fF]ahrenheit)?[\])]?$"
+)
+
+_PARKED: Final = re.compile(
+    r"p|park(ed|ing)?|asleep|sleep(ing)?|offline|off|inactive|suspended|standby|stopped|standstill|idle|completed?"
+    r"|plugged(in)?|chargecomplete"
+)
+_CHARGES: Final = re.compile(r"(ac|dc|fast|quick|super|starting)?charg(e|ing)(ac|dc)?")
+_DRIVES: Final = re.compile(
+    r"[drnb]|driv(e|ing)|reverse|neutral|(in)?motion|moving|trip|ride|online|on|active|awake|ready|running"
 )
 
 
@@ -121,3 +126,27 @@ def _is_voltage(values: Floats) -> bool:
 def _is_current(values: Floats) -> bool:
     """Return whether values may be currents of a battery: they change. [A]"""
     return len(values) > 0 and bool(np.ptp(values) > 0 and np.abs(values).max() < LARGEST_CURRENT)
+
+
+def find_parked(words: Sequence[str]) -> tuple[str, ...]:
+    """Return the words of a column for a parked or charging car, none where other words are not known.
+
+    Examples
+    --------
+    >>> find_parked(["Driving", "Parked", "Charging (AC)"]), find_parked(["Parked", "blue"])
+    (('Parked', 'Charging (AC)'), ())
+    """
+    if not all(_matches(word, _PARKED, _CHARGES, _DRIVES) for word in words):
+        return ()
+    return tuple(word for word in words if _matches(word, _PARKED, _CHARGES))
+
+
+def find_charging(words: Sequence[str]) -> tuple[str, ...]:
+    """Return the words of a column for a charging car."""
+    return tuple(word for word in words if _matches(word, _CHARGES))
+
+
+def _matches(word: str, *patterns: re.Pattern[str]) -> bool:
+    """Return whether the letters of a word match one of some patterns."""
+    letters = "".join(letter for letter in word.lower() if letter.isalpha())
+    return any(pattern.fullmatch(letters) for pattern in patterns)

@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 from socast.core.errors import ImportFileError
 from socast.tools.importers.table.clock_witness import judge_clock
 from socast.tools.importers.table.column_map import FieldSource
-from socast.tools.importers.table.guess_contents import choose_bare, find_times
+from socast.tools.importers.table.guess_contents import choose_bare, find_charging, find_parked, find_times
 from socast.tools.importers.table.guess_names import (
     OTHER_TIME,
     RIDE,
@@ -22,7 +22,6 @@ from socast.tools.importers.table.guess_names import (
     NamedColumn,
     guess_name,
 )
-from socast.tools.importers.table.guess_state import find_charging, find_parked
 from socast.tools.importers.table.guess_time import (
     LEAST_SHARE,
     Blocks,
@@ -197,8 +196,8 @@ def _choose_of_preset(preset: Preset, names: Sequence[str], words: Sequence[str]
         there = [each for each in places if each.column in names or each.signal in words]
         filled = [each for each in there if each.signal is not None or count_known(each.column or "", blocks)]
         if filled:
-            column, signal, unit, sign, true = filled[0]
-            chosen.append(Source(field, column, signal, unit, sign, true, f"preset {preset.name}"))
+            one = filled[0]
+            chosen.append(Source(field, one.column, one.signal, one.unit, one.sign, one.true, f"preset {preset.name}"))
     return chosen
 
 
