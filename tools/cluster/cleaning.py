@@ -41,7 +41,7 @@ LEAST_ROWS: Final = 20_000
 """Number of samples that pass through the pipeline at a time."""
 END: Final = 1 << 62
 """Place of what closes at the end of the recordings."""
-_MOST: Final = Limits(vehicles=BOUNDS_OF_LIMITS["vehicles"][1], vehicle_models=BOUNDS_OF_LIMITS["vehicle_models"][1])
+MOST: Final = Limits(vehicles=BOUNDS_OF_LIMITS["vehicles"][1], vehicle_models=BOUNDS_OF_LIMITS["vehicle_models"][1])
 _KIND: Final = EDGES.index("kind")
 
 
@@ -144,7 +144,7 @@ class _PartPipeline(Pipeline):
             keep_forecasts=False,
             two_sided=True,
             elevation_map=elevation_map,
-            limits=_MOST,
+            limits=MOST,
         )
         self.displays: Any = _WaitingDisplays()
         self._take_sums = take
