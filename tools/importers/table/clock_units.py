@@ -58,7 +58,8 @@ def judge_unit(parts: Sequence[np.ndarray], named: str | None, units: Mapping[st
     if named is not None:
         return named, f"unit in the name: {named}"
     period = _find_period(parts)
-    unit = next((each for each in ("s", "ms", "us", "ns") if _is_usual(period * TIME_UNITS[each])), "s")
+    least, most = USUAL_PERIODS
+    unit = next((each for each in ("s", "ms", "us", "ns") if least <= period * TIME_UNITS[each] <= most), "s")
     return unit, f"{unit} by the usual step of {period:.4g}; check it"
 
 
@@ -139,11 +140,6 @@ def _find_period(parts: Sequence[np.ndarray]) -> float:
     """Return the usual step of the clock."""
     steps = np.concatenate([np.diff(np.unique(car["time"])) for rows in parts for car in _divide(rows)] or [np.ones(1)])
     return float(np.median(steps)) if len(steps) else 1.0
-
-
-def _is_usual(period: float) -> bool:
-    """Return whether a logger may send at a period. [s]"""
-    return USUAL_PERIODS[0] <= period <= USUAL_PERIODS[1]
 
 
 def find_nearest(ratio: float, units: Sequence[str] = UNITS) -> str:

@@ -10,11 +10,12 @@ import pyarrow.compute as pc
 
 from socast.core.batch import Floats
 from socast.tools.importers.table.cells import to_numbers
+from socast.tools.importers.table.column_map import FieldSource
 from socast.tools.importers.table.guess_names import TIME, NamedColumn
 from socast.tools.importers.table.guess_time import TRIED, Blocks
 from socast.tools.importers.table.text_times import parse_times
 from socast.tools.importers.table.time_forms import list_forms
-from socast.tools.importers.table.units import convertible
+from socast.tools.importers.table.units import FIELD_UNITS, Conversion, convertible, find_conversion
 
 LOWEST_VOLTAGE: Final = 20.0
 HIGHEST_VOLTAGE: Final = 1500.0
@@ -38,13 +39,23 @@ _DRIVES: Final = re.compile(
 )
 
 
-class BareColumn(NamedTuple):
-    """Hold a column with a name of one letter or of no place: its field, its unit where the name has one, and why."""
+class Source(NamedTuple):
+    """Hold the column or signal that a field is read from, and what is known of it: unit, sign, and the reasons."""
 
     field: str
-    column: str
+    column: str | None
+    signal: str | None
     unit: str | None
-    reason: str
+    sign: int | None = None
+    true: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
+
+    def to_field_source(self) -> FieldSource:
+        """Return a source whose values keep the unit of the contract where the unit is not known."""
+        unit = self.unit if self.unit is not None else FIELD_UNITS[self.field]
+        factor, offset = find_conversion(unit, self.field) if unit else Conversion(1.0)
+        sign = self.sign or 1
+        return FieldSource(self.column, self.signal, Conversion(sign * factor, sign * offset), frozenset(self.true))
 
 
 def find_times(names: Sequence[str], blocks: Blocks) -> list[NamedColumn]:
@@ -52,7 +63,7 @@ def find_times(names: Sequence[str], blocks: Blocks) -> list[NamedColumn]:
     return [NamedColumn(name, TIME, None) for name in names if _holds_times(_take_cells(name, blocks))]
 
 
-def choose_bare(names: Sequence[str], blocks: Blocks, taken: Collection[str]) -> list[BareColumn]:
+def choose_bare(names: Sequence[str], blocks: Blocks, taken: Collection[str]) -> list[Source]:
     """Return voltage and current called `V` and `I`, and the one temperature called `temp`, if their values fit."""
     found: dict[str, list[tuple[str, str | None]]] = {}
     for name in names:
@@ -69,14 +80,15 @@ def choose_bare(names: Sequence[str], blocks: Blocks, taken: Collection[str]) ->
         if _is_voltage(_take_numbers(voltage, blocks)) and _is_current(_take_numbers(current, blocks)):
             reason = "'{}' and '{}' have values of a battery"
             chosen = [
-                BareColumn("battery_voltage_v", voltage, volt, reason.format(voltage, current)),
-                BareColumn("battery_current_a", current, ampere, reason.format(current, voltage)),
+                Source("battery_voltage_v", voltage, None, volt, reasons=(reason.format(voltage, current),)),
+                Source("battery_current_a", current, None, ampere, reasons=(reason.format(current, voltage),)),
             ]
     if len(temperatures) == 1 and not {"ambient_c", "battery_temperature_c"} & set(taken):
         ((name, unit),) = temperatures
         unit = unit if unit and convertible(unit, "ambient_c") else None
         words = "the name states no place, taken as outside: check it"
-        chosen.append(BareColumn("ambient_c", name, unit, f"unit in the name: {unit}; {words}" if unit else words))
+        reason = f"unit in the name: {unit}; {words}" if unit else words
+        chosen.append(Source("ambient_c", name, None, unit, reasons=(reason,)))
     return chosen
 
 

@@ -208,7 +208,8 @@ class RowReader:
 
     def _read_field(self, table: TableFile, block: Block, name: str, source: FieldSource, count: int) -> Floats:
         """Return the values of a field, NaN where unknown."""
-        column = source.column if source.column is not None else self._value_column()
+        of_signals = self.map.long[1] if self.map.long else ""
+        column = source.column if source.column is not None else of_signals
         if column not in block:
             return np.full(count, np.nan)
         cells = block[column]
@@ -230,10 +231,6 @@ class RowReader:
             self.cells[label] += len(wrong)
             self.examples.setdefault(label, str(wrong[0].as_py())[:40])
         return source.conversion.apply(values)
-
-    def _value_column(self) -> str:
-        """Return the column of values of the long form."""
-        return self.map.long[1] if self.map.long else ""
 
 
 def _to_degrees(cells: pa.Array, decimal: str) -> pa.Array:

@@ -77,7 +77,8 @@ def parse_times(texts: pa.Array, form: str | None) -> ParsedTimes:
         plain = pc.replace_substring_regex(plain, r"\s*\([^)]*\)$", "")
     found = pc.extract_regex(plain, pattern.text)
     parts = {name: pc.struct_field(found, name) for name in pattern.groups}
-    return ParsedTimes(_assemble(parts, len(texts)), _read_offsets(parts.get("z"), len(texts)))
+    offsets = _look_up(parts["z"], find_offset) if "z" in parts else np.full(len(texts), np.nan)
+    return ParsedTimes(_assemble(parts, len(texts)), offsets)
 
 
 class _Pattern(NamedTuple):
@@ -126,7 +127,10 @@ def _parse_by_pandas(texts: pa.Array, form: str | None) -> ParsedTimes:
     stamps, offsets = np.full(len(series), "NaT", "datetime64[us]"), np.full(len(series), np.nan)
     if not len(series):
         return ParsedTimes(stamps, offsets)
-    zoned = pc.match_substring_regex(texts, ISO_OFFSET) if form is None else pa.array([_is_zoned(form)] * len(series))
+    if form is None:
+        zoned = pc.match_substring_regex(texts, ISO_OFFSET)
+    else:
+        zoned = pa.array(["%z" in form or "%Z" in form] * len(series))
     with_offset = np.asarray(pc.fill_null(zoned, False).to_numpy(zero_copy_only=False), bool)
     for chosen, is_utc in ((with_offset, True), (~with_offset, False)):
         if chosen.any():
@@ -135,11 +139,6 @@ def _parse_by_pandas(texts: pa.Array, form: str | None) -> ParsedTimes:
             stamps[chosen] = plain.to_numpy().astype("datetime64[us]")
     offsets[with_offset] = 0.0
     return ParsedTimes(stamps, offsets)
-
-
-def _is_zoned(form: str) -> bool:
-    """Return whether a form holds a zone."""
-    return "%z" in form or "%Z" in form
 
 
 def _assemble(parts: Mapping[str, Any], count: int) -> Stamps:
@@ -181,11 +180,6 @@ def _is_afternoon(text: str) -> float:
     return float(text.strip().lower().startswith(_AFTERNOON))
 
 
-def _read_offsets(cells: Any, count: int) -> Floats:
-    """Return the offsets that texts state, NaN where they state none of one meaning. [s]"""
-    return np.full(count, np.nan) if cells is None else _look_up(cells, find_offset)
-
-
 def _look_up(cells: Any, find: Any) -> Floats:
     """Return what a function makes of each text, NaN where it is None."""
     words, places = encode_words(cells)
@@ -207,7 +201,8 @@ def read_offsets(cells: pa.Array, stamps: Stamps) -> Floats:
     words, places = encode_words(pc.coalesce(stated, texts))
     if len(words) > MOST_WORDS:  # times without an offset
         return np.full(len(texts), np.nan)
-    values = np.array([_find(word) for word in words] + [np.nan])
+    stated_offsets = [find_offset(word, is_offset=True) for word in words]
+    values = np.array([np.nan if each is None else each for each in [*stated_offsets, None]])
     offsets: Floats = values[places]
     for place in np.flatnonzero(np.isnan(values[:-1])).tolist():
         if (zone := _find_zone(words[place])) is not None:
@@ -218,12 +213,6 @@ def read_offsets(cells: pa.Array, stamps: Stamps) -> Floats:
 
 MOST_WORDS: Final = 100
 """Different offsets that a column may state in a block."""
-
-
-def _find(word: str) -> float:
-    """Return the offset of a word, NaN where it is none. [s]"""
-    found = find_offset(word, is_offset=True)
-    return np.nan if found is None else found
 
 
 def _find_zone(word: str) -> ZoneInfo | None:
