@@ -174,6 +174,7 @@ def make_fleet_table(
     table = make_table(columns, title, caption, expand=True)
     for car in shown:
         riding = car.ride_distance_km > 0
+        style = "red" if _is_at_risk(car) else "cyan"
         off = _compute_off_pct(car.predicted_kwh, car.measured_kwh) if riding else float("nan")
         table.add_row(
             Text(car.vehicle_id),
@@ -185,7 +186,7 @@ def make_fleet_table(
             Text(_format_number(off, 0, sign=True), style="red" if abs(off) > 20 else ""),
             _format_end(car),
             *(_format_number(energy, 3) for energy in car.shadows_kwh[:shadows]),
-            draw_charge(car.soc_pct, car.end_pct, WIDE_PICTURE if wide else NARROW_PICTURE, _choose_style(car)),
+            draw_charge(car.soc_pct, car.end_pct, WIDE_PICTURE if wide else NARROW_PICTURE, style),
             *((Text(_format_counts(car.quality)),) if wide else ()),
         )
     if len(cars) > len(shown):
@@ -212,11 +213,6 @@ def _format_end(car: VehicleStatus) -> Text:
 def _is_at_risk(car: VehicleStatus) -> bool:
     """Return whether a car risks ending its shift below its reserve."""
     return car.risk is not None and car.risk >= WARNED
-
-
-def _choose_style(car: VehicleStatus) -> str:
-    """Return the style of a car's forecast."""
-    return "red" if _is_at_risk(car) else "cyan"
 
 
 def _format_time(car: VehicleStatus, zone: tzinfo | None) -> str:
