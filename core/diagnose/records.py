@@ -25,6 +25,7 @@ class CauseProbability(Record, frozen=True):
     effect: Annotated[str, declare("Name of the cause.", "cause")]
     probability: Annotated[float | None, declare("Probability. [1]", "probability", "whole percent")] = None
     shown_by: Annotated[str, declare("Data that would distinguish the cause from others.")] = ""
+    plausible: Annotated[bool, declare("Whether its coefficient would lie in the plausible range.")] = True
 
 
 class RivalEffect(Record, frozen=True):
@@ -183,8 +184,10 @@ class CarDeviation(Record, frozen=True):
     who: str
     of: Annotated[str, declare("`car`, `group` or `all`.")] = "car"
     kind: Annotated[str, declare("`always`, `step` or `ramp`.")] = "always"
-    effect: Annotated[str, declare("Most probable cause.")] = ""
-    causes: Annotated[list[CauseProbability], declare("Causes of the credible set, the most probable first.")] = []
+    effect: Annotated[str, declare("First cause.")] = ""
+    causes: Annotated[
+        list[CauseProbability], declare("Causes of the credible set: plausible ones first, then by probability.")
+    ] = []
     q: Annotated[float | None, declare("Rate of false findings up to this one. [1]")] = None
     z: Annotated[float | None, declare("Largest score in standard errors. [1]")] = None
     evidence: Annotated[float | None, declare("Logarithm of the Bayes factor. [1]")] = None
@@ -194,6 +197,7 @@ class CarDeviation(Record, frozen=True):
     since: Annotated[str | None, declare("Date of the change; None for what was always so. [UTC]")] = None
     since_ci90: Annotated[tuple[str, str] | None, declare("90 % range of the date. [UTC]")] = None
     columns: Annotated[list[str], declare("Columns of the term that holds it; empty where none can.")] = []
+    days: Annotated[float | None, declare("Time from the first to the last shift that it concerns. [days]")] = None
     share: Annotated[float | None, declare("Net energy over the energy of these rides. [1]")] = None
     share_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `share`. [1]")] = None
     kwh_per_km: Annotated[float | None, declare("Net energy per distance. [kWh/km]")] = None

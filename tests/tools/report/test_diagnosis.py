@@ -78,7 +78,7 @@ def test_terminal_shows_all_parts_in_order():
             "the missing effects explain 58 % of the predictable"
         ),
         "A term that fits the remaining error: P = (average speed)^2 v",
-        "Add cold_rolling, in all vehicles on all dates.",
+        "Try cold_rolling first, in all vehicles on all dates: these data do not tell it from air_density.",
     ]
     places = [output.find(part) for part in parts]
     assert -1 not in places, parts[places.index(-1)]
@@ -144,9 +144,34 @@ def test_probabilities_of_a_missing_effect_add_up():
     )
 
 
+def test_headline_names_every_cause_of_the_credible_set():
+    result = make_diagnosis(deviations=[])
+    first, size = sentences.describe_verdict(result)
+    assert first.startswith(
+        "Probable cause of the error: cold_rolling or air_density; these data do not tell them apart (cold_rolling 84 %"
+    )
+    assert size.startswith("If it is cold_rolling: cold tyres: rolling resistance grows by 1.1 ± 0.2 %")
+    alone = sentences.describe_verdict(replace(result, credible_set=["cold_rolling"]))[0]
+    assert alone.startswith("Probable cause of the error: cold_rolling 84 %")
+
+
+def test_headline_doubts_a_cause_of_implausible_size():
+    leading = replace(make_missing_effect(), coefficient=make_diagnosis().missing[1].coefficient)
+    lines = sentences.describe_verdict(make_diagnosis(missing=[leading], deviations=[]))
+    assert any(line.startswith("If it is cold_rolling") and "NOT plausible" in line for line in lines)
+
+
+def test_uncorrelated_rival_is_not_called_indistinguishable():
+    rival = {"effect": "air_density", "correlation": -0.1, "data": "slow drives over a year"}
+    (line,) = sentences.describe_rivals(make_missing_effect(separate=[rival]))
+    assert line == "or else air_density, which acts in other windows (r = −0.10): more rides would tell"
+    (close,) = sentences.describe_rivals(make_missing_effect())
+    assert close.startswith("not distinguishable from air_density in these data (r = 0.83)")
+
+
 def test_effect_outside_the_credible_set_is_explained():
     lines = sentences.describe_verdict(make_diagnosis(verdict="brake_drag", deviations=[]))
-    assert lines[-1] == "Beside brake_drag, which was found next, cold_rolling is not needed."
+    assert lines[1] == "Beside brake_drag, which was found next, cold_rolling is not needed."
     assert not any("is not needed" in line for line in sentences.describe_verdict(make_diagnosis()))
 
 
@@ -213,7 +238,7 @@ def test_page_has_every_figure_and_table(tmp_path):
 
 def test_page_states_the_probable_cause_once(tmp_path):
     text = " ".join(page(make_diagnosis(), tmp_path).text)
-    assert text.count("Effects in all cars at all times: cold_rolling 84 %") == 1
+    assert text.count("Effects in all cars at all times: cold_rolling or air_density; these data") == 1
     assert (
         "Probable cause of what remains after cold_rolling@reference=283.15, brake_drag: no missing effect 80 %" in text
     )

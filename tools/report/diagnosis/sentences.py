@@ -12,6 +12,7 @@ from socast.core.diagnose.records import (
     NamedEffect,
     RemainingStructure,
 )
+from socast.core.formatting import format_minus
 from socast.tools.report.cells import format_count, format_percent
 from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
 from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
@@ -20,6 +21,8 @@ from socast.tools.report.diagnosis.episodes import advise_looking, describe_lead
 LEAST_PROBABILITY = 0.005
 """Probability below which a cause is not written out. [1]"""
 MOST_CAUSES = 5
+ALIKE = 0.5
+"""Least correlation of the energy of two effects that these data are said not to distinguish. [1]"""
 LEAST_SURE = 0.9
 """Probability below which the report does not state without reservation that nothing is missing. [1]"""
 MOST_DATES = 6
@@ -133,13 +136,18 @@ def describe_gain(one: NamedEffect) -> str:
 
 
 def describe_rivals(one: NamedEffect) -> list[str]:
-    """Return the effects that the data do not distinguish from an effect, and the data that would."""
+    """Return the effects that may be the cause instead of an effect, and the data that would tell."""
     lines = []
     for other in one.separate:
         r = other.correlation
         correlation = "" if r is None else f" (r = {r:.2f})"
         remedy = f"; to distinguish them, record {other.data}" if other.data else ""
-        lines.append(f"not distinguishable from {other.effect} in these data{correlation}{remedy}")
+        if r is None or abs(r) >= ALIKE:
+            lines.append(f"not distinguishable from {other.effect} in these data{correlation}{remedy}")
+        else:
+            lines.append(
+                f"or else {other.effect}, which acts in other windows{format_minus(correlation)}: more rides would tell"
+            )
     return lines
 
 
@@ -156,30 +164,40 @@ def describe_verdict(result: Diagnosis) -> list[str]:
     Notes
     -----
     An episode comes before everything else, because it may be an event that no model should explain. A car, a group or
-    all cars that changed come next where no effect is missing in all cars at all times. Those whose interval of the
-    size contains zero are left out.
+    all cars that changed come next where no effect is missing in all cars at all times, unless their cause is not
+    plausible. Those whose interval of the size contains zero are left out.
     """
     found = find_leading_deviation(result.deviations)
     finding = [] if found is None else describe_finding(found)
     causes = _describe_common_causes(result, everywhere=bool(finding))
     episode = describe_leading_episode(result)
-    return [*episode, *causes, *finding] if result.verdict else [*episode, *finding, *causes]
+    leads = found is not None and found.coefficient.plausible and not result.verdict
+    return [*episode, *finding, *causes] if leads else [*episode, *causes, *finding]
 
 
 def _describe_common_causes(result: Diagnosis, *, everywhere: bool) -> list[str]:
-    """Return the probable causes in all cars at all times, and among which the largest one is."""
+    """Return the probable causes in all cars at all times, among which the largest one is, and its size."""
     causes, verdict = result.causes, result.verdict
     if not causes:
         return []
     first = causes[0].effect
     of = "Effects in all cars at all times" if everywhere or first == NONE else "Probable cause of the error"
-    lines = [f"{of}: {describe_causes(causes)}."]
-    credible = [CAUSE_NAMES.get(name, name) for name in result.credible_set]
+    credible, chances = [CAUSE_NAMES.get(name, name) for name in result.credible_set], describe_causes(causes)
+    lines = [f"{of}: {chances}."]
     if len(credible) > 1:
-        lines.append(f"The largest cause is one of these in nine cases of ten: {', '.join(credible)}.")
+        either = f"{', '.join(credible[:-1])} or {credible[-1]}"
+        lines = [f"{of}: {either}; these data do not tell them apart ({chances})."]
     if verdict and credible and verdict not in credible:
         lines.append(f"Beside {verdict}, which was found next, {credible[0]} is not needed.")
+    if (leading := result.leading) is not None:
+        lines.append(f"If it is {leading.effect}: {_describe_size(leading)}.")
     return lines
+
+
+def _describe_size(one: NamedEffect) -> str:
+    """Return the size of an effect, where it is missing, and whether such a size is plausible."""
+    doubt = "" if one.coefficient.plausible else f"; {describe_coefficient(one.coefficient)}"
+    return f"{one.words or one.name}; {describe_scope(one)}{doubt}"
 
 
 def describe_competition(result: Diagnosis) -> list[str]:
@@ -195,9 +213,8 @@ def describe_competition(result: Diagnosis) -> list[str]:
 
 def describe_missing_effect(one: NamedEffect) -> list[str]:
     """Return all statements about a missing effect, the most important first."""
-    meaning = one.words or one.name
     lines = [
-        f"{meaning}; {describe_scope(one)}",
+        f"{one.words or one.name}; {describe_scope(one)}",
         _describe_probability(one),
         describe_gain(one),
         describe_coefficient(one.coefficient),
@@ -314,6 +331,9 @@ def _advise_on_causes(result: Diagnosis) -> list[str]:
     if doubts := _list_doubts(first):
         why = " and ".join(doubts)
         lines = [f"Do not rely on {first.effect} yet: {why}. Record more rides. To try it all the same:"]
+    elif first.others:
+        others = " or ".join(CAUSE_NAMES.get(name, name) for name in first.others)
+        lines = [f"Try {first.effect} first, {describe_scope(first)}: these data do not tell it from {others}."]
     else:
         lines = [f"Add {first.effect}, {describe_scope(first)}."]
     adding = [*lines, first.command] if first.command else [line.split(" To try")[0] for line in lines]
