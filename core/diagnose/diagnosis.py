@@ -26,7 +26,7 @@ from socast.core.batch import Floats
 from socast.core.diagnose import residual_structure
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
 from socast.core.diagnose.add.terms import describe_coefficient
-from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.candidates import NOT_IDENTIFIABLE, build_candidates
 from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.episodes import find_episodes
 from socast.core.diagnose.error_location.locate import locate_error
@@ -329,7 +329,7 @@ def _describe_status(row: TestedEffect, sign: int, missing: list[MissingEffect])
     if row.effect in {finding.selected.effect for finding in missing}:
         return "missing"
     if row.z is None or row.q is None:
-        return "not identifiable beside the model"
+        return NOT_IDENTIFIABLE
     for finding in missing:
         if finding.selected.causes is not None and row.effect in finding.selected.causes.list_credible_set():
             return f"not distinguishable from {finding.selected.effect}"

@@ -130,10 +130,21 @@ def test_doubtful_effect_is_not_recommended():
 
 def test_effects_without_a_signal_are_listed():
     result = make_diagnosis()
-    lacking = TestedEffect(effect="demisting", status="not in the data")
-    result = replace(result, tested=[*result.tested, lacking])
-    sentence = printed(result).split("Not tested, because the tables have no values of them: ")[1].split(".")[0]
-    assert sentence.endswith("demisting")
+    statuses = {
+        "demisting": "not in the data",
+        "my_effect": "not in the tables",
+        "cold_regen_limit": "zero in these drives",
+        "my_constant": "not identifiable beside the model",
+    }
+    untested = [TestedEffect(effect=name, status=status) for name, status in statuses.items()]
+    text = printed(replace(result, tested=[*result.tested, *untested]))
+    for sentence in (
+        "their signal is known in less than half of the windows: snow, demisting.",
+        "(make them again with --effects FILE): my_effect.",
+        "or their signal stays at zero: cold_regen_limit.",
+        "as they can any constant power: my_constant.",
+    ):
+        assert sentence in text, sentence
 
 
 def test_probabilities_of_a_missing_effect_add_up():

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from socast.core.diagnose.candidates import NOT_IN_DATA
+from socast.core.diagnose.candidates import NEVER_ACTS, NO_COLUMN, NO_SIGNAL, NOT_IDENTIFIABLE
 from socast.core.diagnose.deviation_words import find_leading_deviation
 from socast.core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN
 from socast.core.diagnose.records import (
@@ -33,6 +33,13 @@ CAUSE_NAMES = {
     UNKNOWN: "a cause that is not in the library",
 }
 """Causes that are no effects, in words."""
+UNTESTED = {
+    NO_COLUMN: "Not tested, because the tables lack their columns (make them again with --effects FILE)",
+    NO_SIGNAL: "Not tested, because their signal is known in less than half of the windows",
+    NEVER_ACTS: "Not tested, because they are zero in these drives: out of range, or their signal stays at zero",
+    NOT_IDENTIFIABLE: "Not testable, because the terms of the model can imitate them, as they can any constant power",
+}
+"""Why effects were not tested, by their status."""
 LEAST_BIAS = 5e-4
 """Bias of a ride below which the report does not mention it. [kWh]"""
 
@@ -60,8 +67,9 @@ def describe_data(result: Diagnosis) -> list[str]:
     if data.left_out:
         reasons = ", ".join(f"{format_count(n)} {reason.replace('_', ' ')}" for reason, n in data.left_out.items())
         lines.append(f"Excluded: {reasons}.")
-    if lacking := [row.effect for row in result.tested if row.status == NOT_IN_DATA]:
-        lines.append(f"Not tested, because the tables have no values of them: {', '.join(lacking)}.")
+    for status, why in UNTESTED.items():
+        if names := [row.effect for row in result.tested if row.status == status]:
+            lines.append(f"{why}: {', '.join(names)}.")
     if not data.dated:
         lines.append("The dates are invented: no statement is made on what began at a date, on seasons and on hours.")
     return [*lines, *_describe_held_out(data.held_out)]
