@@ -84,7 +84,7 @@ def test_change_follows_the_effect_that_is_missing_everywhere():
     result = make_diagnosis()
     assert describe_verdict(result)[0].startswith("Effects in all cars at all times: cold_rolling")
     assert any(line.startswith("Finding: taxi-005") for line in describe_verdict(result))
-    assert describe_next_step(result)[-1].startswith("Then test the finding")
+    assert any(line.startswith("Then test the finding") for line in describe_next_step(result))
 
 
 def test_change_whose_net_energy_may_be_zero_is_stated_by_its_most_probable_cause():

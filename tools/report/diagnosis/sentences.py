@@ -17,6 +17,7 @@ from socast.tools.report.cells import format_count, format_percent
 from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
 from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
 from socast.tools.report.diagnosis.episodes import advise_looking, describe_leading_episode
+from socast.tools.report.diagnosis.location_sentences import advise_recording
 
 LEAST_PROBABILITY = 0.005
 """Probability below which a cause is not written out. [1]"""
@@ -327,7 +328,7 @@ def find_recommended(result: Diagnosis) -> str | None:
 
 def describe_next_step(result: Diagnosis) -> list[str]:
     """Return what to do next, with the command where there is one."""
-    return [*advise_looking(result), *_advise_on_causes(result)]
+    return [*advise_looking(result), *_advise_on_causes(result), *advise_recording(result)]
 
 
 def _advise_on_causes(result: Diagnosis) -> list[str]:
