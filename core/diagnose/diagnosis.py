@@ -59,7 +59,7 @@ from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible
-from socast.core.records import make_interval
+from socast.core.records import ConfidenceInterval, make_interval
 from socast.core.stats.evidence import ClusterSums
 from socast.core.stats.scores import Estimate
 
@@ -343,16 +343,24 @@ def _describe_structure(remains: ResidualStructure) -> RemainingStructure:
     return RemainingStructure(
         before=remains.before,
         after=remains.after,
+        after_ci95=_surround(remains.after, remains.error),
         taken=remains.taken,
         least=residual_structure.LEAST_TAKEN,
         shape=remains.shape,
         q=remains.q,
         shape_taken=remains.gain,
+        shape_taken_ci95=_surround(remains.gain, remains.gain_error),
         better=remains.better,
         signs=list(remains.signs),
         days=remains.days,
         most_days=remains.most_days,
     )
+
+
+def _surround(value: float, error: float) -> ConfidenceInterval | None:
+    """Return the interval of a share by which structure is judged."""
+    half = residual_structure.SURE * error
+    return make_interval(value - half, value + half)
 
 
 def _suggest(base: BaseProjection, selection: ForwardSelection, left: Floats) -> Suggestion | None:

@@ -294,11 +294,13 @@ class RemainingStructure(Record, frozen=True):
 
     before: Annotated[float | None, declare("Share of the variance that trees predict on other days. [1]")] = None
     after: Annotated[float | None, declare("The same after the missing effects. [1]")] = None
+    after_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `after`. [1]")] = None
     taken: Annotated[float | None, declare("Share of the predictable part that the effects explain. [1]")] = None
     least: Annotated[float | None, declare("Share that they must explain to explain it all. [1]")] = None
     shape: Annotated[str | None, declare("Plain pattern that remains.")] = None
     q: Annotated[float | None, declare("Rate of false patterns up to this one. [1]")] = None
     shape_taken: Annotated[float | None, declare("Held-out share of the error that the pattern explains. [1]")] = None
+    shape_taken_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `shape_taken`. [1]")] = None
     better: Annotated[dict[str, str], declare("Missing effect -> pattern that explains more than it does.")] = {}
     signs: Annotated[list[str], declare("Evidence of structure: `trees`, `shape`, `better`, `days`.")] = []
     days: Annotated[float | None, declare("Variance between vehicle-days over that by chance. [1]")] = None

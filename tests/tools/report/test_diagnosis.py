@@ -186,6 +186,24 @@ def test_effect_outside_the_credible_set_is_explained():
     assert not any("is not needed" in line for line in sentences.describe_verdict(make_diagnosis()))
 
 
+def test_refit_that_does_not_lower_the_error_is_explained(tmp_path):
+    error = {"mae_kwh": 0.247, "mae_refitted_kwh": 0.296}
+    worse = make_diagnosis(error=error)
+    assert "it would be 0.296 kWh (in sample). That is no less than the model as given: refitting lowers" in printed(
+        worse
+    )
+    assert "Refitted: That is no less than the model as given" in " ".join(page(worse, tmp_path).text)
+    assert "no less than the model as given" not in printed(make_diagnosis())
+
+
+def test_signs_of_structure_have_intervals():
+    structure = {"signs": ["trees", "shape"], "after": 0.05, "after_ci95": [0.02, 0.08], "shape": "stops * sun"}
+    structure |= {"shape_taken": 0.024, "shape_taken_ci95": [0.01, 0.038], "least": 0.8}
+    trees, shape = sentences.describe_signs(make_diagnosis(structure=structure).structure)
+    assert "predict 5.0 % (95 % interval 2.0 % to 8.0 %) of its variance" in trees
+    assert "explains 2.4 % (95 % interval 1.0 % to 3.8 %) of the squared error" in shape
+
+
 def test_noise_above_the_error_is_called_overestimated():
     result = make_diagnosis(structure_remains=False, error={"mae_kwh": 0.0596, "noise_floor_kwh": 0.113})
     assert "is 0.113 kWh, more than the error: it is overestimated" in sentences.describe_error(result)[-1]

@@ -13,6 +13,7 @@ from socast.core.diagnose.records import (
     RemainingStructure,
 )
 from socast.core.formatting import format_minus
+from socast.core.records import ConfidenceInterval
 from socast.tools.report.cells import format_count, format_percent
 from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
 from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
@@ -41,6 +42,11 @@ UNTESTED = {
     NOT_IDENTIFIABLE: "Not testable, because the terms of the model can imitate them, as they can any constant power",
 }
 """Why effects were not tested, by their status."""
+REFIT_IS_NO_LOWER = (
+    "That is no less than the model as given: refitting lowers the squared error of windows, of which outliers count "
+    "less, and not that of whole rides. Other values of the same terms do not mend this model."
+)
+"""Why the error of rides may rise although a model is refitted to them."""
 LEAST_BIAS = 5e-4
 """Bias of a ride below which the report does not mention it. [kWh]"""
 
@@ -99,6 +105,8 @@ def describe_error(result: Diagnosis) -> list[str]:
         how = "With the same terms refitted to these rides for each car, and any smooth curve of temperature"
         episodes = " and with a constant power in each episode" if result.episodes else ""
         lines.append(f"{how}{episodes}, it would be {format_energy(refitted)} (in sample).")
+        if mae is not None and refitted > mae:
+            lines.append(REFIT_IS_NO_LOWER)
     if implausible := result.model.implausible:
         lines.append(f"NOT plausible in this model: {'; '.join(implausible)}.")
     if is_noise_overestimated(result):
@@ -136,12 +144,16 @@ def describe_scope(one: NamedEffect) -> str:
 
 def describe_gain(one: NamedEffect) -> str:
     """Return how much of the error an effect explains on held-out days."""
-    limits = one.gain_ci95
-    interval = f" (95 % interval {format_percent(limits[0])} to {format_percent(limits[1])})" if limits else ""
+    interval = word_interval(one.gain_ci95)
     parts = [f"explains {format_percent(one.gain)}{interval} of the squared error of rides on held-out days"]
     if one.energy_share is not None:
         parts.append(f"its absolute energy is {format_percent(one.energy_share)} of the measured energy")
     return ", ".join(parts)
+
+
+def word_interval(limits: ConfidenceInterval | None) -> str:
+    """Return the interval of a share in parentheses, an empty text where it is unknown."""
+    return "" if limits is None else f" (95 % interval {format_percent(limits[0])} to {format_percent(limits[1])})"
 
 
 def describe_rivals(one: NamedEffect) -> list[str]:
@@ -289,9 +301,10 @@ def describe_signs(structure: RemainingStructure) -> list[str]:
         else f"; the missing effects explain {format_percent(taken, 0)} of the predictable part, less than {least}"
     )
     texts = {
-        "trees": f"boosted trees predict {format_percent(structure.after)} of its variance on held-out days{share}",
-        "shape": f"the pattern {format_shape(structure.shape or '')} explains "
-        f"{format_percent(structure.shape_taken)} of the squared error on held-out days{share}",
+        "trees": f"boosted trees predict {format_percent(structure.after)}{word_interval(structure.after_ci95)} of "
+        f"its variance on held-out days{share}",
+        "shape": f"the pattern {format_shape(structure.shape or '')} explains {format_percent(structure.shape_taken)}"
+        f"{word_interval(structure.shape_taken_ci95)} of the squared error on held-out days{share}",
         "better": "; ".join(
             f"{format_shape(shape)} explains more than {effect} does: {effect} may stand for another cause"
             for effect, shape in structure.better.items()
