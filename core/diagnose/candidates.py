@@ -26,7 +26,7 @@ NO_COLUMN: Final = "not in the tables"
 NO_SIGNAL: Final = "not in the data"
 NEVER_ACTS: Final = "zero in these drives"
 """Why an effect is no candidate: the tables lack its columns, its signal is known in too few windows, or it has no
-energy, because its threshold is not reached or its signal stays at zero."""
+energy, because its threshold is not reached, or its signal is unknown or stays at zero."""
 NOT_IDENTIFIABLE: Final = "not identifiable beside the model"
 """Result for a candidate that the terms of the model can imitate."""
 

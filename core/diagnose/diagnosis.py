@@ -38,6 +38,7 @@ from socast.core.diagnose.posterior.probabilities import Causes
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.ranking import LEVEL, Ranking
 from socast.core.diagnose.records import (
+    BiasedBin,
     CauseProbability,
     Comparisons,
     DiagnosedData,
@@ -54,8 +55,9 @@ from socast.core.diagnose.residual_profile import profile_residual
 from socast.core.diagnose.residual_structure import ResidualStructure
 from socast.core.diagnose.siblings.deviations import diagnose_deviations
 from socast.core.diagnose.slices.search import find_slices
+from socast.core.evaluate.compare.models import ComparedRides, compute_errors_by_condition
 from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
-from socast.core.fit.ride_blocks import get_names, get_numbers
+from socast.core.fit.ride_blocks import assign_vehicle_days, get_names, get_numbers
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible
@@ -73,6 +75,8 @@ MAIN_SHARE: Final = 0.95
 """Share of the windows above which one way of measuring is reported for all of them."""
 ONE_SIGN_SHARE: Final = 0.8
 """Share of the absolute energy of an effect that must have one sign for the report to show that sign."""
+UNDATED: Final = frozenset({"season", "time of day"})
+"""Conditions of rides that invented dates do not show."""
 WRONG_SIGN_Z: Final = 3.0
 """Standard errors above which a coefficient of the sign that physics forbids is reported as such."""
 
@@ -178,6 +182,7 @@ def _diagnose(
         error=_describe_error(seen, base, floor),
         error_location=location,
         slices=find_slices(seen.rides, error, seed=seed, dated=dated),
+        biased_bins=_find_biased_bins(seen, dated=dated),
         missing=[_describe_missing(finding, selection) for finding in missing],
         tested=_tabulate_candidates(first, gains, missing),
         verdict=missing[0].selected.effect if missing else None,
@@ -234,6 +239,19 @@ def _describe_error(seen: Windows, base: BaseProjection, floor: float) -> ErrorS
         mae_refitted_kwh=float(np.mean(np.abs(refitted))),
         noise_floor_kwh=floor,
     )
+
+
+def _find_biased_bins(seen: Windows, *, dated: bool) -> list[BiasedBin]:
+    """Return the bins of a part of the rides that `socast compare` marks, the largest bias first."""
+    measured, predicted = seen.by_ride(seen.measured), seen.by_ride(seen.predicted)
+    rides = ComparedRides(seen.rides, measured, {}, assign_vehicle_days(seen.rides), len(measured), {})
+    found = [
+        BiasedBin(condition=condition, bin=one.bin, rides=one.n, bias_kwh=one.bias_kwh)
+        for condition, bins in compute_errors_by_condition(rides, predicted).items()
+        for one in bins
+        if one.is_significant and one.n < len(measured) and (dated or condition not in UNDATED)
+    ]
+    return sorted(found, key=lambda one: -abs(one.bias_kwh.value or 0.0))
 
 
 def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> NamedEffect:

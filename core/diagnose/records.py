@@ -5,6 +5,7 @@ from typing import Annotated, NamedTuple
 import pandas as pd
 from msgspec import field
 
+from socast.core.evaluate.records import EstimatedValue
 from socast.core.records import ConfidenceInterval, Record, declare, make_frame
 
 
@@ -142,6 +143,15 @@ class SliceBias(Record, frozen=True):
     def words(self) -> Annotated[str, declare("How the predictions compare with those for other rides.", "predicts")]:
         """How the predictions for these rides compare with those for all other rides."""
         return f"{abs(self.bias_kwh):.3g} kWh {'more' if self.bias_kwh > 0.0 else 'less'} than for other rides"
+
+
+class BiasedBin(Record, frozen=True):
+    """Hold a bin of rides whose bias differs from zero, as `socast compare` marks it."""
+
+    condition: str
+    bin: str
+    rides: int = 0
+    bias_kwh: Annotated[EstimatedValue, declare("Mean of predicted less measured. [kWh]")] = EstimatedValue()
 
 
 class ErrorAfterEffect(Record, frozen=True):
@@ -370,6 +380,7 @@ class Diagnosis(Record, frozen=True):
     error: ErrorSummary = ErrorSummary()
     error_location: ErrorLocation = ErrorLocation()
     slices: Annotated[list[SliceBias], declare("Groups of rides with another bias, the most certain first.")] = []
+    biased_bins: Annotated[list[BiasedBin], declare("Bins whose bias differs from zero, the largest first.")] = []
     missing: Annotated[list[NamedEffect], declare("Missing effects, best first, each beside those before.")] = []
     tested: Annotated[list[TestedEffect], declare("All effects, as they rank before any is selected.")] = field(
         name="candidates", default_factory=list

@@ -141,7 +141,7 @@ def test_effects_without_a_signal_are_listed():
     for sentence in (
         "their signal is known in less than half of the windows: snow, demisting.",
         "(make them again with --effects FILE): my_effect.",
-        "or their signal stays at zero: cold_regen_limit.",
+        "without their signal or out of its range: cold_regen_limit.",
         "as they can any constant power: my_constant.",
     ):
         assert sentence in text, sentence
@@ -194,6 +194,18 @@ def test_refit_that_does_not_lower_the_error_is_explained(tmp_path):
     )
     assert "Refitted: That is no less than the model as given" in " ".join(page(worse, tmp_path).text)
     assert "no less than the model as given" not in printed(make_diagnosis())
+
+
+def test_bins_that_compare_marks_are_named_where_no_group_differs():
+    bins = [
+        {"condition": "temperature", "bin": "20 to 25", "rides": 21, "bias_kwh": {"value": 0.227, "ci95": 0.068}},
+        {"condition": "speed", "bin": "30 to 40", "rides": 8, "bias_kwh": {"value": 0.239, "ci95": 0.087}},
+    ]
+    text = printed(make_empty_diagnosis(biased_bins=bins, error={"mae_kwh": 0.162, "bias_kwh": 0.134}))
+    named = "temperature 20 to 25 °C (+0.227 ± 0.068 kWh), speed 30 to 40 km/h (+0.239 ± 0.087 kWh)"
+    assert f"Off zero, as socast compare marks them: {named}. A bin is compared with zero" in text
+    assert "marks bins and no group: on average the model predicts 0.134 kWh too much." in text
+    assert "Off zero" not in printed(make_empty_diagnosis())
 
 
 def test_signs_of_structure_have_intervals():

@@ -6,6 +6,7 @@ from socast.core.diagnose.candidates import NEVER_ACTS, NO_COLUMN, NO_SIGNAL, NO
 from socast.core.diagnose.deviation_words import find_leading_deviation
 from socast.core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN
 from socast.core.diagnose.records import (
+    BiasedBin,
     CauseProbability,
     Diagnosis,
     HeldOutRides,
@@ -14,7 +15,8 @@ from socast.core.diagnose.records import (
 )
 from socast.core.formatting import format_minus
 from socast.core.records import ConfidenceInterval
-from socast.tools.report.cells import format_count, format_percent
+from socast.tools.report.cells import format_count, format_difference, format_percent
+from socast.tools.report.comparison.tables import UNITS, format_bin
 from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
 from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
 from socast.tools.report.diagnosis.episodes import advise_looking, describe_leading_episode
@@ -38,7 +40,7 @@ CAUSE_NAMES = {
 UNTESTED = {
     NO_COLUMN: "Not tested, because the tables lack their columns (make them again with --effects FILE)",
     NO_SIGNAL: "Not tested, because their signal is known in less than half of the windows",
-    NEVER_ACTS: "Not tested, because they are zero in these drives: out of range, or their signal stays at zero",
+    NEVER_ACTS: "Not tested, because they are zero in these drives, without their signal or out of its range",
     NOT_IDENTIFIABLE: "Not testable, because the terms of the model can imitate them, as they can any constant power",
 }
 """Why effects were not tested, by their status."""
@@ -47,6 +49,8 @@ REFIT_IS_NO_LOWER = (
     "less, and not that of whole rides. Other values of the same terms do not mend this model."
 )
 """Why the error of rides may rise although a model is refitted to them."""
+MOST_BINS = 4
+"""Number of biased bins above which the others are counted."""
 LEAST_BIAS = 5e-4
 """Bias of a ride below which the report does not mention it. [kWh]"""
 
@@ -127,6 +131,31 @@ def is_noise_overestimated(result: Diagnosis) -> bool:
     errors = result.error
     mae, floor = errors.mae_kwh, errors.noise_floor_kwh
     return mae is not None and floor is not None and floor > mae
+
+
+def describe_failures(result: Diagnosis) -> list[str]:
+    """Return whether groups of rides differ from the others, and which bins are off zero although they do not."""
+    lines = []
+    if not result.slices:
+        lines.append(
+            "No group of rides by weather, time, speed or vehicle differs from the others, or the rides are too few."
+        )
+    if bins := result.biased_bins:
+        shown = [_word_bin(one) for one in bins[:MOST_BINS]]
+        more = [f"{len(bins) - MOST_BINS} more"] if len(bins) > MOST_BINS else []
+        lines.append(
+            f"Off zero, as socast compare marks them: {', '.join([*shown, *more])}. A bin is compared with zero, "
+            "a group with all other rides in each half of the days."
+        )
+        if shared := _describe_bias(result.error.bias_kwh).removeprefix("; "):
+            lines.append(f"The bias that all rides share marks bins and no group: {shared}.")
+    return lines
+
+
+def _word_bin(one: BiasedBin) -> str:
+    """Return a bin with its bias."""
+    unit = f" {UNITS[one.condition]}" if one.condition in UNITS else ""
+    return f"{one.condition} {format_bin(one.condition, one.bin)}{unit} ({format_difference(one.bias_kwh)} kWh)"
 
 
 def _describe_bias(bias: float | None) -> str:
