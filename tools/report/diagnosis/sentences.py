@@ -41,7 +41,7 @@ UNTESTED = {
     NO_COLUMN: "Not tested, because the tables lack their columns (make them again with --effects FILE)",
     NO_SIGNAL: "Not tested, because their signal is known in less than half of the windows",
     NEVER_ACTS: "Not tested, because they are zero in these drives, without their signal or out of its range",
-    NOT_IDENTIFIABLE: "Not testable, because the terms of the model can imitate them, as they can any constant power",
+    NOT_IDENTIFIABLE: "Not testable in all cars at all times, because the terms of the model can imitate them",
 }
 """Why effects were not tested, by their status."""
 REFIT_IS_NO_LOWER = (
@@ -147,7 +147,9 @@ def describe_failures(result: Diagnosis) -> list[str]:
             f"Off zero, as socast compare marks them: {', '.join([*shown, *more])}. A bin is compared with zero, "
             "a group with all other rides in each half of the days."
         )
-        if shared := _describe_bias(result.error.bias_kwh).removeprefix("; "):
+        bias = result.error.bias_kwh
+        shared = _describe_bias(bias).removeprefix("; ")
+        if shared and abs(bias or 0.0) > 0.5 * max(abs(one.bias_kwh.value or 0.0) for one in bins):
             lines.append(f"The bias that all rides share marks bins and no group: {shared}.")
     return lines
 
