@@ -146,7 +146,7 @@ def _name_causes(causes: Sequence[CauseProbability]) -> str:
     """Return the causes of a credible set with their probabilities, in their order."""
     names = [
         f"{name_cause(one.effect)} {PERCENT * (one.probability or 0.0):.0f} %"
-        f"{'' if one.plausible else ' (of implausible size)'}"
+        f"{' (of implausible size)' if one.plausible is False else ''}"
         for one in causes
     ]
     if len(names) > SEVERAL:

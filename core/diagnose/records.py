@@ -26,7 +26,7 @@ class CauseProbability(Record, frozen=True):
     effect: Annotated[str, declare("Name of the cause.", "cause")]
     probability: Annotated[float | None, declare("Probability. [1]", "probability", "whole percent")] = None
     shown_by: Annotated[str, declare("Data that would distinguish the cause from others.")] = ""
-    plausible: Annotated[bool, declare("Whether its coefficient would lie in the plausible range.")] = True
+    plausible: Annotated[bool | None, declare("Whether its coefficient would be plausible; None if unknown.")] = None
 
 
 class RivalEffect(Record, frozen=True):
