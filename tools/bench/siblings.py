@@ -21,8 +21,9 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from socast.core.diagnose.dataset import gather_windows
+from socast.core.diagnose.deviation_words import MONTH
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.diagnose.siblings.deviations import MONTH, diagnose_deviations
+from socast.core.diagnose.siblings.deviations import diagnose_deviations
 from socast.core.errors import SettingsError
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.records import to_json_values

@@ -72,6 +72,17 @@ def test_effect_that_began_in_one_car_is_found_with_car_and_date():
     assert first <= SINCE.removeprefix("since=") <= last
 
 
+def test_plausible_causes_stand_before_implausible_ones():
+    """A change of a third of the energy exceeds the range of some causes of its credible set."""
+    deviations, _ = find({f"roof_load {SINCE}": 0.35})
+    plausible = [cause.plausible for one in deviations for cause in one.causes]
+    assert False in plausible
+    for one in deviations:
+        assert [cause.plausible for cause in one.causes] == sorted((c.plausible for c in one.causes), reverse=True)
+        assert one.coefficient.plausible == one.causes[0].plausible
+        assert one.days > 1.0
+
+
 def test_causes_of_the_same_shape_are_in_one_credible_set():
     """Within one car, a constant force and rolling resistance differ only by the number of passengers."""
     (only,), _ = find({f"brake_drag {CAR} {SINCE}": 0.08}, of_day=0.005)
