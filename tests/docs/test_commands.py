@@ -133,7 +133,7 @@ def test_figure_shows_the_falling_error_of_the_tutorial(shell):
 @pytest.mark.usefixtures("tutorial")
 def test_error_falls_beyond_doubt_on_the_final_hold_out_of_the_tutorial(shell):
     [step] = list_attempts(models.load(str(shell.folder / "better.json")).history)
-    for fall in (step.held_out, step.final):
+    for fall in (step.of_effect, step.final):
         assert fall.change_kwh.value + fall.change_kwh.ci95 < 0.0
         assert fall.removed.low > 0.0
         assert not fall.is_noise_overestimated
