@@ -429,13 +429,13 @@ class Pipeline:
         return counts | self.shadows.quality() if self.shadows else counts
 
     def status(self) -> list[VehicleStatus]:
-        """Return the newest values of every vehicle that has sent a sample."""
+        """Return the newest values of every vehicle that has sent a sample, by name."""
         self._update_forecasts()
         lanes = self.cleaner.lanes_heard()
         totals = self.displays.describe(self.accumulator.running(lanes), len(self.lanes))
         predicted = self.shadows.predictions(totals, self.context)
         names = self.decoder.rides.names(totals.at_last("code").tolist())
-        return build_statuses(totals, names, self.context, predicted, self.engine.get_ends(lanes))
+        return build_statuses(totals, names, self.context, predicted, self.engine.get_newest(lanes))
 
     def learn_from(self, earlier: "Pipeline", serves: Callable[[str], bool] = lambda _: True) -> None:
         """Take over the knowledge of a pipeline that sums the same effects, and the cars that this one serves."""

@@ -27,7 +27,7 @@ from socast.core.forecast.filter_state import (
     SOC_ESTIMATE,
     create_filter_state,
 )
-from socast.core.forecast.forecast_rows import END_OF_SHIFT, ForecastRows, compute_forecast_rows
+from socast.core.forecast.forecast_rows import NEWEST_FORECAST, ForecastRows, compute_forecast_rows
 from socast.core.forecast.learning.car_driver import ShiftPattern, compute_driver_code
 from socast.core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
 from socast.core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord
@@ -46,7 +46,7 @@ MOST_PENDING: Final = 16_000
 computed at once."""
 SHORT_SHIFT: Final = 0.5
 """A shorter shift does not update the consumption factors. [h]"""
-_UNKNOWN_END: Final = np.array((np.nan, np.nan, np.nan, np.nan), END_OF_SHIFT)[()]
+_NO_FORECAST: Final = np.full(len(NEWEST_FORECAST.names or ()), nan).view(NEWEST_FORECAST)[0]
 
 
 class PendingInput:
@@ -166,8 +166,8 @@ class ForecastEngine:
     Attributes
     ----------
     state : (lanes,) FILTER_STATE
-    ends : (lanes,) END_OF_SHIFT
-        Newest forecast of each lane's charge at the end of the shift, NaN before the first one and after a restart.
+    newest : (lanes,) NEWEST_FORECAST
+        Newest forecast of each lane, NaN before the first one.
     """
 
     def __init__(self, context: RunContext, width: int) -> None:
@@ -175,7 +175,7 @@ class ForecastEngine:
         self.statistics = FleetStatistics(context, width)
         self.plans, self.weather, self.log = PlanTracker(), WeatherForecasts(), ForecastLog()
         self.state = create_filter_state(0)
-        self.ends = np.zeros(0, END_OF_SHIFT)
+        self.newest = np.zeros(0, NEWEST_FORECAST)
         self.closed: list[NDArray[np.void]] = []
 
     def process(self, due: DueInput) -> ForecastRows:
@@ -207,7 +207,7 @@ class ForecastEngine:
         rows = compute_forecast_rows(
             sums.running, of_running, estimates, progress, ambient, self.statistics, self._cars
         )
-        self.ends[sums.running.lane] = rows.get_end_of_shift()
+        self.newest[sums.running.lane] = rows.get_newest()
         self._evaluate(sums.running, rows, shifts, at, kinds)
         return rows
 
@@ -215,14 +215,13 @@ class ForecastEngine:
         """Make room for a number of lanes."""
         if len(self.state) < lanes:
             self.state = grown(self.state, lanes, create_filter_state(1)[0])
-        self.ends = grown(self.ends, lanes, _UNKNOWN_END)
+        self.newest = grown(self.newest, lanes, _NO_FORECAST)
         self.log.grow(lanes)
         self.statistics.grow(lanes)
 
-    def get_ends(self, lanes: Ints) -> NDArray[np.void]:
-        """Return the newest forecast of the charge at the end of the shift of some lanes, (n,) END_OF_SHIFT."""
-        self.ends = grown(self.ends, len(self.context.lanes), _UNKNOWN_END)
-        return self.ends[lanes]
+    def get_newest(self, lanes: Ints) -> NDArray[np.void]:
+        """Return the newest forecast of some lanes, (n,) NEWEST_FORECAST."""
+        return grown(self.newest, len(self.context.lanes), _NO_FORECAST)[lanes]
 
     def has_sample(self, lane: int) -> bool:
         """Return whether the car of a lane has sent anything."""
@@ -378,21 +377,23 @@ class ForecastEngine:
 
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order; call it after the daily update."""
-        self.state, self.ends = take_lanes(self.state, lanes), take_lanes(self.ends, lanes)
+        self.state, self.newest = take_lanes(self.state, lanes), take_lanes(self.newest, lanes)
         for part in (self.statistics, self.plans, self.log):
             part.keep(lanes)
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return self.statistics.dump(), self.plans.dump(), self.weather.dump(), self.log.dump(), self.state.tobytes()
+        parts = (each.dump() for each in (self.statistics, self.plans, self.weather, self.log))
+        return *parts, self.newest.tobytes(), self.state.tobytes()
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, once the cars are known."""
-        statistics, plans, weather, log, filters = state
+        statistics, plans, weather, log, newest, filters = state
         self.statistics.load(statistics)
         self.plans.load(plans)
         self.weather.load(weather)
         self.log.load(log)
+        self.newest = np.frombuffer(newest, NEWEST_FORECAST).copy()
         self.state = np.frombuffer(filters, FILTER_STATE).copy()
 
 
@@ -411,8 +412,8 @@ def _create_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
         soc=float(rows.soc[i]),
         driving=nan if over_charge else float(rows.driving_fall[i]),
         waiting=nan if over_charge else float(rows.waiting_fall[i]),
-        lower=float(rows.end_soc_p05[i]),
-        upper=float(rows.end_soc_p95[i]),
+        lower=float(rows.soc_end_of_shift_p05[i]),
+        upper=float(rows.soc_end_of_shift_p95[i]),
     )
 
 

@@ -46,12 +46,11 @@ def test_effect_in_the_guide_passes_its_check(tmp_path):
     check_effect(effect)
 
 
-def test_wire_page_has_every_field_of_every_message():
+def test_wire_page_has_the_table_of_every_message():
     page = sections(DOCS / "reference" / "wire.md")
-    structs = {struct for struct in all_structs(Wire) if struct not in {Outlook, LegOutlook}}
-    assert {struct.__name__ for struct in structs} == set(page) - {"Keys", "Batch"}
-    for struct in structs:
-        assert sorted(struct.__struct_fields__) == sorted(fields_in_tables(page[struct.__name__])), struct.__name__
+    names = {struct.__name__ for struct in all_structs(Wire) if struct not in {Outlook, LegOutlook}}
+    assert names == set(page) - {"Keys", "Batch"}
+    assert all(f"<!-- generated: wire/{name} -->" in page[name] for name in names)
 
 
 def all_structs(base):
