@@ -23,7 +23,7 @@ from socast.core.forecast.soc_ahead import LearnedErrors, find_charging_since, f
 from socast.core.forecast.soc_reading import READING_SD
 from socast.core.totals.accumulator import Totals
 from socast.core.vehicles.fleet import Cars
-from socast.core.wire.live_fields import LiveField, list_live_fields, list_interval_columns
+from socast.core.wire.live_fields import LiveField, list_interval_columns, list_live_fields
 from socast.core.wire.messages import Forecast
 
 
@@ -148,7 +148,9 @@ class PublishedField(NamedTuple):
         """Return the columns of a declared field, by its name."""
         is_share = field.name not in ForecastRows._fields
         column = field.name.removesuffix("_pct") if is_share else field.name
-        return cls(field.name, list_interval_columns(column) if field.is_interval else (column,), 100.0 if is_share else 1.0)
+        return cls(
+            field.name, list_interval_columns(column) if field.is_interval else (column,), 100.0 if is_share else 1.0
+        )
 
 
 PUBLISHED: Final = tuple(
