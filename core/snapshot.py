@@ -30,8 +30,7 @@ from socast.core.forecast.learning.forecast_errors import FORECAST_RECORDS
 from socast.core.forecast.learning.leg_energy import PACES, TEMPERATURES
 from socast.core.forecast.planned_legs import PLAN_PROGRESS
 from socast.core.monitoring.running_error import RIDE_SUMS, VEHICLE_DAY
-from socast.core.totals.accumulator import AMOUNTS, EDGES
-from socast.core.totals.changed_effects import carry_totals
+from socast.core.totals.accumulator import AMOUNTS, DURATION, EDGES, OPEN_WINDOW
 from socast.core.totals.display_yield import LANE_YIELD
 from socast.core.wire.sample_losses import SAMPLE_LOSS
 from socast.core.wire.state_schema import (
@@ -326,3 +325,17 @@ def _measure_state(state: dict[str, Any]) -> dict[str, float]:
         "noted": len(state["silent_cars"][2]) // 8,
         "groups": len(state["shadows"][2]),
     }
+
+
+def carry_totals(state: bytes, before: Sequence[str], now: Sequence[str]) -> bytes:
+    """Return open totals of other effects; what was not summed before is unknown until its ride ends."""
+    head, width = OPEN_WINDOW + 1, len(AMOUNTS) + len(before) + SPEED_BINS
+    rows = np.frombuffer(state).reshape(-1, head + 2 * width + 3 * len(EDGES) + len(CAUSES))
+    place = {name: len(AMOUNTS) + number for number, name in enumerate(before)}
+    parts = [rows[:, :head]]
+    for begin in (head, head + width):  # of the window, and of the ride before it
+        amounts = rows[:, begin : begin + width]
+        unknown = np.where(amounts[:, DURATION] > 0.0, np.nan, 0.0)
+        energies = [amounts[:, place[name]] if name in place else unknown for name in now]
+        parts += [amounts[:, : len(AMOUNTS)], *(energy[:, None] for energy in energies), amounts[:, -SPEED_BINS:]]
+    return np.hstack([*parts, rows[:, head + 2 * width :]]).tobytes()

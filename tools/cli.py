@@ -54,6 +54,9 @@ COMMANDS: Final = {
     ),
     "info": Command("socast.tools.commands.info", "info", "Show what recordings contain and what is lost."),
     "anonymise": Command("socast.tools.commands.anonymise", "anonymise", "Hide names, places and dates of recordings."),
+    "spikein": Command(
+        "socast.tools.commands.spikein", "spikein", "Put a known effect into recordings, to judge a diagnosis by it."
+    ),
     "elevation": Command(
         "socast.tools.commands.elevation", "app", "Learn a map of elevation from the fixes of a fleet."
     ),

@@ -23,7 +23,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from socast.core.batch import NO_RIDE
 from socast.core.cleaning.segmentation import finish_ride
 
 FIELDS: Final = ("heard",)
@@ -81,16 +80,6 @@ def advance_fleet_clock(clock: Any, time: float, dt: float, longest: float) -> b
             clock.front = time
             clock.behind = 0.0
     return bool(clock.progress > clock.check)
-
-
-def end_open_rides(states: NDArray[Any], lanes: NDArray[np.int64], place: int) -> NDArray[np.void]:
-    """End the open rides of cars before a row, in place; return the ends, (n,) RIDE_END."""
-    lanes = lanes[lanes < len(states)]
-    lanes = lanes[states["riding"][lanes] == 1.0]
-    states["riding"][lanes], states["idle"][lanes], states["code"][lanes] = 0.0, 0.0, NO_RIDE
-    ends = np.zeros(len(lanes), RIDE_END)
-    ends["lane"], ends["place"] = lanes, place
-    return ends
 
 
 @njit(cache=False)

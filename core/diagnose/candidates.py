@@ -22,9 +22,13 @@ LEAST_SHARE: Final = 0.003
 LEAST_KNOWN: Final = 0.5
 """Share of the windows in which an effect must be known to be a candidate."""
 
-
-NOT_IN_DATA: Final = "not in the data"
-"""Why an effect is no candidate whose columns the tables lack, or whose signal was not recorded."""
+NO_COLUMN: Final = "not in the tables"
+NO_SIGNAL: Final = "not in the data"
+NEVER_ACTS: Final = "zero in these drives"
+"""Why an effect is no candidate: the tables lack its columns, its signal is known in too few windows, or it has no
+energy, because its threshold is not reached, or its signal is unknown or stays at zero."""
+NOT_IDENTIFIABLE: Final = "not identifiable beside the model"
+"""Result for a candidate that the terms of the model can imitate."""
 
 
 @dataclass(frozen=True)
@@ -117,11 +121,11 @@ def build_candidates(
             continue
         tabulated = [v.name for v in (effect, *effect.variants) if f"{EFFECT_PREFIX}{v.name}" in windows.table]
         columns = {v: get_numbers(windows.table, f"{EFFECT_PREFIX}{v}") for v in tabulated}
-        known = [v for v, column in columns.items() if np.isfinite(column).mean() >= LEAST_KNOWN and np.any(column)]
-        if known:
-            variants += [(name, v) for v in known]
+        known = [v for v, column in columns.items() if np.isfinite(column).mean() >= LEAST_KNOWN]
+        if acting := [v for v in known if np.any(columns[v])]:
+            variants += [(name, v) for v in acting]
         else:
-            excluded[name] = NOT_IN_DATA
+            excluded[name] = NEVER_ACTS if known else NO_SIGNAL if columns else NO_COLUMN
     names = tuple(dict.fromkeys(name for name, _ in variants))
     stacked = [np.nan_to_num(get_numbers(windows.table, f"{EFFECT_PREFIX}{v}"), nan=0.0) for _, v in variants]
     return Candidates(

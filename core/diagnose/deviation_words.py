@@ -9,6 +9,8 @@ from socast.core.formatting import format_minus
 from socast.core.records import ConfidenceInterval
 
 PERCENT: Final = 100.0
+MONTH: Final = 365.25 / 12.0
+"""Length of a month; of a shorter time, no rate per month is given. [days]"""
 SEVERAL: Final = 3
 """Number of causes above which a sentence names only the most probable ones."""
 CAUSES: Final = {
@@ -27,14 +29,16 @@ def has_certain_share(one: CarDeviation) -> bool:
 
 
 def has_certain_size(one: CarDeviation) -> bool:
-    """Return whether the size of a deviation is certain: its net energy, or the coefficient of its first cause.
+    """Return whether the size of a deviation is certain: its net energy, or the coefficient of its most probable cause.
 
     Notes
     -----
     Causes that move energy without taking any, such as wind, widen the interval of the net energy although the change
     is real. The coefficient of the most probable cause is then the size, if it is plausible.
     """
-    return has_certain_share(one) or (one.coefficient.plausible and _excludes_zero(one.coefficient.ci95))
+    chances = [cause.probability or 0.0 for cause in one.causes]
+    by_coefficient = one.coefficient.plausible and _excludes_zero(one.coefficient.ci95)
+    return has_certain_share(one) or (by_coefficient and chances[:1] == [max(chances, default=0.0)])
 
 
 def _excludes_zero(limits: ConfidenceInterval | None) -> bool:
@@ -42,9 +46,19 @@ def _excludes_zero(limits: ConfidenceInterval | None) -> bool:
     return limits is not None and limits[0] * limits[1] > 0.0
 
 
+def rank_deviation(one: CarDeviation) -> tuple[bool, bool]:
+    """Return the key by which deviations are sorted: certain sizes first, and of these plausible causes first."""
+    return not has_certain_size(one), not one.coefficient.plausible
+
+
 def find_leading_deviation(deviations: Sequence[CarDeviation]) -> CarDeviation | None:
     """Return the first deviation of certain size, which a diagnosis may put into its headline; None without one."""
-    return next((one for one in deviations if has_certain_size(one)), None)
+    return next((one for one in sorted(deviations, key=rank_deviation) if has_certain_size(one)), None)
+
+
+def is_rate_known(one: CarDeviation) -> bool:
+    """Return whether a deviation lasts so long that a rate per month is no extrapolation."""
+    return one.days is None or one.days >= MONTH
 
 
 def name_deviating(one: CarDeviation) -> str:
@@ -52,7 +66,7 @@ def name_deviating(one: CarDeviation) -> str:
     return "all cars" if one.of == "all" else one.who
 
 
-def word_deviation(one: CarDeviation, *, sized: bool = True) -> str:
+def word_deviation(one: CarDeviation) -> str:
     """Return a deviation as a sentence.
 
     Examples
@@ -74,11 +88,11 @@ def word_deviation(one: CarDeviation, *, sized: bool = True) -> str:
     'taxi-005 uses 4.1 ± 0.9 % more since 14 November 2018 (12 to 16 November): low tyre pressure 60 %, brake drag 40 %'
     """
     who = "All cars use" if one.of == "all" else f"{one.who} uses"
-    return f"{who} {_word_size(one, sized=sized)}{_word_date(one)}: {_name_causes(one.causes)}"
+    return f"{who} {_word_size(one)}{_word_date(one)}: {_name_causes(one.causes)}"
 
 
-def _word_size(one: CarDeviation, *, sized: bool) -> str:
-    """Return how much more or less is used: a share of the energy, or a rate for a ramp.
+def _word_size(one: CarDeviation) -> str:
+    """Return how much more or less is used: a share of the energy; for a ramp, a rate, or the growth up to the end.
 
     An interval that contains zero is given by its ends, because ± would hide that it is not symmetric.
     """
@@ -89,22 +103,27 @@ def _word_size(one: CarDeviation, *, sized: bool) -> str:
     half = 0.5 * PERCENT * (high - low)
     digits = 1 if half < 10.0 else 0
     size = f"{PERCENT * abs(share):.{digits}f}"
-    if not sized:
-        size = direction
-    elif low < 0.0 < high:
+    if low < 0.0 < high:
         least, most = (low, high) if share >= 0.0 else (-high, -low)
         interval = format_minus(f"{PERCENT * least:.{digits}f} to {PERCENT * most:.{digits}f} %")
         size = f"{size} % {direction} (95 % interval {interval})"
     else:
         size = f"{size} ± {half:.{digits}f} % {direction}"
-    return f"{size} each month" if one.kind == "ramp" else size
+    if one.kind != "ramp":
+        return size
+    return f"{size} each month" if is_rate_known(one) else f"{size} after a growth over {one.days:.0f} days,"
 
 
 def _get_size(one: CarDeviation) -> tuple[float | None, ConfidenceInterval | None]:
-    """Return the size of a deviation with its interval: its share of the energy, or the monthly growth of a ramp."""
-    if one.kind == "ramp":
-        return one.share_per_month, one.share_per_month_ci95
-    return one.share, one.share_ci95
+    """Return the size of a deviation with its interval: its share of the energy, or the growth of a ramp.
+
+    The growth is that of a month, or that of the days of the ramp where these are fewer.
+    """
+    rate, limits = one.share_per_month, one.share_per_month_ci95
+    if one.kind != "ramp" or rate is None:
+        return one.share, one.share_ci95
+    months = 1.0 if is_rate_known(one) or one.days is None else one.days / MONTH
+    return months * rate, None if limits is None else (months * limits[0], months * limits[1])
 
 
 def _word_date(one: CarDeviation) -> str:
@@ -124,8 +143,12 @@ def _format_date(day: date, beside: date | None = None) -> str:
 
 
 def _name_causes(causes: Sequence[CauseProbability]) -> str:
-    """Return the causes of a credible set with their probabilities, the most probable first."""
-    names = [f"{name_cause(one.effect)} {PERCENT * (one.probability or 0.0):.0f} %" for one in causes]
+    """Return the causes of a credible set with their probabilities, in their order."""
+    names = [
+        f"{name_cause(one.effect)} {PERCENT * (one.probability or 0.0):.0f} %"
+        f"{' (of implausible size)' if one.plausible is False else ''}"
+        for one in causes
+    ]
     if len(names) > SEVERAL:
         others = len(names) - SEVERAL
         names = [*names[:SEVERAL], "or another cause" if others == 1 else f"or one of {others} others"]

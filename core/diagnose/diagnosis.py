@@ -27,7 +27,7 @@ from socast.core.diagnose import residual_structure
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
 from socast.core.diagnose.add.records import list_attempts
 from socast.core.diagnose.add.terms import describe_coefficient
-from socast.core.diagnose.candidates import build_candidates
+from socast.core.diagnose.candidates import NOT_IDENTIFIABLE, build_candidates
 from socast.core.diagnose.dataset import Windows, gather_windows
 from socast.core.diagnose.episodes import find_episodes
 from socast.core.diagnose.error_location.locate import locate_error
@@ -39,6 +39,7 @@ from socast.core.diagnose.posterior.probabilities import Causes
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.ranking import LEVEL, Ranking
 from socast.core.diagnose.records import (
+    BiasedBin,
     CauseProbability,
     Comparisons,
     DiagnosedData,
@@ -55,12 +56,13 @@ from socast.core.diagnose.residual_profile import profile_residual
 from socast.core.diagnose.residual_structure import ResidualStructure
 from socast.core.diagnose.siblings.deviations import diagnose_deviations
 from socast.core.diagnose.slices.search import find_slices
+from socast.core.evaluate.compare.models import ComparedRides, compute_errors_by_condition
 from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
-from socast.core.fit.ride_blocks import ENERGY, get_names, get_numbers
+from socast.core.fit.ride_blocks import ENERGY, assign_vehicle_days, get_names, get_numbers
 from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible
-from socast.core.records import make_interval
+from socast.core.records import ConfidenceInterval, make_interval
 from socast.core.stats.evidence import ClusterSums
 from socast.core.stats.scores import Estimate
 
@@ -74,6 +76,8 @@ MAIN_SHARE: Final = 0.95
 """Share of the windows above which one way of measuring is reported for all of them."""
 ONE_SIGN_SHARE: Final = 0.8
 """Share of the absolute energy of an effect that must have one sign for the report to show that sign."""
+UNDATED: Final = frozenset({"season", "time of day"})
+"""Conditions of rides that invented dates do not show."""
 WRONG_SIGN_Z: Final = 3.0
 """Standard errors above which a coefficient of the sign that physics forbids is reported as such."""
 
@@ -179,6 +183,7 @@ def _diagnose(
         error=_describe_error(seen, model, base, floor),
         error_location=location,
         slices=find_slices(seen.rides, error, seed=seed, dated=dated),
+        biased_bins=_find_biased_bins(seen, dated=dated),
         missing=[_describe_missing(finding, selection) for finding in missing],
         tested=_tabulate_candidates(first, gains, missing),
         verdict=missing[0].selected.effect if missing else None,
@@ -237,6 +242,19 @@ def _describe_error(seen: Windows, model: LinearModel, base: BaseProjection, flo
         mae_refitted_kwh=float(np.mean(np.abs(refitted))),
         noise_floor_kwh=floor,
     )
+
+
+def _find_biased_bins(seen: Windows, *, dated: bool) -> list[BiasedBin]:
+    """Return the bins of a part of the rides that `socast compare` marks, the largest bias first."""
+    measured, predicted = seen.by_ride(seen.measured), seen.by_ride(seen.predicted)
+    rides = ComparedRides(seen.rides, measured, {}, assign_vehicle_days(seen.rides), len(measured), {})
+    found = [
+        BiasedBin(condition=condition, bin=one.bin, rides=one.n, bias_kwh=one.bias_kwh)
+        for condition, bins in compute_errors_by_condition(rides, predicted).items()
+        for one in bins
+        if one.is_significant and one.n < len(measured) and (dated or condition not in UNDATED)
+    ]
+    return sorted(found, key=lambda one: -abs(one.bias_kwh.value or 0.0))
 
 
 def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> NamedEffect:
@@ -332,7 +350,7 @@ def _describe_status(row: TestedEffect, sign: int, missing: list[MissingEffect])
     if row.effect in {finding.selected.effect for finding in missing}:
         return "missing"
     if row.z is None or row.q is None:
-        return "not identifiable beside the model"
+        return NOT_IDENTIFIABLE
     for finding in missing:
         if finding.selected.causes is not None and row.effect in finding.selected.causes.list_credible_set():
             return f"not distinguishable from {finding.selected.effect}"
@@ -346,16 +364,24 @@ def _describe_structure(remains: ResidualStructure) -> RemainingStructure:
     return RemainingStructure(
         before=remains.before,
         after=remains.after,
+        after_ci95=_surround(remains.after, remains.error),
         taken=remains.taken,
         least=residual_structure.LEAST_TAKEN,
         shape=remains.shape,
         q=remains.q,
         shape_taken=remains.gain,
+        shape_taken_ci95=_surround(remains.gain, remains.gain_error),
         better=remains.better,
         signs=list(remains.signs),
         days=remains.days,
         most_days=remains.most_days,
     )
+
+
+def _surround(value: float, error: float) -> ConfidenceInterval | None:
+    """Return the interval of a share by which structure is judged."""
+    half = residual_structure.SURE * error
+    return make_interval(value - half, value + half)
 
 
 def _suggest(base: BaseProjection, selection: ForwardSelection, left: Floats) -> Suggestion | None:

@@ -15,7 +15,7 @@ import pandas as pd
 from msgspec.structs import replace
 
 from socast.core.columns import SECONDS_PER_DAY
-from socast.core.diagnose.deviation_words import word_deviation
+from socast.core.diagnose.deviation_words import MONTH, word_deviation
 from socast.core.diagnose.records import CarDeviation, Diagnosis, NamedEffect
 from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models.features import VEHICLE_SCOPE
@@ -29,8 +29,6 @@ GROWTH: Final = 1000.0
 """Growth of the number of shifts over which diagnoses are repeated: from 6 of a car, the fewest with a change. [1]"""
 ALL: Final = "all"
 """Name of all vehicles together."""
-MONTH: Final = 365.25 / 12.0
-"""Length of a month. [days]"""
 
 
 class FleetUse(NamedTuple):

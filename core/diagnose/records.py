@@ -5,6 +5,7 @@ from typing import Annotated, NamedTuple
 import pandas as pd
 from msgspec import field
 
+from socast.core.evaluate.records import EstimatedValue
 from socast.core.records import ConfidenceInterval, Record, declare, make_frame
 
 
@@ -25,6 +26,7 @@ class CauseProbability(Record, frozen=True):
     effect: Annotated[str, declare("Name of the cause.", "cause")]
     probability: Annotated[float | None, declare("Probability. [1]", "probability", "whole percent")] = None
     shown_by: Annotated[str, declare("Data that would distinguish the cause from others.")] = ""
+    plausible: Annotated[bool | None, declare("Whether its coefficient would be plausible; None if unknown.")] = None
 
 
 class RivalEffect(Record, frozen=True):
@@ -143,6 +145,15 @@ class SliceBias(Record, frozen=True):
         return f"{abs(self.bias_kwh):.3g} kWh {'more' if self.bias_kwh > 0.0 else 'less'} than for other rides"
 
 
+class BiasedBin(Record, frozen=True):
+    """Hold a bin of rides whose bias differs from zero, as `socast compare` marks it."""
+
+    condition: str
+    bin: str
+    rides: int = 0
+    bias_kwh: Annotated[EstimatedValue, declare("Mean of predicted less measured. [kWh]")] = EstimatedValue()
+
+
 class ErrorAfterEffect(Record, frozen=True):
     """Hold the error of rides with the missing effects up to one."""
 
@@ -183,8 +194,10 @@ class CarDeviation(Record, frozen=True):
     who: str
     of: Annotated[str, declare("`car`, `group` or `all`.")] = "car"
     kind: Annotated[str, declare("`always`, `step` or `ramp`.")] = "always"
-    effect: Annotated[str, declare("Most probable cause.")] = ""
-    causes: Annotated[list[CauseProbability], declare("Causes of the credible set, the most probable first.")] = []
+    effect: Annotated[str, declare("First cause.")] = ""
+    causes: Annotated[
+        list[CauseProbability], declare("Causes of the credible set: plausible ones first, then by probability.")
+    ] = []
     q: Annotated[float | None, declare("Rate of false findings up to this one. [1]")] = None
     z: Annotated[float | None, declare("Largest score in standard errors. [1]")] = None
     evidence: Annotated[float | None, declare("Logarithm of the Bayes factor. [1]")] = None
@@ -194,6 +207,7 @@ class CarDeviation(Record, frozen=True):
     since: Annotated[str | None, declare("Date of the change; None for what was always so. [UTC]")] = None
     since_ci90: Annotated[tuple[str, str] | None, declare("90 % range of the date. [UTC]")] = None
     columns: Annotated[list[str], declare("Columns of the term that holds it; empty where none can.")] = []
+    days: Annotated[float | None, declare("Time from the first to the last shift that it concerns. [days]")] = None
     share: Annotated[float | None, declare("Net energy over the energy of these rides. [1]")] = None
     share_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `share`. [1]")] = None
     kwh_per_km: Annotated[float | None, declare("Net energy per distance. [kWh/km]")] = None
@@ -290,11 +304,13 @@ class RemainingStructure(Record, frozen=True):
 
     before: Annotated[float | None, declare("Share of the variance that trees predict on other days. [1]")] = None
     after: Annotated[float | None, declare("The same after the missing effects. [1]")] = None
+    after_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `after`. [1]")] = None
     taken: Annotated[float | None, declare("Share of the predictable part that the effects explain. [1]")] = None
     least: Annotated[float | None, declare("Share that they must explain to explain it all. [1]")] = None
     shape: Annotated[str | None, declare("Plain pattern that remains.")] = None
     q: Annotated[float | None, declare("Rate of false patterns up to this one. [1]")] = None
     shape_taken: Annotated[float | None, declare("Held-out share of the error that the pattern explains. [1]")] = None
+    shape_taken_ci95: Annotated[ConfidenceInterval | None, declare("95 % interval of `shape_taken`. [1]")] = None
     better: Annotated[dict[str, str], declare("Missing effect -> pattern that explains more than it does.")] = {}
     signs: Annotated[list[str], declare("Evidence of structure: `trees`, `shape`, `better`, `days`.")] = []
     days: Annotated[float | None, declare("Variance between vehicle-days over that by chance. [1]")] = None
@@ -364,6 +380,7 @@ class Diagnosis(Record, frozen=True):
     error: ErrorSummary = ErrorSummary()
     error_location: ErrorLocation = ErrorLocation()
     slices: Annotated[list[SliceBias], declare("Groups of rides with another bias, the most certain first.")] = []
+    biased_bins: Annotated[list[BiasedBin], declare("Bins whose bias differs from zero, the largest first.")] = []
     missing: Annotated[list[NamedEffect], declare("Missing effects, best first, each beside those before.")] = []
     tested: Annotated[list[TestedEffect], declare("All effects, as they rank before any is selected.")] = field(
         name="candidates", default_factory=list

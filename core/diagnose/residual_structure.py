@@ -37,7 +37,7 @@ LIKE: Final = 0.4
 CLEARLY: Final = 3.0
 """Standard errors by which a shape must explain more than an effect to cast doubt on it."""
 SURE: Final = 2.0
-"""Standard errors by which the share that trees predict must exceed zero."""
+"""Standard errors by which the share that trees predict, or that a shape explains, must exceed zero."""
 LEAST_PREDICTED: Final = 0.005
 """Share of the squared error that trees must predict for it to count."""
 SURE_OF_DAYS: Final = 3.0
@@ -76,9 +76,11 @@ class ResidualStructure(NamedTuple):
         Standard error of `after`. [1]
     explained : float
         Share of the squared error of windows that the selected effects explain on held-out vehicle-days. [1]
-    shape, q, gain : str, float, float
+    shape, q : str, float
         The significant shape with the largest gain, or else the shape with the least probability; its probability,
-        adjusted over all shapes; its share of the squared error on held-out vehicle-days. [1]
+        adjusted over all shapes. [1]
+    gain, gain_error : float
+        Its share of the squared error on held-out vehicle-days, and the standard error of this share. [1]
     days : float
         Variance between vehicle-days, over that of chance, along the carrier where it is largest; about 1 or below
         where nothing is missing. [1]
@@ -95,6 +97,7 @@ class ResidualStructure(NamedTuple):
     shape: str
     q: float
     gain: float
+    gain_error: float
     days: float
     most_days: float
     better: dict[str, str]
@@ -103,13 +106,18 @@ class ResidualStructure(NamedTuple):
     def taken(self) -> float:
         """Share of what trees or the strongest shape can explain that the selected effects explain. [1]"""
         by_trees = 1.0 - max(self.after, 0.0) / self.before if self.before > 0.0 and self.is_predictable else 1.0
-        by_shape = self.explained / (self.explained + self.gain) if self.q < LEVEL and self.gain > 0.0 else 1.0
-        return min(by_trees, by_shape)
+        by_shape = self.explained / (self.explained + self.gain) if self.has_shape else 1.0
+        return max(min(by_trees, by_shape), 0.0)
 
     @property
     def is_predictable(self) -> bool:
         """Whether trees predict any of the residual after the effects are selected."""
         return self.after > max(LEAST_PREDICTED, SURE * self.error)
+
+    @property
+    def has_shape(self) -> bool:
+        """Whether a plain shape is significant, and explains a certain share on held-out days."""
+        return self.q < LEVEL and self.gain > max(LEAST_GAIN, SURE * self.gain_error)
 
     @property
     def exists(self) -> bool:
@@ -119,10 +127,9 @@ class ResidualStructure(NamedTuple):
     @property
     def signs(self) -> list[str]:
         """Evidence for structure: `trees`, `shape`, `better`, `days`."""
-        shape = self.q < LEVEL and self.gain > LEAST_GAIN
         return [
             *(["trees"] if self.is_predictable and self.taken < LEAST_TAKEN else []),
-            *(["shape"] if shape and self.taken < LEAST_TAKEN else []),
+            *(["shape"] if self.has_shape and self.taken < LEAST_TAKEN else []),
             *(["better"] if self.better else []),
             *(["days"] if self.days > self.most_days else []),
         ]
@@ -143,7 +150,9 @@ def measure_residual_structure(selection: ForwardSelection, missing: Sequence[Mi
     shape, q, gain = shapes.find_strongest(off, left)
     days = compute_day_variance_ratio(selection, left)
     most = max(1.0 + SURE_OF_DAYS * float(np.sqrt(2.0 / clusters[0].count)), UNEVEN)
-    return ResidualStructure(before.value, after.value, after.error, share, shape, q, gain, days, most, better)
+    return ResidualStructure(
+        before.value, after.value, after.error, share, shape, q, gain.value, gain.error, days, most, better
+    )
 
 
 def collect_features(windows: Windows) -> Floats:
@@ -200,16 +209,18 @@ class PlainShapes:
         shapes = build_plain_shapes(selection.base)
         self.names, self.projected = shapes.names, shapes.columns
 
-    def find_strongest(self, off: Floats, left: Floats) -> tuple[str, float, float]:
+    def find_strongest(self, off: Floats, left: Floats) -> tuple[str, float, Estimate]:
         """Return the significant shape with the largest gain on a residual, its q, and its gain."""
         shapes, free = self._off(off)
         if not len(free):
-            return "", 1.0, 0.0
+            return "", 1.0, Estimate(0.0, 0.0, np.inf)
         either = np.zeros(len(free), dtype=np.int64)
-        evidence, gain = explain_by_columns(left, shapes, either, self.selection.clusters, self.selection.settings.seed)
+        clusters, seed = self.selection.clusters, self.selection.settings.seed
+        evidence, gain = explain_by_columns(left, shapes, either, clusters, seed)
         q = adjust_false_discovery(evidence.p)
         best = int(np.argmax(np.where(q < LEVEL, gain, -1.0))) if (q < LEVEL).any() else int(np.argmin(q))
-        return self.names[free[best]], float(q[best]), float(gain[best])
+        of_days = compute_window_gains(left, shapes[:, [best]], either[:1], clusters[0], seed)[:, 0]
+        return self.names[free[best]], float(q[best]), sum_over_clusters(of_days)
 
     def find_replacement(self, named: SelectedEffect) -> str:
         """Return the shape that explains clearly more than a selected effect in its place, or an empty text."""

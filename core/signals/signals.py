@@ -39,6 +39,9 @@ DRY_AIR: Final = 287.05287
 """Specific gas constant of dry air. [J/(kg K)] ISO 2533:1975."""
 STEEPEST: Final = 0.35
 """Largest plausible sine of the angle of a road: Baldwin Street, Dunedin, has 0.33. [1]"""
+MOST_ACCELERATION: Final = GRAVITY
+"""Largest acceleration of which the force at the wheels is computed: tyres on dry asphalt transmit about the weight of
+the car. [m/s^2]"""
 NIGHT: Final = 8 * 3600.0
 """Assumed idle time of a car whose idle time is unknown. [s]"""
 HALF_CHARGED: Final = 0.5
@@ -182,7 +185,8 @@ def traction(signals: Signals) -> Floats:
     Notes
     -----
     F = m a + m g (c cos θ + sin θ) + 1/2 ρ0 A_d v^2, with mass m, acceleration a, rolling resistance c, angle θ of the
-    road, standard air density ρ0, drag area A_d and speed v. The force is zero at standstill.
+    road, standard air density ρ0, drag area A_d and speed v. The force is zero at standstill. |a| counts up to
+    `MOST_ACCELERATION`: a wrong time stamp makes any change of the speed an acceleration without limit.
 
     References
     ----------
@@ -216,7 +220,8 @@ def _compute_force(signals: Signals, speed: Floats, acceleration: Floats) -> Flo
     weight = signals["mass"]
     rolling = signals["rolling_resistance"] * signals["tyre_load"]
     drag = 0.5 * STANDARD_AIR_DENSITY * signals["drag_area"] * speed * speed
-    force = weight * (acceleration + GRAVITY * signals["grade"]) + rolling + drag
+    possible = np.clip(acceleration, -MOST_ACCELERATION, MOST_ACCELERATION)
+    force = weight * (possible + GRAVITY * signals["grade"]) + rolling + drag
     return np.where(speed > 0.0, force, 0.0 * weight)
 
 
@@ -227,10 +232,11 @@ def compute_braking_force(signals: Signals) -> Floats:
     -----
     A car that brakes for less than a step may be driven on average. The force is therefore taken as normally
     distributed within the step, with the mean F of `traction` and the standard deviation s = m σ, where σ is the spread
-    of the acceleration. The mean of max(-F, 0) is then s φ(F/s) - F Φ(-F/s), and max(-F, 0) where σ is zero.
+    of the acceleration, up to `MOST_ACCELERATION`. The mean of max(-F, 0) is then s φ(F/s) - F Φ(-F/s), and max(-F, 0)
+    where σ is zero.
     """
     force = signals["traction"]
-    spread = signals["mass"] * signals["acceleration_spread"]
+    spread = signals["mass"] * np.minimum(signals["acceleration_spread"], MOST_ACCELERATION)
     braking = np.maximum(-force, 0.0)
     at = np.flatnonzero((spread > 0.0) & (signals["speed"] > 0.0))
     ratio = force[at] / spread[at]

@@ -8,7 +8,7 @@ Rows are released at fixed numbers of rows since the start, never at the end of 
 and the totals made of them are therefore the same for any division of the input.
 
 Each row keeps its place among all messages, and so does each end of a ride between two rows. The totals of the rows
-wait in `socast.core.totals.deferred_totals` until no earlier row is kept.
+wait in `DeferredTotals` until no earlier row is kept.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -24,9 +24,9 @@ from socast.core.cleaning.elevation_smoother import LONGEST_PIECE, number_rows, 
 from socast.core.cleaning.fleet_clock import RIDE_END
 from socast.core.cleaning.position_smoother import smooth_motion
 from socast.core.signals.weather import Sky
-from socast.core.totals.accumulator import NO_ENDS, Sums
+from socast.core.totals.accumulator import NO_ENDS, Sums, Totals, join_totals
 from socast.core.totals.clean_rows import CleanRows
-from socast.core.totals.deferred_totals import DeferredTotals
+from socast.core.totals.display_record import create_unknown_yields
 
 FIELDS: Final = (*Clean._fields, *Sky._fields, "kind", "place")
 """Columns of the kept rows."""
@@ -168,3 +168,78 @@ class DeferredRows:
         self._parts = [np.frombuffer(table).reshape(len(FIELDS), -1).copy()]
         self._ends = np.frombuffer(ends, RIDE_END).copy()
         self.totals.load(totals)
+
+
+class DeferredTotals:
+    """Keep closed totals and daily updates until everything before them is known."""
+
+    def __init__(self) -> None:
+        self._sums: list[Sums] = []
+        self._updates: list[tuple[int, Ints]] = []  # place, and the kind of car of each lane
+
+    def add(self, sums: Sums) -> None:
+        """Keep the totals of some rows; `at` is their place among all messages."""
+        if any(len(part.lane) for part in sums):
+            self._sums.append(sums)
+
+    def add_daily_update(self, place: int, kind_of_lane: Ints) -> None:
+        """Keep a daily update."""
+        self._updates.append((place, kind_of_lane.copy()))
+
+    def take(self, before: float) -> Iterator[tuple[Sums, Ints | None]]:
+        """Yield the totals that closed before a place, up to each daily update with the kinds of cars at it.
+
+        Yields
+        ------
+        kind_of_lane : (lanes,) int or None
+            Kinds of cars for the daily update after them; None for the last totals, which no update follows.
+        """
+        due = [update for update in self._updates if update[0] <= before]
+        self._updates = self._updates[len(due) :]
+        for place, kind_of_lane in due:
+            yield self._take_sums(place), kind_of_lane
+        yield self._take_sums(before), None
+
+    def _take_sums(self, before: float) -> Sums:
+        """Return the totals that closed before a place, in that order, and keep the others."""
+        if not self._sums:
+            return _NO_SUMS
+        joined = [join_totals(parts, parts[0]) for parts in zip(*self._sums, strict=True)]
+        ordered = [part.rows(np.lexsort((part.lane, part.at))) for part in joined]
+        numbers = [int(np.searchsorted(part.at, before)) for part in ordered]
+        rest = Sums(*(part.rows(np.arange(n, len(part.at))) for part, n in zip(ordered, numbers, strict=True)))
+        self._sums = []
+        self.add(rest)
+        return Sums(*(part.rows(np.arange(n)) for part, n in zip(ordered, numbers, strict=True)))
+
+    def ride_codes(self) -> list[Any]:
+        """Return the codes of the rides of the totals, see `socast.core.wire.rides.RideNames`."""
+        return [part.at_last("code") for sums in self._sums for part in sums]
+
+    def dump(self) -> Any:
+        """Return totals and updates as plain values."""
+        sums = [[[(column.tobytes(), column.shape) for column in part[:-1]] for part in each] for each in self._sums]
+        return sums, [(place, kinds.tolist()) for place, kinds in self._updates]
+
+    def load(self, state: Any) -> None:
+        """Replace totals and updates by those that `dump` returned."""
+        sums, updates = state
+        self._sums = [Sums(*(_load_totals(part) for part in each)) for each in sums]
+        self._updates = [(place, np.array(kinds, np.int64)) for place, kinds in updates]
+
+
+def _load_totals(columns: Any) -> Totals:
+    """Return totals from the bytes and shapes of their columns."""
+    whole = [np.frombuffer(content, np.int64).reshape(shape).copy() for content, shape in columns[:4]]
+    amounts, first, last, quality = (np.frombuffer(content).reshape(shape).copy() for content, shape in columns[4:])
+    at, lane, ride, window = whole
+    return Totals(at, lane, ride, window, amounts, first, last, quality, create_unknown_yields(len(at)))
+
+
+def _make_no_totals() -> Totals:
+    """Return totals without rows."""
+    nothing, none = np.zeros(0, np.int64), np.zeros((0, 0))
+    return Totals(nothing, nothing, nothing, nothing, none, none, none, none, create_unknown_yields(0))
+
+
+_NO_SUMS = Sums(*(_make_no_totals() for _ in Sums._fields))

@@ -18,7 +18,7 @@ from socast.stream.state_file import StateFile
 from socast.tools.report.page import save
 from socast.tools.terminal.findings_file import write_findings
 from socast.tools.terminal.output import write_json
-from socast.tools.terminal.parquet_table import ParquetTable
+from socast.tools.terminal.table_files import ParquetTable
 
 OLD = b"the content before"
 

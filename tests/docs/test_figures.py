@@ -11,14 +11,15 @@ import pytest
 
 from socast.tools.bench.figures.__main__ import MEASUREMENTS, main
 from socast.tools.bench.figures.published import (
+    RESULTS,
     Published,
     describe,
     list_blocks,
     list_pages,
+    list_results,
     read_published,
     render_page,
 )
-from socast.tools.bench.figures.results import RESULTS, list_results
 
 NUMBER = r"\d[\d.,]*\s?(?:%|points|ms|µs|us|s|min|h|kB|MB|GB|kWh|Wh|times)(?![\w/])"
 LIMIT = re.compile(rf"\b(?:at most|at least|up to|more than|less than|below|above) {NUMBER}")

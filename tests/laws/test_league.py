@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from socast.tools.bench.league.fault import are_compatible
 from socast.tools.bench.league.faults import FAULTS
-from socast.tools.bench.league.fleet import judge_stream, make_entry
+from socast.tools.bench.league.fleet import find_difference, judge_stream, make_entry
 from socast.tools.bench.league.laws import REPAIRED, RIGHT, WRONG
-from socast.tools.bench.league.replay import find_difference
 
 pytestmark = pytest.mark.long
 

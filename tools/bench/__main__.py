@@ -7,13 +7,20 @@ from rich.console import Console
 from rich.progress import Progress
 
 from socast.tools.bench.daily_update import measure_daily_update
-from socast.tools.bench.figures.published import publish
+from socast.tools.bench.figures.published import publish, write_table
 from socast.tools.bench.filters import measure_filters
 from socast.tools.bench.learning import measure_fit, measure_fit_memory
 from socast.tools.bench.live import measure_batches, measure_live
-from socast.tools.bench.measures import Measure, measure_arrays, measure_replay, measure_scale
+from socast.tools.bench.measures import (
+    Measure,
+    measure_arrays,
+    measure_effects_start,
+    measure_help_start,
+    measure_replay,
+    measure_scale,
+    measure_version_start,
+)
 from socast.tools.bench.security import measure_security
-from socast.tools.bench.startup import measure_effects_start, measure_help_start, measure_version_start
 from socast.tools.terminal.rich_table import Column, make_table
 
 MEASURES: tuple[Callable[[], Measure], ...] = (
@@ -41,11 +48,17 @@ def main() -> None:
         measures = [measure() for measure in progress.track(MEASURES, description="measuring")]
     columns = [Column("what"), Column("against"), Column("ratio", number=True), Column("goal"), Column("")]
     table = make_table(columns, "Ratios of speed, measured in turn in one run")
-    for measure in measures:
-        mark = "met" if measure.met else "missed"
-        table.add_row(measure.name, measure.over, f"{measure.ratio:.2f}", measure.goal, mark)
+    for row in list_rows(measures):
+        table.add_row(*row)
     console.print(table)
     publish("speed", "make bench", make_lines(measures))
+
+
+def list_rows(measures: list[Measure]) -> list[list[str]]:
+    """Return the cells of each measure."""
+    return [
+        [each.name, each.over, f"{each.ratio:.2f}", each.goal, "met" if each.met else "missed"] for each in measures
+    ]
 
 
 def make_lines(measures: list[Measure]) -> list[str]:
@@ -56,13 +69,10 @@ def make_lines(measures: list[Measure]) -> list[str]:
             "noisy: read ratios, not seconds."
         ),
         "",
-        "| what | against | ratio | goal | |",
-        "|---|---|---|---|---|",
+        *write_table(["what", "against", "ratio", "goal", ""], list_rows(measures)),
+        "",
+        "### What limits each measure",
     ]
-    for measure in measures:
-        met = "met" if measure.met else "missed"
-        lines.append(f"| {measure.name} | {measure.over} | {measure.ratio:.2f} | {measure.goal} | {met} |")
-    lines += ["", "### What limits each measure"]
     for measure in measures:
         figures = ", ".join(f"{name} {value:,.3g}" for name, value in measure.figures.items())
         figures = figures.replace("e+05", "e5").replace("e+06", "e6")

@@ -30,7 +30,7 @@ from socast.core.models import ANY
 from socast.core.pipeline import Pipeline
 from socast.core.stats.clustered import compute_clustered_share
 from socast.core.vehicles import load_catalogue
-from socast.tools.bench.figures.published import publish
+from socast.tools.bench.figures.published import publish, write_table
 from socast.tools.bench.nothing_hidden import parse_seeds
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.physics import ROTATING
@@ -97,9 +97,8 @@ def main(arguments: list[str] | None = None) -> int:
         table.add_row(*row)
     Console().print(table)
     if options.publish:
-        lines = [ABOUT, "", f"| {' | '.join(HEADS)} |", f"|---|{'---|' * (len(HEADS) - 1)}"]
-        lines += [f"| {' | '.join(row)} |" for row in rows]
-        publish("coefficients", f"python -m socast.tools.bench.coefficients --seeds {options.seeds}", lines)
+        command = f"python -m socast.tools.bench.coefficients --seeds {options.seeds}"
+        publish("coefficients", command, [ABOUT, "", *write_table(HEADS, rows)])
     if options.json:
         content = {"recipe": RECIPE, "estimates": [each._asdict() for each in estimates]}
         options.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -32,7 +32,7 @@ from socast.core.wire.messages import Message
 from socast.stream.elevation_files import read_places, write_places
 from socast.stream.elevation_tiles import SRTM_VOID, TILE_SD
 from socast.stream.loop import feed
-from socast.tools.bench.figures.published import publish
+from socast.tools.bench.figures.published import publish, write_table
 from socast.tools.bench.measures import cut_blocks
 from socast.tools.commands.evaluate_soc import SocForecasts
 from socast.tools.simulator.fleet import simulate
@@ -200,29 +200,26 @@ def measure_fleet(seed: int, keep: Path | None = None, say: Callable[[str], None
 def make_lines(results: dict[int, dict[str, Any]]) -> list[str]:
     """Return the tables of all fleets as Markdown."""
     kinds = [f"{name}, {way}" for name in MAPS for way in WAYS]
-    lines = [f"| seed | {' | '.join(kinds)} |", "|---" * (len(kinds) + 1) + "|"]
-    for seed, figures in results.items():
-        errors = " | ".join(f"{figures[kind]['climb_m']:.2f}" for kind in kinds)
-        lines.append(f"| {seed} | {errors} |")
 
     def mean(kind: str, name: str) -> float:
         return float(np.mean([figures[kind][name] for figures in results.values()]))
 
     causal = mean(kinds[0], "climb_m")
-    lines += [
-        "",
-        "| elevation | climb error [m] | change | of all cars [m] | gained height | MAE [kWh] |",
-        "|---" * 6 + "|",
-    ]
+    seeds = [[str(seed), *(f"{each[kind]['climb_m']:.2f}" for kind in kinds)] for seed, each in results.items()]
+    rows = []
     for kind in kinds:
         climb = mean(kind, "climb_m")
         change = f"{100.0 * (climb / causal - 1.0):+.0f} %"
         gained = f"{100.0 * (mean(kind, 'gained') - 1.0):+.1f} %"
         every = f"{mean(kind, 'climb_all_m'):.2f}"
-        lines.append(f"| {kind} | {climb:.2f} | {change} | {every} | {gained} | {mean(kind, 'mae_kwh'):.4f} |")
-    lines += ["", "| forecasts | MAE of the charge [points] |", "|---|---|"]
-    lines += [f"| {name} | {mean('soc_mae_pct', name):.2f} |" for name in (MAPS[0], MAPS[-1])]
-    return lines
+        rows.append([kind, f"{climb:.2f}", change, every, gained, f"{mean(kind, 'mae_kwh'):.4f}"])
+    forecasts = [[name, f"{mean('soc_mae_pct', name):.2f}"] for name in (MAPS[0], MAPS[-1])]
+    heads = ["elevation", "climb error [m]", "change", "of all cars [m]", "gained height", "MAE [kWh]"]
+    return [
+        *(*write_table(["seed", *kinds], seeds), ""),
+        *(*write_table(heads, rows), ""),
+        *write_table(["forecasts", "MAE of the charge [points]"], forecasts),
+    ]
 
 
 def main(arguments: Iterable[str] | None = None) -> None:

@@ -1,6 +1,8 @@
-"""Measure replay, the steps over arrays and the scale of the fleet, and time actions in turn."""
+"""Measure replay, the steps over arrays, the scale of the fleet and the start of commands; time actions in turn."""
 
 import gc
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -22,6 +24,10 @@ from socast.stream.loop import feed
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
 from socast.tools.bench.fleet import make_rounds, make_vehicles
+
+BARE = ("-c", "pass")
+"""What the interpreter is started with for comparison."""
+REPEATS = 7
 
 
 @dataclass(frozen=True)
@@ -192,3 +198,43 @@ def measure_scale(repeats: int = 3, few: int = 1000, many: int = 1_000_000) -> M
         "million cars (2 GB) does not, so every sample waits for the state of its car. That state is "
         "contiguous in memory, so a sample waits only a few times.",
     )
+
+
+def measure_help_start() -> Measure:
+    """Measure `socast --help`."""
+    return _start("--help", 15.0, "Half of it is typer and the rest the standard library; no command is imported.")
+
+
+def measure_version_start() -> Measure:
+    """Measure `socast --version`."""
+    return _start("--version", 15.0, "As for --help; reading the version takes 20 ms of `importlib.metadata`.")
+
+
+def measure_effects_start() -> Measure:
+    """Measure `socast effects list`."""
+    return _start("effects list", 50.0, "A third is importing numpy, a fifth typer with its validation, a tenth rich.")
+
+
+def _start(words: str, goal: float, bound: str) -> Measure:
+    """Measure a command that prints and ends, against `python -c pass`."""
+    command = ("-m", "socast.tools.cli", *words.split())
+    for arguments in (BARE, command):
+        _run(*arguments)  # the first run compiles modules to byte code
+    bare_s, command_s = alternate_timings(
+        lambda: time_action(lambda: _run(*BARE)), lambda: time_action(lambda: _run(*command)), REPEATS
+    )
+    ratio = command_s / bare_s
+    return Measure(
+        f"start of socast {words}",
+        "python -c pass",
+        ratio,
+        f"<= {goal:g}",
+        ratio <= goal,
+        {"command_s": command_s, "python_s": bare_s},
+        bound,
+    )
+
+
+def _run(*arguments: str) -> None:
+    """Run the interpreter to its end, without its output."""
+    subprocess.run([sys.executable, *arguments], stdout=subprocess.DEVNULL, check=True)  # noqa: S603 - our own command

@@ -24,7 +24,7 @@ from rich.console import Console
 from socast.core.diagnose.add.terms import name_scoped
 from socast.core.errors import SettingsError, SocastError
 from socast.core.models.features import list_scope
-from socast.tools.bench.figures.published import publish
+from socast.tools.bench.figures.published import publish, write_table
 from socast.tools.terminal.rich_table import Column, make_table
 
 ROOT: Final = Path(__file__).resolve().parent.parent.parent
@@ -218,25 +218,27 @@ def make_lines(measured: Mapping[str, Sequence[Fleet]], description: str) -> lis
     names = ", ".join(f"{sum(len(each.named) for each in fleets)} by `{tree}`" for tree, fleets in measured.items())
     count = len(next(iter(measured.values())))
     summaries = {tree: {row.effect: row for row in summarise_effects(fleets)} for tree, fleets in measured.items()}
-    lines = [
+    rows = [
+        [
+            effect,
+            *(
+                f"{row.median:.1f} ({row.least:.1f} to {row.most:.1f}){f', named in {row.named}' if row.named else ''}"
+                if (row := of_tree.get(effect))
+                else "–"
+                for of_tree in summaries.values()
+            ),
+        ]
+        for effect in dict.fromkeys(effect for of_tree in summaries.values() for effect in of_tree)
+    ]
+    return [
         (
             f"{count} simulated fleets without a hidden effect (`{description}`), each diagnosed by the source trees "
             f"in the heads of the columns. False names in all fleets together: {names}. The table shows the z of each "
             "candidate beside the base: median (least to largest) over the fleets in which it can be identified."
         ),
         "",
-        f"| effect | {' | '.join(measured)} |",
-        f"|---|{'---|' * len(measured)}",
+        *write_table(["effect", *measured], rows),
     ]
-    for effect in dict.fromkeys(effect for rows in summaries.values() for effect in rows):
-        cells = [
-            f"{row.median:.1f} ({row.least:.1f} to {row.most:.1f}){f', named in {row.named}' if row.named else ''}"
-            if (row := rows.get(effect))
-            else "–"
-            for rows in summaries.values()
-        ]
-        lines.append(f"| {effect} | {' | '.join(cells)} |")
-    return lines
 
 
 if __name__ == "__main__":

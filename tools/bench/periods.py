@@ -18,7 +18,7 @@ import pandas as pd
 from socast.core.fit.recipes import get_recipe
 from socast.core.wire.messages import Message
 from socast.tools.bench.elevation import RECIPE, measure_forecasts, tabulate
-from socast.tools.bench.figures.published import publish
+from socast.tools.bench.figures.published import publish, write_table
 from socast.tools.simulator.conditions import Conditions
 from socast.tools.simulator.fleet import simulate
 from socast.tools.simulator.settings import NIGHT, Simulation
@@ -93,18 +93,14 @@ def measure_periods(seed: int, periods: Sequence[float], days: int = DAYS) -> di
 
 def make_lines(results: dict[str, list[dict[str, Any]]]) -> list[str]:
     """Return the table of all periods as Markdown."""
-    lines = [
-        "| period | distance | energy by V·I | measured energy | error over sd | by SOC | prediction | end of shift |",
-        "|---" * 8 + "|",
-    ]
+    heads = ("period", "distance", "energy by V·I", "measured energy", "error over sd", "by SOC", "prediction")
+    rows = []
     for name, figures in results.items():
         mean = {key: float(np.mean([each[key] for each in figures])) for key in figures[0]}
-        errors = " | ".join(f"{100.0 * mean[key]:.1f} %" for key in ("distance", "vi", "measured"))
-        lines.append(
-            f"| {name} | {errors} | {mean['sds']:.2f} | {100.0 * mean['by_soc']:.0f} % "
-            f"| {100.0 * mean['predicted']:.1f} % | {mean['soc_mae_pct']:.2f} points |"
-        )
-    return lines
+        errors = [f"{100.0 * mean[key]:.1f} %" for key in ("distance", "vi", "measured")]
+        shares = [f"{100.0 * mean['by_soc']:.0f} %", f"{100.0 * mean['predicted']:.1f} %"]
+        rows.append([name, *errors, f"{mean['sds']:.2f}", *shares, f"{mean['soc_mae_pct']:.2f} points"])
+    return write_table([*heads, "end of shift"], rows)
 
 
 def main(arguments: Iterable[str] | None = None) -> None:

@@ -12,7 +12,7 @@ import json
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,16 +21,18 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from socast.core.diagnose.dataset import gather_windows
+from socast.core.diagnose.deviation_words import MONTH
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.diagnose.siblings.deviations import MONTH, diagnose_deviations
+from socast.core.diagnose.siblings.deviations import diagnose_deviations
 from socast.core.errors import SettingsError
 from socast.core.fit.recipes import fit_to_windows
 from socast.core.records import to_json_values
 from socast.core.stats.clustered import compute_wilson_interval
 from socast.tools.bench.error_location import format_share
-from socast.tools.bench.figures.published import publish
+from socast.tools.bench.figures.published import publish, write_table
 from socast.tools.bench.hidden.cases import BARE, Case, SeedData, get_right_names
-from socast.tools.bench.hidden.drives import FLEET, Scope
+from socast.tools.bench.hidden.drives import FLEET, Scope, get_midnight
+from socast.tools.bench.hidden.grading import Record
 from socast.tools.bench.hidden.parts import ABSORBED
 from socast.tools.bench.nothing_hidden import parse_seeds
 from socast.tools.simulator.hidden import EFFECTS
@@ -63,7 +65,6 @@ ABOUT: Final = (
     "every eighth day, each on another day."
 )
 """What the table shows."""
-Record = dict[str, Any]
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -174,7 +175,7 @@ def grade(case: Case, found: Sequence[Mapping[str, Any]], starts: Sequence[float
     if where.since is not None:
         low, high = mine[0]["since_ci90"]
         out["date in its set"] = low <= where.since <= high
-        true, said = _read_time(where.since), _read_time(mine[0]["since"])
+        true, said = get_midnight(where.since), get_midnight(mine[0]["since"])
         out["within a week"] = abs(said - true) <= 7 * 86_400.0
         between = [start for start in starts if min(said, true) <= start < max(said, true)]
         cars = {"car": FLEET.vehicles, "group": FLEET.vehicles / GROUP, "all": 1}[of]
@@ -197,11 +198,6 @@ def _is_rate_right(case: Case, one: Mapping[str, Any]) -> bool:
     return rate is not None and abs(rate / _get_rate(case) - 1.0) <= 1.0 / 3.0
 
 
-def _read_time(day: str) -> float:
-    """Return the Unix time of midnight UTC of an ISO date. [s]"""
-    return datetime.fromisoformat(day).replace(tzinfo=UTC).timestamp()
-
-
 def _shorten(one: Mapping[str, Any]) -> Record:
     """Return the parts of a deviation that are kept."""
     kept = ("who", "of", "kind", "effect", "q", "z", "since", "since_ci90", "share", "share_ci95")
@@ -212,7 +208,7 @@ def _shorten(one: Mapping[str, Any]) -> Record:
 
 def tabulate(records: Sequence[Record]) -> list[str]:
     """Return the lines of a table: the share of each right statement with its 95 % interval, and its goal."""
-    lines = ["| hidden | statement | data sets | share (95 %) | goal |", "|---|---|---|---|---|"]
+    rows = []
     for part, goals in GOALS.items():
         mine = [record for record in records if record["part"] == part]
         values: dict[str, list[bool]] = defaultdict(list)
@@ -226,8 +222,8 @@ def tabulate(records: Sequence[Record]) -> list[str]:
             share = float(np.mean(marks))
             low, high = compute_wilson_interval(share, len(marks))
             goal = f"at least {goals[name]:.2f}" if name in goals else "at most 0.05" if name == "false car" else ""
-            lines.append(f"| {part} | {name} | {len(marks)} | {share:.2f} ({low:.2f} to {high:.2f}) | {goal} |")
-    return lines
+            rows.append([part, name, str(len(marks)), f"{share:.2f} ({low:.2f} to {high:.2f})", goal])
+    return write_table(["hidden", "statement", "data sets", "share (95 %)", "goal"], rows)
 
 
 def list_values(records: Sequence[Record]) -> dict[str, str]:

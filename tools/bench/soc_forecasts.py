@@ -29,6 +29,7 @@ from socast.core.wire.messages import Message
 from socast.stream.loop import run
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
+from socast.tools.bench.figures.published import write_table
 from socast.tools.bench.nothing_hidden import parse_seeds
 from socast.tools.bench.soc_goals import COMPARED, Judged, Line, check_goals
 from socast.tools.commands.evaluate_soc import SocForecasts
@@ -165,8 +166,8 @@ def judge(
 
 def tabulate(lines: list[Line]) -> list[str]:
     """Return a Markdown table of lines."""
-    rows = [f"| {line.fleet} | {line.what} | {line.goal} | {line.measured} | {line.verdict} |" for line in lines]
-    return ["| fleet | what | goal | measured | |", "|---|---|---|---|---|", *rows]
+    rows = [(line.fleet, line.what, line.goal, line.measured, line.verdict) for line in lines]
+    return write_table(["fleet", "what", "goal", "measured", ""], rows)
 
 
 if __name__ == "__main__":

@@ -16,8 +16,9 @@ from typing import Any, Final, NamedTuple
 
 from socast.core.wire.messages import IDENTITY, Message, Telemetry, encode
 from socast.tools.bridge.signals import FIX, FLAGS
+from socast.tools.importers.drive import DECIMALS
 from socast.tools.importers.table.column_map import NOMINAL_VOLTAGE
-from socast.tools.importers.table.row_messages import DECIMALS_OF_TABLES, introduce_vehicle
+from socast.tools.importers.table.row_messages import introduce_vehicle
 from socast.tools.importers.table.sampling import find_holds
 from socast.tools.importers.table.units import POWER
 
@@ -304,4 +305,4 @@ def _round(name: str, number: float) -> float | int | bool:
         return number > 0
     if name == "occupants":
         return max(0, round(number))
-    return round(number, DECIMALS_OF_TABLES[name]) + 0.0
+    return round(number, DECIMALS[name]) + 0.0

@@ -44,7 +44,7 @@ LEAST_ROWS: Final = 20_000
 """Number of samples that pass through the pipeline at a time."""
 END: Final = 1 << 62
 """Place of what closes at the end of the recordings."""
-_MOST: Final = Limits(vehicles=BOUNDS_OF_LIMITS["vehicles"][1], vehicle_models=BOUNDS_OF_LIMITS["vehicle_models"][1])
+MOST: Final = Limits(vehicles=BOUNDS_OF_LIMITS["vehicles"][1], vehicle_models=BOUNDS_OF_LIMITS["vehicle_models"][1])
 _KIND: Final = EDGES.index("kind")
 
 
@@ -159,7 +159,7 @@ class _PartPipeline(Pipeline):
             keep_tables=False,
             two_sided=True,
             elevation_map=elevation_map,
-            limits=_MOST,
+            limits=MOST,
         )
         displays: Any = _WaitingDisplays(self.decoder.rides, take)
         self.totals.displays, self.totals.counters = displays, _SampleCounters()

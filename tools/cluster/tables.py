@@ -6,16 +6,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
+import numpy as np
+
 from socast.core.cleaning.quality import CAUSES
+from socast.core.pipeline import Pipeline
+from socast.core.totals.context import RunContext
+from socast.core.totals.display_record import DISPLAY_YIELD
 from socast.core.totals.logger_faults import LoggerFaults, add_faults
+from socast.core.totals.run_counters import RunCounters
+from socast.core.totals.tables import tabulate_rides, tabulate_windows
 from socast.stream.mcap_reader import McapSource
-from socast.tools.cluster.cleaning import PartCounts, clean_part
+from socast.tools.cluster.cleaning import MOST, PartCounts, clean_part, count_columns, read_totals
 from socast.tools.cluster.decoding import SPAN_BYTES, Span, decode_span, plan_spans
-from socast.tools.cluster.displays import learn_displays
-from socast.tools.cluster.job import Job
-from socast.tools.cluster.ordering import Ordering
+from socast.tools.cluster.displays import Slice, learn_displays
+from socast.tools.cluster.job import Job, load_surroundings, read_rows, read_text
+from socast.tools.cluster.ordering import Ordering, Shared
 from socast.tools.cluster.runner import Runner
-from socast.tools.cluster.writing import make_context, write_slice
+from socast.tools.terminal.table_files import ParquetTable
 
 ROWS: Final = {"rides": 20_000, "windows": 50_000}
 """Number of rows of a file of each table."""
@@ -167,3 +175,50 @@ def _count_fixes(parts: Sequence[PartCounts]) -> dict[str, Any]:
         tiles.update(each["outside_by_tile"])
     whole = {name: sum(each[name] for each in known) for name in ("fixes", "outside")}
     return {"elevation_map": whole | {"outside_by_tile": dict(sorted(tiles.items()))}}
+
+
+def make_context(job: Job) -> tuple[RunContext, int]:
+    """Return the context of a run, and the number of amounts of its totals."""
+    model, _ = load_surroundings(job)
+    pipeline = Pipeline(model, job.settings, also=job.wanted, keep_forecasts=False, limits=MOST)
+    shared = msgspec.msgpack.decode(job.of_run("shared").read_bytes(), type=Shared)
+    pipeline.lanes.load(shared.vehicles)
+    pipeline.cars.load([[msgspec.to_builtins(kind) for kind in shared.kinds], [0] * len(shared.vehicles), {}])
+    return pipeline.context, pipeline.totals.accumulator.width
+
+
+def write_slice(job: Job, out: Path, piece: Slice) -> tuple[int, Counter[str], Counter[str], LoggerFaults]:
+    """Write a file of a table.
+
+    Returns
+    -------
+    unfit, unpredicted : Counter of str
+        Rides by why they are unfit for training, and by why they are not predicted; empty for windows.
+    """
+    context, width = make_context(job)
+    columns = count_columns(width)
+    stored = [
+        read_rows(job.of_part(part, piece.name), columns, start, stop)
+        for part, (start, stop) in enumerate(piece.of_parts)
+        if stop > start
+    ]
+    rows = np.concatenate([np.empty((0, columns)), *stored])
+    del stored
+    rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+    size = DISPLAY_YIELD.itemsize
+    display = np.fromfile(
+        job.of_run(f"{piece.name}.displays"), DISPLAY_YIELD, piece.stop - piece.start, offset=piece.start * size
+    )
+    totals = read_totals(rows, width)._replace(display=display)
+    counters = RunCounters()
+    if piece.name == "rides":
+        counters.count_rides(totals, context)
+        names, drivers = (
+            read_text(job.of_run("names"), name, piece.start, piece.stop) for name in ("ride_id", "driver_id")
+        )
+        table = tabulate_rides(totals, names, drivers, context)
+    else:
+        table = tabulate_windows(totals, context)
+    with ParquetTable(out) as file:
+        file.append(table)
+    return len(table), counters.unfit, counters.unpredicted, counters.faults

@@ -1,5 +1,7 @@
 """Open workers for a command: scratch files, progress in the terminal, and a report of what ran where."""
 
+import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
@@ -8,7 +10,6 @@ from typing import Any, NamedTuple
 
 from socast.tools.cluster.dask_runner import ClusterPlace, open_runner
 from socast.tools.cluster.runner import InProcessRunner, Runner, TaskRecord
-from socast.tools.cluster.task_files import make_scratch
 from socast.tools.terminal.cluster_option import show_stages
 from socast.tools.terminal.output import write_json
 
@@ -69,3 +70,13 @@ def describe_tasks(runner: Runner) -> dict[str, Any]:
         "processes": processes,
         "tasks": [asdict(record) for record in runner.records],
     }
+
+
+@contextmanager
+def make_scratch(folder: Path) -> Iterator[Path]:
+    """Yield a new folder in another one for intermediate files, which only this user can read."""
+    scratch = Path(tempfile.mkdtemp(prefix=".scratch-", dir=folder)).resolve()
+    try:
+        yield scratch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)

@@ -24,11 +24,12 @@ from socast.stream.zenoh_session import Connection, Node
 from socast.stream.zenoh_sink import LatestOnlySink, ZenohSink
 from socast.stream.zenoh_source import ZenohSource
 from socast.tools.commands.info import describe_recording
-from socast.tools.terminal.demo_alarms import AlarmWatch, read_findings
 from socast.tools.terminal.demo_verdict import (
+    AlarmWatch,
     compute_errors_pct,
     list_next_commands,
     make_car_records,
+    read_findings,
     show_cars,
     show_end,
     write_verdict,

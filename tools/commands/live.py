@@ -10,11 +10,11 @@ from socast.core.settings import Limits
 from socast.core.wire.shard import By, parse_shard
 from socast.stream.loop import REPORT_S
 from socast.stream.structured_log import log_lines
-from socast.stream.zenoh_session import Connection
-from socast.tools.terminal.connection_options import insert_connection_options
+from socast.stream.zenoh_session import LOOPBACK, Connection, Mode
 from socast.tools.terminal.forecast_options import ForecastOptions, insert_forecast_options
 from socast.tools.terminal.limit_options import insert_limit_options
 from socast.tools.terminal.live_service import LiveOptions, serve
+from socast.tools.terminal.option_groups import insert_options
 from socast.tools.terminal.output import make_console
 from socast.tools.terminal.recording_options import RecordingOptions, insert_recording_options
 from socast.tools.terminal.settings_file import SettingsFile
@@ -22,6 +22,33 @@ from socast.tools.terminal.time_zone import TimeZone, find_zone
 
 MONITORING, SEVERAL = "Monitoring", "Several consumers"
 """Titles of options in the help text."""
+
+
+def make_connection(
+    *,
+    connect: Annotated[
+        list[str] | None, typer.Option(metavar="E", help="Join the router at E, such as tcp/10.0.0.5:7447; repeatable.")
+    ] = None,
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(metavar="E", help=f"Listen at E; repeatable. [default: {LOOPBACK} without --connect]"),
+    ] = None,
+    mode: Annotated[
+        Mode | None,
+        typer.Option(metavar="MODE", help="client, peer or router. [default: client with --connect, else router]"),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="F.json5", help="Read Zenoh's own configuration: TLS, access control and the rest."),
+    ] = None,
+    recovery: Annotated[bool, typer.Option(help="Request missed samples from the publishers.")] = True,
+) -> Connection:
+    """Return the connection that the options describe, without a prefix."""
+    return Connection(tuple(connect or ()), tuple(listen or ()), mode, config=config, recovery=recovery)
+
+
+insert_connection_options = insert_options("connection", make_connection, "Connection")
+"""Decorator that gives a command the options of a connection in place of its argument `connection`."""
 
 
 @insert_recording_options

@@ -3,15 +3,14 @@
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import tzinfo
 from operator import attrgetter
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
 
-from socast.core.batch import Floats
+from socast.core.batch import Floats, Ints
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.wire.messages import Message, Plan, Ride, Telemetry, Vehicle, Weather, encode
-from socast.tools.importers.resample import compute_window_means, find_valid_rows, make_grid
 
 LONGEST_DRIVE: Final = SECONDS_PER_DAY
 """A file with a longer drive holds something else. [s]"""
@@ -27,6 +26,7 @@ DECIMALS: Final = {
     "latitude_deg": 7,
     "longitude_deg": 7,
     "elevation_m": 2,
+    "odometer_km": 4,
     "speed_kmh": 3,
     "soc_pct": 4,
     "battery_voltage_v": 3,
@@ -36,6 +36,88 @@ DECIMALS: Final = {
     "hvac_w": 1,
 }
 """Decimal places of each field of a sample: finer than any of the sensors."""
+
+LONGEST_HOLD = 30.0
+"""A row is valid until the next one. If the next one is later than this, the time between is a gap. [s]"""
+
+
+def make_grid(duration: float, period: float) -> Floats:
+    """Return evenly spaced sample times from 0 to `duration`, both included.
+
+    Units: duration [s], period [s].
+
+    Returns
+    -------
+    (m,) float64
+        Times of the samples. The spacing is the one nearest to `period` that divides `duration`, so that the samples
+        cover the whole drive. [s]
+
+    Examples
+    --------
+    >>> make_grid(10.0, 3.0).tolist()
+    [0.0, 3.3333333333333335, 6.666666666666667, 10.0]
+    >>> make_grid(0.0, 3.0).tolist()
+    [0.0]
+    """
+    if duration <= 0:
+        return np.zeros(1)
+    return np.linspace(0.0, duration, max(1, round(duration / period)) + 1)
+
+
+def find_valid_rows(times: Floats, at: Floats, longest_hold: float = LONGEST_HOLD) -> Ints:
+    """Return for each moment the index of the row that is valid then, or -1 in a gap.
+
+    Units: times [s], at [s], longest_hold [s].
+
+    Examples
+    --------
+    >>> find_valid_rows(np.array([0.0, 1.0, 100.0]), np.array([0.5, 1.0, 50.0, 100.0])).tolist()
+    [0, 1, -1, 2]
+    """
+    rows = np.searchsorted(times, at, side="right") - 1
+    until_next = np.append(np.diff(times), 0.0)
+    unknown = (rows < 0) | ((until_next[rows] > longest_hold) & (at > times[rows]))
+    return np.where(unknown, -1, rows)
+
+
+def compute_window_means(
+    times: Floats, values: Floats, at: Floats, width: float, longest_hold: float = LONGEST_HOLD
+) -> Floats:
+    """Return the means of a quantity over windows centred on `at`; each row is valid until the next row.
+
+    Units: times [s], at [s], width [s], longest_hold [s].
+
+    Parameters
+    ----------
+    values : (n,) float64
+        Value of each row, NaN if unknown.
+
+    Returns
+    -------
+    (m,) float64
+        Mean over the known part of each window, the value itself if the window has no width, NaN if nothing is known.
+
+    Notes
+    -----
+    If `at` is spaced by `width` from the first row to the last, the trapezoid rule over the means equals the integral
+    of the rows. Each inner mean covers its whole window; the first and the last cover the half that lies inside.
+
+    Examples
+    --------
+    >>> means = compute_window_means(np.arange(4.0), np.array([2.0, 4.0, 4.0, 0.0]), np.array([0.0, 1.5, 3.0]), 1.5)
+    >>> means.round(3).tolist()
+    [2.0, 3.667, 4.0]
+    """
+    step = np.diff(times)
+    held = np.where(np.isfinite(values[:-1]) & (step <= longest_hold), step, 0.0)
+    integral = np.concatenate(([0.0], np.cumsum(np.where(held > 0, values[:-1], 0.0) * held)))
+    known = np.concatenate(([0.0], np.cumsum(held)))
+    low, high = at - width / 2, at + width / 2
+    span = np.interp(high, times, known) - np.interp(low, times, known)
+    total = np.interp(high, times, integral) - np.interp(low, times, integral)
+    rows = find_valid_rows(times, at, longest_hold)
+    instant = np.where(rows >= 0, values[rows], np.nan) if len(times) == 1 else np.full(len(at), np.nan)
+    return np.divide(total, span, out=instant, where=span > 1e-9)
 
 
 class ReadOptions(NamedTuple):
@@ -139,7 +221,7 @@ def make_samples(drive: Drive, period: float) -> list[Telemetry]:
         columns["battery_voltage_v"] = voltage
         columns["battery_current_a"] = np.divide(power, voltage, out=np.full_like(power, np.nan), where=voltage > 0)
     stamps = np.round(drive.start + offsets, 3).tolist()
-    wire = [_to_json_numbers(name, column) for name, column in columns.items()]
+    wire = [to_json_numbers(name, column) for name, column in columns.items()]
     return [
         Telemetry(drive.vehicle_id, stamp, drive.ride_id, seq, **dict(zip(columns, values, strict=True)))
         for stamp, seq, *values in zip(stamps, logged.tolist(), *wire, strict=True)
@@ -193,8 +275,15 @@ def _postpone(drive: Drive, by: float) -> Drive:
     return move_drive(drive, by)._replace(notes=(*drive.notes, note))
 
 
-def _to_json_numbers(name: str, column: Floats) -> list[float | None]:
-    """Return a column as JSON holds it: rounded, None if unknown."""
+def to_json_numbers(name: str, column: Floats) -> list[Any]:
+    """Return a column as JSON holds it: rounded, whole numbers of occupants, and truth of charging; None if unknown."""
     known = np.isfinite(column)
-    rounded = np.round(np.where(known, column, 0.0), DECIMALS[name]) + 0.0  # no -0.0
-    return [value if there else None for value, there in zip(rounded.tolist(), known.tolist(), strict=True)]
+    filled = np.where(known, column, 0.0)
+    if name in {"charging", "occupants"}:
+        known &= filled >= 0
+        typed = (filled > 0).tolist() if name == "charging" else np.round(np.maximum(filled, 0)).astype("i8").tolist()
+    else:
+        typed = (np.round(filled, DECIMALS[name]) + 0.0).tolist()  # no -0.0
+    if known.all():
+        return list(typed)
+    return [value if there else None for value, there in zip(typed, known.tolist(), strict=True)]

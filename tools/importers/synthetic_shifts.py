@@ -15,8 +15,7 @@ import numpy as np
 from socast.core.batch import Floats
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.wire.messages import Leg, Message, Plan
-from socast.tools.importers.drive import Drive, make_message, move_drive
-from socast.tools.importers.resample import LONGEST_HOLD
+from socast.tools.importers.drive import LONGEST_HOLD, Drive, make_message, move_drive
 
 PAUSE: Final = 300.0
 """Time between two rides of a shift. [s]"""

@@ -2,6 +2,7 @@
 
 import logging
 import sys
+import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -12,6 +13,7 @@ from typing import Final
 
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.errors import SettingsError
+from socast.core.formatting import format_time
 from socast.core.models import LinearModel
 from socast.core.pipeline import Pipeline
 from socast.core.settings import LIVE_KEY_RATE, Limits
@@ -28,7 +30,7 @@ from socast.stream.service_snapshot import SnapshotTaker
 from socast.stream.shard_rows import ShardSource
 from socast.stream.source import Sink
 from socast.stream.state_file import StateFile
-from socast.stream.structured_log import event_fields
+from socast.stream.structured_log import event_fields, flatten_counts
 from socast.stream.zenoh_overlap import OverlapWatch
 from socast.stream.zenoh_queryable import ZenohQueryable
 from socast.stream.zenoh_receiver import shares_batches
@@ -39,15 +41,64 @@ from socast.stream.zenoh_standby import LEASE_S, FencedSink, Standby, StandbyQue
 from socast.tools.terminal.forecast_options import ForecastOptions, describe_forecasts, make_pipeline
 from socast.tools.terminal.kernels import compile_kernels
 from socast.tools.terminal.limit_options import LimitLog
-from socast.tools.terminal.live_table import LiveTable
-from socast.tools.terminal.model_comparison import advise_fit, load_models
+from socast.tools.terminal.live_table import LiveTable, add_predictions, make_ride_records
+from socast.tools.terminal.model_comparison import advise_fit, load_models, make_log_fields
 from socast.tools.terminal.night_watch import check_watch, make_nightly_diagnosis
 from socast.tools.terminal.recording_options import RecordingOptions
-from socast.tools.terminal.ride_log import RideLog
 
 UNCOUNTED: Final = 2.0
 """Ratio to `--max-payload-bytes` above which Zenoh drops a payload, before the consumer could count it. [1]"""
 _log = logging.getLogger("socast.live")
+
+TAKE_S: Final = 1.0
+"""Time between two checks for rides that have ended. [s]"""
+
+
+class RideLog:
+    """Log the rides that have ended, as a watch of the loop; their totals do not pile up in the pipeline.
+
+    Parameters
+    ----------
+    clock : callable
+        Function that returns monotonic time. [s]
+    """
+
+    def __init__(self, pipeline: Pipeline, clock: Callable[[], float] = time.monotonic) -> None:
+        self._pipeline, self._clock = pipeline, clock
+        self._take_s = clock() + TAKE_S
+        self._verdicts = self._current_verdicts()
+
+    def __call__(self, _: object) -> None:
+        """Log rides and verdicts when they are due."""
+        if (now := self._clock()) >= self._take_s:
+            self._take_s = now + TAKE_S
+            self._log_rides()
+
+    def end(self) -> None:
+        """Log the last rides and the errors of the models."""
+        self._log_rides()
+        if self._pipeline.shadows:
+            for errors in self._pipeline.shadows.errors():
+                _log.info("model", extra=event_fields(**make_log_fields(errors)))
+
+    def _log_rides(self) -> None:
+        """Log the rides that have ended and the verdicts that have changed, and drop the windows."""
+        pipeline = self._pipeline
+        pipeline.take_windows()
+        for ride in make_ride_records(add_predictions(pipeline.take_rides(), pipeline.shadows)):
+            shadows = flatten_counts({"shadows_kwh": ride.pop("shadows_kwh", {})})
+            start = format_time(ride.pop("start_s"))
+            known = {name: value for name, value in ride.items() if value is not None}
+            _log.info("ride", extra=event_fields(start=start, **known, **shadows))
+        before, self._verdicts = self._verdicts, self._current_verdicts()
+        for errors in pipeline.shadows.errors():
+            if before[errors.model] != self._verdicts[errors.model]:
+                _log.info("verdict", extra=event_fields(**make_log_fields(errors)))
+
+    def _current_verdicts(self) -> dict[str, str]:
+        """Return the verdict on each model."""
+        errors = self._pipeline.shadows.errors()
+        return {model.model: model.overall.gain.verdict if model.overall.gain else "" for model in errors}
 
 
 @dataclass(frozen=True)

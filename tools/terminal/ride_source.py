@@ -33,7 +33,6 @@ from socast.tools.terminal.cleaning_options import insert_cleaning_options, word
 from socast.tools.terminal.elevation_option import ElevationFiles
 from socast.tools.terminal.option_groups import insert_options
 from socast.tools.terminal.output import EffectFiles, VehicleFiles
-from socast.tools.terminal.parquet_table import ParquetTable
 from socast.tools.terminal.recordings import (
     open_recordings,
     refuse_duplicates,
@@ -41,7 +40,7 @@ from socast.tools.terminal.recordings import (
     show_progress,
     warn_of_losses,
 )
-from socast.tools.terminal.table_files import KEY, PARQUET, is_table, is_window_table, join_parts, read
+from socast.tools.terminal.table_files import KEY, PARQUET, ParquetTable, is_table, is_window_table, join_parts, read
 from socast.tools.terminal.table_source import are_dated, complete_tables
 
 RIDES, WINDOWS = "rides.parquet", "windows.parquet"

@@ -72,7 +72,7 @@ def read_settings(file: Path, command: Any) -> tuple[dict[str, Any], dict[str, s
     values: dict[str, Any] = {}
     places: dict[str, str] = {}
     for key, value in settings.items():
-        place = f"{file}, line {_find_line(text, key)}"
+        place = f"{file}, line {find_line(text, key)}"
         if key not in options:
             raise SettingsError(f"{place}: {_refuse_name(key, value, list(options), command.name)}")
         name = options[key].name
@@ -118,11 +118,20 @@ def explain_toml(file: Path, content: bytes, error: Exception) -> str:
     return f"{file}, {place}: {wrong} is not TOML: {words}; write NAME = VALUE, each name once, and text in quotes"
 
 
-def _find_line(text: str, key: str) -> int:
-    """Return the number of the line that sets a key or begins a table of that name."""
-    name = rf"(?:{re.escape(key)}|\"{re.escape(key)}\"|'{re.escape(key)}')"
-    at = re.search(rf"^[ \t]*(?:\[+[ \t]*)?{name}[ \t]*[=.\]]", text, re.MULTILINE)
-    return text.count("\n", 0, at.start()) + 1 if at else 1
+def find_line(text: str, *keys: str) -> int:
+    r"""Return the number of the line that sets a key below tables, or of the last table on the way that is there.
+
+    Examples
+    --------
+    >>> find_line("[time]\ncolumn = 'a'\n[vehicle]\ncolumn = 'b'", "vehicle", "column")
+    4
+    """
+    at = 0
+    for key in keys:
+        name = rf"(?:{re.escape(key)}|\"{re.escape(key)}\"|'{re.escape(key)}')"
+        found = re.compile(rf"^[ \t]*(?:\[+[ \t]*[\w.\"']*)?{name}[ \t]*[=.\]]", re.MULTILINE).search(text, at)
+        at = found.start() if found else at
+    return text.count("\n", 0, at) + 1
 
 
 def _refuse_name(key: str, value: Any, names: list[str], command: str) -> str:

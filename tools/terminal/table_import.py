@@ -10,14 +10,14 @@ from socast.core.files import write_whole
 from socast.stream.mcap_format import RECORDING
 from socast.stream.recording_metadata import INVENTED
 from socast.tools.importers.table.column_map import FileFormat, parse_map, read_map
-from socast.tools.importers.table.conversion import convert_tables, open_tables
+from socast.tools.importers.table.conversion import convert_tables, open_readable, open_tables
 from socast.tools.importers.table.guess import guess_map
 from socast.tools.importers.table.import_summary import describe_missing, print_summary
 from socast.tools.importers.table.map_text import describe_preset, describe_unread, make_guess_table, write_map_text
 from socast.tools.importers.table.presets import Preset, get_preset
 from socast.tools.importers.table.sampling import Sampling, find_holds
 from socast.tools.importers.table.skipped_files import SkippedFiles
-from socast.tools.importers.table.table_file import KINDS, TableFile, list_tables, open_table
+from socast.tools.importers.table.table_file import KINDS, list_tables
 from socast.tools.importers.table.time_source import TimeSource
 from socast.tools.terminal.output import check_outputs, make_console
 
@@ -141,7 +141,7 @@ def _guess(kind: str, files: list[Path], options: TableImport, preset: Preset | 
         )
     check_outputs(files, map_file)
     skipped = SkippedFiles(options.skip_bad)
-    tables = _open_all(kind, files, skipped)
+    tables = open_readable(files, kind, FileFormat(), skipped)
     guessed = guess_map(tables, preset, skipped)._replace(vehicle_model=options.vehicle_model)
     content = write_map_text(guessed, tables[0]).encode()
     if line := describe_preset(guessed):
@@ -161,18 +161,6 @@ def _guess(kind: str, files: list[Path], options: TableImport, preset: Preset | 
         raise ImportFileError(f"{map_file} cannot be written: {error.strerror}; name another file") from error
     console.print(f"map in {map_file}: check it, then import with --map {map_file}", markup=False, soft_wrap=True)
     return content
-
-
-def _open_all(kind: str, files: list[Path], skipped: SkippedFiles) -> list[TableFile]:
-    """Return the form of each file that can be opened."""
-    tables = []
-    for file in files:
-        with skipped.skip(file):
-            tables.append(open_table(file, kind, FileFormat()))
-    if not tables:
-        lines = "; ".join(skipped.list_lines(len(files)))
-        raise ImportFileError(f"{files[0]}: none of the {len(files)} files given can be read ({lines})")
-    return tables
 
 
 def check_recording(out: Path) -> None:

@@ -9,7 +9,7 @@
 
 from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -19,7 +19,7 @@ from socast.core.batch import Floats, Ints
 from socast.core.columns import SECONDS_PER_DAY
 from socast.core.diagnose.add.terms import describe_coefficient
 from socast.core.diagnose.candidates import Candidates, build_candidates
-from socast.core.diagnose.deviation_words import has_certain_size
+from socast.core.diagnose.deviation_words import MONTH, rank_deviation
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.records import (
     CarDeviation,
@@ -37,6 +37,7 @@ from socast.core.diagnose.siblings.causes import (
     weigh_dates,
 )
 from socast.core.diagnose.siblings.groups import list_groups
+from socast.core.diagnose.siblings.scan import Scan
 from socast.core.diagnose.siblings.search import Question, Search, find_deviations, make_shift_weights
 from socast.core.diagnose.siblings.spread import SiblingBase, estimate_spread_without
 from socast.core.diagnose.siblings.sums import DIRECTIONS, Siblings, gather_siblings
@@ -44,9 +45,6 @@ from socast.core.models import LinearModel
 from socast.core.models.features import EFFECT_PREFIX, SINCE_SCOPE, VEHICLE_SCOPE
 from socast.core.records import make_interval
 from socast.core.stats.scores import Estimate
-
-MONTH: Final = 365.25 / 12.0
-"""Length of a month. [days]"""
 
 
 def diagnose_deviations(
@@ -58,7 +56,7 @@ def diagnose_deviations(
 ) -> Comparisons:
     """Return what distinguishes cars from their siblings, what changed, and all cars in order of their deviation.
 
-    Deviations whose interval of the size contains zero are last.
+    Those with an implausible cause follow the others, and those whose interval of the size contains zero are last.
 
     Units: known [kWh per unit].
     """
@@ -69,7 +67,7 @@ def diagnose_deviations(
     ways = list_groups(base.windows, groups, of_vehicle or {})
     found, first = find_deviations(groups, candidates.sign, ways)
     deviations = [_describe(question, search, candidates) for question, search in found]
-    return Comparisons(sorted(deviations, key=lambda one: not has_certain_size(one)), rank_cars(first, candidates.sign))
+    return Comparisons(sorted(deviations, key=rank_deviation), rank_cars(first, candidates.sign))
 
 
 def keep_declared_values(candidates: Candidates) -> Candidates:
@@ -124,15 +122,14 @@ def _describe(question: Question, search: Search, candidates: Candidates) -> Car
     scan = question.scan
     evidence = scan.compute_evidence(candidates.sign)
     causes = weigh_causes(scan, candidates.sign)
-    kept = select_credible_set(causes)
     dates = weigh_dates(scan, evidence, causes)
-    best = int(kept[0])
-    of_best = weigh_dates(scan, evidence[:, [best]], np.ones(1))
-    estimate, error = _mix(scan.estimate[:, best], scan.information[:, best], of_best)
+    declared = {i: effects.get(candidates.variants[i]) for i in select_credible_set(causes).tolist()}
+    coefficients = {i: _estimate_cause(scan, evidence, i) for i in declared}
+    plausible = {i: describe_coefficient(declared[i], coefficients[i]).plausible for i in declared}
+    kept = sorted(declared, key=lambda i: not plausible[i])
+    best = kept[0]
     place = int(np.searchsorted(np.cumsum(dates), 0.5))
-    unit = float(scan.unit[:, best] @ of_best)
-    coefficient = Estimate(unit * estimate, unit * error, np.inf)
-    effect = effects.get(candidates.variants[best])
+    coefficient, effect = coefficients[best], declared[best]
     columns = [f"{EFFECT_PREFIX}{candidates.variants[best]}"]
     since, range_of_since = None, None
     if question.of == "car":
@@ -153,9 +150,10 @@ def _describe(question: Question, search: Search, candidates: Candidates) -> Car
             CauseProbability(
                 effect=candidates.names[i],
                 probability=causes[i],
-                shown_by=effects.get(candidates.names[i]).shown_by,
+                shown_by=declared[i].shown_by,
+                plausible=plausible[i],
             )
-            for i in kept.tolist()
+            for i in kept
         ],
         q=question.q.min(),
         z=scan.z.ravel()[np.abs(scan.z).argmax()],
@@ -166,9 +164,18 @@ def _describe(question: Question, search: Search, candidates: Candidates) -> Car
         since=since,
         since_ci90=range_of_since,
         columns=columns,
+        days=_sum_scope(search.groups, question, best, place)[3],
         shifts=_list_shifts(question, search, best, place),
         **_compute_size(question, search, (causes, dates), evidence),
     )
+
+
+def _estimate_cause(scan: Scan, evidence: Floats, cause: int) -> Estimate:
+    """Return the coefficient that a cause would need, averaged over its dates."""
+    dates = weigh_dates(scan, evidence[:, [cause]], np.ones(1))
+    estimate, error = _mix(scan.estimate[:, cause], scan.information[:, cause], dates)
+    unit = float(scan.unit[:, cause] @ dates)
+    return Estimate(unit * estimate, unit * error, np.inf)
 
 
 def _mix(estimate: Floats, information: Floats, weight: Floats) -> tuple[float, float]:

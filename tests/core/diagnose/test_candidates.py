@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from socast.core import effects
-from socast.core.diagnose.candidates import LEAST_SHARE, build_candidates
+from socast.core.diagnose.candidates import LEAST_SHARE, NEVER_ACTS, NO_COLUMN, NO_SIGNAL, build_candidates
 from socast.core.effects import ROAD_LOAD
 from socast.core.fit.fitting import fit_terms
 from socast.core.fit.recipes import ROAD_LOAD_TERMS, LinearRecipe
@@ -63,7 +63,7 @@ def test_effects_of_model_are_candidates_within_scopes_only(diagnosed, variant):
     assert "cold_rolling" not in places.excluded
 
 
-def test_effects_that_are_hardly_known_or_never_act_are_not_in_data(diagnosed):
+def test_effects_without_column_signal_or_energy_are_excluded_for_this_reason(diagnosed):
     windows, model = diagnosed
     n = len(windows.measured)
     mostly = np.where(np.arange(n) < 0.6 * n, np.nan, 1.0)
@@ -71,7 +71,9 @@ def test_effects_that_are_hardly_known_or_never_act_are_not_in_data(diagnosed):
     table = table.assign(effect_headwind=np.nan, effect_age=mostly)
     table = table.assign(**{name: 0.0 for name in table if name.startswith("effect_night_lights")})
     candidates = build_candidates(replace(windows, table=table), model)
-    assert {candidates.excluded[name] for name in ("payload", "headwind", "night_lights", "age")} == {"not in the data"}
+    assert candidates.excluded["payload"] == NO_COLUMN
+    assert candidates.excluded["headwind"] == candidates.excluded["age"] == NO_SIGNAL
+    assert candidates.excluded["night_lights"] == NEVER_ACTS
     assert np.isfinite(candidates.columns).all()
 
 
@@ -113,4 +115,4 @@ def test_tables_without_effects_give_no_candidates(diagnosed):
     candidates = build_candidates(replace(windows, table=windows.table.drop(columns=gone)), model)
     assert candidates.names == candidates.variants == ()
     assert candidates.columns.shape == (len(windows.measured), 0)
-    assert set(candidates.excluded.values()) == {"not in the data"}
+    assert set(candidates.excluded.values()) == {NO_COLUMN}

@@ -21,7 +21,7 @@ from socast.core.diagnose.records import CarDeviation, Comparisons, DiagnosedMod
 from socast.core.diagnose.siblings.deviations import keep_declared_values
 from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError
-from socast.core.evaluate.compare.models import compare_predictions, select_rides
+from socast.core.evaluate.compare.models import compare_predictions, compute_errors_by_condition, select_rides
 from socast.core.fit.recipes import fit_to_windows, make_term
 from socast.core.models.features import list_raw_columns
 from socast.tools.bench.hidden import cases
@@ -222,6 +222,21 @@ def test_error_of_a_ride_is_the_one_that_a_comparison_states(small):
     assert error.mae_kwh == pytest.approx(compared.mae_kwh.value)
     assert error.relative == pytest.approx(compared.relative)
     assert error.bias_kwh == pytest.approx(compared.bias_kwh.value)
+
+
+def test_bins_that_compare_marks_are_those_of_the_diagnosis(small):
+    (rides, windows), model = small
+    warm = set(rides.loc[rides["ambient_c"] > rides["ambient_c"].median(), "ride_key"])
+    rides, windows = (
+        table.assign(energy_kwh=table["energy_kwh"] * np.where(table["ride_key"].isin(warm), 0.8, 1.0))
+        for table in (rides, windows)
+    )
+    compared = select_rides(rides, {"model": model})
+    by = compute_errors_by_condition(compared, compared.predicted["model"])
+    marked = {(name, one.bin) for name, bins in by.items() for one in bins if one.is_significant and one.n < len(rides)}
+    found = diagnose(rides, windows, model, leave_out=(), places=False).biased_bins
+    assert marked
+    assert {(one.condition, one.bin) for one in found} == marked
 
 
 @pytest.mark.parametrize("dated", [True, False])

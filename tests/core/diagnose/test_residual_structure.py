@@ -108,9 +108,11 @@ def test_strongest_shape_is_off_model_and_selected_effects(rng):
     shape, q, gain = shapes.find_strongest(nothing, noise + 20.0 * named[:, 0])
     assert "occupants" in shape
     assert q < 1e-4
-    assert 0.04 < gain < 400.0 / (400.0 + len(column)) + 0.05
+    assert 0.04 < gain.value < 400.0 / (400.0 + len(column)) + 0.05
     assert shapes.find_strongest(nothing, noise)[1] > 0.02
-    assert shapes.find_strongest(named, noise + 20.0 * named[:, 0] - named[:, 0] * (named[:, 0] @ noise))[2] < 0.02
+    assert (
+        shapes.find_strongest(named, noise + 20.0 * named[:, 0] - named[:, 0] * (named[:, 0] @ noise))[2].value < 0.02
+    )
 
 
 def test_excess_variance_between_days_is_detected():
@@ -138,6 +140,7 @@ def remaining(**changes) -> ResidualStructure:
         (True, {"q": 1e-6, "gain": 0.05}),
         (False, {"q": 0.5, "gain": 0.05}),
         (False, {"q": 1e-6, "gain": 0.0001}),
+        (False, {"q": 1e-6, "gain": 0.05, "gain_error": 0.03}),
         (False, {"q": 1e-6, "gain": 0.01, "explained": 0.5}),
         (True, {"days": 1.6}),
         (True, {"explained": 0.5, "better": {"cold_rolling": "rolling * occupants"}}),

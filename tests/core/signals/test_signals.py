@@ -171,6 +171,22 @@ def test_braking_force_is_the_mean_over_forces_within_a_step():
     assert np.all(signals["braking_force"] >= np.maximum(-force, 0.0))
 
 
+def test_forces_of_a_wrong_time_stamp_do_not_exceed_what_tyres_transmit():
+    """A step of a microsecond makes any change of the speed an acceleration without limit."""
+    clean = cleaned(drive(N, seed=4))
+    row = N // 2
+    for column in (clean.acceleration, clean.wide_acceleration, clean.acceleration_spread):
+        column[row] = 1e6
+    car = CarParameters(1500.0, 0.01, 0.7, np.nan, 1.0)
+    signals = Signals(
+        clean, Stations().sky(clean.time, clean.latitude, clean.longitude), CarParameters(*(np.full(N, v) for v in car))
+    )
+    weight = 1575 * GRAVITY
+    for name in ("traction", "braking_force"):
+        assert abs(signals[name][row]) < 1.5 * weight, name
+    assert abs(signals["wheel_power"][row]) < 1.5 * weight * clean.wide_speed[row]
+
+
 def test_traction_at_steady_speed_equals_the_road_load():
     """The car has 1575 kg and drives at 72 km/h on a level road: 0.010 of 15.4 kN, and 1/2 1.225 0.7 20^2 N."""
     signals = signals_of(drive(N, speed=20.0), None, (0.01, 0.7))

@@ -18,8 +18,7 @@ from socast.core.settings import Settings
 from socast.core.wire.messages import Telemetry, Weather, encode
 from socast.tools.bench.hidden.cases import RIGHT_NAMES, Case, get_right_names
 from socast.tools.bench.hidden.drives import FLEET, Scope, simulate_drives
-from socast.tools.bench.hidden.errors import compute_errors, predict_held_out
-from socast.tools.bench.hidden.evaluation import compute_true_energy, evaluate_case
+from socast.tools.bench.hidden.evaluation import compute_errors, compute_true_energy, evaluate_case, predict_held_out
 from socast.tools.bench.hidden.parts import ABSORBED, FRESH, PARTS, Selection, draw_sample
 from socast.tools.bench.hidden.recording import add_weather_noise, record_drives
 from socast.tools.bench.hidden.running import make_tasks, run_cases

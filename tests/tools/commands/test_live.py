@@ -16,9 +16,8 @@ from socast.stream.mcap_writer import McapSink
 from socast.stream.memory import MemorySink
 from socast.stream.zenoh_session import Connection, Node, find_free_port
 from socast.tools.terminal import night_watch
-from socast.tools.terminal.diagnosis_process import DiagnosisProcess
 from socast.tools.terminal.forecast_options import ForecastOptions
-from socast.tools.terminal.night_watch import make_nightly_diagnosis
+from socast.tools.terminal.night_watch import DiagnosisProcess, make_nightly_diagnosis
 from socast.tools.terminal.ride_source import list_inputs
 from tests.support.commands import called, refused
 from tests.support.live_consumers import consumers, logged

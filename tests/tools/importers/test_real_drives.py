@@ -20,8 +20,7 @@ from socast.core.wire.messages import Message
 from socast.stream.mcap_reader import McapSource
 from socast.tools.commands.import_drives import collect_drives, write_recording
 from socast.tools.importers.data_sets import DATA_SETS
-from socast.tools.importers.drive import Drive, make_messages
-from socast.tools.importers.resample import LONGEST_HOLD
+from socast.tools.importers.drive import LONGEST_HOLD, Drive, make_messages
 from tests.support.paths import ROOT
 
 DATA = ROOT.parent / "shared" / "data"

@@ -6,8 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis.extra.numpy import arrays
 
-from socast.tools.importers.drive import Drive, make_samples, sort_drives
-from socast.tools.importers.resample import LONGEST_HOLD, compute_window_means, find_valid_rows, make_grid
+from socast.tools.importers.drive import (
+    LONGEST_HOLD,
+    Drive,
+    compute_window_means,
+    find_valid_rows,
+    make_grid,
+    make_samples,
+    sort_drives,
+)
 
 
 def make_drive(elapsed, start=1e9, ride="r", **rows):

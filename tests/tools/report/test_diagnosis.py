@@ -78,7 +78,7 @@ def test_terminal_shows_all_parts_in_order():
             "the missing effects explain 58 % of the predictable"
         ),
         "A term that fits the remaining error: P = (average speed)^2 v",
-        "Add cold_rolling, in all vehicles on all dates.",
+        "Try cold_rolling first, in all vehicles on all dates: these data do not tell it from air_density.",
     ]
     places = [output.find(part) for part in parts]
     assert -1 not in places, parts[places.index(-1)]
@@ -130,10 +130,21 @@ def test_doubtful_effect_is_not_recommended():
 
 def test_effects_without_a_signal_are_listed():
     result = make_diagnosis()
-    lacking = TestedEffect(effect="demisting", status="not in the data")
-    result = replace(result, tested=[*result.tested, lacking])
-    sentence = printed(result).split("Not tested, because the tables have no values of them: ")[1].split(".")[0]
-    assert sentence.endswith("demisting")
+    statuses = {
+        "demisting": "not in the data",
+        "my_effect": "not in the tables",
+        "cold_regen_limit": "zero in these drives",
+        "my_constant": "not identifiable beside the model",
+    }
+    untested = [TestedEffect(effect=name, status=status) for name, status in statuses.items()]
+    text = printed(replace(result, tested=[*result.tested, *untested]))
+    for sentence in (
+        "their signal is known in less than half of the windows: snow, demisting.",
+        "(make them again with --effects FILE): my_effect.",
+        "without their signal or out of its range: cold_regen_limit.",
+        "because the terms of the model can imitate them: my_constant.",
+    ):
+        assert sentence in text, sentence
 
 
 def test_probabilities_of_a_missing_effect_add_up():
@@ -144,10 +155,67 @@ def test_probabilities_of_a_missing_effect_add_up():
     )
 
 
+def test_headline_names_every_cause_of_the_credible_set():
+    result = make_diagnosis(deviations=[])
+    first, size = sentences.describe_verdict(result)
+    assert first.startswith(
+        "Probable cause of the error: cold_rolling or air_density; these data do not tell them apart (cold_rolling 84 %"
+    )
+    assert size.startswith("If it is cold_rolling: cold tyres: rolling resistance grows by 1.1 ± 0.2 %")
+    alone = sentences.describe_verdict(replace(result, credible_set=["cold_rolling"]))[0]
+    assert alone.startswith("Probable cause of the error: cold_rolling 84 %")
+
+
+def test_headline_doubts_a_cause_of_implausible_size():
+    leading = replace(make_missing_effect(), coefficient=make_diagnosis().missing[1].coefficient)
+    lines = sentences.describe_verdict(make_diagnosis(missing=[leading], deviations=[]))
+    assert any(line.startswith("If it is cold_rolling") and "NOT plausible" in line for line in lines)
+
+
+def test_uncorrelated_rival_is_not_called_indistinguishable():
+    rival = {"effect": "air_density", "correlation": -0.1, "data": "slow drives over a year"}
+    (line,) = sentences.describe_rivals(make_missing_effect(separate=[rival]))
+    assert line == "or else air_density, which acts in other windows (r = −0.10): more rides would tell"
+    (close,) = sentences.describe_rivals(make_missing_effect())
+    assert close.startswith("not distinguishable from air_density in these data (r = 0.83)")
+
+
 def test_effect_outside_the_credible_set_is_explained():
     lines = sentences.describe_verdict(make_diagnosis(verdict="brake_drag", deviations=[]))
-    assert lines[-1] == "Beside brake_drag, which was found next, cold_rolling is not needed."
+    assert lines[1] == "Beside brake_drag, which was found next, cold_rolling is not needed."
     assert not any("is not needed" in line for line in sentences.describe_verdict(make_diagnosis()))
+
+
+def test_refit_that_does_not_lower_the_error_is_explained(tmp_path):
+    error = {"mae_kwh": 0.247, "mae_refitted_kwh": 0.296}
+    worse = make_diagnosis(error=error)
+    assert "it would be 0.296 kWh (in sample). That is no less than the model as given: refitting lowers" in printed(
+        worse
+    )
+    assert "Refitted: That is no less than the model as given" in " ".join(page(worse, tmp_path).text)
+    assert "no less than the model as given" not in printed(make_diagnosis())
+
+
+def test_bins_that_compare_marks_are_named_where_no_group_differs():
+    bins = [
+        {"condition": "temperature", "bin": "20 to 25", "rides": 21, "bias_kwh": {"value": 0.227, "ci95": 0.068}},
+        {"condition": "speed", "bin": "30 to 40", "rides": 8, "bias_kwh": {"value": 0.239, "ci95": 0.087}},
+    ]
+    text = printed(make_empty_diagnosis(biased_bins=bins, error={"mae_kwh": 0.162, "bias_kwh": 0.134}))
+    named = "temperature 20 to 25 °C (+0.227 ± 0.068 kWh), speed 30 to 40 km/h (+0.239 ± 0.087 kWh)"
+    assert f"Off zero, as socast compare marks them: {named}. A bin is compared with zero" in text
+    assert "marks bins and no group: on average the model predicts 0.134 kWh too much." in text
+    small = printed(make_empty_diagnosis(biased_bins=bins, error={"mae_kwh": 0.162, "bias_kwh": 0.013}))
+    assert "marks bins and no group" not in small
+    assert "Off zero" not in printed(make_empty_diagnosis())
+
+
+def test_signs_of_structure_have_intervals():
+    structure = {"signs": ["trees", "shape"], "after": 0.05, "after_ci95": [0.02, 0.08], "shape": "stops * sun"}
+    structure |= {"shape_taken": 0.024, "shape_taken_ci95": [0.01, 0.038], "least": 0.8}
+    trees, shape = sentences.describe_signs(make_diagnosis(structure=structure).structure)
+    assert "predict 5.0 % (95 % interval 2.0 % to 8.0 %) of its variance" in trees
+    assert "explains 2.4 % (95 % interval 1.0 % to 3.8 %) of the squared error" in shape
 
 
 def test_noise_above_the_error_is_called_overestimated():
@@ -213,7 +281,7 @@ def test_page_has_every_figure_and_table(tmp_path):
 
 def test_page_states_the_probable_cause_once(tmp_path):
     text = " ".join(page(make_diagnosis(), tmp_path).text)
-    assert text.count("Effects in all cars at all times: cold_rolling 84 %") == 1
+    assert text.count("Effects in all cars at all times: cold_rolling or air_density; these data") == 1
     assert (
         "Probable cause of what remains after cold_rolling@reference=283.15, brake_drag: no missing effect 80 %" in text
     )

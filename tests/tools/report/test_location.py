@@ -6,15 +6,19 @@ import pytest
 from socast.core.diagnose.error_location.absent_signals import SIGNALS
 from socast.core.diagnose.error_location.kinds import KINDS
 from socast.core.diagnose.records import Diagnosis
+from socast.core.wire.messages import Ride, Telemetry, Weather
 from socast.tools.report.diagnosis.location_figure import draw_location
 from socast.tools.report.diagnosis.location_sentences import (
     CAUSES,
+    FIELDS,
     JUDGED_BY,
     KIND_NAMES,
     LEVEL_NAMES,
+    advise_recording,
     describe_location,
 )
 from socast.tools.report.diagnosis.page import build_sections
+from socast.tools.report.diagnosis.sentences import describe_next_step
 from tests.support.html_pages import assert_axes_are_titled
 
 LEVELS = ("ride", "day", "driver", "date", "car")
@@ -44,6 +48,22 @@ def test_load_is_described_in_a_persons_words():
     assert "34 % is measurement noise, 2 % is unexplained within rides and" in shares
     assert "64 % is unexplained and differs from ride to ride" in shares
     assert absent == "These data cannot show how much of an error the climate control causes (no climate power)."
+
+
+def test_next_step_names_field_topic_and_documentation_of_an_absent_signal():
+    (line,) = advise_recording(make_result(make_load()))
+    assert line.startswith(
+        "Record hvac_w in fleet/{vehicle}/telemetry (climate power): docs/reference/wire.md documents"
+    )
+    assert describe_next_step(make_result(make_load()))[-1].startswith("Record hvac_w")
+    assert not advise_recording(make_result(make_load(), absent=("wind",)))
+    assert "hvac_w" not in " ".join(describe_next_step(make_result(absent=("climate power",))))
+
+
+def test_fields_to_record_are_those_of_messages():
+    declared = {each for kind in (Telemetry, Ride, Weather) for each in kind.__struct_fields__}
+    assert {name for field, _ in FIELDS.values() for name in field.split(" and ")} <= declared
+    assert set(FIELDS) <= set(SIGNALS)
 
 
 def test_climate_power_that_is_logged_is_not_asked_for():

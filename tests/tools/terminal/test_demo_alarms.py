@@ -5,7 +5,7 @@ import pytest
 from socast.core.pipeline import Pipeline
 from socast.stream.loop import Tally
 from socast.stream.mcap_reader import McapSource
-from socast.tools.terminal.demo_alarms import AlarmWatch, read_findings
+from socast.tools.terminal.demo_verdict import AlarmWatch, read_findings
 from tests.support.evening_recording import CAR, EFFECT
 from tests.support.evening_shift import EVENING, make_evening_pipeline
 

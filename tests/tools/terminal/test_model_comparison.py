@@ -20,6 +20,7 @@ from socast.stream.loop import Tally
 from socast.stream.mcap_reader import McapSource
 from socast.stream.mcap_writer import McapSink
 from socast.stream.zenoh_session import Connection, Node, find_free_port
+from socast.tools.terminal.live_service import RideLog
 from socast.tools.terminal.live_table import LiveTable, make_fleet_table
 from socast.tools.terminal.model_comparison import (
     advise_fit,
@@ -30,7 +31,6 @@ from socast.tools.terminal.model_comparison import (
     make_models_table,
     warn_of_training_days,
 )
-from socast.tools.terminal.ride_log import RideLog
 from tests.support.commands import called, refused
 from tests.support.live_consumers import consumers, logged
 from tests.support.paths import RECORDINGS
@@ -205,7 +205,7 @@ def test_change_of_verdict_is_logged_once(monkeypatch):
     logger, records = logging.getLogger("test_standings"), []
     logger.setLevel(logging.INFO)
     logger.addFilter(lambda record: records.append(record) or False)
-    monkeypatch.setattr("socast.tools.terminal.ride_log._log", logger)
+    monkeypatch.setattr("socast.tools.terminal.live_service._log", logger)
     pipeline = Pipeline(EXTENDED_PHYSICAL, shadows=[BASIC_PHYSICAL])
     now = [0.0]
     rides = RideLog(pipeline, lambda: now[0])

@@ -7,8 +7,7 @@ import pytest
 from rich.console import Console
 from rich.text import Text
 
-from socast.tools.terminal.rich_table import Column, make_description, make_table
-from socast.tools.terminal.unbroken_text import LOOSE, WHOLE, measure_parts
+from socast.tools.terminal.rich_table import LOOSE, WHOLE, Column, make_description, make_table, measure_parts
 
 CELLS = ("extended_physical", "137", "0.064 ± 0.011 (16.9 %)", "−0.049 ± 0.014 * (−12.8 %)", "25.5 %", "11.03 ×")
 HEADS = ("rides", "mean absolute error, kWh", "bias, kWh", "within ±5 %", "over noise")

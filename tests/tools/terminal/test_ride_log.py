@@ -3,7 +3,7 @@
 import logging
 
 from socast.core.pipeline import Pipeline
-from socast.tools.terminal.ride_log import RideLog
+from socast.tools.terminal.live_service import RideLog
 from tests.support.telemetry import drive, leaf, telemetry
 
 

@@ -9,13 +9,15 @@ Example: python -m socast.tools.bench.figures.evaluation --keep build/evaluation
 
 import argparse
 import json
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from socast.core.errors import SocastError
 from socast.core.formatting import format_minus
-from socast.tools.bench.figures.commands import run_once
-from socast.tools.bench.figures.published import publish
+from socast.tools.bench.figures.published import publish, write_table
 
 SEEDS: Final = 241, 242
 """Seeds of the simulated fleets."""
@@ -93,9 +95,8 @@ def list_fleet_lines(fleets: Mapping[int, Report]) -> list[str]:
                 "models of the average over clusters; the other columns are over all rides."
             ),
             "",
-            (f"| recipe | {' | '.join(f'below {name}' for name in BASELINES.values())} | MAE, kWh | wMAPE | MAPE |"),
-            f"|---|{'---|' * (len(BASELINES) + 3)}",
         ]
+        rows = []
         for recipe in RECIPES:
             below = [
                 "" if recipe == baseline else _percent(report["reduction_by_baseline"][baseline][recipe]["average"], 1)
@@ -103,10 +104,10 @@ def list_fleet_lines(fleets: Mapping[int, Report]) -> list[str]:
             ]
             errors = found["recipes"][recipe]
             relative = [_with_interval(errors[name], 1, percent=True) for name in ("wmape", "mape")]
-            cells = [*below, _with_interval(errors["mae_kwh"], 3), *relative]
-            lines.append(f"| `{recipe}` | {' | '.join(cells)} |")
-        lines += ["", f"| wMAPE, seed {seed} | {' | '.join(SPLITS.values())} |", f"|---|{'---|' * len(SPLITS)}"]
-        lines += [f"| `{recipe}` | {' | '.join(_list_splits(report, recipe))} |" for recipe in RECIPES]
+            rows.append([f"`{recipe}`", *below, _with_interval(errors["mae_kwh"], 3), *relative])
+        heads = ["recipe", *(f"below {name}" for name in BASELINES.values()), "MAE, kWh", "wMAPE", "MAPE"]
+        by_split = [[f"`{recipe}`", *_list_splits(report, recipe)] for recipe in RECIPES]
+        lines += [*write_table(heads, rows), "", *write_table([f"wMAPE, seed {seed}", *SPLITS.values()], by_split)]
         inside = report["coverage"][BEST]
         lines += [
             "",
@@ -146,16 +147,15 @@ def list_car_lines(cars: Mapping[str, Report]) -> list[str]:
     heads = [f"{car}, {words}" for car in cars for words in ("by ride", "last 20 % of dates")]
     counts = [f"{report['about']['fit']} rides of the {car}" for car, report in cars.items()]
     recipes = list(dict.fromkeys(recipe for report in cars.values() for recipe in report["mae"]))
-    lines = [
+    rows = [
+        [f"`{recipe}`", *(cell for report in cars.values() for cell in _list_car_errors(report, recipe))]
+        for recipe in recipes
+    ]
+    return [
         f"{' and '.join(counts)} are fit for training. Mean absolute error, average over clusters of distance, in kWh:",
         "",
-        f"| recipe | {' | '.join(heads)} |",
-        f"|---|{'---|' * len(heads)}",
+        *write_table(["recipe", *heads], rows),
     ]
-    for recipe in recipes:
-        cells = [cell for report in cars.values() for cell in _list_car_errors(report, recipe)]
-        lines.append(f"| `{recipe}` | {' | '.join(cells)} |")
-    return lines
 
 
 def list_car_values(cars: Mapping[str, Report]) -> dict[str, str]:
@@ -205,6 +205,17 @@ def _read(path: Path) -> Report:
     """Return a report."""
     report: Report = json.loads(path.read_text(encoding="utf-8"))
     return report
+
+
+def run_once(result: Path, *words: object) -> None:
+    """Run a command that makes a file or folder, unless that exists."""
+    if result.exists():
+        return
+    command = [sys.executable, "-m", "socast", *map(str, words)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - our own command
+    if ended.returncode:
+        last = (ended.stderr or ended.stdout).strip().splitlines()[-1:]
+        raise SocastError(f"socast {words[0]} failed: {' '.join(last)}")
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from socast.tools.bench.hidden.grading import Record
 from socast.tools.bench.hidden.page import list_values, make_lines
 from socast.tools.bench.hidden.parts import PARTS, SEEDS, SHAPES, SHARES, Selection, draw_sample
 from socast.tools.bench.hidden.recording import Measurement
-from socast.tools.bench.hidden.reliability_figure import FILE, draw_reliability
+from socast.tools.bench.hidden.reliability import FILE, draw_reliability
 from socast.tools.bench.hidden.running import PROCESSES, Task, make_tasks, run_tasks
 from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.terminal.rich_table import Column, make_table

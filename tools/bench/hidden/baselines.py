@@ -24,11 +24,14 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.inspection import permutation_importance
 
 from socast.core.batch import Floats
-from socast.core.diagnose.candidates import Candidates
+from socast.core.diagnose.candidates import Candidates, build_candidates
+from socast.core.diagnose.dataset import Windows
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.diagnose.ranking import LEAST_LEFT
+from socast.core.fit.block_sums import build_design
 from socast.core.fit.ride_blocks import get_numbers
-from socast.tools.bench.hidden.stlsq import fit_stlsq
+from socast.core.models import ANY, LinearModel
+from socast.core.models.features import Columns
 
 MODELS: Final = 20
 """Number of regressions of an ensemble; the default of PySINDy."""
@@ -37,6 +40,11 @@ REPEATS: Final = 3
 LONGEST: Final = 5
 """Number of names of a ranking that are kept."""
 SEED: Final = 0
+
+THRESHOLD: Final = 0.1
+ALPHA: Final = 0.05
+ROUNDS: Final = 20
+"""Default values of PySINDy."""
 
 
 def rank_by_baselines(base: BaseProjection, candidates: Candidates) -> dict[str, list[str]]:
@@ -136,3 +144,41 @@ def rank_by_size(candidates: Candidates, size: Floats) -> list[str]:
     """Return the effects by the largest value of any of their variants, those of zero left out."""
     order = np.argsort(-size, kind="stable")
     return list(dict.fromkeys(candidates.names[candidates.effects[at]] for at in order.tolist() if size[at] > 0.0))
+
+
+def build_columns(windows: Windows, model: LinearModel) -> Floats:
+    """Return the columns of a model and of all candidates of diagnosis. [kWh per unit]"""
+    fit = model.fits[ANY]
+    columns = Columns(windows.table, fit.fills, fit.curve)
+    base = build_design(model.terms, columns, len(windows.measured))
+    return np.nan_to_num(np.column_stack([base, build_candidates(windows, model).columns]))
+
+
+def fit_stlsq(columns: Floats, energy: Floats, threshold: float = THRESHOLD, alpha: float = ALPHA) -> Floats:
+    """Return sparse coefficients.
+
+    Units: energy [kWh].
+
+    Examples
+    --------
+    >>> columns = np.random.default_rng(0).normal(size=(200, 4))
+    >>> fit_stlsq(columns, columns @ np.array([20.0, 0.0, -30.0, 0.0])).round().astype(int).tolist()
+    [20, 0, -30, 0]
+    """
+    size = np.sqrt((columns**2).sum(axis=0))
+    size = np.where(size > 0.0, size, 1.0)
+    table = columns / size
+    gram, right = table.T @ table, table.T @ energy
+    kept = np.ones(len(size), np.bool_)
+    for _ in range(ROUNDS):
+        some = np.flatnonzero(kept)
+        if not len(some):
+            return np.zeros(len(size))
+        values = np.linalg.solve(gram[np.ix_(some, some)] + alpha * np.eye(len(some)), right[some])
+        large = np.abs(values) >= threshold
+        if large.all():
+            break
+        kept[some[~large]] = False
+    out = np.zeros(len(size))
+    out[kept] = np.linalg.lstsq(table[:, kept], energy, rcond=None)[0] / size[kept]
+    return out

@@ -111,7 +111,7 @@ class Scope:
 
     def contains(self, leg: RecordedShift) -> bool:
         """Return whether the effect is hidden in a shift."""
-        after = self.since is None or leg.driven.shift.time >= _get_midnight(self.since)
+        after = self.since is None or leg.driven.shift.time >= get_midnight(self.since)
         name = leg.member.name
         return after and self.vehicle in {None, name} and (not self.group or name in self.group)
 
@@ -119,11 +119,11 @@ class Scope:
         """Return the size of the effect in a shift that has it, over its full size. [1]"""
         if self.since is None or self.full is None:
             return 1.0
-        begin = _get_midnight(self.since)
-        return (leg.driven.shift.time - begin) / (_get_midnight(self.full) - begin)
+        begin = get_midnight(self.since)
+        return (leg.driven.shift.time - begin) / (get_midnight(self.full) - begin)
 
 
-def _get_midnight(date: str) -> float:
+def get_midnight(date: str) -> float:
     """Return the Unix time of midnight UTC of an ISO date. [s]"""
     return datetime.fromisoformat(date).replace(tzinfo=UTC).timestamp()
 
@@ -174,9 +174,7 @@ class Drives:
         views = self.views(phenomena)
         powers = [self._powers(leg, view, hidden, where) for leg, view in zip(self.legs, views, strict=True)]
         factors = self._factors(views, hidden, where) if hidden else []
-        cars, most = self.vehicles, max(leg.first + leg.samples for leg in self.legs)
-        voltage, current, soc, hvac = np.full((4, len(cars), most), np.nan)
-        out = Readings(voltage, current, soc, hvac, np.zeros((len(hidden), len(cars), most)))
+        cars, out = self.vehicles, self.make_readings(len(hidden))
         for leg, view, power in zip(self.legs, views, powers, strict=True):
             state = view.state
             scaled = power * where.get_size(leg) * np.array(factors)[:, None] if power is not None else None
@@ -184,6 +182,12 @@ class Drives:
                 state = integrate_shift(leg, phenomena, scaled.sum(axis=0))
             enter_readings(out, cars.index(leg.member.name), leg, state, scaled)
         return out
+
+    def make_readings(self, effects: int) -> Readings:
+        """Return readings of all cars to be entered, with a number of hidden effects."""
+        shape = len(self.vehicles), max(leg.first + leg.samples for leg in self.legs)
+        voltage, current, soc, hvac = np.full((4, *shape), np.nan)
+        return Readings(voltage, current, soc, hvac, np.zeros((effects, *shape)))
 
     def _powers(self, leg: RecordedShift, view: EffectInputs, hidden: Sequence[Hidden], where: Scope) -> Floats | None:
         """Return the powers at natural size [W], (effects, steps); None if nothing is hidden in the shift."""

@@ -15,13 +15,13 @@ from socast.tools.bench.league.fleet import (
     CONTROL,
     DRIVES,
     choose_faults,
+    find_difference,
     judge_stream,
     list_fleets,
     make_entry,
     run_fleet,
 )
 from socast.tools.bench.league.laws import WORDS, WRONG, Verdict
-from socast.tools.bench.league.replay import find_difference
 from socast.tools.bench.league.report import (
     Line,
     compare,

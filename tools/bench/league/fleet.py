@@ -1,6 +1,6 @@
-"""Give each car of the league its faults, send the cars as one stream, and judge their rides."""
+"""Give each car of the league its faults, send the cars as one stream, judge their rides, and cut it at random."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Final, NamedTuple
 
@@ -27,6 +27,9 @@ BLOCK: Final = 20_000
 """Number of messages that are given at once."""
 BESIDE: Final = "beside others: "
 """Begins the reason of a drive that is wrong in the stream of the fleet, and not in that of its car alone."""
+
+LARGEST: Final = 3000
+"""Largest number of messages of a chunk."""
 
 
 class Entry(NamedTuple):
@@ -123,7 +126,35 @@ def list_fleets(drives: int) -> list[range]:
     return [range(first, min(first + FLEET, cars)) for first in range(0, cars, FLEET)]
 
 
-def run_league(seed: int, drives: int, names: Sequence[str] = ()) -> Iterator[list[Verdict]]:
-    """Yield what became of the drives of each fleet."""
-    for cars in list_fleets(drives):
-        yield run_fleet(seed, cars, names)
+def find_difference(seed: int, cars: Sequence[int], names: Sequence[str] = ()) -> str:
+    """Return what depends on how the stream of some cars is cut: forecasts, rides, windows or counts; '' if nothing."""
+    messages = write_stream([make_entry(seed, number, choose_faults(seed, number, names)) for number in cars])
+    rng = np.random.default_rng([seed, 2])
+    for live in (True, False):
+        whole, expected = _run(messages, [len(messages)], live=live)
+        sizes = np.ceil(np.exp(rng.uniform(0.0, np.log(LARGEST), len(messages)))).astype(int)
+        parts, found = _run(messages, np.cumsum(sizes).tolist(), live=live)
+        if found != expected:
+            return "forecasts"
+        for name in ("take_rides", "take_windows"):
+            if not _are_equal(getattr(whole, name)(), getattr(parts, name)()):
+                return name.removeprefix("take_")
+        if whole.quality() != parts.quality():
+            return "counts"
+    return ""
+
+
+def _run(messages: Sequence[Message], cuts: Sequence[int], *, live: bool) -> tuple[Pipeline, list[Message]]:
+    """Return the pipeline that has taken messages in chunks, and its forecasts."""
+    pipeline = Pipeline(keep_forecasts=live, two_sided=not live)
+    out, at = list[Message](), 0
+    for cut in cuts:
+        if at < len(messages):
+            out += pipeline.push(messages[at:cut])
+            at = cut
+    return pipeline, out + pipeline.finish()
+
+
+def _are_equal(one: pd.DataFrame, other: pd.DataFrame) -> bool:
+    """Return whether two tables are equal to the bit."""
+    return one.equals(other) and list(one.columns) == list(other.columns)

@@ -15,7 +15,7 @@ A ride is right within 3 % of distance and energy and 5 % of duration, beyond wh
 - Where silence cuts a drive, each part that is fit is held against what the car truly did in its time.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -23,13 +23,12 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from socast.core.batch import Ints
-from socast.core.cleaning import quality
+from socast.core.batch import Floats, Ints
+from socast.core.cleaning import clock, quality
 from socast.core.settings import Settings
 from socast.tools.bench.league.drives import JOULES
 from socast.tools.bench.league.fault import CAUSES, Fault, find_spoiled
 from socast.tools.bench.league.loggers import FIRST_LABEL, Log
-from socast.tools.bench.league.parts import are_right, find_stamps
 
 DISTANCE, ENERGY, DURATION = 0.03, 0.03, 0.05
 """Tolerances. [1]"""
@@ -60,6 +59,8 @@ COLUMNS: Final = (
 """Columns of the ride table that are judged."""
 RIGHT, REPAIRED, VAGUE, UNFIT, ODD, WRONG = WORDS = ("right", "repaired", "vague", "unfit", "odd", "wrong")
 """What becomes of a drive; `odd` is unfit for a reason that no fault of its car explains."""
+
+Sampling = Callable[[Ints], tuple[float, float]]
 
 
 @dataclass
@@ -255,3 +256,41 @@ def _find_misses(found: Mapping[str, Any], truth: Truth) -> dict[str, float]:
     """Return the amounts that miss the truth, and by how much."""
     missed = {name.partition("_")[0]: span.find_miss(found[name]) for name, span in truth.items()}
     return {name: by for name, by in missed.items() if by != 0.0}
+
+
+def find_stamps(log: Log) -> Floats:
+    """Return the stamps of samples, with the weeks that a receiver has lost, (n,). [s]"""
+    stamps = log.columns["time_s"]
+    return np.where(stamps < clock.FIRST_LOGGER, stamps + clock.ROLLOVER, stamps)
+
+
+def are_right(log: Log, rides: pd.DataFrame, sampling: Sampling, share: float, sds: float) -> bool:
+    """Return whether every ride that is fit is right in its own time.
+
+    Parameters
+    ----------
+    log : Log
+        Samples of the car. The first sample of a ride is that whose stamp is nearest to its beginning.
+    sampling : callable
+        Function of rows of the log that returns the errors of distance [m] and energy [J] that no cleaning can avoid.
+    share, sds : float
+        Tolerance of distance and energy, as a share [1] and in standard uncertainties of the energy.
+    """
+    stamps, track = find_stamps(log), log.car.track
+    columns = ["start_s", "duration_s", "distance_km", "energy_kwh", "energy_sd_kwh"]
+    for start, duration, km, kwh, sd in rides.loc[rides["fit_for_training"], columns].to_numpy(float).tolist():
+        at = int(np.nanargmin(np.abs(stamps - start)))
+        if abs(stamps[at] - start) > log.car.period:
+            return False
+        first = float(log.true[at])
+        last = first + duration
+        rows = np.flatnonzero((log.true >= first - 0.5 * log.car.period) & (log.true <= last + 0.5 * log.car.period))
+        distance_error, energy_error = sampling(rows[np.argsort(log.true[rows])])
+        distance = 1e-3 * float(track.at("distance", last) - track.at("distance", first))
+        energy = float(track.at("energy", last) - track.at("energy", first)) / JOULES
+        energy_slack = max(share * abs(energy) + energy_error / JOULES, sds * sd)
+        if abs(km - distance) > share * distance + 1e-3 * distance_error:
+            return False
+        if abs(kwh - energy) > energy_slack:
+            return False
+    return True

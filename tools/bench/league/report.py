@@ -4,6 +4,7 @@ from collections import Counter, defaultdict
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+from socast.tools.bench.figures.published import write_table
 from socast.tools.bench.league.faults import FAULTS
 from socast.tools.bench.league.fleet import CONTROL, DRIVES
 from socast.tools.bench.league.laws import AMOUNTS, ODD, UNFIT, WORDS, WRONG, Verdict
@@ -93,22 +94,19 @@ def make_lines(verdicts: Sequence[Verdict], seed: int, replayed: int, pairs: int
     """Return the lines for the page of the documentation."""
     total = summarise("all", "", verdicts)
     shares = zip(WORDS, show_shares(total), strict=True)
-    head = f"drives | {' | '.join(WORDS)} | reasons |"
+    alone = [[f"`{line.name}`", line.meaning, *list_cells(line)] for line in list_alone(verdicts)]
+    two = [[line.name, *list_cells(line)] for line in list_pairs(verdicts, pairs)]
     return [
         f"{total.drives:,} drives of seed {seed}: {', '.join(f'{share or 0} % {word}' for word, share in shares)}.",
         f"The forecasts and tables of {replayed:,} drives are the same to the byte when their stream is cut at random.",
         "",
         "### Each fault alone",
         "",
-        f"| fault | what the logger does | {head}",
-        "|---|---|---|---|---|---|---|---|---|---|",
-        *(_write_row(f"`{line.name}` | {line.meaning}", line) for line in list_alone(verdicts)),
+        *write_table(["fault", "what the logger does", "drives", *WORDS, "reasons"], alone),
         "",
         "### Pairs",
         "",
-        f"| faults | {head}",
-        "|---|---|---|---|---|---|---|---|---|",
-        *(_write_row(line.name, line) for line in list_pairs(verdicts, pairs)),
+        *write_table(["faults", "drives", *WORDS, "reasons"], two),
     ]
 
 
@@ -119,6 +117,6 @@ def list_values(verdicts: Sequence[Verdict]) -> dict[str, str]:
     return {"wrong": f"{shares[WRONG] or 0} %", "wrong_on": f"{total.drives:,} simulated drives with faults"}
 
 
-def _write_row(name: str, line: Line) -> str:
-    """Return a row of a table."""
-    return f"| {name} | {line.drives} | {' | '.join(show_shares(line))} | {show_reasons(line)} |"
+def list_cells(line: Line) -> list[str]:
+    """Return the cells of a row after its name."""
+    return [str(line.drives), *show_shares(line), show_reasons(line)]

@@ -183,7 +183,7 @@ def _compute_steps(rows: Mapping[str, Floats], ages: Mapping[str, Floats]) -> di
     distance = np.where(possible, step * (speed[1:] + speed[:-1]) / 2, np.nan)
     odometer = np.diff(get("odometer_km")) * 1000.0
     odometer = np.where((odometer >= 0) & (odometer < LONGEST_STEP * 70.0), odometer, np.nan)
-    fixes = _measure_fixes(get("latitude_deg"), get("longitude_deg"))
+    fixes = measure_fixes(get("latitude_deg"), get("longitude_deg"))
     fixes = np.where((speed[1:] > MOVING) & (fixes < LONGEST_STEP * 70.0), fixes, np.nan)
     energy = step * (power[1:] + power[:-1]) / 2
     is_flagged = get("charging")[1:] > 0
@@ -227,7 +227,7 @@ def _compute_steps(rows: Mapping[str, Floats], ages: Mapping[str, Floats]) -> di
     }
 
 
-def _measure_fixes(latitude: Floats, longitude: Floats) -> Floats:
+def measure_fixes(latitude: Floats, longitude: Floats) -> Floats:
     """Return the distance between successive fixes. [m]"""
     north = np.radians(np.diff(latitude))
     east = np.radians(np.diff(longitude)) * np.cos(np.radians(latitude[1:]))

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from socast.core.batch import Floats
+from socast.core.batch import Floats, Ints
 
 Bools = NDArray[np.bool_]
 
@@ -24,6 +24,14 @@ def to_bools(array: pa.Array) -> Bools:
     """Return an array of pyarrow as numpy."""
     flags: Bools = array.to_numpy(zero_copy_only=False).astype(bool)
     return flags
+
+
+def encode_words(cells: pa.Array) -> tuple[list[str], Ints]:
+    """Return the different words in cells, and the place of that of each cell; the place after them is unknown."""
+    coded = pc.dictionary_encode(pc.cast(cells, pa.string()))
+    words = coded.dictionary.to_pylist()
+    places: Ints = pc.fill_null(coded.indices, len(words)).to_numpy(zero_copy_only=False)
+    return words, places
 
 
 def to_numbers(cells: pa.Array, decimal: str, *, has_thousands: bool = False) -> tuple[Floats, pa.Array]:

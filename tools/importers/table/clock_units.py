@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from socast.core.batch import Floats
-from socast.core.columns import EARTH_RADIUS
+from socast.tools.importers.table.agreement_sums import MOVING, measure_fixes
 from socast.tools.importers.table.time_source import TIME_UNITS, find_time_unit
 
 UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
@@ -29,8 +29,6 @@ LONGEST_GAP: Final = 20.0
 """Longest step over which speed is integrated, in usual steps."""
 USUAL_PERIODS: Final = (0.005, 120.0)
 """Times between two rows of a logger. [s]"""
-MOVING: Final = 10 / 3.6
-"""Speed above which fixes are compared. [m/s]"""
 
 
 def judge_unit(parts: Sequence[np.ndarray], named: str | None, units: Mapping[str, str | None]) -> tuple[str, str]:
@@ -60,7 +58,8 @@ def judge_unit(parts: Sequence[np.ndarray], named: str | None, units: Mapping[st
     if named is not None:
         return named, f"unit in the name: {named}"
     period = _find_period(parts)
-    unit = next((each for each in ("s", "ms", "us", "ns") if _is_usual(period * TIME_UNITS[each])), "s")
+    least, most = USUAL_PERIODS
+    unit = next((each for each in ("s", "ms", "us", "ns") if least <= period * TIME_UNITS[each] <= most), "s")
     return unit, f"{unit} by the usual step of {period:.4g}; check it"
 
 
@@ -118,9 +117,7 @@ def _measure_fixes(rows: np.ndarray) -> Floats:
     longitude = _take(rows, "longitude_deg")[1]
     if len(time) < 2 or len(at) < 2 or len(longitude) != len(latitude):
         return np.zeros(2)
-    north = np.radians(np.diff(latitude))
-    east = np.radians(np.diff(longitude)) * np.cos(np.radians(latitude[1:]))
-    distance = EARTH_RADIUS * np.hypot(north, east)
+    distance = measure_fixes(latitude, longitude)
     moves = (np.interp(at[1:], time, speed) > MOVING) & (distance < 5000.0)
     beside = np.diff(np.interp(at, time, integral))
     return np.array([distance[moves].sum(), beside[moves].sum()])
@@ -143,11 +140,6 @@ def _find_period(parts: Sequence[np.ndarray]) -> float:
     """Return the usual step of the clock."""
     steps = np.concatenate([np.diff(np.unique(car["time"])) for rows in parts for car in _divide(rows)] or [np.ones(1)])
     return float(np.median(steps)) if len(steps) else 1.0
-
-
-def _is_usual(period: float) -> bool:
-    """Return whether a logger may send at a period. [s]"""
-    return USUAL_PERIODS[0] <= period <= USUAL_PERIODS[1]
 
 
 def find_nearest(ratio: float, units: Sequence[str] = UNITS) -> str:

@@ -3,7 +3,6 @@
 A mistake in the file is one line with the file, the line number, the value, what it must be, and the remedy.
 """
 
-import re
 import tomllib
 from collections.abc import Mapping
 from datetime import datetime, tzinfo
@@ -26,7 +25,7 @@ from socast.tools.importers.table.sampling import (
 from socast.tools.importers.table.time_source import MOST_WEEKS, SERIAL, TIME_UNITS, TimeSource, find_time_unit
 from socast.tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
 from socast.tools.importers.table.zone_offsets import find_offset, make_zone
-from socast.tools.terminal.settings_file import explain_toml
+from socast.tools.terminal.settings_file import explain_toml, find_line
 
 NOMINAL_VOLTAGE: Final = 360.0
 """Voltage of a traction battery of which only the power is known. [V]"""
@@ -414,22 +413,6 @@ class _MapReader:
         true = frozenset(str(word).strip().lower() for word in table.get("true", ()))
         turned = Conversion(sign * conversion.factor, sign * conversion.offset)
         return FieldSource(table.get("column"), table.get("signal"), turned, true)
-
-
-def find_line(text: str, *keys: str) -> int:
-    r"""Return the number of the line that sets a key below tables, or of the last table on the way that is there.
-
-    Examples
-    --------
-    >>> find_line("[time]\ncolumn = 'a'\n[vehicle]\ncolumn = 'b'", "vehicle", "column")
-    4
-    """
-    at = 0
-    for key in keys:
-        name = rf"(?:{re.escape(key)}|\"{re.escape(key)}\"|'{re.escape(key)}')"
-        found = re.compile(rf"^[ \t]*(?:\[[\w.\"']*)?{name}[ \t]*[=.\]]", re.MULTILINE).search(text, at)
-        at = found.start() if found else at
-    return text.count("\n", 0, at) + 1
 
 
 def _suggest(name: str, known: list[str]) -> str:

@@ -1,6 +1,6 @@
 """Convert tables to a recording: read, sort, make messages, and check whether the values agree."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
@@ -13,9 +13,8 @@ from socast.stream.mcap_writer import MOST_CHANNELS, McapSink
 from socast.stream.recording_metadata import make_metadata
 from socast.tools.importers.table.agreement_sums import AgreementSums
 from socast.tools.importers.table.clock_checks import ClockUnit, list_checks, refuse_overlap
-from socast.tools.importers.table.column_map import ColumnMap
+from socast.tools.importers.table.column_map import ColumnMap, FileFormat
 from socast.tools.importers.table.import_summary import ImportSummary, describe_missing
-from socast.tools.importers.table.parked_rows import fill_parked
 from socast.tools.importers.table.row_messages import RowMessages, join_signals
 from socast.tools.importers.table.row_reader import RowReader
 from socast.tools.importers.table.sampling import sample_rows
@@ -28,24 +27,38 @@ from socast.tools.importers.table.time_sort import sort_rows
 MOST_CARS: Final = MOST_CHANNELS // 2
 """Largest number of cars in one recording, with two keys each."""
 
+LONGEST_STEP: Final = 900.0
+"""Longest time between two rows of a parked car that is filled. [s]"""
+STEP: Final = 60.0
+"""Time between added rows: the longest one of a logger without a period. [s]"""
+MOVED: Final = 0.1
+"""Distance by the odometer from which a car did not stay where it was. [km]"""
+
 
 def open_tables(
     paths: Sequence[Path], kind: str, columns: ColumnMap, skipped: SkippedFiles | None = None
 ) -> list[TableFile]:
     """Return the form of each file, after a check that the columns of the map are there."""
+    tables = open_readable(paths, kind, columns.file, skipped or SkippedFiles(), columns.list_required_columns())
+    for name in columns.list_columns():
+        if not any(name in table.names for table in tables):
+            tables[0].check_columns([name])
+    return tables
+
+
+def open_readable(
+    paths: Sequence[Path], kind: str, form: FileFormat, skipped: SkippedFiles, needed: Sequence[str] = ()
+) -> list[TableFile]:
+    """Return the form of each file that can be opened and has the needed columns."""
     tables: list[TableFile] = []
-    skipped = skipped or SkippedFiles()
     for path in paths:
         with skipped.skip(path):
-            table = open_table(path, kind, columns.file)
-            table.check_columns(columns.list_required_columns())
+            table = open_table(path, kind, form)
+            table.check_columns(needed)
             tables.append(table)
     if not tables:
         lines = "; ".join(skipped.list_lines(len(paths)))
         raise ImportFileError(f"{paths[0]}: none of the {len(paths)} files given can be read ({lines})")
-    for name in columns.list_columns():
-        if not any(name in table.names for table in tables):
-            tables[0].check_columns([name])
     return tables
 
 
@@ -176,3 +189,39 @@ def _list_notes(tables: Sequence[TableFile], columns: ColumnMap) -> list[str]:
         if model not in load_catalogue()
     ]
     return notes
+
+
+def fill_parked(blocks: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    """Yield rows in the order of time, with copies of a row of a car that stands until its next row."""
+    held: np.ndarray | None = None
+    last: dict[int, np.ndarray] = {}
+    for block in blocks:
+        rows = block if held is None else np.concatenate([held, block])
+        rows = np.concatenate([rows, *_add_rows(block, last)])
+        rows = rows[np.lexsort((rows["vehicle"], rows["time"]))]
+        # rows that are added later come after the last row of their car
+        end = int(np.searchsorted(rows["time"], rows["time"][-1] - LONGEST_STEP, "left")) if len(rows) else 0
+        held = rows[end:].copy()
+        if end:
+            yield rows[:end]
+    if held is not None and len(held):
+        yield held
+
+
+def _add_rows(block: np.ndarray, last: dict[int, np.ndarray]) -> list[np.ndarray]:
+    """Return the rows to add before rows of a block, after the last row of each car before it."""
+    added = []
+    for vehicle in np.unique(block["vehicle"]).tolist():
+        rows = block[block["vehicle"] == vehicle]
+        rows = np.concatenate([last[vehicle], rows]) if vehicle in last else rows
+        last[vehicle] = rows[-1:].copy()
+        step = np.diff(rows["time"])
+        stands = (rows["speed_kmh"][:-1] == 0.0) & (rows["speed_kmh"][1:] == 0.0)
+        if "odometer_km" in (rows.dtype.names or ()):
+            stands &= ~(np.abs(np.diff(rows["odometer_km"])) > MOVED)
+        fill = np.flatnonzero(stands & (step > 1.5 * STEP) & (step <= LONGEST_STEP))
+        counts = np.ceil(step[fill] / STEP - 1.5).astype("i8")
+        copies = np.repeat(rows[fill], counts)
+        copies["time"] += STEP * (np.arange(len(copies)) - np.repeat(np.cumsum(counts) - counts, counts) + 1.0)
+        added.append(copies)
+    return added

@@ -18,10 +18,11 @@ from socast.tools.importers.table.column_map import (
     RideSource,
     VehicleSource,
 )
+from socast.tools.importers.table.guess_contents import Source
 from socast.tools.importers.table.guess_rows import GuessedRows, guess_rows
-from socast.tools.importers.table.guess_sources import Source, Sources, choose_sources
+from socast.tools.importers.table.guess_sources import Sources, choose_sources
 from socast.tools.importers.table.guess_time import Blocks, GuessedTime
-from socast.tools.importers.table.guess_values import KnownUnit, guess_values
+from socast.tools.importers.table.guess_values import guess_values
 from socast.tools.importers.table.presets import Preset, find_preset
 from socast.tools.importers.table.row_faults import RowFaults
 from socast.tools.importers.table.row_messages import join_signals
@@ -39,18 +40,6 @@ APART: Final = 30 * 86400.0
 COUNTS_FROM: Final = 1.7e9
 MOST_COUNTED: Final = 1e9
 """Time of the number 0 of clocks that count from 0, and their span, before their unit is known. [s]"""
-
-
-class GuessedField(NamedTuple):
-    """Hold the guessed source of a field and the reasons for unit and sign."""
-
-    field: str
-    column: str | None
-    signal: str | None
-    unit: str | None
-    sign: int
-    reasons: tuple[str, ...]
-    true: tuple[str, ...] = ()
 
 
 class GuessedMap(NamedTuple):
@@ -79,7 +68,7 @@ class GuessedMap(NamedTuple):
     ride: str | None
     is_per_file: bool
     long: tuple[str, str] | None
-    fields: Sequence[GuessedField]
+    fields: Sequence[Source]
     left_out: Sequence[tuple[str, str]]
     rows: GuessedRows | None
     preset: Preset | None
@@ -125,13 +114,12 @@ def guess_map(
         )
     on_change = preset is not None and preset.on_change
     rows, sampling, time, vehicles = _read_rows(sources, sources.time, blocks, places, on_change)
-    known = {each.field: KnownUnit(each.unit, each.sign, each.reason) for each in sources.fields}
-    units = guess_values(rows, known)
+    units = guess_values(rows, {each.field: each for each in sources.fields})
     unresolved = sampling.unresolved if sampling else {}
     fields = [
-        GuessedField(each.field, each.column, each.signal, *units[each.field][:3], each.true)
+        each._replace(unit=found.unit, sign=found.sign, reasons=found.reasons)
         for each in sources.fields
-        if each.field not in unresolved
+        if each.field not in unresolved and (found := units[each.field])
     ]
     dropped = [each for each in sources.fields if each.field in unresolved]
     left_out = [*sources.left_out, *((each.column or each.signal or "", unresolved[each.field]) for each in dropped)]

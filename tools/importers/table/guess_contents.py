@@ -1,4 +1,4 @@
-"""Guess from its cells what a column holds, where its name says too little."""
+"""Guess from its cells what a column holds, where its name says too little, and which words mean a parked car."""
 
 import re
 from collections.abc import Collection, Sequence
@@ -10,16 +10,13 @@ import pyarrow.compute as pc
 
 from socast.core.batch import Floats
 from socast.tools.importers.table.cells import to_numbers
+from socast.tools.importers.table.column_map import FieldSource
 from socast.tools.importers.table.guess_names import TIME, NamedColumn
-from socast.tools.importers.table.table_file import Block, TableFile
+from socast.tools.importers.table.guess_time import TRIED, Blocks
 from socast.tools.importers.table.text_times import parse_times
 from socast.tools.importers.table.time_forms import list_forms
-from socast.tools.importers.table.units import convertible
+from socast.tools.importers.table.units import FIELD_UNITS, Conversion, convertible, find_conversion
 
-Blocks = Sequence[tuple[TableFile, Block]]
-
-TRIED: Final = 2000
-"""Cells of a column that are tried."""
 LOWEST_VOLTAGE: Final = 20.0
 HIGHEST_VOLTAGE: Final = 1500.0
 """Limits of the voltage of a traction battery, within which a column `V` must lie. [V]"""
@@ -32,14 +29,33 @@ _BARE: Final = re.compile(
     r"^(V|U|I|[tT]emp(?:erature)?)[ _]*[\[(]?(V|A|(?:[dD]eg ?|°)?[cCfFK]|[cC]elsius|[fF]ahrenheit)?[\])]?$"
 )
 
+_PARKED: Final = re.compile(
+    r"p|park(ed|ing)?|asleep|sleep(ing)?|offline|off|inactive|suspended|standby|stopped|standstill|idle|completed?"
+    r"|plugged(in)?|chargecomplete"
+)
+_CHARGES: Final = re.compile(r"(ac|dc|fast|quick|super|starting)?charg(e|ing)(ac|dc)?")
+_DRIVES: Final = re.compile(
+    r"[drnb]|driv(e|ing)|reverse|neutral|(in)?motion|moving|trip|ride|online|on|active|awake|ready|running"
+)
 
-class BareColumn(NamedTuple):
-    """Hold a column with a name of one letter or of no place: its field, its unit where the name has one, and why."""
+
+class Source(NamedTuple):
+    """Hold the column or signal that a field is read from, and what is known of it: unit, sign, and the reasons."""
 
     field: str
-    column: str
+    column: str | None
+    signal: str | None
     unit: str | None
-    reason: str
+    sign: int | None = None
+    true: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
+
+    def to_field_source(self) -> FieldSource:
+        """Return a source whose values keep the unit of the contract where the unit is not known."""
+        unit = self.unit if self.unit is not None else FIELD_UNITS[self.field]
+        factor, offset = find_conversion(unit, self.field) if unit else Conversion(1.0)
+        sign = self.sign or 1
+        return FieldSource(self.column, self.signal, Conversion(sign * factor, sign * offset), frozenset(self.true))
 
 
 def find_times(names: Sequence[str], blocks: Blocks) -> list[NamedColumn]:
@@ -47,7 +63,7 @@ def find_times(names: Sequence[str], blocks: Blocks) -> list[NamedColumn]:
     return [NamedColumn(name, TIME, None) for name in names if _holds_times(_take_cells(name, blocks))]
 
 
-def choose_bare(names: Sequence[str], blocks: Blocks, taken: Collection[str]) -> list[BareColumn]:
+def choose_bare(names: Sequence[str], blocks: Blocks, taken: Collection[str]) -> list[Source]:
     """Return voltage and current called `V` and `I`, and the one temperature called `temp`, if their values fit."""
     found: dict[str, list[tuple[str, str | None]]] = {}
     for name in names:
@@ -64,14 +80,15 @@ def choose_bare(names: Sequence[str], blocks: Blocks, taken: Collection[str]) ->
         if _is_voltage(_take_numbers(voltage, blocks)) and _is_current(_take_numbers(current, blocks)):
             reason = "'{}' and '{}' have values of a battery"
             chosen = [
-                BareColumn("battery_voltage_v", voltage, volt, reason.format(voltage, current)),
-                BareColumn("battery_current_a", current, ampere, reason.format(current, voltage)),
+                Source("battery_voltage_v", voltage, None, volt, reasons=(reason.format(voltage, current),)),
+                Source("battery_current_a", current, None, ampere, reasons=(reason.format(current, voltage),)),
             ]
     if len(temperatures) == 1 and not {"ambient_c", "battery_temperature_c"} & set(taken):
         ((name, unit),) = temperatures
         unit = unit if unit and convertible(unit, "ambient_c") else None
         words = "the name states no place, taken as outside: check it"
-        chosen.append(BareColumn("ambient_c", name, unit, f"unit in the name: {unit}; {words}" if unit else words))
+        reason = f"unit in the name: {unit}; {words}" if unit else words
+        chosen.append(Source("ambient_c", name, None, unit, reasons=(reason,)))
     return chosen
 
 
@@ -121,3 +138,27 @@ def _is_voltage(values: Floats) -> bool:
 def _is_current(values: Floats) -> bool:
     """Return whether values may be currents of a battery: they change. [A]"""
     return len(values) > 0 and bool(np.ptp(values) > 0 and np.abs(values).max() < LARGEST_CURRENT)
+
+
+def find_parked(words: Sequence[str]) -> tuple[str, ...]:
+    """Return the words of a column for a parked or charging car, none where other words are not known.
+
+    Examples
+    --------
+    >>> find_parked(["Driving", "Parked", "Charging (AC)"]), find_parked(["Parked", "blue"])
+    (('Parked', 'Charging (AC)'), ())
+    """
+    if not all(_matches(word, _PARKED, _CHARGES, _DRIVES) for word in words):
+        return ()
+    return tuple(word for word in words if _matches(word, _PARKED, _CHARGES))
+
+
+def find_charging(words: Sequence[str]) -> tuple[str, ...]:
+    """Return the words of a column for a charging car."""
+    return tuple(word for word in words if _matches(word, _CHARGES))
+
+
+def _matches(word: str, *patterns: re.Pattern[str]) -> bool:
+    """Return whether the letters of a word match one of some patterns."""
+    letters = "".join(letter for letter in word.lower() if letter.isalpha())
+    return any(pattern.fullmatch(letters) for pattern in patterns)

@@ -9,8 +9,7 @@ import pyarrow.compute as pc
 
 from socast.core.errors import ImportFileError
 from socast.tools.importers.table.clock_witness import judge_clock
-from socast.tools.importers.table.column_map import FieldSource
-from socast.tools.importers.table.guess_contents import choose_bare, find_times
+from socast.tools.importers.table.guess_contents import Source, choose_bare, find_charging, find_parked, find_times
 from socast.tools.importers.table.guess_names import (
     OTHER_TIME,
     RIDE,
@@ -22,7 +21,6 @@ from socast.tools.importers.table.guess_names import (
     NamedColumn,
     guess_name,
 )
-from socast.tools.importers.table.guess_state import find_charging, find_parked
 from socast.tools.importers.table.guess_time import (
     LEAST_SHARE,
     Blocks,
@@ -33,26 +31,7 @@ from socast.tools.importers.table.guess_time import (
 )
 from socast.tools.importers.table.presets import Preset, PresetTime
 from socast.tools.importers.table.text_times import parse_times
-from socast.tools.importers.table.units import FIELD_UNITS, Conversion, find_conversion
-
-
-class Source(NamedTuple):
-    """Hold the column or signal that a field is read from, and what is known of it before its values are seen."""
-
-    field: str
-    column: str | None
-    signal: str | None
-    unit: str | None
-    sign: int | None = None
-    true: tuple[str, ...] = ()
-    reason: str = ""
-
-    def to_field_source(self) -> FieldSource:
-        """Return a source whose values keep the unit of the contract where the unit is not known."""
-        unit = self.unit if self.unit is not None else FIELD_UNITS[self.field]
-        factor, offset = find_conversion(unit, self.field) if unit else Conversion(1.0)
-        sign = self.sign or 1
-        return FieldSource(self.column, self.signal, Conversion(sign * factor, sign * offset), frozenset(self.true))
+from socast.tools.importers.table.units import FIELD_UNITS
 
 
 class Sources(NamedTuple):
@@ -97,8 +76,7 @@ def choose_sources(names: Sequence[str], blocks: Blocks, preset: Preset | None) 
         taken = {each.field for each in fields}
         chosen, left_out = _choose_by_name(roles, words, long, blocks)
         fields += [each for each in chosen if each.field not in taken]
-        bare = choose_bare(names, blocks, {each.field for each in fields})
-        fields += [Source(each.field, each.column, None, each.unit, reason=each.reason) for each in bare]
+        fields += choose_bare(names, blocks, {each.field for each in fields})
     states = [each.name for each in roles.get(STATE, ())] if by_name else []
     parked = _find_parked(preset, names, states, blocks)
     if parked is not None and "charging" not in {each.field for each in fields}:
@@ -153,7 +131,7 @@ def _find_parked(
 def _find_charging(column: str, blocks: Blocks) -> list[Source]:
     """Return the source of the state of charging, if a column says so in words."""
     true = find_charging(_list_signals(column, blocks))
-    return [Source("charging", column, None, None, true=true, reason="by its words")] if true else []
+    return [Source("charging", column, None, None, true=true, reasons=("by its words",))] if true else []
 
 
 def count_known(name: str, blocks: Blocks) -> int:
@@ -197,8 +175,10 @@ def _choose_of_preset(preset: Preset, names: Sequence[str], words: Sequence[str]
         there = [each for each in places if each.column in names or each.signal in words]
         filled = [each for each in there if each.signal is not None or count_known(each.column or "", blocks)]
         if filled:
-            column, signal, unit, sign, true = filled[0]
-            chosen.append(Source(field, column, signal, unit, sign, true, f"preset {preset.name}"))
+            one = filled[0]
+            chosen.append(
+                Source(field, one.column, one.signal, one.unit, one.sign, one.true, (f"preset {preset.name}",))
+            )
     return chosen
 
 

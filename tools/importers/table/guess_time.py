@@ -17,15 +17,12 @@ from socast.tools.importers.table.guess_names import NamedColumn
 from socast.tools.importers.table.month_names import describe_doubt
 from socast.tools.importers.table.name_times import guess_name_form
 from socast.tools.importers.table.table_file import Block, TableFile
-from socast.tools.importers.table.text_times import parse_times, to_unix
+from socast.tools.importers.table.text_times import ISO_OFFSET, parse_times, to_unix
 from socast.tools.importers.table.time_forms import list_forms
-from socast.tools.importers.table.time_source import SERIAL, TimeSource, find_time_unit
+from socast.tools.importers.table.time_source import FIRST_EPOCH, LAST_EPOCH, SERIAL, TimeSource, find_time_unit
 
 EPOCH_UNITS: Final = ("s", "ms", "us", "ns")
 """Units of Unix time."""
-FIRST_EPOCH: Final = 946684800.0
-LAST_EPOCH: Final = 4102444800.0
-"""1 January 2000 and 2100, between which Unix times lie. [s]"""
 LONGEST_STEP: Final = 3600.0
 """Usual time between two rows above which numbers are no Unix time in a unit. [s]"""
 SERIALS: Final = (36526.0, 73050.0)
@@ -37,7 +34,6 @@ LEAST_SHARE: Final = 0.9
 _TIME_OF_DAY: Final = r"\s*\d{1,2}:\d\d(:\d\d(\.\d+)?)?\s*"
 _TIME_OF_HALF_DAY: Final = _TIME_OF_DAY + r"([ap]m\s*)?"
 _DATE: Final = r"\s*(\d{1,4}[-/. ]+[\w.]{1,12}[-/. ]+\d{1,4}\.?|\d{8}|\d{4}-\d\d-\d\d[T ]00:00(:00)?(\.0+)?)\s*"
-_ISO_OFFSET: Final = r"\d[Tt ]\d.*(?:Z|[+-]\d\d:?(?:\d\d)?)$"
 TRIED: Final = 2000
 """Cells of each file that are tried."""
 
@@ -201,7 +197,7 @@ def _read(columns: tuple[str, ...], cells: Any, unit: str | None) -> GuessedTime
     if numbers.notna().mean() > LEAST_SHARE:
         return _read_numbers(columns, numbers.dropna().to_numpy(), unit, arrow)
     if pd.to_datetime(texts, format="ISO8601", errors="coerce", utc=True).notna().mean() > LEAST_SHARE:
-        has_zone = bool(texts.str.contains(_ISO_OFFSET, regex=True).mean() > LEAST_SHARE)
+        has_zone = bool(texts.str.contains(ISO_OFFSET, regex=True).mean() > LEAST_SHARE)
         return GuessedTime(columns, None, None, has_zone, False, "ISO 8601" + (" with offset" if has_zone else ""))
     return _read_text(columns, arrow)
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.tools.importers.table.agreement_sums import AgreementSums, CarSums, sum_cars
+from socast.tools.importers.table.guess_contents import Source
 from socast.tools.importers.table.sign_evidence import SignEvidence, judge_sign
 from socast.tools.importers.table.units import FIELD_UNITS, POWER, Conversion, find_conversion
 
@@ -38,14 +39,6 @@ _WORDS: Final = {
 """Witness of a sign -> what it says of a right sign, and of an inverted one."""
 
 
-class KnownUnit(NamedTuple):
-    """Hold what is known of a field before its values are seen: unit and sign, None where unknown, and the source."""
-
-    unit: str | None
-    sign: int | None = None
-    source: str = ""
-
-
 class GuessedUnit(NamedTuple):
     """Hold unit and sign of a field with the reasons for them, and the places of cars that have the other sign."""
 
@@ -55,7 +48,7 @@ class GuessedUnit(NamedTuple):
     other: tuple[int, ...] = ()
 
 
-def guess_values(rows: np.ndarray, known: Mapping[str, KnownUnit]) -> dict[str, GuessedUnit]:
+def guess_values(rows: np.ndarray, known: Mapping[str, Source]) -> dict[str, GuessedUnit]:
     """Return unit and sign of each field.
 
     Parameters
@@ -67,7 +60,8 @@ def guess_values(rows: np.ndarray, known: Mapping[str, KnownUnit]) -> dict[str, 
     found: dict[str, GuessedUnit] = {}
     units = {field: each.unit for field, each in known.items()}
     settled = {field for field, unit in units.items() if unit is not None}
-    for field, (unit, _, source) in known.items():
+    for field, each in known.items():
+        unit, source = each.unit, "; ".join(each.reasons)
         if unit is not None or not FIELD_UNITS[field]:
             reason = source or (f"unit in the name: {unit}" if unit else "")
             found[field] = GuessedUnit(unit, 1, (reason,) if reason else ())
@@ -105,19 +99,13 @@ def _correct_unit(field: str, unit: str, rows: np.ndarray) -> GuessedUnit | None
     elif field == "soc_pct" and named.factor == 1.0 and 0.0 < values.max(initial=0.0) <= 1.0 and np.ptp(values) > 0.02:
         other, shown = "1", f"the name says {unit}, and all values are at most 1"
     elif field == POWER and (used := _measure_consumption(rows)) and not POSSIBLE[0] <= used <= POSSIBLE[1]:
-        other = next(
-            (each for each in ("W", "kW") if _fits(used * find_conversion(each, field).factor / named.factor)), None
-        )
+        scales = {each: find_conversion(each, field).factor / named.factor for each in ("W", "kW")}
+        other = next((each for each, scale in scales.items() if USUAL[0] <= used * scale <= USUAL[1]), None)
         shown = f"the name says {unit}, and driving would take {used:.3g} kWh/km"
     if other is None or (changed := find_conversion(other, field)) == named:
         return None
     rows[field] *= changed.factor / named.factor
     return GuessedUnit(other, 1, (f"{other} by the values: {shown}; check it",))
-
-
-def _fits(consumption: float) -> bool:
-    """Return whether a consumption is that of a road vehicle. [kWh/km]"""
-    return USUAL[0] <= consumption <= USUAL[1]
 
 
 def _measure_consumption(rows: np.ndarray) -> float | None:

@@ -6,7 +6,8 @@ from typing import Final
 from rich.table import Table
 from rich.text import Text
 
-from socast.tools.importers.table.guess import GuessedField, GuessedMap
+from socast.tools.importers.table.guess import GuessedMap
+from socast.tools.importers.table.guess_contents import Source
 from socast.tools.importers.table.guess_time import GuessedTime
 from socast.tools.importers.table.table_file import TableFile
 from socast.tools.importers.table.time_source import GUESSED_ORIGIN
@@ -25,7 +26,8 @@ MOST_NAMED: Final = 8
 def write_map_text(guessed: GuessedMap, table: TableFile) -> str:
     """Return a map as TOML."""
     lines = _write_head(guessed)
-    lines += _write_file(table, guessed) + _write_vehicle(guessed, table) + _write_time(guessed) + _write_ride(guessed)
+    lines += _write_file(table, guessed) + _write_vehicle(guessed, table) + _write_time(guessed)
+    lines += ["[ride]", f"column = {_quote(guessed.ride)}", ""] if guessed.ride else []
     if guessed.long:
         lines += ["[long]", f"name = {_quote(guessed.long[0])}", f"value = {_quote(guessed.long[1])}", ""]
     if guessed.parked:
@@ -57,7 +59,8 @@ def make_guess_table(guessed: GuessedMap) -> Table:
     table = make_table([Column("field"), Column("column"), Column("unit"), Column("why")])
     time = guessed.time
     _add(table, "time", " + ".join(time.columns), time.unit or time.form or "", time.reason + _describe_zone(guessed))
-    _add(table, "vehicle", guessed.vehicle or "", "", "by its name" if guessed.vehicle else _describe_vehicle(guessed))
+    of_file = "each file is a car" if guessed.is_per_file else "all rows are of one car"
+    _add(table, "vehicle", guessed.vehicle or "", "", "by its name" if guessed.vehicle else of_file)
     _add(table, "ride", guessed.ride or "", "", "by its name" if guessed.ride else RIDES)
     if guessed.rows:
         _add(table, "rows", "", f"every {guessed.rows.period:g} s", guessed.rows.reason)
@@ -67,7 +70,7 @@ def make_guess_table(guessed: GuessedMap) -> Table:
         words = ", ".join(word or "empty" for word in guessed.parked[1])
         _add(table, "parked", guessed.parked[0], words, "no speed is sent then: it is 0")
     for each in guessed.fields:
-        unit = f"{each.unit or ''}{', sign inverted' if each.sign < 0 else ''}"
+        unit = f"{each.unit or ''}{', sign inverted' if each.sign == -1 else ''}"
         _add(table, each.field, each.column or each.signal or "", unit, "; ".join(each.reasons))
     return table
 
@@ -118,24 +121,15 @@ def _describe_zone(guessed: GuessedMap) -> str:
     return "" if is_known else "; zone not stated, UTC assumed"
 
 
-def _describe_vehicle(guessed: GuessedMap) -> str:
-    """Return where the name of the car comes from."""
-    return "each file is a car" if guessed.is_per_file else "all rows are of one car"
-
-
 def _write_file(table: TableFile, guessed: GuessedMap) -> list[str]:
     """Return the table of the form of the files, where it is not the usual one."""
     usual = {"separator": ",", "decimal": ".", "encoding": "utf-8"}
     found = {"separator": table.separator, "decimal": table.decimal, "encoding": table.encoding}
     lines = [f"{key} = {_quote(value)}" for key, value in found.items() if value != usual[key]]
     lines += [f"skip_lines = {table.skip_lines}"] if table.skip_lines else []
-    lines += ["extra_cells = true   # rows may be longer than the header"] if _has_extra(guessed) else []
+    if guessed.preset is not None and guessed.preset.extra_cells:
+        lines.append("extra_cells = true   # rows may be longer than the header")
     return ["[file]", *lines, ""] if lines else []
-
-
-def _has_extra(guessed: GuessedMap) -> bool:
-    """Return whether rows may have more cells than the header."""
-    return guessed.preset is not None and guessed.preset.extra_cells
 
 
 def _write_vehicle(guessed: GuessedMap, table: TableFile) -> list[str]:
@@ -188,12 +182,7 @@ def _write_corrections(time: GuessedTime) -> list[str]:
     return lines
 
 
-def _write_ride(guessed: GuessedMap) -> list[str]:
-    """Return the table of the rides."""
-    return ["[ride]", f"column = {_quote(guessed.ride)}", ""] if guessed.ride else []
-
-
-def _write_field(each: GuessedField, hold: float | None) -> str:
+def _write_field(each: Source, hold: float | None) -> str:
     """Return the line of a field."""
     where = f"column = {_quote(each.column)}" if each.column is not None else f"signal = {_quote(each.signal or '')}"
     parts = [where]
@@ -201,7 +190,7 @@ def _write_field(each: GuessedField, hold: float | None) -> str:
         parts.append(f"unit = {_quote(each.unit)}")
     if each.true:
         parts.append(f"true = [{', '.join(map(_quote, each.true))}]")
-    if each.sign < 0 or each.field in {"battery_current_a", POWER}:
+    if each.sign == -1 or each.field in {"battery_current_a", POWER}:
         parts.append(f"sign = {each.sign}")
     if hold is not None:
         parts.append(f"hold_s = {hold:.4g}")

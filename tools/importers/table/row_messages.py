@@ -5,19 +5,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from socast.core.batch import Floats, Ints
+from socast.core.batch import Floats
 from socast.core.vehicles import load_catalogue
 from socast.core.vehicles.catalogue import OVERRIDES
 from socast.core.vehicles.data_sheet import OF_SHEET
 from socast.core.wire.messages import Message, Ride, Telemetry, Vehicle, encode
-from socast.tools.importers.drive import DECIMALS, make_message
+from socast.tools.importers.drive import make_message, to_json_numbers
 from socast.tools.importers.table.column_map import ColumnMap
 from socast.tools.importers.table.row_reader import RowReader
 from socast.tools.importers.table.shared_stamps import number_in_stamp
 from socast.tools.importers.table.units import POWER
 
-DECIMALS_OF_TABLES: Final = {**DECIMALS, "odometer_km": 4}
-"""Decimal places of each field of a sample: finer than any of the sensors."""
 LONGEST_STEP: Final = 60.0
 """Longest time between two rows that says something of their period. [s]"""
 OFF_GRID: Final = 0.25
@@ -193,18 +191,4 @@ def _make_wire_columns(rows: np.ndarray, nominal_voltage: float) -> dict[str, li
         voltage = np.where(lacking & ~(voltage > 0), nominal_voltage, voltage)
         columns["battery_voltage_v"] = voltage
         columns["battery_current_a"] = np.where(lacking, power / voltage, current)
-    return {name: _to_json(name, values) for name, values in columns.items()}
-
-
-def _to_json(name: str, values: Floats | Ints) -> list[Any]:
-    """Return a column as JSON holds it: rounded, None if unknown."""
-    known = np.isfinite(values)
-    filled = np.where(known, values, 0.0)
-    if name in {"charging", "occupants"}:
-        known &= filled >= 0
-        typed = (filled > 0).tolist() if name == "charging" else np.round(np.maximum(filled, 0)).astype("i8").tolist()
-    else:
-        typed = (np.round(filled, DECIMALS_OF_TABLES[name]) + 0.0).tolist()  # no -0.0
-    if known.all():
-        return list(typed)
-    return [value if there else None for value, there in zip(typed, known.tolist(), strict=True)]
+    return {name: to_json_numbers(name, values) for name, values in columns.items()}

@@ -9,13 +9,12 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
 from socast.core.errors import ImportFileError
 from socast.core.wire.keys import join_chunks
 from socast.core.wire.messages import LONGEST_TEXT
-from socast.tools.importers.table.cells import suggest_decimal, to_bools, to_numbers
+from socast.tools.importers.table.cells import Bools, encode_words, suggest_decimal, to_bools, to_numbers
 from socast.tools.importers.table.column_map import ColumnMap, FieldSource
 from socast.tools.importers.table.row_faults import HEADER_AGAIN, RowFaults, is_header
 from socast.tools.importers.table.row_times import TimeReader
@@ -23,9 +22,8 @@ from socast.tools.importers.table.shared_stamps import StampStatistics
 from socast.tools.importers.table.skipped_files import SkippedFiles
 from socast.tools.importers.table.table_file import Block, TableFile, describe_header
 from socast.tools.importers.table.time_overlaps import TimeSpans
+from socast.tools.importers.table.time_source import FIRST_EPOCH, LAST_EPOCH
 from socast.tools.importers.table.units import POWER
-
-Bools = NDArray[np.bool_]
 
 NO_TIME: Final = "no time"
 UNREADABLE_TIME: Final = "a time that cannot be read"
@@ -33,10 +31,6 @@ AMBIGUOUS_TIME: Final = "a local time that the change of the clock repeats or sk
 IMPLAUSIBLE_TIME: Final = "a time before 2000 or after 2100"
 NO_VEHICLE: Final = "no vehicle"
 NO_VALUE: Final = "no value in any field of the map"
-FIRST_TIME: Final = 946684800.0
-"""1 January 2000. [Unix s]"""
-LAST_TIME: Final = 4102444800.0
-"""1 January 2100. [Unix s]"""
 
 MOST_HEADERS: Final = 1000
 """Rows of a block without a readable time that are compared with a header."""
@@ -140,10 +134,8 @@ class RowReader:
         source = self.map.parked
         if source is None or source.column not in block or "speed_kmh" not in (rows.dtype.names or ()):
             return
-        coded = pc.dictionary_encode(pc.cast(block[source.column], pa.string()))
-        words = [str(word).strip().lower() in source.words for word in coded.dictionary.to_pylist()]
-        parked = np.array([*words, "" in source.words])
-        places = pc.fill_null(coded.indices, len(words)).to_numpy(zero_copy_only=False)
+        words, places = encode_words(block[source.column])
+        parked = np.array([word.strip().lower() in source.words for word in [*words, ""]])
         rows["speed_kmh"][parked[places] & np.isnan(rows["speed_kmh"])] = 0.0
 
     def _drop(self, table: TableFile, block: Block, keep: Bools, wrong: Bools, cause: str) -> None:
@@ -166,7 +158,7 @@ class RowReader:
             self._drop(table, block, keep, self._find_headers(table, block, unreadable), HEADER_AGAIN)
         self._drop(table, block, keep, ~np.isfinite(found.times), UNREADABLE_TIME)
         with np.errstate(invalid="ignore"):
-            implausible = (found.times < FIRST_TIME) | (found.times >= LAST_TIME)
+            implausible = (found.times < FIRST_EPOCH) | (found.times >= LAST_EPOCH)
             self._drop(table, block, keep, implausible, IMPLAUSIBLE_TIME)
         return found.times
 
@@ -197,11 +189,12 @@ class RowReader:
 
     def _places_of(self, what: str, cells: pa.Array, prefix: str) -> Ints:
         """Return the places of the names in cells, -1 where there is none."""
-        coded = pc.dictionary_encode(pc.cast(cells, pa.string()))
-        names = [_WHOLE.sub(r"\1", str(name).strip()) for name in coded.dictionary.to_pylist()]
-        places = np.array([self._place(what, prefix + name) if name else -1 for name in names] + [-1], "i4")
-        coded_places: Ints = places[pc.fill_null(coded.indices, len(names)).to_numpy(zero_copy_only=False)]
-        return coded_places
+        words, coded = encode_words(cells)
+        names = [_WHOLE.sub(r"\1", word.strip()) for word in words]
+        places: Ints = np.array([self._place(what, prefix + name) if name else -1 for name in [*names, ""]], "i4")[
+            coded
+        ]
+        return places
 
     def _place(self, what: str, name: str) -> int:
         """Return the place of a name in its list, to which it is added where it is new."""
@@ -216,7 +209,8 @@ class RowReader:
 
     def _read_field(self, table: TableFile, block: Block, name: str, source: FieldSource, count: int) -> Floats:
         """Return the values of a field, NaN where unknown."""
-        column = source.column if source.column is not None else self._value_column()
+        of_signals = self.map.long[1] if self.map.long else ""
+        column = source.column if source.column is not None else of_signals
         if column not in block:
             return np.full(count, np.nan)
         cells = block[column]
@@ -239,10 +233,6 @@ class RowReader:
             self.examples.setdefault(label, str(wrong[0].as_py())[:40])
         return source.conversion.apply(values)
 
-    def _value_column(self) -> str:
-        """Return the column of values of the long form."""
-        return self.map.long[1] if self.map.long else ""
-
 
 def _to_degrees(cells: pa.Array, decimal: str) -> pa.Array:
     """Return positions in degrees and minutes as texts in degrees; all other cells as they are."""
@@ -263,10 +253,8 @@ def _to_flags(cells: pa.Array, true: frozenset[str]) -> tuple[Floats, pa.Array]:
     if pa.types.is_floating(cells.type) or pa.types.is_integer(cells.type):
         values, wrong = to_numbers(cells, ".")
         return np.where(np.isnan(values), np.nan, (values > 0).astype("f8")), wrong
-    coded = pc.dictionary_encode(pc.cast(cells, pa.string()))
-    words = [str(word).strip().lower() for word in coded.dictionary.to_pylist()]
-    flags = np.array([*(_to_flag(word, true) for word in words), np.nan])
-    values = flags[pc.fill_null(coded.indices, len(words)).to_numpy(zero_copy_only=False)]
+    words, places = encode_words(cells)
+    values = np.array([*(_to_flag(word.strip().lower(), true) for word in words), np.nan])[places]
     return values, cells.filter(pa.array(np.isnan(values) & to_bools(pc.is_valid(cells))))
 
 

@@ -12,9 +12,8 @@ from socast.core.batch import Floats, Ints
 from socast.core.columns import SECONDS_PER_DAY
 from socast.tools.importers.table.cells import Bools, to_bools, to_numbers
 from socast.tools.importers.table.name_times import find_day, find_origin
-from socast.tools.importers.table.offset_column import read_offsets
 from socast.tools.importers.table.table_file import Block, TableFile
-from socast.tools.importers.table.text_times import parse_times, to_unix
+from socast.tools.importers.table.text_times import parse_times, read_offsets, to_unix
 from socast.tools.importers.table.time_source import TimeSource
 
 NEIGHBOUR: Final = 600.0

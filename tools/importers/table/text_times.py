@@ -1,9 +1,10 @@
-"""Read times in text by a form of `strptime`, with months in any language and stated zones."""
+"""Read times in text by a form of `strptime`, with months in any language, and offsets from UTC in a column."""
 
 import re
 from collections.abc import Mapping
 from functools import cache
 from typing import Any, Final, NamedTuple
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from socast.core.batch import Floats
+from socast.tools.importers.table.cells import encode_words
 from socast.tools.importers.table.month_names import find_month
 from socast.tools.importers.table.zone_offsets import find_offset
 
@@ -35,7 +37,13 @@ _GROUPS: Final[Mapping[str, str]] = {
 _SAME: Final = {"B": "b", "Z": "z"}
 _ORDINAL: Final = r"(?:st|nd|rd|th|er|º|ª)?"
 _AFTERNOON: Final = ("p", "下", "午後", "오후")
-_ISO_OFFSET: Final = r"\d[Tt ]\d.*(?:Z|[+-]\d\d:?(?:\d\d)?)$"
+ISO_OFFSET: Final = r"\d[Tt ]\d.*(?:Z|[+-]\d\d:?(?:\d\d)?)$"
+
+_STATED: Final = (
+    r"(?:\d[^+-]*|^)(?P<zone>(?:UTC|GMT)[+-]\d{1,2}(?::?\d\d)?|[+-]\d\d:?\d\d|\bZ|\b[A-Z]{3,5})"
+    r"(?:\s+\d{4}|\s*\([^)]*\))?\s*$"
+)
+"""Offset at the end of a time, or before a year at its end."""
 
 
 class ParsedTimes(NamedTuple):
@@ -51,10 +59,6 @@ class ParsedTimes(NamedTuple):
 
     stamps: Stamps
     offsets: Floats
-
-    def to_utc(self) -> Floats:
-        """Return Unix times, with those without an offset read as UTC. [s]"""
-        return to_unix(self.stamps) - np.nan_to_num(self.offsets)
 
 
 def to_unix(stamps: Any) -> Floats:
@@ -73,7 +77,8 @@ def parse_times(texts: pa.Array, form: str | None) -> ParsedTimes:
         plain = pc.replace_substring_regex(plain, r"\s*\([^)]*\)$", "")
     found = pc.extract_regex(plain, pattern.text)
     parts = {name: pc.struct_field(found, name) for name in pattern.groups}
-    return ParsedTimes(_assemble(parts, len(texts)), _read_offsets(parts.get("z"), len(texts)))
+    offsets = _look_up(parts["z"], find_offset) if "z" in parts else np.full(len(texts), np.nan)
+    return ParsedTimes(_assemble(parts, len(texts)), offsets)
 
 
 class _Pattern(NamedTuple):
@@ -122,7 +127,10 @@ def _parse_by_pandas(texts: pa.Array, form: str | None) -> ParsedTimes:
     stamps, offsets = np.full(len(series), "NaT", "datetime64[us]"), np.full(len(series), np.nan)
     if not len(series):
         return ParsedTimes(stamps, offsets)
-    zoned = pc.match_substring_regex(texts, _ISO_OFFSET) if form is None else pa.array([_is_zoned(form)] * len(series))
+    if form is None:
+        zoned = pc.match_substring_regex(texts, ISO_OFFSET)
+    else:
+        zoned = pa.array(["%z" in form or "%Z" in form] * len(series))
     with_offset = np.asarray(pc.fill_null(zoned, False).to_numpy(zero_copy_only=False), bool)
     for chosen, is_utc in ((with_offset, True), (~with_offset, False)):
         if chosen.any():
@@ -131,11 +139,6 @@ def _parse_by_pandas(texts: pa.Array, form: str | None) -> ParsedTimes:
             stamps[chosen] = plain.to_numpy().astype("datetime64[us]")
     offsets[with_offset] = 0.0
     return ParsedTimes(stamps, offsets)
-
-
-def _is_zoned(form: str) -> bool:
-    """Return whether a form holds a zone."""
-    return "%z" in form or "%Z" in form
 
 
 def _assemble(parts: Mapping[str, Any], count: int) -> Stamps:
@@ -177,15 +180,51 @@ def _is_afternoon(text: str) -> float:
     return float(text.strip().lower().startswith(_AFTERNOON))
 
 
-def _read_offsets(cells: Any, count: int) -> Floats:
-    """Return the offsets that texts state, NaN where they state none of one meaning. [s]"""
-    return np.full(count, np.nan) if cells is None else _look_up(cells, find_offset)
-
-
 def _look_up(cells: Any, find: Any) -> Floats:
     """Return what a function makes of each text, NaN where it is None."""
-    coded = pc.dictionary_encode(cells)
-    found = [find(word) if word is not None else None for word in coded.dictionary.to_pylist()]
-    values = np.array([np.nan if each is None else float(each) for each in found] + [np.nan])
-    known: Floats = values[pc.fill_null(coded.indices, len(found)).to_numpy(zero_copy_only=False)]
+    words, places = encode_words(cells)
+    found = [*map(find, words), None]
+    known: Floats = np.array([np.nan if each is None else float(each) for each in found])[places]
     return known
+
+
+def read_offsets(cells: pa.Array, stamps: Stamps) -> Floats:
+    """Return the offset from UTC that each cell states, NaN where it states none. [s]
+
+    Parameters
+    ----------
+    stamps : (n,) datetime64
+        Local time of each row, by which the offset of a named time zone follows.
+    """
+    texts = pc.utf8_trim_whitespace(pc.cast(cells, pa.string()))
+    stated = pc.struct_field(pc.extract_regex(texts, _STATED), "zone")
+    words, places = encode_words(pc.coalesce(stated, texts))
+    if len(words) > MOST_WORDS:  # times without an offset
+        return np.full(len(texts), np.nan)
+    stated_offsets = [find_offset(word, is_offset=True) for word in words]
+    values = np.array([np.nan if each is None else each for each in [*stated_offsets, None]])
+    offsets: Floats = values[places]
+    for place in np.flatnonzero(np.isnan(values[:-1])).tolist():
+        if (zone := _find_zone(words[place])) is not None:
+            chosen = places == place
+            offsets[chosen] = _measure(stamps[chosen], zone)
+    return offsets
+
+
+MOST_WORDS: Final = 100
+"""Different offsets that a column may state in a block."""
+
+
+def _find_zone(word: str) -> ZoneInfo | None:
+    """Return the time zone of a name such as `Europe/Berlin`."""
+    try:
+        return ZoneInfo(word) if "/" in word else None
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        return None
+
+
+def _measure(stamps: Stamps, zone: ZoneInfo) -> Floats:
+    """Return the offsets of local times in a zone, NaN where the clock repeats or skips them. [s]"""
+    local: Any = pd.Series(stamps).dt.tz_localize(zone, ambiguous="NaT", nonexistent="NaT")
+    offsets: Floats = to_unix(stamps) - to_unix(local.dt.tz_convert("UTC").dt.tz_localize(None))
+    return offsets

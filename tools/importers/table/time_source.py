@@ -19,6 +19,9 @@ TIME_UNITS: Final[Mapping[str, float]] = {
 _TIME_UNIT: Final = re.compile(rf"(?:(\d+(?:\.\d+)?) ?)?({'|'.join(TIME_UNITS)})")
 """Unit of a time in numbers, perhaps several of them, such as `10 ms`."""
 SERIAL: Final = "excel"
+FIRST_EPOCH: Final = 946684800.0
+LAST_EPOCH: Final = 4102444800.0
+"""1 January 2000 and 2100, between which the times of rows lie. [Unix s]"""
 MOST_WEEKS: Final = 4096
 """Largest number of weeks by which times are moved."""
 GUESSED_ORIGIN: Final = "2000-01-01T00:00:00"

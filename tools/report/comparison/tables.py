@@ -207,19 +207,22 @@ def tabulate_worst_rides(result: Comparison, model: str, *, commands: bool) -> l
     """
     worst = result.models[model].worst
     links = {key: f"figure-{name_ride(i)}" for i, key in enumerate(result.traces or ())}
-    note = f"Only rides whose energy is measured to within {format_percent(MOST_RELATIVE_SD, 0)}."
+    within = f"whose energy is measured to within {format_percent(MOST_RELATIVE_SD, 0)}"
+    unknown = f"–: unknown; a relative error is given only of rides {within}."
+    fields = [name for name in WORST_FIELDS if commands or name not in WIDE_FIELDS]
+    some_unknown = any(getattr(ride, name) is None for ride in worst.absolute for name in fields)
     tables = [
         tabulate_records(
             f"{model}: the largest errors{scale}, kWh",
             rides,
             WorstRide,
-            fields=[name for name in WORST_FIELDS if commands or name not in WIDE_FIELDS],
+            fields=fields,
             notes=notes,
             formats={**FORMATS, "vehicle model": get_vehicle_name},
         )
         for scale, rides, notes in (
-            ("", worst.absolute, ()),
-            (" relative to measured energy", worst.relative, (note,)),
+            ("", worst.absolute, (unknown,) if some_unknown else ()),
+            (" relative to measured energy", worst.relative, (f"Only rides {within}.",)),
         )
     ]
     return [

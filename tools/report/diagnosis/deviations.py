@@ -3,9 +3,11 @@
 from typing import Final
 
 from socast.core.diagnose.deviation_words import (
+    MONTH,
     SEVERAL,
     has_certain_share,
     has_certain_size,
+    is_rate_known,
     name_cause,
     name_deviating,
     word_deviation,
@@ -70,7 +72,9 @@ def describe_deviation(one: CarDeviation) -> list[str]:
     if (per_km := one.kwh_per_km) is not None:
         amounts.append(f"{WH * per_km:+.3g} Wh/km")
     if (per_month := one.kwh_per_month) is not None:
-        amounts.append(f"{per_month:+.3g} kWh per month")
+        amounts.append(
+            f"{per_month:+.3g} kWh per month" if is_rate_known(one) else f"{per_month / MONTH:+.3g} kWh a day"
+        )
     if amounts:
         lines.append(f"- {', '.join(amounts)} of the rides that were diagnosed")
     if len(causes) > 1:
@@ -92,7 +96,7 @@ def _doubt_cause(one: CarDeviation) -> list[str]:
 def describe_finding(found: CarDeviation) -> list[str]:
     """Return a deviation with the probability that it is real."""
     q = found.q
-    lines = [f"Finding: {word_deviation(found, sized=has_certain_share(found))}."]
+    lines = [f"Finding: {word_deviation(found)}."]
     if not has_certain_share(found) and found.words:
         lines.append(f"If the cause is {name_cause(found.effect)}, {found.words}.")
     lines += [f"{doubt[:1].upper()}{doubt[1:]}." for doubt in _doubt_cause(found)]

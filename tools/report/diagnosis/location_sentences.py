@@ -99,6 +99,20 @@ JUDGED_BY: Final = {
     "climate power": "how much of an error the climate control causes",
 }
 """What cannot be judged without a signal."""
+TELEMETRY: Final = "fleet/{vehicle}/telemetry"
+WEATHER: Final = "weather/{station}"
+FIELDS: Final[Mapping[str, tuple[str, str]]] = {
+    "elevation": ("elevation_m", TELEMETRY),
+    "outside temperature": ("ambient_c", TELEMETRY),
+    "occupants": ("occupants", TELEMETRY),
+    "battery temperature": ("battery_temperature_c", TELEMETRY),
+    "climate power": ("hvac_w", TELEMETRY),
+    "driver": ("driver_id", "fleet/{vehicle}/ride"),
+    "wind": ("wind_speed_kmh and wind_from_deg", WEATHER),
+    "precipitation": ("precipitation_mm", WEATHER),
+    "humidity": ("humidity_pct", WEATHER),
+}
+"""Fields that hold each signal, and the topic whose messages have them."""
 NONE_ABSENT: Final[Mapping[str, str]] = MappingProxyType({})
 LEAST_SHARE: Final = 0.005
 """Least share of the squared error that is mentioned."""
@@ -168,6 +182,18 @@ def describe_load(load: LocatedLoad, absent: Mapping[str, str] = NONE_ABSENT) ->
     rivals = [KIND_NAMES[each] for each in load.other_kinds]
     rivals += [f"per {LEVEL_NAMES[each]}" for each in load.other_levels]
     return f"{text} Not distinguishable from a load {' or '.join(rivals)}." if rivals else text
+
+
+def advise_recording(result: Diagnosis) -> list[str]:
+    """Return the fields of absent signals that would show the cause of a load, and where they are documented."""
+    location = result.error_location
+    remedies = [CAUSES[load.kind][load.level][1] for load in location.loads]
+    wanted = [name for name in location.absent_signals if name in FIELDS and any(name in each for each in remedies)]
+    if not wanted:
+        return []
+    fields = ", ".join(f"{FIELDS[name][0]} in {FIELDS[name][1]} ({name})" for name in wanted)
+    documented = "docs/reference/wire.md documents fields and topics, docs/guide/import.md the columns of CSV files"
+    return [f"Record {fields}: {documented}."]
 
 
 def describe_shares(location: ErrorLocation) -> list[str]:

@@ -54,15 +54,13 @@ def show(result: Diagnosis, console: Console, *, suggested: str | None = None) -
         print_lines(lines, console)
     print_heading("Error", console)
     print_lines(sentences.describe_error(result), console)
-    slices = tables.tabulate_slices(result)
+    failures, slices = sentences.describe_failures(result), tables.tabulate_slices(result)
     if slices.rows:
-        print_section(Section("slices", "Where the model fails", "", [slices._replace(title="")]), console)
+        section = Section("slices", "Where the model fails", " ".join(failures), [slices._replace(title="")])
+        print_section(section, console)
     else:
         print_heading("Where the model fails", console)
-        print_lines(
-            ["No group of rides by weather, time, speed or vehicle differs from the others, or the rides are too few."],
-            console,
-        )
+        print_lines(failures, console)
     if lines := describe_location(result):
         print_heading("Location of the error", console)
         print_lines(lines, console)
@@ -192,7 +190,12 @@ def build_sections(result: Diagnosis, suggested: str | None = None) -> list[Sect
         ),
         Section("causes", "Probable causes", " ".join(sentences.describe_competition(result)), []),
         Section("error", "Error", " ".join(sentences.describe_error(result)), [tables.tabulate_errors(result)]),
-        Section("slices", "Where the model fails", "", [tables.tabulate_slices(result)]),
+        Section(
+            "slices",
+            "Where the model fails",
+            " ".join(sentences.describe_failures(result)),
+            [tables.tabulate_slices(result)],
+        ),
         Section("location", "Location of the error", " ".join(describe_location(result)), []),
         Section("missing", "Missing effects", _summarise_missing(result), [tables.tabulate_missing_effects(result)]),
         Section("cars", "Cars and changes", _end_sentences(deviations.describe_deviations(result)), []),

@@ -2,24 +2,31 @@
 
 from collections.abc import Sequence
 
-from socast.core.diagnose.candidates import NOT_IN_DATA
+from socast.core.diagnose.candidates import NEVER_ACTS, NO_COLUMN, NO_SIGNAL, NOT_IDENTIFIABLE
 from socast.core.diagnose.deviation_words import find_leading_deviation
 from socast.core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN
 from socast.core.diagnose.records import (
+    BiasedBin,
     CauseProbability,
     Diagnosis,
     HeldOutRides,
     NamedEffect,
     RemainingStructure,
 )
-from socast.tools.report.cells import format_count, format_percent
+from socast.core.formatting import format_minus
+from socast.core.records import ConfidenceInterval
+from socast.tools.report.cells import format_count, format_difference, format_percent
+from socast.tools.report.comparison.tables import UNITS, format_bin
 from socast.tools.report.diagnosis.coefficient_words import describe_coefficient
 from socast.tools.report.diagnosis.deviations import advise_test, describe_finding
 from socast.tools.report.diagnosis.episodes import advise_looking, describe_leading_episode
+from socast.tools.report.diagnosis.location_sentences import advise_recording
 
 LEAST_PROBABILITY = 0.005
 """Probability below which a cause is not written out. [1]"""
 MOST_CAUSES = 5
+ALIKE = 0.5
+"""Least correlation of the energy of two effects that these data are said not to distinguish. [1]"""
 LEAST_SURE = 0.9
 """Probability below which the report does not state without reservation that nothing is missing. [1]"""
 MOST_DATES = 6
@@ -30,6 +37,20 @@ CAUSE_NAMES = {
     UNKNOWN: "a cause that is not in the library",
 }
 """Causes that are no effects, in words."""
+UNTESTED = {
+    NO_COLUMN: "Not tested, because the tables lack their columns (make them again with --effects FILE)",
+    NO_SIGNAL: "Not tested, because their signal is known in less than half of the windows",
+    NEVER_ACTS: "Not tested, because they are zero in these drives, without their signal or out of its range",
+    NOT_IDENTIFIABLE: "Not testable in all cars at all times, because the terms of the model can imitate them",
+}
+"""Why effects were not tested, by their status."""
+REFIT_IS_NO_LOWER = (
+    "That is no less than the model as given: refitting lowers the squared error of windows, of which outliers count "
+    "less, and not that of whole rides. Other values of the same terms do not mend this model."
+)
+"""Why the error of rides may rise although a model is refitted to them."""
+MOST_BINS = 4
+"""Number of biased bins above which the others are counted."""
 LEAST_BIAS = 5e-4
 """Bias of a ride below which the report does not mention it. [kWh]"""
 
@@ -57,8 +78,9 @@ def describe_data(result: Diagnosis) -> list[str]:
     if data.left_out:
         reasons = ", ".join(f"{format_count(n)} {reason.replace('_', ' ')}" for reason, n in data.left_out.items())
         lines.append(f"Excluded: {reasons}.")
-    if lacking := [row.effect for row in result.tested if row.status == NOT_IN_DATA]:
-        lines.append(f"Not tested, because the tables have no values of them: {', '.join(lacking)}.")
+    for status, why in UNTESTED.items():
+        if names := [row.effect for row in result.tested if row.status == status]:
+            lines.append(f"{why}: {', '.join(names)}.")
     if not data.dated:
         lines.append("The dates are invented: no statement is made on what began at a date, on seasons and on hours.")
     return [*lines, *_describe_held_out(data.held_out)]
@@ -87,6 +109,8 @@ def describe_error(result: Diagnosis) -> list[str]:
         how = "With the same terms refitted to these rides for each car, and any smooth curve of temperature"
         episodes = " and with a constant power in each episode" if result.episodes else ""
         lines.append(f"{how}{episodes}, it would be {format_energy(refitted)} (in sample).")
+        if mae is not None and refitted > mae:
+            lines.append(REFIT_IS_NO_LOWER)
     if implausible := result.model.implausible:
         lines.append(f"NOT plausible in this model: {'; '.join(implausible)}.")
     if is_noise_overestimated(result):
@@ -109,6 +133,33 @@ def is_noise_overestimated(result: Diagnosis) -> bool:
     return mae is not None and floor is not None and floor > mae
 
 
+def describe_failures(result: Diagnosis) -> list[str]:
+    """Return whether groups of rides differ from the others, and which bins are off zero although they do not."""
+    lines = []
+    if not result.slices:
+        lines.append(
+            "No group of rides by weather, time, speed or vehicle differs from the others, or the rides are too few."
+        )
+    if bins := result.biased_bins:
+        shown = [_word_bin(one) for one in bins[:MOST_BINS]]
+        more = [f"{len(bins) - MOST_BINS} more"] if len(bins) > MOST_BINS else []
+        lines.append(
+            f"Off zero, as socast compare marks them: {', '.join([*shown, *more])}. A bin is compared with zero, "
+            "a group with all other rides in each half of the days."
+        )
+        bias = result.error.bias_kwh
+        shared = _describe_bias(bias).removeprefix("; ")
+        if shared and abs(bias or 0.0) > 0.5 * max(abs(one.bias_kwh.value or 0.0) for one in bins):
+            lines.append(f"The bias that all rides share marks bins and no group: {shared}.")
+    return lines
+
+
+def _word_bin(one: BiasedBin) -> str:
+    """Return a bin with its bias."""
+    unit = f" {UNITS[one.condition]}" if one.condition in UNITS else ""
+    return f"{one.condition} {format_bin(one.condition, one.bin)}{unit} ({format_difference(one.bias_kwh)} kWh)"
+
+
 def _describe_bias(bias: float | None) -> str:
     """Return a clause with the amount and the direction of the bias."""
     if bias is None or abs(bias) < LEAST_BIAS:
@@ -124,22 +175,31 @@ def describe_scope(one: NamedEffect) -> str:
 
 def describe_gain(one: NamedEffect) -> str:
     """Return how much of the error an effect explains on held-out days."""
-    limits = one.gain_ci95
-    interval = f" (95 % interval {format_percent(limits[0])} to {format_percent(limits[1])})" if limits else ""
+    interval = word_interval(one.gain_ci95)
     parts = [f"explains {format_percent(one.gain)}{interval} of the squared error of rides on held-out days"]
     if one.energy_share is not None:
         parts.append(f"its absolute energy is {format_percent(one.energy_share)} of the measured energy")
     return ", ".join(parts)
 
 
+def word_interval(limits: ConfidenceInterval | None) -> str:
+    """Return the interval of a share in parentheses, an empty text where it is unknown."""
+    return "" if limits is None else f" (95 % interval {format_percent(limits[0])} to {format_percent(limits[1])})"
+
+
 def describe_rivals(one: NamedEffect) -> list[str]:
-    """Return the effects that the data do not distinguish from an effect, and the data that would."""
+    """Return the effects that may be the cause instead of an effect, and the data that would tell."""
     lines = []
     for other in one.separate:
         r = other.correlation
         correlation = "" if r is None else f" (r = {r:.2f})"
         remedy = f"; to distinguish them, record {other.data}" if other.data else ""
-        lines.append(f"not distinguishable from {other.effect} in these data{correlation}{remedy}")
+        if r is None or abs(r) >= ALIKE:
+            lines.append(f"not distinguishable from {other.effect} in these data{correlation}{remedy}")
+        else:
+            lines.append(
+                f"or else {other.effect}, which acts in other windows{format_minus(correlation)}: more rides would tell"
+            )
     return lines
 
 
@@ -156,30 +216,40 @@ def describe_verdict(result: Diagnosis) -> list[str]:
     Notes
     -----
     An episode comes before everything else, because it may be an event that no model should explain. A car, a group or
-    all cars that changed come next where no effect is missing in all cars at all times. Those whose interval of the
-    size contains zero are left out.
+    all cars that changed come next where no effect is missing in all cars at all times, unless their cause is not
+    plausible. Those whose interval of the size contains zero are left out.
     """
     found = find_leading_deviation(result.deviations)
     finding = [] if found is None else describe_finding(found)
     causes = _describe_common_causes(result, everywhere=bool(finding))
     episode = describe_leading_episode(result)
-    return [*episode, *causes, *finding] if result.verdict else [*episode, *finding, *causes]
+    leads = found is not None and found.coefficient.plausible and not result.verdict
+    return [*episode, *finding, *causes] if leads else [*episode, *causes, *finding]
 
 
 def _describe_common_causes(result: Diagnosis, *, everywhere: bool) -> list[str]:
-    """Return the probable causes in all cars at all times, and among which the largest one is."""
+    """Return the probable causes in all cars at all times, among which the largest one is, and its size."""
     causes, verdict = result.causes, result.verdict
     if not causes:
         return []
     first = causes[0].effect
     of = "Effects in all cars at all times" if everywhere or first == NONE else "Probable cause of the error"
-    lines = [f"{of}: {describe_causes(causes)}."]
-    credible = [CAUSE_NAMES.get(name, name) for name in result.credible_set]
+    credible, chances = [CAUSE_NAMES.get(name, name) for name in result.credible_set], describe_causes(causes)
+    lines = [f"{of}: {chances}."]
     if len(credible) > 1:
-        lines.append(f"The largest cause is one of these in nine cases of ten: {', '.join(credible)}.")
+        either = f"{', '.join(credible[:-1])} or {credible[-1]}"
+        lines = [f"{of}: {either}; these data do not tell them apart ({chances})."]
     if verdict and credible and verdict not in credible:
         lines.append(f"Beside {verdict}, which was found next, {credible[0]} is not needed.")
+    if (leading := result.leading) is not None:
+        lines.append(f"If it is {leading.effect}: {_describe_size(leading)}.")
     return lines
+
+
+def _describe_size(one: NamedEffect) -> str:
+    """Return the size of an effect, where it is missing, and whether such a size is plausible."""
+    doubt = "" if one.coefficient.plausible else f"; {describe_coefficient(one.coefficient)}"
+    return f"{one.words or one.name}; {describe_scope(one)}{doubt}"
 
 
 def describe_competition(result: Diagnosis) -> list[str]:
@@ -195,9 +265,8 @@ def describe_competition(result: Diagnosis) -> list[str]:
 
 def describe_missing_effect(one: NamedEffect) -> list[str]:
     """Return all statements about a missing effect, the most important first."""
-    meaning = one.words or one.name
     lines = [
-        f"{meaning}; {describe_scope(one)}",
+        f"{one.words or one.name}; {describe_scope(one)}",
         _describe_probability(one),
         describe_gain(one),
         describe_coefficient(one.coefficient),
@@ -263,9 +332,10 @@ def describe_signs(structure: RemainingStructure) -> list[str]:
         else f"; the missing effects explain {format_percent(taken, 0)} of the predictable part, less than {least}"
     )
     texts = {
-        "trees": f"boosted trees predict {format_percent(structure.after)} of its variance on held-out days{share}",
-        "shape": f"the pattern {format_shape(structure.shape or '')} explains "
-        f"{format_percent(structure.shape_taken)} of the squared error on held-out days{share}",
+        "trees": f"boosted trees predict {format_percent(structure.after)}{word_interval(structure.after_ci95)} of "
+        f"its variance on held-out days{share}",
+        "shape": f"the pattern {format_shape(structure.shape or '')} explains {format_percent(structure.shape_taken)}"
+        f"{word_interval(structure.shape_taken_ci95)} of the squared error on held-out days{share}",
         "better": "; ".join(
             f"{format_shape(shape)} explains more than {effect} does: {effect} may stand for another cause"
             for effect, shape in structure.better.items()
@@ -302,7 +372,7 @@ def find_recommended(result: Diagnosis) -> str | None:
 
 def describe_next_step(result: Diagnosis) -> list[str]:
     """Return what to do next, with the command where there is one."""
-    return [*advise_looking(result), *_advise_on_causes(result)]
+    return [*advise_looking(result), *_advise_on_causes(result), *advise_recording(result)]
 
 
 def _advise_on_causes(result: Diagnosis) -> list[str]:
@@ -314,6 +384,9 @@ def _advise_on_causes(result: Diagnosis) -> list[str]:
     if doubts := _list_doubts(first):
         why = " and ".join(doubts)
         lines = [f"Do not rely on {first.effect} yet: {why}. Record more rides. To try it all the same:"]
+    elif first.others:
+        others = " or ".join(CAUSE_NAMES.get(name, name) for name in first.others)
+        lines = [f"Try {first.effect} first, {describe_scope(first)}: these data do not tell it from {others}."]
     else:
         lines = [f"Add {first.effect}, {describe_scope(first)}."]
     adding = [*lines, first.command] if first.command else [line.split(" To try")[0] for line in lines]

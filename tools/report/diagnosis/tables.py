@@ -69,23 +69,30 @@ def tabulate_errors(result: Diagnosis) -> ReportTable:
         (f"measurement noise alone{excessive}", part.noise_floor_kwh),
     )
     rows = tuple(Row(what, (Cell(format_digits(value)),)) for what, value in values if value is not None)
-    return ReportTable("Mean absolute error of a ride", "model", ("kWh",), rows)
+    is_higher = part.mae_kwh is not None and part.mae_refitted_kwh is not None and part.mae_refitted_kwh > part.mae_kwh
+    notes = (f"Refitted: {sentences.REFIT_IS_NO_LOWER}",) if is_higher else ()
+    return ReportTable("Mean absolute error of a ride", "model", ("kWh",), rows, notes)
 
 
 def tabulate_structure(result: Diagnosis) -> ReportTable:
     """Return the predictable share of the error before and after the missing effects, and that of a plain pattern."""
     part = result.structure
     values = (
-        ("predictable before the missing effects", part.before),
-        ("predictable after them", part.after),
-        ("explained by them", part.taken),
-        ("required for them to explain it all", part.least),
+        ("predictable before the missing effects", part.before, None),
+        ("predictable after them", part.after, part.after_ci95),
+        ("explained by them", part.taken, None),
+        ("required for them to explain it all", part.least, None),
         (
             "explained by a plain pattern that remains",
             part.shape_taken if "shape" in part.signs else None,
+            part.shape_taken_ci95,
         ),
     )
-    rows = tuple(Row(what, (Cell(format_percent(value)),)) for what, value in values if value is not None)
+    rows = tuple(
+        Row(what, (Cell(f"{format_percent(value)}{sentences.word_interval(limits)}"),))
+        for what, value, limits in values
+        if value is not None
+    )
     note = "Predictable: share of the variance that boosted trees predict on days to which they were not fitted."
     return ReportTable("Remaining error", "structure", ("share",), rows, (note,))
 

@@ -9,7 +9,7 @@ import { bare, plain } from "./scales.js";
 import { drawStep, heldOut, unitOf } from "./step.js";
 
 const LIKELY = 0.005;
-const WORDS = { "not there": "the data do not show it", "not identifiable beside the model": "the model can imitate it", "not in the data": "its signal was not recorded" };
+const WORDS = { "not there": "the data do not show it", "not identifiable beside the model": "the model can imitate it", "not in the data": "its signal was not recorded", "not in the tables": "the tables lack its column", "zero in these drives": "it is zero in these drives" };
 
 export function mount(root, first, context) {
   let state = first;

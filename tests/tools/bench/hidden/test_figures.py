@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from socast.tools.bench.hidden.baselines import fit_stlsq
 from socast.tools.bench.hidden.figures import compute_error_reduction, compute_figures, summarise_timing
-from socast.tools.bench.hidden.page import list_values, make_lines
-from socast.tools.bench.hidden.stlsq import fit_stlsq
-from socast.tools.bench.hidden.tables import (
+from socast.tools.bench.hidden.page import (
+    list_values,
+    make_lines,
     tabulate_baselines,
     tabulate_by_effect,
     tabulate_by_part,

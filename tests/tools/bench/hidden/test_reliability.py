@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 
 from socast.tools.bench.hidden.reliability import (
+    BOTTOM,
+    LEFT,
+    RIGHT,
+    TOP,
     bin_probabilities,
     compute_calibration_error,
     draw_calibration_error,
+    draw_reliability,
     tabulate_reliability,
 )
-from socast.tools.bench.hidden.reliability_figure import BOTTOM, LEFT, RIGHT, TOP, draw_reliability
 
 
 def test_calibrated_probabilities_have_a_small_error():

@@ -2,10 +2,12 @@
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
-from socast.core.evaluate.compare.records import Comparison, DatasetContrast
+from socast.core.evaluate.compare.records import Comparison, DatasetContrast, WorstRides
 from socast.tools.report.comparison.figures import illustrate_conditions, illustrate_datasets
 from socast.tools.report.comparison.page import PLACES, build_sections
+from socast.tools.report.comparison.tables import tabulate_worst_rides
 from tests.support.html_pages import assert_axes_are_titled
 
 
@@ -47,6 +49,18 @@ def test_page_shows_every_condition_with_minus_signs():
     assert [table.title for table in section.tables] == ["Errors by distance", "Errors by temperature"]
     assert section.text == ""
     assert [row.name for row in section.tables[1].rows] == ["−5 to 0", "0 to 5"]
+
+
+def test_dash_in_a_table_of_worst_rides_is_explained():
+    known = {"ride": "m3#1", "vehicle_id": "m3", "vehicle_model": "m3", "date": "2023-05-06", "distance_km": 2.0}
+    known |= {"ambient_c": 9.0, "average_speed_kmh": 20.0, "measured_kwh": 0.1, "predicted_kwh": 0.3, "error_kwh": 0.2}
+    result = compared(0.9, 0.9)
+    for relative, explained in ((None, True), (2.0, False)):
+        rides = {"absolute": [known | {"relative": relative}], "relative": []}
+        model = replace(result.models["basic"], worst=msgspec.convert(rides, WorstRides))
+        table, _ = tabulate_worst_rides(replace(result, models={"basic": model}), "basic", commands=False)
+        notes = [note for note in table.notes if note.startswith("–: unknown; a relative error is given only of rides")]
+        assert bool(notes) == explained
 
 
 def make_bins(*biases):

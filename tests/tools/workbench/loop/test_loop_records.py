@@ -137,7 +137,7 @@ def test_any_candidate_shows_its_partial_residual(workspace, base):
     assert missing["partial_residual"]["slope"] == pytest.approx(1.15, abs=0.2)
     assert other["partial_residual"]["variant"].startswith("payload")
     assert unknown["partial_residual"] is None
-    assert "not in the data" in unknown["undrawn"]
+    assert "zero in these drives" in unknown["undrawn"]
 
 
 def test_added_effect_lowers_the_error(step):

@@ -5,42 +5,40 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
+
+import msgspec
 
 from socast.core.errors import SettingsError
 
 
-class PresetField(NamedTuple):
-    """Describe a place in which an export may hold a field.
+class PresetField(msgspec.Struct, frozen=True):
+    """Describe a place in which an export may hold a field: a column, or a signal of the long form.
 
     Parameters
     ----------
-    column, signal : str, optional
-        Column, or signal of the long form.
-    unit : str, optional
-        Unit; None is found from the values.
-    sign : int, optional
-        1 or -1; None is found from the values.
+    unit, sign : optional
+        None is found from the values.
     """
 
-    column: str | None
-    signal: str | None
-    unit: str | None
-    sign: int | None
-    true: tuple[str, ...]
+    column: str | None = None
+    signal: str | None = None
+    unit: str | None = None
+    sign: int | None = None
+    true: tuple[str, ...] = ()
 
 
-class PresetTime(NamedTuple):
+class PresetTime(msgspec.Struct, frozen=True, rename={"form": "format"}):
     """Describe a clock that an export may have; None is found from the values."""
 
     column: str
-    unit: str | None
-    form: str | None
-    zone: str | None
-    day_from_file_name: bool
+    unit: str | None = None
+    form: str | None = None
+    zone: str | None = None
+    day_from_file_name: bool = False
 
 
-class Preset(NamedTuple):
+class Preset(msgspec.Struct, frozen=True, kw_only=True, rename={"some": "any"}):
     """Describe an export that people have.
 
     Parameters
@@ -75,17 +73,17 @@ class Preset(NamedTuple):
     title: str
     source: str
     how: str
-    edit: str
-    columns: Sequence[Sequence[str]]
-    some: Sequence[str]
-    without: Sequence[str]
-    extra_cells: bool
-    rest: bool
-    times: Sequence[PresetTime]
-    vehicle: Sequence[str]
-    ride: Sequence[str]
-    long: Sequence[tuple[str, str]]
-    fields: Mapping[str, Sequence[PresetField]]
+    edit: str = ""
+    columns: list[list[str]]
+    some: list[str] = []
+    without: list[str] = []
+    extra_cells: bool = False
+    rest: bool = False
+    times: list[PresetTime]
+    vehicle: list[str]
+    ride: list[str]
+    long: list[tuple[str, str]]
+    fields: dict[str, list[PresetField]]
     parked: tuple[str, tuple[str, ...]] | None = None
     on_change: bool = False
 
@@ -136,52 +134,23 @@ def find_preset(names: Sequence[str]) -> Preset | None:
 
 def _read(name: str, tables: Mapping[str, Any]) -> Preset:
     """Return the preset of a file."""
-    about = tables["preset"]
     vehicle, ride, long = (tables.get(key, {}) for key in ("vehicle", "ride", "long"))
-    return Preset(
-        name,
-        about["title"],
-        about["source"],
-        about["how"],
-        about.get("edit", ""),
-        [_to_list(group) for group in about["columns"]],
-        about.get("any", []),
-        about.get("without", []),
-        about.get("extra_cells", False),
-        about.get("rest", False),
-        [time for table in tables.get("time", []) for time in _read_times(table)],
-        _to_list(vehicle.get("column", [])),
-        _to_list(ride.get("column", [])),
-        [(first, second) for first in _to_list(long.get("name", [])) for second in _to_list(long["value"])],
-        {field: _read_places(places) for field, places in tables["fields"].items()},
-        (tables["parked"]["column"], tuple(tables["parked"]["values"])) if "parked" in tables else None,
-        about.get("on_change", False),
-    )
+    lists = {
+        "columns": [_to_list(group) for group in tables["preset"]["columns"]],
+        "times": _divide(tables.get("time", []), "column"),
+        "vehicle": _to_list(vehicle.get("column", [])),
+        "ride": _to_list(ride.get("column", [])),
+        "long": [(first, second) for first in _to_list(long.get("name", [])) for second in _to_list(long["value"])],
+        "fields": {field: _divide(places, "column", "signal") for field, places in tables["fields"].items()},
+    }
+    parked = {"parked": [tables["parked"][key] for key in ("column", "values")]} if "parked" in tables else {}
+    return msgspec.convert({"name": name, **tables["preset"], **lists, **parked}, Preset)
 
 
-def _read_times(table: Mapping[str, Any]) -> list[PresetTime]:
-    """Return the clocks of a table of a preset."""
-    return [
-        PresetTime(
-            column, table.get("unit"), table.get("format"), table.get("zone"), table.get("day_from_file_name", False)
-        )
-        for column in _to_list(table["column"])
-    ]
-
-
-def _read_places(places: Any) -> list[PresetField]:
-    """Return the places of a field."""
-    return [
-        PresetField(
-            column if "column" in place else None,
-            column if "signal" in place else None,
-            place.get("unit"),
-            place.get("sign"),
-            tuple(place.get("true", ())),
-        )
-        for place in (places if isinstance(places, list) else [places])
-        for column in _to_list(place.get("column", place.get("signal")))
-    ]
+def _divide(tables: Any, *keys: str) -> list[dict[str, Any]]:
+    """Return a table for each of the names that a table, or each of several, holds under a key."""
+    found = tables if isinstance(tables, list) else [tables]
+    return [{**each, key: name} for each in found for key in keys if key in each for name in _to_list(each[key])]
 
 
 def _to_list(value: Any) -> list[str]:

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from socast.tools.bench.error_location import RandomLoad, measure_with_loads
 from socast.tools.bench.hidden import cases
 from socast.tools.bench.hidden.cases import Case, SeedData
-from socast.tools.bench.hidden.random_loads import RandomLoad, measure_with_loads
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,106 @@
+"""`socast spikein`: put a known effect into recordings of real cars, so that a diagnosis can be judged on them."""
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import typer
+
+from socast.core.errors import SettingsError
+from socast.core.formatting import format_count
+from socast.tools.simulator.hidden import EFFECTS
+from socast.tools.simulator.hidden_shapes import OTHER
+from socast.tools.simulator.settings import parse_start
+from socast.tools.spikein.recording import write_spiked
+from socast.tools.spikein.spike import Spike
+from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
+from socast.tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
+
+LARGEST: Final = 0.5
+"""Largest size of an effect. [1]"""
+
+
+def spikein(
+    recordings: Recordings,
+    *,
+    effect: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help=f"Effect: {', '.join(sorted(EFFECTS))}; followed by {OTHER}, the same phenomenon by another formula.",
+        ),
+    ],
+    size: Annotated[
+        str, typer.Option(metavar="SHARE", help="Energy of the effect over that of the cars, such as 3% or 0.03.")
+    ] = "3%",
+    vehicles: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Cars that have the effect. Default: all.")
+    ] = None,
+    since: Annotated[
+        str | None, typer.Option(metavar="DATE", help="Day or time, UTC, from which they have it. Default: always.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Random seed of tyre pressures, brakes, wear and made-up weather.")] = 0,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="F.mcap", help="Recording to write.")],
+    json_file: JsonFile = None,
+) -> None:
+    """Put a known effect into recordings, merged in time order, and write its truth beside the result.
+
+    The current of each sample changes by the power of the effect over the voltage; of a car that sends no current, the
+    state of charge changes. All other bytes stay. The formulas are those of the simulator and not those of the models,
+    so a diagnosis that finds the effect has not merely met its own formula again. Drives without the effect are the
+    placebo: compare what is said of both.
+
+    Where the effect needs wind, rain, sun or humidity and the recordings hold no weather, a made-up station is added.
+
+    Examples
+    --------
+    socast spikein recordings/autumn.mcap --effect headwind --size 4% -o spiked.mcap
+    socast spikein drives.mcap --effect standby --size 3% --vehicles car-1 --since 2023-05-05 -o spiked.mcap
+    """
+    sources = open_recordings(recordings)
+    truth_file = out.with_name(f"{out.name}.truth.json")
+    check_outputs(recordings, out, truth_file, json_file)
+    spike = Spike(
+        effect,
+        parse_size(size),
+        tuple(filter(None, (part.strip() for part in (vehicles or "").split(",")))),
+        parse_start(since).timestamp() if since else -float("inf"),
+        seed,
+    )
+    truth = write_spiked(sources, spike, out)
+    write_json(json_file, "spikein", truth)
+    console = make_console(json_file)
+    for line in describe(truth, out, truth_file):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    warn_of_losses(sources)
+
+
+def parse_size(text: str) -> float:
+    """Return a share of the energy from `3%` or `0.03`.
+
+    Examples
+    --------
+    >>> parse_size("3%"), parse_size("0.03")
+    (0.03, 0.03)
+    """
+    found = re.fullmatch(r"\s*(\d*\.?\d+)\s*(%?)\s*", text)
+    size = float(found[1]) / (100.0 if found[2] else 1.0) if found else 0.0
+    if not 0.0 < size <= LARGEST:
+        raise SettingsError(f"the size is {text!r}, must be above 0 and at most {LARGEST:.0%}, such as 3%")
+    return size
+
+
+def describe(truth: dict[str, Any], out: Path, truth_file: Path) -> list[str]:
+    """Return the lines of the summary."""
+    cars = {drive["vehicle_id"] for drive in truth["drives"]}
+    spike = truth["spike"]
+    energy = sum(drive["energy_kwh"] for drive in truth["drives"])
+    drives, many = format_count(len(truth["drives"]), "drive"), format_count(len(cars), "car")
+    share = f"{spike['effect']} takes {spike['size']:.1%} of the energy of {drives} of {many}, {energy:+.2f} kWh"
+    lines = [
+        f"{out}: {share}; {format_count(truth['samples'], 'sample')} changed",
+        f"{truth_file}: what was put in, drive by drive",
+    ]
+    if truth["made_weather"]:
+        lines.append("the recordings hold no weather, so a made-up station was added")
+    return lines
