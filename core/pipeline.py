@@ -16,7 +16,6 @@ from socast.core.forecast.engine import ForecastEngine
 from socast.core.forecast.event_intake import EventIntake
 from socast.core.forecast.newest_plans import NewestPlans
 from socast.core.forecast.silent_cars import RestOfBatch, SilentCars, forget_lanes
-from socast.core.forecast.soc_filter import SHIFT_GAP
 from socast.core.forecast.status import VehicleStatus, build_statuses
 from socast.core.models import EXTENDED_PHYSICAL, Model
 from socast.core.monitoring.shadow import ShadowModels
@@ -176,13 +175,6 @@ class Pipeline:
         """
         return self.due.take(newest_only=newest_only)
 
-    def restate(self) -> None:
-        """Forecast anew for every vehicle whose shift may go on, for `status` after a restart; nothing is published."""
-        self.due.update()
-        lanes = self.totals.cleaner.lanes_heard()
-        lanes = lanes[self.engine.find_known(lanes) & (self.day_rollover.measure_silence(lanes) <= SHIFT_GAP)]
-        self.engine.restate(self.totals.describe_running(lanes))
-
     def model_errors(self, *, newest_only: bool = False) -> list[Message]:
         """Return the running errors of all models after each ride, or the last one, that ended since the last call."""
         return self.shadows.messages(newest_only=newest_only)
@@ -250,13 +242,13 @@ class Pipeline:
         }
 
     def status(self) -> list[VehicleStatus]:
-        """Return the newest values of every vehicle that has sent a sample."""
+        """Return the newest values of every vehicle that has sent a sample, by name."""
         self.due.update()
         totals = self.totals.describe_running()
         predicted = self.shadows.predictions(totals, self.context)
         names = self.decoder.rides.names(totals.at_last("code").tolist())
-        ends, silence = self.engine.get_ends(totals.lane), self.day_rollover.measure_silence(totals.lane)
-        return build_statuses(totals, names, self.context, predicted, ends, silence)
+        newest, silence = self.engine.get_newest(totals.lane), self.day_rollover.measure_silence(totals.lane)
+        return build_statuses(totals, names, self.context, predicted, newest, silence)
 
     def learn_from(self, earlier: "Pipeline", serves: Callable[[str], bool] = lambda _: True) -> None:
         """Take over the knowledge of a pipeline that sums the same effects, and the cars that this one serves."""

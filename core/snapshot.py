@@ -22,6 +22,7 @@ from socast.core.errors import SocastError
 from socast.core.forecast.conformal import BASES, BOUND_PAIR, DISTANCE_CLASSES, LEVELS, SCORES, TEMPERATURE_CLASSES
 from socast.core.forecast.day_rollover import CAR_CLOCK, RECENT_SAMPLES, WINDOW_SAMPLES
 from socast.core.forecast.filter_state import FILTER_STATE, LOG_FACTOR_PRIOR
+from socast.core.forecast.forecast_rows import NEWEST_FORECAST
 from socast.core.forecast.learning.daily_cycle import HOURS
 from socast.core.forecast.learning.energy_correction import COEFFICIENTS
 from socast.core.forecast.learning.fleet import SHIFT_PATTERN
@@ -47,9 +48,9 @@ from socast.core.wire.state_schema import (
     Text,
 )
 
-SNAPSHOT: Final = 27
+SNAPSHOT: Final = 28
 """Version of the format of a snapshot."""
-FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES]
+FIELDS: Final = [*(STATE.names or ()), *AMOUNTS, *EDGES, *CAUSES, *(NEWEST_FORECAST.names or ())]
 """Names of the fields in the arrays of a snapshot."""
 _DIGEST: Final = sha256().digest_size
 
@@ -253,6 +254,7 @@ SCHEMAS: Final[dict[str, Schema]] = {
             Packed("f8"),
             Packed("f8"),
         ),
+        Packed(NEWEST_FORECAST, by_lane="predicted"),
         Packed(
             FILTER_STATE,
             by_lane="predicted",

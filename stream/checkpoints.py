@@ -37,9 +37,6 @@ class Restorable(Forecaster, Protocol):
     def restore(self, snapshot: bytes) -> Any:
         """Replace the state, and return the note."""
 
-    def restate(self) -> None:
-        """Forecast anew for every vehicle whose shift may go on, without publishing it."""
-
 
 class Checkpoints:
     """Keep the state of a pipeline and the newest forecasts in a file, as a watch and a sink of the loop.
@@ -88,7 +85,6 @@ class Checkpoints:
             if self._recorder is not None and note:
                 self._catch_up(self._recorder, note)
             self._log_start()
-            self._pipeline.restate()
         self.save()
         return list(self._newest.values())
 

@@ -19,7 +19,8 @@ from socast.core.diagnose.deviation_words import MONTH, word_deviation
 from socast.core.diagnose.records import CarDeviation, Diagnosis, NamedEffect
 from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models.features import VEHICLE_SCOPE
-from socast.core.wire.messages import Cause, Finding, Message, encode, identity
+from socast.core.wire.keys import identity
+from socast.core.wire.messages import Cause, Finding, Message, encode
 
 SURE: Final = 0.9
 """Probability from which a finding is sure; one minus it is the chance that a fleet without deviations ever has a sure

@@ -188,7 +188,7 @@ class DueForecasts:
         self.update()
         lanes = self.engine.context.lanes
         lane = lanes.find(vehicle_id)
-        if lane is None or not self.engine.find_known(np.array([lane])).all():
+        if lane is None or not self.engine.has_sample(lane):
             raise explain_unknown_vehicle(vehicle_id, map(lanes.names.__getitem__, heard))
         outlook = withhold_implausible(answer_query(self.engine, lane, leg, plan), self.implausible)
         return withhold_charge(outlook, float(day_rollover.measure_silence(np.array([lane]))[0]))

@@ -27,7 +27,7 @@ from socast.core.forecast.filter_state import (
     SOC_ESTIMATE,
     create_filter_state,
 )
-from socast.core.forecast.forecast_rows import END_OF_SHIFT, ForecastRows, compute_forecast_rows
+from socast.core.forecast.forecast_rows import NEWEST_FORECAST, ForecastRows, compute_forecast_rows
 from socast.core.forecast.learning.car_driver import ShiftPattern, compute_driver_code
 from socast.core.forecast.learning.fleet import FleetStatistics, ShiftEnergy
 from socast.core.forecast.learning.forecast_errors import ForecastLog, ForecastRecord
@@ -43,7 +43,7 @@ from socast.core.vehicles.fleet import UNKNOWN, Cars, ReplacedKind
 
 SHORT_SHIFT: Final = 0.5
 """A shorter shift does not update the consumption factors. [h]"""
-_UNKNOWN_END: Final = np.full((), np.nan, END_OF_SHIFT)[()]
+_NO_FORECAST: Final = np.full(len(NEWEST_FORECAST.names or ()), np.nan).view(NEWEST_FORECAST)[0]
 
 
 class DueInput(NamedTuple):
@@ -99,9 +99,8 @@ class ForecastEngine:
     Attributes
     ----------
     state : (lanes,) FILTER_STATE
-    ends : (lanes,) END_OF_SHIFT
-        Newest forecast of each lane's charge at the end of the shift, NaN before the first one, and after `load` until
-        `restate`.
+    newest : (lanes,) NEWEST_FORECAST
+        Newest forecast of each lane, NaN before the first one.
     """
 
     def __init__(self, context: RunContext, width: int) -> None:
@@ -109,7 +108,7 @@ class ForecastEngine:
         self.statistics = FleetStatistics(context, width)
         self.plans, self.weather, self.log = PlanTracker(), WeatherForecasts(), ForecastLog()
         self.state = create_filter_state(0)
-        self.ends = np.zeros(0, END_OF_SHIFT)
+        self.newest = np.zeros(0, NEWEST_FORECAST)
         self.closed: list[NDArray[np.void]] = []
 
     def process(self, due: DueInput) -> ForecastRows:
@@ -134,54 +133,32 @@ class ForecastEngine:
 
         progress = self.plans.process(sums.running, sums.rides, due.arrivals, estimates, get_tables, lanes)
         self.statistics.charged_soc.add_charges(self.plans.take_outcomes())
-        rows = self._compute_rows(sums.running, of_running, estimates, progress, due.forecasts)
-        self._evaluate(sums.running, rows, shifts, at, kinds)
-        return rows
-
-    def restate(self, running: Totals) -> None:
-        """Forecast at the newest rows of some cars, after a restart; nothing is learned from these forecasts."""
-        self._grow(len(self.context.lanes))
-        predicted, lanes = self._predict(running), running.lane
-        events = np.empty(len(lanes), FILTER_EVENT)
-        self._fill_totals(running, predicted, events)
-        events["kind"] = RUNNING
-        estimates, shifts = np.empty(len(lanes), SOC_ESTIMATE), np.empty(len(lanes), CLOSED_SHIFT)
-        filter_events(events, self.state.copy(), self.statistics.prior, estimates, shifts)
-        self._compute_rows(running, predicted, estimates, self.plans.progress[lanes])
-
-    def _compute_rows(
-        self,
-        running: Totals,
-        predicted: Floats,
-        estimates: NDArray[np.void],
-        progress: NDArray[np.void],
-        forecasts: Sequence[ForecastArrival] = (),
-    ) -> ForecastRows:
-        """Return the forecasts at running totals, and keep them as the newest ones."""
-        time, patterns = running.at_last("time"), self.statistics.get_patterns(running.lane)
+        time, patterns = sums.running.at_last("time"), self.statistics.get_patterns(sums.running.lane)
         expected_end = find_expected_end(progress, time, estimates["begin"], patterns)
         now = estimates["ambient"], time, expected_end, self.statistics.daily_cycle
-        ambient = self.weather.expect_between(running.at, forecasts, *now)
-        rows = compute_forecast_rows(running, predicted, estimates, progress, ambient, self.statistics, self._cars)
-        self.ends[running.lane] = rows.get_end_of_shift()
+        ambient = self.weather.expect_between(sums.running.at, due.forecasts, *now)
+        rows = compute_forecast_rows(
+            sums.running, of_running, estimates, progress, ambient, self.statistics, self._cars
+        )
+        self.newest[sums.running.lane] = rows.get_newest()
+        self._evaluate(sums.running, rows, shifts, at, kinds)
         return rows
 
     def _grow(self, lanes: int) -> None:
         """Make room for a number of lanes."""
         if len(self.state) < lanes:
             self.state = grown(self.state, lanes, create_filter_state(1)[0])
-        self.ends = grown(self.ends, lanes, _UNKNOWN_END)
+        self.newest = grown(self.newest, lanes, _NO_FORECAST)
         self.log.grow(lanes)
         self.statistics.grow(lanes)
 
-    def get_ends(self, lanes: Ints) -> NDArray[np.void]:
-        """Return the newest forecast of the charge at the end of the shift of some lanes, (n,) END_OF_SHIFT."""
-        self.ends = grown(self.ends, len(self.context.lanes), _UNKNOWN_END)
-        return self.ends[lanes]
+    def get_newest(self, lanes: Ints) -> NDArray[np.void]:
+        """Return the newest forecast of some lanes, (n,) NEWEST_FORECAST."""
+        return grown(self.newest, len(self.context.lanes), _NO_FORECAST)[lanes]
 
-    def find_known(self, lanes: Ints) -> NDArray[np.bool_]:
-        """Return of which lanes a car has sent anything, (n,) bool."""
-        return np.asarray(grown(self.state, len(self.context.lanes), create_filter_state(1)[0])["active"][lanes] == 1.0)
+    def has_sample(self, lane: int) -> bool:
+        """Return whether the car of a lane has sent anything."""
+        return lane < len(self.state) and bool(self.state["active"][lane])
 
     def _predict(self, totals: Totals) -> Floats:
         """Return the energy that the model predicts of totals. [kWh]"""
@@ -333,21 +310,23 @@ class ForecastEngine:
 
     def keep(self, lanes: Ints) -> None:
         """Keep the state of some lanes only, in their order; call it after the daily update."""
-        self.state, self.ends = take_lanes(self.state, lanes), take_lanes(self.ends, lanes)
+        self.state, self.newest = take_lanes(self.state, lanes), take_lanes(self.newest, lanes)
         for part in (self.statistics, self.plans, self.log):
             part.keep(lanes)
 
     def dump(self) -> Any:
         """Return the state as plain values."""
-        return self.statistics.dump(), self.plans.dump(), self.weather.dump(), self.log.dump(), self.state.tobytes()
+        parts = (each.dump() for each in (self.statistics, self.plans, self.weather, self.log))
+        return *parts, self.newest.tobytes(), self.state.tobytes()
 
     def load(self, state: Any) -> None:
         """Replace the state by one that `dump` returned, once the cars are known."""
-        statistics, plans, weather, log, filters = state
+        statistics, plans, weather, log, newest, filters = state
         self.statistics.load(statistics)
         self.plans.load(plans)
         self.weather.load(weather)
         self.log.load(log)
+        self.newest = np.frombuffer(newest, NEWEST_FORECAST).copy()
         self.state = np.frombuffer(filters, FILTER_STATE).copy()
 
 
@@ -356,7 +335,7 @@ def _create_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
     over_charge = rows.basis[i] == OVER_CHARGE
     return ForecastRecord(
         time=time,
-        end=float(rows.end[i]),
+        end=float(rows.shift_end_s[i]),
         basis=int(rows.basis[i]),
         ahead_km=float(rows.energy_km_ahead[i]),
         ambient_c=float(rows.ambient_c[i]),
@@ -366,8 +345,8 @@ def _create_record(time: float, rows: ForecastRows, i: int) -> ForecastRecord:
         soc=float(rows.soc[i]),
         driving=nan if over_charge else float(rows.driving_fall[i]),
         waiting=nan if over_charge else float(rows.waiting_fall[i]),
-        lower=float(rows.end_soc_p05[i]),
-        upper=float(rows.end_soc_p95[i]),
+        lower=float(rows.soc_end_of_shift_p05[i]),
+        upper=float(rows.soc_end_of_shift_p95[i]),
     )
 
 

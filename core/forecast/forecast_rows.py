@@ -23,24 +23,27 @@ from socast.core.forecast.soc_ahead import LearnedErrors, find_charging_since, f
 from socast.core.forecast.soc_reading import READING_SD
 from socast.core.totals.accumulator import Totals
 from socast.core.vehicles.fleet import Cars
-
-END_OF_SHIFT: Final = np.dtype([(name, "f8") for name in ("mean", "p05", "p95", "risk", "time")])
-"""Charge at the end of a shift: mean, 5th and 95th percentile, the risk of ending below the reserve [1], when [s]."""
+from socast.core.wire.live_fields import LiveField, list_interval_columns, list_live_fields
+from socast.core.wire.messages import Forecast
 
 
 class ForecastRows(NamedTuple):
     """Hold the forecasts at n rows of running totals, (n,) each; NaN where unknown.
 
+    A field of `socast.core.wire.messages.Forecast` with a live display is published from the column of its name, or
+    from the column without `_pct`, as a percentage. An interval has two further columns for its percentiles.
+
     Parameters
     ----------
     predicted : Energy predicted of the ride so far. [kWh]
     soc, soc_sd : Present charge and its standard deviation. [1]
-    end_soc, end_soc_p05, end_soc_p95 : Charge at the end of the shift: mean, 5th and 95th percentile. [1]
-    risk : Probability of ending below the reserve. [1]
+    soc_end_of_shift, soc_end_of_shift_p05, soc_end_of_shift_p95 : Charge at the end of the shift: mean, 5th and 95th
+        percentile. [1]
+    reserve_risk : Probability of ending below the reserve. [1]
     range_km, range_km_p05, range_km_p95 : Distance that the car can drive now without a pause, down to the reserve:
         mean, 5th and 95th percentile. [km]
     raw_end_soc, raw_end_soc_sd : Charge at the end and its standard deviation, before the conformal correction. [1]
-    end : End of the shift. [s]
+    shift_end_s : End of the shift. [s]
     basis : `BY_PLAN`, `BY_HISTORY` or `OVER_CHARGE`, (n,) int.
     ride_km_ahead : Distance of rides ahead. [km]
     energy_km_ahead : Distance that the energy ahead, after planned charges, would usually drive. [km]
@@ -67,16 +70,16 @@ class ForecastRows(NamedTuple):
     predicted: Floats
     soc: Floats
     soc_sd: Floats
-    end_soc: Floats
-    end_soc_p05: Floats
-    end_soc_p95: Floats
-    risk: Floats
+    soc_end_of_shift: Floats
+    soc_end_of_shift_p05: Floats
+    soc_end_of_shift_p95: Floats
+    reserve_risk: Floats
     range_km: Floats
     range_km_p05: Floats
     range_km_p95: Floats
     raw_end_soc: Floats
     raw_end_soc_sd: Floats
-    end: Floats
+    shift_end_s: Floats
     basis: Ints
     ride_km_ahead: Floats
     energy_km_ahead: Floats
@@ -109,11 +112,11 @@ class ForecastRows(NamedTuple):
         """Return some of the rows."""
         return ForecastRows(**{name: column[which] for name, column in self._asdict().items()})
 
-    def get_end_of_shift(self) -> NDArray[np.void]:
-        """Return the charge at the end of the shift, (n,) END_OF_SHIFT."""
-        out = np.empty(len(self.end_soc), END_OF_SHIFT)
-        out["mean"], out["p05"], out["p95"], out["risk"] = self.end_soc, self.end_soc_p05, self.end_soc_p95, self.risk
-        out["time"] = self.end
+    def get_newest(self) -> NDArray[np.void]:
+        """Return the published columns, (n,) NEWEST_FORECAST."""
+        out = np.empty(len(self.soc), NEWEST_FORECAST)
+        for name in NEWEST_FORECAST.names or ():
+            out[name] = getattr(self, name)
         return out
 
     @classmethod
@@ -123,6 +126,50 @@ class ForecastRows(NamedTuple):
         return cls(
             **{name: np.concatenate([empty, *(getattr(p, name) for p in parts)]) for name, empty in none.items()}
         )
+
+
+class PublishedField(NamedTuple):
+    """Describe a field of a forecast that is published from columns of `ForecastRows`.
+
+    Parameters
+    ----------
+    columns : tuple of str
+        The column of a number, or those of mean and percentiles of an interval.
+    scale : float
+        Value of one unit of a column in the unit of the field.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    scale: float
+
+    @classmethod
+    def of(cls, field: LiveField) -> "PublishedField":
+        """Return the columns of a declared field, by its name."""
+        is_share = field.name not in ForecastRows._fields
+        column = field.name.removesuffix("_pct") if is_share else field.name
+        return cls(
+            field.name, list_interval_columns(column) if field.is_interval else (column,), 100.0 if is_share else 1.0
+        )
+
+
+PUBLISHED: Final = tuple(
+    PublishedField.of(field) for field in list_live_fields(Forecast) if not field.name.startswith("ride_")
+)
+"""Fields of a forecast from columns of `ForecastRows`; those of the ride in progress come from its totals."""
+INTERVALS: Final = (*(each.columns for each in PUBLISHED if len(each.columns) > 1), list_interval_columns("charge_soc"))
+"""Columns of mean and percentiles of each published interval."""
+NEWEST_FORECAST: Final = np.dtype(
+    [
+        (column, "f8")
+        for column in (
+            *(column for each in PUBLISHED for column in each.columns),
+            *list_interval_columns("charge_soc"),
+            *("charge_time", "charge_risk"),
+        )
+    ]
+)
+"""Newest forecast of a car, as a state keeps it: the columns of `ForecastRows` from which it is published."""
 
 
 def compute_forecast_rows(
@@ -158,16 +205,16 @@ def compute_forecast_rows(
         predicted=predicted,
         soc=estimate.soc,
         soc_sd=np.sqrt(np.maximum(estimate.variance, READING_SD**2)),
-        end_soc=soc.end.mean,
-        end_soc_p05=soc.end.p05,
-        end_soc_p95=soc.end.p95,
-        risk=soc.end.risk,
+        soc_end_of_shift=soc.end.mean,
+        soc_end_of_shift_p05=soc.end.p05,
+        soc_end_of_shift_p95=soc.end.p95,
+        reserve_risk=soc.end.risk,
         range_km=range_km,
         range_km_p05=range_km_p05,
         range_km_p95=range_km_p95,
         raw_end_soc=soc.end.raw_mean,
         raw_end_soc_sd=soc.end.raw_sd,
-        end=ahead.end,
+        shift_end_s=ahead.end,
         basis=soc.basis,
         ride_km_ahead=np.where(soc.basis == OVER_CHARGE, ahead.km + progress["after_km"], ahead.km),
         energy_km_ahead=soc.end.energy_km,

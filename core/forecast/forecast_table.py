@@ -1,33 +1,29 @@
 """The table of forecasts: one row per forecast message, one column per field, with nested fields joined by a dot."""
 
 from collections.abc import Iterable
-from typing import Any, Final
+from typing import Any, Final, get_type_hints
 
 import msgspec
 import pandas as pd
 
-from socast.core.wire.messages import Forecast, Interval, Message, NextCharge, QualityCounts
+from socast.core.wire.live_fields import find_struct
+from socast.core.wire.messages import Forecast, Message
 
 KEY_END: Final = "/forecast"
-_NESTED: Final[dict[str, type[msgspec.Struct]]] = {
-    "range_km": Interval,
-    "soc_end_of_shift_pct": Interval,
-    "quality": QualityCounts,
-    "next_charge": NextCharge,
-    "next_charge.soc_pct": Interval,
-}
 
 
 def _list_columns(struct: type[msgspec.Struct], before: str = "") -> list[str]:
+    """Return the columns of a struct, those of a nested one after its name and a dot."""
     columns: list[str] = []
-    for name in struct.__struct_fields__:
-        nested = _NESTED.get(before + name)
+    for name, kind in get_type_hints(struct).items():
+        nested = find_struct(kind)
         columns += _list_columns(nested, f"{before}{name}.") if nested else [before + name]
     return columns
 
 
 FORECAST_COLUMNS: Final = tuple(_list_columns(Forecast))
 """Columns that each table of forecasts has."""
+_NESTED: Final = {before for name in FORECAST_COLUMNS for before in (name.rpartition(".")[0], name.partition(".")[0])}
 
 
 def is_forecast(message: Message) -> bool:

@@ -1,22 +1,24 @@
 """Build the published forecasts from rows of running totals."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import repeat
 from math import isnan
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
 from msgspec import UNSET, UnsetType
+from numpy.typing import NDArray
 
 from socast.core.batch import Floats
 from socast.core.cleaning.quality import CAUSES, FORECAST_CAUSES, Quality
-from socast.core.forecast.forecast_rows import ForecastRows
+from socast.core.forecast.forecast_rows import PUBLISHED, ForecastRows
 from socast.core.forecast.plausibility import find_implausible
 from socast.core.totals.accumulator import Totals
 from socast.core.totals.context import RunContext
 from socast.core.totals.measured_energy import measure_energy
+from socast.core.wire.live_fields import list_interval_columns
 from socast.core.wire.messages import Forecast, Interval, Message, NextCharge, QualityCounts
 
 _COUNTED: Final = {
@@ -48,56 +50,77 @@ def build_forecasts(
 ) -> list[Message]:
     """Return one message per row of running totals that is plausible, under `{prefix}fleet/{vehicle}/forecast`.
 
-    The receipt time is the event time of the sample behind the forecast. Outside of rides there is no energy, and
-    unknown values are null.
+    The receipt time is the event time of the sample behind the forecast.
     """
-    names = context.vehicle_ids
-    riding = running.ride >= 0
-    predicted = np.where(riding, rows.predicted, np.nan)
-    measured = np.where(riding, measure_energy(running, context.cars).energy, np.nan)
-    withheld = find_implausible(running, rows, predicted, measured, context.cars)
+    ride = RideSoFar.create(running, rows.predicted, context)
+    withheld = find_implausible(running, rows, ride.predicted, ride.measured, context.cars)
     implausible.update(cause for cause in withheld if cause)
-    soc_end = _list_intervals(100.0 * rows.end_soc, 100.0 * rows.end_soc_p05, 100.0 * rows.end_soc_p95)
-    lanes, time = running.lane.tolist(), running.at_last("time").tolist()
-    vehicle_ids = [names[lane] for lane in lanes]
-    forecasts = map(
-        Forecast,  # its fields in their order; NaN is encoded as null
-        vehicle_ids,
-        time,
-        [name if is_riding else None for name, is_riding in zip(ride_names, riding.tolist(), strict=True)],
-        repeat(context.model_label),
-        np.where(riding, running.amount("distance") * 1e-3, 0.0).tolist(),
-        np.where(riding, running.amount("duration"), 0.0).tolist(),
-        predicted.tolist(),
-        measured.tolist(),
-        (100.0 * rows.soc).tolist(),
-        (100.0 * rows.soc_sd).tolist(),
-        _list_intervals(rows.range_km, rows.range_km_p05, rows.range_km_p95),
-        soc_end,
-        rows.risk.tolist(),
-        map(QualityCounts, *count_quality(running).values()),
-        _list_charges(rows),
-        rows.end.tolist(),
-    )
+    forecasts = fill_forecasts(running, rows._asdict(), ride, ride_names, context)
     encode = msgspec.json.Encoder().encode
     new = tuple.__new__  # half the time of Message()
     return [
-        new(Message, (f"{prefix}fleet/{vehicle_id}/forecast", encode(forecast), int(time_s * 1e9)))
-        for vehicle_id, time_s, forecast, cause in zip(vehicle_ids, time, forecasts, withheld, strict=True)
+        new(Message, (f"{prefix}fleet/{each.vehicle_id}/forecast", encode(each), int(each.time_s * 1e9)))
+        for each, cause in zip(forecasts, withheld, strict=True)
         if cause is None
     ]
 
 
-def _list_charges(rows: ForecastRows) -> list[NextCharge | UnsetType]:
+class RideSoFar(NamedTuple):
+    """Hold the rides in progress of n cars, (n,) each: whether there is one, and its energies, else NaN. [kWh]"""
+
+    is_riding: NDArray[np.bool_]
+    predicted: Floats
+    measured: Floats
+
+    @classmethod
+    def create(cls, running: Totals, predicted: Floats, context: RunContext) -> "RideSoFar":
+        """Return the rides at running totals with their predicted energy, which is unknown outside of rides."""
+        riding = running.ride >= 0
+        measured = measure_energy(running, context.cars).energy
+        return cls(riding, np.where(riding, predicted, np.nan), np.where(riding, measured, np.nan))
+
+
+def fill_forecasts(
+    running: Totals,
+    columns: Mapping[str, Floats],
+    ride: RideSoFar,
+    ride_names: Sequence[str | None],
+    context: RunContext,
+) -> Iterator[Forecast]:
+    """Return one forecast per row of running totals; NaN stands for an unknown number, and is encoded as null.
+
+    `columns` holds those of `ForecastRows` that are published.
+    """
+    names, riding = context.vehicle_ids, ride.is_riding
+    values: dict[str, Iterable[Any]] = {
+        "vehicle_id": [names[lane] for lane in running.lane.tolist()],
+        "time_s": running.at_last("time").tolist(),
+        "ride_id": [name if is_riding else None for name, is_riding in zip(ride_names, riding.tolist(), strict=True)],
+        "model": repeat(context.model_label),
+        "ride_distance_km": np.where(riding, running.amount("distance") * 1e-3, 0.0).tolist(),
+        "ride_duration_s": np.where(riding, running.amount("duration"), 0.0).tolist(),
+        "ride_energy_predicted_kwh": ride.predicted.tolist(),
+        "ride_energy_measured_kwh": ride.measured.tolist(),
+        "quality": map(QualityCounts, *count_quality(running).values()),
+        "next_charge": _list_charges(columns),
+    }
+    for field in PUBLISHED:
+        numbers = [field.scale * columns[name] for name in field.columns]
+        values[field.name] = list_intervals(*numbers) if len(numbers) > 1 else numbers[0].tolist()
+    return map(Forecast, *map(values.__getitem__, Forecast.__struct_fields__))
+
+
+def _list_charges(columns: Mapping[str, Floats]) -> list[NextCharge | UnsetType]:
     """Return the forecasts of the next planned charges, UNSET where none is ahead."""
-    if np.isnan(rows.charge_soc).all():
-        return [UNSET] * len(rows.charge_soc)
-    intervals = _list_intervals(100.0 * rows.charge_soc, 100.0 * rows.charge_soc_p05, 100.0 * rows.charge_soc_p95)
-    parts = zip(rows.charge_time.tolist(), intervals, rows.charge_risk.tolist(), strict=True)
+    mean, low, high = (100.0 * columns[name] for name in list_interval_columns("charge_soc"))
+    if np.isnan(mean).all():
+        return [UNSET] * len(mean)
+    times, risks = columns["charge_time"].tolist(), columns["charge_risk"].tolist()
+    parts = zip(times, list_intervals(mean, low, high), risks, strict=True)
     return [UNSET if soc is None else NextCharge(when, soc, none_if_nan(risk)) for when, soc, risk in parts]
 
 
-def _list_intervals(mean: Floats, low: Floats, high: Floats) -> list[Interval | None]:
+def list_intervals(mean: Floats, low: Floats, high: Floats) -> list[Interval | None]:
     """Return intervals, None where the quantity is unknown."""
     unknown = np.isnan(mean) | np.isnan(low) | np.isnan(high)
     if unknown.all():

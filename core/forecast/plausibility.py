@@ -23,7 +23,7 @@ from msgspec import UNSET
 
 from socast.core.batch import Floats
 from socast.core.columns import KMH
-from socast.core.forecast.forecast_rows import ForecastRows
+from socast.core.forecast.forecast_rows import INTERVALS, NEWEST_FORECAST, ForecastRows
 from socast.core.forecast.learning.leg_energy import LARGEST_PER_KM, LARGEST_POWER
 from socast.core.totals.accumulator import Totals
 from socast.core.totals.measured_energy import LARGEST_BATTERY, compute_largest_energy
@@ -54,22 +54,20 @@ def find_implausible(
     distance, duration = running.amount("distance"), running.amount("duration")
     most_kwh = compute_largest_energy(running, cars)
     most_km = capacity / RATED[0]
-    intervals = (
-        (rows.range_km_p05, rows.range_km, rows.range_km_p95),
-        (rows.end_soc_p05, rows.end_soc, rows.end_soc_p95),
-        (rows.charge_soc_p05, rows.charge_soc, rows.charge_soc_p95),
-    )
+    columns = rows._asdict()
+    intervals = [tuple(map(columns.__getitem__, names)) for names in INTERVALS]
+    published = [predicted, measured, *(columns[name] for name in NEWEST_FORECAST.names or ())]
     faults = {
-        "not_finite": np.isinf(rows.soc + rows.soc_sd + rows.risk + predicted + measured + sum(intervals[0])),
+        "not_finite": np.any(np.isinf(published), axis=0),
         "ride": ~((distance >= 0.0) & (duration >= 0.0) & (distance <= FASTEST * duration + JUMP)),
         "soc": (rows.soc < 0.0) | (rows.soc > 1.0) | (rows.soc_sd > 1.0),
         "ride_energy": (np.abs(predicted) > most_kwh) | (np.abs(measured) > most_kwh),
         "range": (rows.range_km_p05 < 0.0) | (rows.range_km_p95 > most_km),
-        "end_of_shift": (rows.end_soc_p05 < 0.0)
-        | (rows.end_soc_p95 > 1.0)
+        "end_of_shift": (rows.soc_end_of_shift_p05 < 0.0)
+        | (rows.soc_end_of_shift_p95 > 1.0)
         | ((rows.charge_soc_p05 < 0.0) | (rows.charge_soc_p95 > 1.0)),
-        "interval_order": np.any([(low > mean) | (mean > high) for low, mean, high in intervals], axis=0),
-        "reserve_risk": (rows.risk < 0.0) | (rows.risk > 1.0),
+        "interval_order": np.any([(low > mean) | (mean > high) for mean, low, high in intervals], axis=0),
+        "reserve_risk": (rows.reserve_risk < 0.0) | (rows.reserve_risk > 1.0),
     }
     names, found = list(faults), np.array(list(faults.values()))
     if not found.any():

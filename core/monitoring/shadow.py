@@ -29,7 +29,8 @@ from socast.core.totals.clean_rows import PowerOfEffect
 from socast.core.totals.context import RunContext
 from socast.core.totals.measured_energy import measure_energy
 from socast.core.totals.tables import model_columns, unfit_reason
-from socast.core.wire.messages import Message, ModelErrors, encode, identify_model
+from socast.core.wire.keys import identify_model
+from socast.core.wire.messages import Message, ModelErrors, encode
 
 MOST_VEHICLE_MODELS: Final = 64
 """Number of vehicle models with running errors of their own; rides of later ones count only among all rides."""

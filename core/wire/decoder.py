@@ -20,6 +20,7 @@ from socast.core.columns import KMH, ZERO_CELSIUS
 from socast.core.settings import Limits
 from socast.core.wire.arrow_batch import PREFIX, ArrowRows, BatchReader
 from socast.core.wire.json_scanner import POSITION, JsonScanner, ScannedSamples
+from socast.core.wire.keys import identity
 from socast.core.wire.message_block import KeyValues, MessageBlock
 from socast.core.wire.messages import (
     BATCH,
@@ -32,7 +33,6 @@ from socast.core.wire.messages import (
     Telemetry,
     Wire,
     address,
-    identity,
 )
 from socast.core.wire.name_lookup import PENDING, NameLookup
 from socast.core.wire.rate_limit import RateLimit

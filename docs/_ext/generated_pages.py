@@ -17,6 +17,7 @@ from typing import Any, Final
 import command_pages
 import effect_pages
 import table_pages
+import wire_pages
 from sphinx.application import Sphinx
 
 DOCS: Final = Path(__file__).parents[1]
@@ -30,6 +31,7 @@ GENERATORS: Final[Mapping[str, Callable[[], str]]] = {
     "signal-columns": table_pages.signal_columns,
     "ride-columns": table_pages.ride_columns,
     "window-columns": table_pages.window_columns,
+    **wire_pages.generators(),
 }
 """Name in the comment -> function that returns Markdown."""
 COPIES: Final[Mapping[str, str]] = {

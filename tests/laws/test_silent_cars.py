@@ -65,7 +65,7 @@ def test_silent_car_is_forgotten_by_every_component():
     )
     assert max(map(len, parts)) <= 2 * lanes
     assert max(pipeline.engine.plans.plans) < lanes
-    assert {status.vehicle_id for status in pipeline.status()} <= set(names)
+    assert {status.forecast.vehicle_id for status in pipeline.status()} <= set(names)
     with pytest.raises(Exception, match="has sent nothing"):
         pipeline.ask(GONE)
 

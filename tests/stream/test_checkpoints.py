@@ -37,9 +37,6 @@ class Taken:
         due, self._due = self._due, []
         return list({message.key: message for message in due}.values()) if newest_only else due
 
-    def restate(self) -> None:
-        pass
-
     def model_errors(self, **_: Any) -> list[Message]:
         return []
 

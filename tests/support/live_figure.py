@@ -44,7 +44,7 @@ def run_shift(share: float = SHOWN) -> tuple[Pipeline, Tally]:
 def live_figure(pipeline: Pipeline, tally: Tally) -> str:
     """Return the table of cars as SVG."""
     console = Console(record=True, width=WIDTH, file=StringIO(), force_terminal=True, color_system="truecolor")
-    cars = sorted(pipeline.status())
+    cars = pipeline.status()
     caption = describe_counts(tally, count_received(pipeline.quality()))
     console.print(make_fleet_table(cars, "Live", caption, len(cars)))
     form = sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=DOTALL).replace("Fira Code, monospace", FONTS)

@@ -13,11 +13,10 @@ from rich.console import Console
 from rich.text import Text
 
 from socast.core.errors import AskError
-from socast.core.forecast.status import VehicleStatus
 from socast.core.models import LinearModel
 from socast.core.models.interval import ANY
 from socast.core.pipeline import Pipeline
-from socast.core.wire.messages import Finding, Leg, address
+from socast.core.wire.messages import Finding, Forecast, Leg, address
 from socast.stream.loop import Tally
 from socast.stream.mcap_reader import McapSource
 from socast.tools.commands.ask import HIGH_RISK, verdict
@@ -232,9 +231,9 @@ class AlarmWatch:
 
     def __call__(self, tally: Tally) -> None:
         """Look at the newest forecasts."""
-        known = [car for car in self._pipeline.status() if car.risk is not None]
+        known = [car.forecast for car in self._pipeline.status() if car.forecast.reserve_risk is not None]
         for car in known:
-            if (car.risk or 0.0) > HIGH_RISK:
+            if (car.reserve_risk or 0.0) > HIGH_RISK:
                 since = self.warned.get(car.vehicle_id, Warned(car.time_s, 0.0)).since_s
                 self.warned[car.vehicle_id] = Warned(since, car.time_s)
             else:
@@ -242,9 +241,9 @@ class AlarmWatch:
         if not self.answers and tally.received >= self._ask_at and known:
             self._ask(known)
 
-    def _ask(self, cars: Sequence[VehicleStatus]) -> None:
+    def _ask(self, cars: Sequence[Forecast]) -> None:
         """Ask the car with the largest risk and the one with the smallest whether they can take a ride."""
-        by_risk = sorted(cars, key=lambda car: (-(car.risk or 0.0), car.vehicle_id))
+        by_risk = sorted(cars, key=lambda car: (-(car.reserve_risk or 0.0), car.vehicle_id))
         self.asked_s = max(car.time_s for car in cars)
         for name in dict.fromkeys((by_risk[0].vehicle_id, by_risk[-1].vehicle_id)):
             try:

@@ -5,10 +5,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, tzinfo
-from math import isfinite
+from functools import partial
+from math import isfinite, nan
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self
 
+import msgspec
 import numpy as np
 import pandas as pd
 from rich.console import Console, Group
@@ -22,6 +24,8 @@ from socast.core.formatting import format_count, format_minus
 from socast.core.monitoring.shadow import ShadowModels
 from socast.core.pipeline import Pipeline
 from socast.core.vehicles.catalogue import OVERRIDES
+from socast.core.wire.live_fields import LiveField, list_live_fields
+from socast.core.wire.messages import Forecast, Interval
 from socast.stream.loop import Tally
 from socast.tools.terminal.model_comparison import WIDE, ErrorCourses, make_models_table
 from socast.tools.terminal.output import make_console
@@ -126,7 +130,7 @@ class LiveTable:
         if self._silent or now < self._due:
             return
         self._due = now + (REDRAW_S if self._live else QUIET_S)
-        cars = sorted(self._pipeline.status())
+        cars = self._pipeline.status()
         if self._live:
             wide, errors = self._console.width >= WIDE, self._pipeline.shadows.errors()
             self._courses.add(errors)
@@ -142,6 +146,13 @@ class LiveTable:
             )
 
 
+class FleetColumn(NamedTuple):
+    """Hold a column of the table of cars, and the function that returns the cell of a car."""
+
+    column: Column
+    make_cell: Callable[[VehicleStatus], str | Text]
+
+
 def make_fleet_table(
     cars: Sequence[VehicleStatus],
     title: str,
@@ -154,70 +165,95 @@ def make_fleet_table(
 ) -> Table:
     """Return a table with one row per car: those at risk first, then those with the newest samples by name."""
     shown = _choose_cars(cars, rows)
-    of_zone = name_zone([car.time_s for car in shown if isfinite(car.time_s)], zone)
-    numbers = (
-        *(((f"time\n{of_zone}", 8),) if wide else ()),
-        ("SOC\n%", 5),
-        ("ride\nkm", 6),
-        ("predicted\nkWh", 9),
-        ("measured\nkWh", 8),
-        ("off\n%", 4),
-        ("at shift's\nend %", 10),
-        *((f"by {place + 2}\nkWh", 6) for place in range(shadows)),
-    )
-    columns = [
-        Column("car", fixed=True, min_width=8),
-        *(Column(head, number=True, fixed=True, min_width=width) for head, width in numbers),
-        Column("charge now ● and at\nshift's end ━┃━, 0–100 %" if wide else "0–100 %\n● now, ┃ end", fixed=True),
-        *((Column("repaired or\nrejected", fixed=True, ratio=1),) if wide else ()),
-    ]
-    table = make_table(columns, title, caption, expand=True)
+    of_zone = name_zone([each.forecast.time_s for each in shown if isfinite(each.forecast.time_s)], zone)
+    columns = _list_columns(of_zone, shadows, zone, wide=wide)
+    table = make_table([each.column for each in columns], title, caption, expand=True)
     for car in shown:
-        riding = car.ride_distance_km > 0
-        style = "red" if _is_at_risk(car) else "cyan"
-        off = _compute_off_pct(car.predicted_kwh, car.measured_kwh) if riding else float("nan")
-        table.add_row(
-            Text(car.vehicle_id),
-            *((_format_time(car, zone),) if wide else ()),
-            _format_number(car.soc_pct, 1),
-            _format_number(car.ride_distance_km, 2),
-            _format_number(car.predicted_kwh, 3),
-            _format_number(car.measured_kwh, 3),
-            Text(_format_number(off, 0, sign=True), style="red" if abs(off) > 20 else ""),
-            _format_end(car),
-            *(_format_number(energy, 3) for energy in car.shadows_kwh[:shadows]),
-            draw_charge(car.soc_pct, car.end_pct, WIDE_PICTURE if wide else NARROW_PICTURE, style),
-            *((Text(_format_counts(car.quality)),) if wide else ()),
-        )
+        table.add_row(*(each.make_cell(car) for each in columns))
     if len(cars) > len(shown):
         table.add_row(f"and {len(cars) - len(shown):,} more", *[""] * (len(columns) - 1))
     return table
 
 
+def _list_columns(of_zone: str, shadows: int, zone: tzinfo | None, *, wide: bool) -> list[FleetColumn]:
+    """Return the columns of the table of cars: those that fields of a forecast declare, and those around them."""
+
+    def number(head: str, digits: int, make_cell: Callable[[VehicleStatus], str | Text]) -> FleetColumn:
+        width = max(4 + digits, *map(len, head.split("\n")))
+        return FleetColumn(Column(head, number=True, fixed=True, min_width=width), make_cell)
+
+    columns = [FleetColumn(Column("car", fixed=True, min_width=8), lambda car: Text(car.forecast.vehicle_id))]
+    columns += [number(f"time\n{of_zone}", 4, partial(_format_time, zone=zone))] if wide else []
+    columns.append(number("SOC\n%", 1, lambda car: _format_number(car.soc_pct, 1)))
+    for field in list_live_fields(Forecast):
+        if (shown := field.display.terminal) is not None and (wide or not shown.wide):
+            columns.append(number(shown.head, shown.digits, partial(_format_field, field=field, digits=shown.digits)))
+        if field.name == "ride_energy_measured_kwh":
+            columns.append(number("off\n%", 0, _format_off))
+    for place in range(shadows):
+        columns.append(number(f"by {place + 2}\nkWh", 2, partial(_format_shadow, place=place)))
+    picture = Column("charge now ● and at\nshift's end ━┃━, 0–100 %" if wide else "0–100 %\n● now, ┃ end", fixed=True)
+    columns.append(FleetColumn(picture, partial(_draw_charge, width=WIDE_PICTURE if wide else NARROW_PICTURE)))
+    if wide:
+        quality = Column("repaired or\nrejected", fixed=True, ratio=1)
+        columns.append(FleetColumn(quality, lambda car: Text(_format_quality(car.forecast))))
+    return columns
+
+
 def _choose_cars(cars: Sequence[VehicleStatus], rows: int) -> list[VehicleStatus]:
     """Return the cars to show: by falling risk, in whole percent so that rows keep their places, then by name."""
-    risky = sorted(filter(_is_at_risk, cars), key=lambda car: (-round(car.risk or 0.0, 2), car.vehicle_id))[:rows]
-    others = sorted((car for car in cars if not _is_at_risk(car)), key=lambda car: car.time_s, reverse=True)
-    return risky + sorted(others[: rows - len(risky)])
+    risky = [car for car in cars if _is_at_risk(car)]
+    risky.sort(key=lambda car: (-round(car.forecast.reserve_risk or 0.0, 2), car.forecast.vehicle_id))
+    others = [car for car in cars if not _is_at_risk(car)]
+    others.sort(key=lambda car: car.forecast.time_s, reverse=True)
+    others = others[: max(rows - len(risky), 0)]
+    return risky[:rows] + sorted(others, key=lambda car: car.forecast.vehicle_id)
 
 
-def _format_end(car: VehicleStatus) -> Text:
-    """Return the charge at the shift's end and its interval, marked if the car risks ending below its reserve."""
-    if car.end_pct is None:
-        return Text("shift over" if car.is_shift_over else "–")
-    mean, low, high = car.end_pct
-    mark = "!" if _is_at_risk(car) else " "
-    return Text(f"{mean:.0f} {low:.0f}–{high:.0f}{mark}", style="red" if _is_at_risk(car) else "")
+def _format_field(car: VehicleStatus, field: LiveField, digits: int) -> str | Text:
+    """Return a field of a forecast; an interval is marked if the car risks ending below its reserve."""
+    value = getattr(car.forecast, field.name)
+    if car.is_shift_over and field.display.of_shift:
+        return "shift over"
+    if not isinstance(value, Interval):
+        return "–" if value is None and field.is_interval else _format_number(value, digits)
+    mean, low, high = (_format_number(each, digits) for each in msgspec.structs.astuple(value))
+    return Text(f"{mean} {low}–{high}{'!' if _is_at_risk(car) else ' '}", style="red" if _is_at_risk(car) else "")
+
+
+def _format_off(car: VehicleStatus) -> Text:
+    """Return the error of the prediction of the ride in progress."""
+    ride = car.forecast
+    off = _compute_off_pct(ride.ride_energy_predicted_kwh, ride.ride_energy_measured_kwh)
+    off = off if ride.ride_distance_km > 0 else nan
+    return Text(_format_number(off, 0, sign=True), style="red" if abs(off) > 20 else "")
+
+
+def _format_shadow(car: VehicleStatus, place: int) -> str:
+    """Return the energy that a shadow model predicts of the ride in progress."""
+    return _format_number(car.shadows_kwh[place], 3) if place < len(car.shadows_kwh) else ""
+
+
+def _draw_charge(car: VehicleStatus, width: int) -> Text:
+    """Return the picture of a car's charge now and at the end of its shift."""
+    end = car.forecast.soc_end_of_shift_pct
+    bounds = None if end is None else (end.mean, end.p05, end.p95)
+    return draw_charge(car.soc_pct, bounds, width, "red" if _is_at_risk(car) else "cyan")
 
 
 def _is_at_risk(car: VehicleStatus) -> bool:
     """Return whether a car risks ending its shift below its reserve."""
-    return car.risk is not None and car.risk >= WARNED
+    return (car.forecast.reserve_risk or 0.0) >= WARNED
 
 
 def _format_time(car: VehicleStatus, zone: tzinfo | None) -> str:
     """Return the time of a car's newest sample."""
-    return format_local(car.time_s, "%H:%M:%S", zone) if isfinite(car.time_s) else ""
+    return format_local(car.forecast.time_s, "%H:%M:%S", zone) if isfinite(car.forecast.time_s) else ""
+
+
+def _format_quality(forecast: Forecast) -> str:
+    """Return the numbers of samples of a ride that were repaired or rejected, by cause."""
+    return _format_counts(msgspec.structs.asdict(forecast.quality))
 
 
 def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally, zone: tzinfo | None = UTC) -> str:
@@ -225,12 +261,13 @@ def format_fleet_line(cars: Sequence[VehicleStatus], tally: Tally, zone: tzinfo 
     counts = f"{tally.seconds:5.1f} s  {tally.received:7,} messages  {len(cars):3} cars"
     if not cars:
         return counts
-    car = max(cars, key=lambda car: car.time_s)
-    moment = format_local(car.time_s, "%H:%M:%S %Z", zone)
+    car = max(cars, key=lambda car: car.forecast.time_s)
+    newest = car.forecast
     return (
-        f"{counts}  {moment}  {car.vehicle_id}: SOC {_format_number(car.soc_pct, 1)} %, "
-        f"{_format_number(car.ride_distance_km, 2)} km, predicted {_format_number(car.predicted_kwh, 3)} kWh, "
-        f"measured {_format_number(car.measured_kwh, 3)} kWh  {_format_counts(car.quality)}"
+        f"{counts}  {format_local(newest.time_s, '%H:%M:%S %Z', zone)}  {newest.vehicle_id}: "
+        f"SOC {_format_number(car.soc_pct, 1)} %, {_format_number(newest.ride_distance_km, 2)} km, "
+        f"predicted {_format_number(newest.ride_energy_predicted_kwh, 3)} kWh, "
+        f"measured {_format_number(newest.ride_energy_measured_kwh, 3)} kWh  {_format_quality(newest)}"
     ).rstrip()
 
 
@@ -372,13 +409,15 @@ def describe_counts(tally: Tally, received: Mapping[str, int]) -> str:
     )
 
 
-def _compute_off_pct(predicted: float, measured: float) -> float:
-    """Return the error of a prediction; NaN if the measured energy is at most 0.05 kWh. [%]"""
-    return 100.0 * (predicted - measured) / measured if measured > 0.05 else float("nan")
+def _compute_off_pct(predicted: float | None, measured: float | None) -> float:
+    """Return the error of a prediction; NaN where unknown, or if the measured energy is at most 0.05 kWh. [%]"""
+    if predicted is None or measured is None:
+        return nan
+    return 100.0 * (predicted - measured) / measured if measured > 0.05 else nan
 
 
-def _format_number(value: float, digits: int, *, sign: bool = False) -> str:
+def _format_number(value: float | None, digits: int, *, sign: bool = False) -> str:
     """Return the text of a number, a dash if it is unknown."""
-    if not isfinite(value):
+    if value is None or not isfinite(value):
         return "–"
     return format_minus(f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}")

@@ -15,6 +15,7 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from socast.core.errors import SocastError
 from socast.tools.workbench.access import refuse
 from socast.tools.workbench.fleet.feed import FleetFeed
+from socast.tools.workbench.fleet.frames import describe_frames
 from socast.tools.workbench.fleet.routes import ROUTES as FLEET_ROUTES
 from socast.tools.workbench.fleet.tiles import TileFile
 from socast.tools.workbench.json_routes import JsonRequest, JsonRoute, NotFoundError, Workbench
@@ -40,6 +41,7 @@ def _get_session(workbench: Workbench, _: JsonRequest) -> dict[str, Any]:
         "read_only": workbench.read_only,
         "time_zone": workbench.time_zone,
         "fleet": workbench.fleet and workbench.fleet.describe(),
+        "columns": describe_frames()["columns"],
         "tiles": workbench.tiles and workbench.tiles.range._asdict(),
     }
 

@@ -168,7 +168,8 @@ def test_end_of_dispatch_ends_a_ride_at_once_and_for_good():
     ended = count_ended(in_order(shift("a", rides=1)), pipeline)
     assert ended.index(1) == 96  # the vehicle message and 95 samples came before
     assert ended[-1] == 1
-    assert (pipeline.status()[0].ride_id, pipeline.status()[0].ride_distance_km) == (None, 0.0)
+    forecast = pipeline.status()[0].forecast
+    assert (forecast.ride_id, forecast.ride_distance_km) == (None, 0.0)
     pipeline.finish()
     (ride,) = pipeline.take_rides().to_dict("records")
     assert (ride["ride_id"], ride["duration_s"]) == ("a0", PERIOD * 94)

@@ -135,7 +135,7 @@ def test_running_totals_at_the_end_equal_those_of_the_ride():
     pipeline = Pipeline()
     pipeline.push(messages)
     running = pipeline.totals.accumulator.running(np.array([0]))
-    status = pipeline.status()[0]
+    status = pipeline.status()[0].forecast
     last = pipeline.push([])
     pipeline.finish()
     ride = pipeline.take_rides().iloc[0]
@@ -150,8 +150,8 @@ def test_running_totals_at_the_end_equal_those_of_the_ride():
         column = {"distance": "distance_km", "duration": "duration_s", "energy": "energy_vi_kwh"}.get(name, f"{name}_m")
         assert running.amount(name)[0] / unit == pytest.approx(ride[column], rel=1e-15), name
     assert status.ride_distance_km == ride["distance_km"]
-    assert status.measured_kwh == ride["energy_kwh"]
-    assert status.predicted_kwh == pytest.approx(
+    assert status.ride_energy_measured_kwh == ride["energy_kwh"]
+    assert status.ride_energy_predicted_kwh == pytest.approx(
         float(pipeline.model.predict_energy(pipeline_columns(ride))[0]), rel=1e-12
     )
 
@@ -191,7 +191,7 @@ def test_rows_outside_rides_enter_no_totals():
     pipeline, _ = ran([leaf(), *telemetry(columns)])
     for table in (pipeline.take_rides(), pipeline.take_windows()):
         assert table[["duration_s", "distance_km", "samples"]].to_numpy().tolist() == [[0.0, 0.0, 0.0]]
-    assert pipeline.status()[0].ride_distance_km == 0
+    assert pipeline.status()[0].forecast.ride_distance_km == 0
 
 
 def test_empty_ledger_has_a_column_for_every_amount():

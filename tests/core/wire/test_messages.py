@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from socast.core.wire.keys import identify_model, identity
 from socast.core.wire.messages import (
     OF_VEHICLES,
     Cause,
@@ -29,8 +30,6 @@ from socast.core.wire.messages import (
     Weather,
     address,
     encode,
-    identify_model,
-    identity,
 )
 
 number = st.floats(allow_nan=False, allow_infinity=False)

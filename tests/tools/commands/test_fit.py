@@ -245,7 +245,8 @@ def test_pipeline_restored_during_ride_makes_same_forecasts(in_service):
 def test_last_forecast_of_ride_equals_prediction_from_its_table_row(in_service):
     pipeline = Pipeline(in_service)
     pipeline.push(shift())
-    running = {status.vehicle_id: status.predicted_kwh for status in pipeline.status()}
+    forecasts = [status.forecast for status in pipeline.status()]
+    running = {each.vehicle_id: each.ride_energy_predicted_kwh for each in forecasts}
     pipeline.finish()
     table = pipeline.take_rides()
     last = table.groupby("vehicle_id").tail(1)

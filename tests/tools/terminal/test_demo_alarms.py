@@ -20,7 +20,7 @@ def evening():
         pipeline.forecasts()
         received += len(block)
         watch(Tally(received=received))
-    return watch, {car.vehicle_id: car for car in pipeline.status()}
+    return watch, {car.forecast.vehicle_id: car.forecast for car in pipeline.status()}
 
 
 def test_cars_that_run_empty_are_warned_hours_before(evening):

@@ -9,14 +9,14 @@ import pytest
 from rich.console import Console
 
 from socast.core.errors import SettingsError
-from socast.core.forecast.status import VehicleStatus
 from socast.stream.loop import Tally
 from socast.tools.terminal.live_table import format_fleet_line, make_fleet_table
 from socast.tools.terminal.time_zone import SYSTEM, find_zone, format_local, name_zone
 from tests.support.commands import done, refused
 from tests.support.paths import SHIFT
+from tests.support.statuses import make_status
 
-CAR = VehicleStatus("taxi-1", "kia-soul-ev-2015", None, 1.7e9, 64.0, 0.0, float("nan"), float("nan"), {})
+CAR = make_status()
 MONTREAL = ZoneInfo("America/Montreal")
 
 

@@ -12,7 +12,8 @@ import pyarrow.compute as pc
 
 from socast.core.batch import Floats, Ints
 from socast.core.errors import ImportFileError
-from socast.core.wire.messages import LONGEST_TEXT, join_chunks
+from socast.core.wire.keys import join_chunks
+from socast.core.wire.messages import LONGEST_TEXT
 from socast.tools.importers.table.cells import Bools, encode_words, suggest_decimal, to_bools, to_numbers
 from socast.tools.importers.table.column_map import ColumnMap, FieldSource
 from socast.tools.importers.table.row_faults import HEADER_AGAIN, RowFaults, is_header

@@ -25,11 +25,11 @@ def list_alarms(board: Board) -> dict[str, Any]:
         silence in whole minutes, or probability) and `words`.
     """
     with board.lock:
-        risk = board.column("risk")
+        risk = board.column("reserve_risk")
         age, is_silent = board.get_ages(), board.find_silent()
         silent = is_silent & (board.column("riding") > 0.0)
         names = board.vehicle_ids
-        soc = board.column("soc")
+        soc = board.column("soc_pct")
         may_run_low = (risk >= LOW_RISK) & (~is_silent | (risk > HIGH_RISK))
         rows = np.flatnonzero(may_run_low & (~board.find_over() | (soc < EMPTY_PCT)))
         alarms = [

@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from socast.core.forecast.status import find_ended_shifts
+from socast.core.wire.live_fields import list_live_fields
 from socast.core.wire.messages import Finding, Forecast, Interval, Message, address
 from socast.core.wire.sample_reader import Samples, holds_samples, read_samples
 from socast.tools.workbench.fleet.density import TraceDensity
 from socast.tools.workbench.fleet.fleet_time import SILENT_S, FleetTime, find_newest
 from socast.tools.workbench.fleet.newest_values import COLUMNS, compile_kernel, make_unknown_cars, write_samples
 
-POINT: Final = ("soc", "end", "end_low", "end_high", "risk", "predicted", "measured", "ride")
+POINT: Final = ("soc_pct", "ride_energy_predicted_kwh", "ride_energy_measured_kwh", "ride")
 """Values of a point of a history, beside its time; `ride` numbers the rides of the car."""
 MOST_POINTS: Final = 4000
 """Largest number of points of a history; the older half is then dropped."""
@@ -154,7 +155,7 @@ class Board:
     def find_over(self) -> NDArray[np.bool_]:
         """Return of which cars the shift is over, as far as forecasts tell."""
         riding = self.column("riding") > 0.0
-        return find_ended_shifts(self.column("time"), self.get_ages(), self.column("shift_end"), riding)
+        return find_ended_shifts(self.column("time"), self.get_ages(), self.column("shift_end_s"), riding)
 
     def find(self, vehicle_id: str) -> int | None:
         """Return the row of a car, None for one that has sent nothing."""
@@ -238,20 +239,13 @@ class Board:
         history.ride += forecast.ride_id != before
         quality = msgspec.to_builtins(forecast.quality)
         self.quality[vehicle_id] = quality
-        soc, end = _number(forecast.soc_pct), _bounds(forecast.soc_end_of_shift_pct)
-        predicted = _number(forecast.ride_energy_predicted_kwh)
-        measured = _number(forecast.ride_energy_measured_kwh)
-        risk = _number(forecast.reserve_risk)
         self._time = self._time.hear(self._values, row, forecast.time_s)
         car = self._values[row]
-        car["soc"], car["soc_sd"] = soc, _number(forecast.soc_sd_pct)
-        car["range"], car["range_low"], car["range_high"] = _bounds(forecast.range_km)
-        car["end"], car["end_low"], car["end_high"] = end
-        car["risk"], car["predicted"], car["measured"] = risk, predicted, measured
-        car["shift_end"] = _number(forecast.shift_end_s)
-        car["ride_km"], car["ride_s"] = forecast.ride_distance_km, forecast.ride_duration_s
+        for field in list_live_fields(Forecast):
+            for name, value in zip(field.columns, _list_values(getattr(forecast, field.name)), strict=False):
+                car[name] = value
         car["faults"], car["riding"] = sum(quality.values()), float(riding)
-        history.add(forecast.time_s, (soc, *end, risk, predicted, measured, history.ride))
+        history.add(forecast.time_s, (*(car[name] for name in POINT[:-1]), history.ride))
 
     def dump(self) -> BoardState:
         """Return the state, to which `load` can return as long as the board lives."""
@@ -288,11 +282,8 @@ def _is_possible(forecast: Forecast) -> bool:
     return all(0 <= count <= MOST_COUNT for count in msgspec.structs.astuple(forecast.quality))
 
 
-def _number(value: float | None) -> float:
-    """Return a value, NaN for None."""
-    return nan if value is None else value
-
-
-def _bounds(interval: Interval | None) -> tuple[float, float, float]:
-    """Return mean and percentiles of an interval, NaN where it is unknown."""
-    return (nan, nan, nan) if interval is None else (interval.mean, interval.p05, interval.p95)
+def _list_values(value: Interval | float | None) -> tuple[float, ...]:
+    """Return the values of the columns of a field: a number, or mean and percentiles; NaN where unknown."""
+    if isinstance(value, Interval):
+        return value.mean, value.p05, value.p95
+    return (nan, nan, nan) if value is None else (value,)

@@ -7,17 +7,22 @@ any.
 """
 
 import struct
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from socast.core.wire.live_fields import LiveDisplay, list_live_fields
+from socast.core.wire.messages import Forecast
 from socast.tools.workbench.fleet.board import Board
 
 HEAD: Final = struct.Struct("<IIQd")
 """Number of cars, epoch, sequence number, and newest time of the fleet [Unix s]; 24 bytes."""
 RIDING, CHARGING, SILENT, OVER = 1, 2, 4, 8
-OF_SHIFT: Final = "end", "end_low", "end_high", "risk"
+OF_SHIFT: Final = tuple(
+    column for field in list_live_fields(Forecast) if field.display.of_shift for column in field.columns
+)
 """Columns about the rest of a shift, unknown once it is over."""
 
 
@@ -28,11 +33,18 @@ class FrameColumn(NamedTuple):
     ----------
     scale : float
         Value of one unit of the number.
+    display : LiveDisplay
+        How pages show the column.
+    is_interval : bool
+        Whether it is the mean of an interval.
     """
 
     name: str
     dtype: str
     scale: float = 1.0
+    unit: str = ""
+    display: LiveDisplay = LiveDisplay()
+    is_interval: bool = False
 
     @property
     def missing(self) -> int | None:
@@ -53,30 +65,39 @@ class FrameColumn(NamedTuple):
         return np.where(known, number, missing).astype(f"<{self.dtype}").tobytes()
 
 
-COLUMNS: Final = (
-    FrameColumn("latitude", "f4"),
-    FrameColumn("longitude", "f4"),
-    FrameColumn("age", "u2"),
-    FrameColumn("soc", "u2", 0.1),
-    FrameColumn("range", "u2", 0.1),
-    FrameColumn("ride_km", "u2", 0.01),
-    FrameColumn("predicted", "i2", 0.01),
-    FrameColumn("measured", "i2", 0.01),
-    FrameColumn("speed", "u1"),
-    FrameColumn("end", "u1", 0.5),
-    FrameColumn("end_low", "u1", 0.5),
-    FrameColumn("end_high", "u1", 0.5),
-    FrameColumn("risk", "u1", 0.005),
-    FrameColumn("faults", "u1"),
-    FrameColumn("flags", "u1"),
-)
+def _list_columns() -> Iterator[FrameColumn]:
+    """Yield the columns of a frame: places, the declared fields of a forecast, and states."""
+    yield from (FrameColumn("latitude", "f4"), FrameColumn("longitude", "f4"), FrameColumn("age", "u2"))
+    for field in list_live_fields(Forecast):
+        if (packing := field.display.packing) is not None:
+            mean, *bounds = field.columns
+            unit = "" if field.unit == "1" else field.unit
+            yield FrameColumn(mean, packing.dtype, packing.step, unit, field.display, field.is_interval)
+            yield from (FrameColumn(name, packing.dtype, packing.step) for name in bounds if packing.bounds)
+    yield FrameColumn("speed", "u1", 1.0, "km/h", LiveDisplay("Speed"))
+    yield from (FrameColumn("faults", "u1", display=LiveDisplay("Faults")), FrameColumn("flags", "u1"))
+
+
+COLUMNS: Final = tuple(sorted(_list_columns(), key=lambda each: np.dtype(each.dtype).itemsize, reverse=True))
 """Columns of a frame, the widest first, so that each begins at a multiple of its width."""
 
 
 def describe_frames() -> dict[str, Any]:
-    """Return the columns of a frame as a JSON record."""
+    """Return the columns of a frame, and how pages show them, as a JSON record."""
     columns = [
-        {"name": each.name, "dtype": each.dtype, "scale": each.scale, "missing": each.missing} for each in COLUMNS
+        {
+            "name": each.name,
+            "dtype": each.dtype,
+            "scale": each.scale,
+            "missing": each.missing,
+            "unit": each.unit,
+            "isInterval": each.is_interval,
+            "title": each.display.title,
+            "label": each.display.label,
+            "digits": each.display.digits,
+            "narrow": each.display.narrow,
+        }
+        for each in COLUMNS
     ]
     flags = {"riding": RIDING, "charging": CHARGING, "silent": SILENT, "over": OVER}
     return {"head": HEAD.size, "columns": columns, "flags": flags}

@@ -8,14 +8,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from socast.core.batch import Ints
+from socast.core.wire.live_fields import list_live_fields
+from socast.core.wire.messages import Forecast
 from socast.core.wire.sample_reader import SampleColumns
 
 COLUMNS: Final = (
-    *("time", "latitude", "longitude", "speed", "soc", "soc_sd", "range", "range_low", "range_high"),
-    *("end", "end_low", "end_high", "risk", "ride_km", "ride_s", "predicted", "measured", "faults"),
-    *("riding", "charging", "far_latitude", "far_longitude", "elapsed", "heard", "shift_end"),
+    *("time", "latitude", "longitude", "speed", "faults", "riding", "charging"),
+    *("far_latitude", "far_longitude", "elapsed", "heard"),
+    *(column for field in list_live_fields(Forecast) for column in field.columns),
 )
-"""Newest values of a car: Unix s, degrees, km/h, %, km, kWh, and numbers; NaN where unknown.
+"""Newest values of a car: Unix s, degrees, km/h, numbers, and the declared fields of a forecast; NaN where unknown.
 
 A fix far from the one before it is believed once another one lies near it. `socast.tools.workbench.fleet.fleet_time`
 describes `elapsed` and `heard`.
@@ -70,8 +72,8 @@ def _write_samples(cars: Any, rows: Any, samples: Any, is_fix: Any, is_taken: An
             is_taken[i] = _write_fix(car, samples.latitude[i], samples.longitude[i])
         if not np.isnan(samples.speed[i]):
             car.speed = samples.speed[i]
-        if not np.isnan(samples.soc[i]) and np.isnan(car.soc_sd):  # until a forecast brings the filtered charge
-            car.soc = samples.soc[i]
+        if not np.isnan(samples.soc[i]) and np.isnan(car.soc_sd_pct):  # until a forecast brings the filtered charge
+            car.soc_pct = samples.soc[i]
         car.charging = 1.0 if samples.charging[i] == 1.0 else 0.0
         if np.isnan(car.time):
             car.time = samples.time[i]

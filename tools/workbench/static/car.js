@@ -123,12 +123,15 @@ class CarPage {
 
   drawFigures(values, outlook) {
     const figure = (words, text, tone, detail) => el("div", {}, el("dt", {}, words, detail && el("span", {}, ` ${detail}`)), el("dd", { class: tone }, text));
-    const tone = values.risk > HIGH_RISK ? "bad" : values.risk >= LOW_RISK ? "warn" : "";
+    const declared = this.context.session.columns.filter(({ label }) => label).sort((a, b) => b.narrow - a.narrow);
+    const tone = values.reserve_risk > HIGH_RISK ? "bad" : values.reserve_risk >= LOW_RISK ? "warn" : "";
+    const special = {
+      soc_pct: (label) => figure(label, quantity(values.soc_pct, "%", 1), "", values.soc_sd_pct ? `(± ${number(values.soc_sd_pct, 1)})` : ""),
+      reserve_risk: (label) => figure(label, risk(values.reserve_risk), tone),
+    };
     this.parts.figures.replaceChildren(
-      figure("charge now", quantity(values.soc, "%", 1), "", values.soc_sd ? `(± ${number(values.soc_sd, 1)})` : ""),
-      figure("at the end of the shift", quantity(values.end, "%"), "", range(values.end_low, values.end_high)),
-      figure("risk of the reserve", risk(values.risk), tone),
-      figure("range to the reserve", quantity(values.range, "km"), "", range(values.range_low, values.range_high)),
+      ...declared.map(({ name, label, unit, digits, isInterval }) => special[name]?.(label) ?? figure(
+        label, quantity(values[name], unit, digits), "", isInterval ? range(values[`${name}_p05`], values[`${name}_p95`], digits) : "")),
       figure(`shift ends, ${zoneName(outlook?.shift_end_s ?? values.time)}`, clock(outlook?.shift_end_s)),
       figure("usable capacity", quantity(outlook?.usable_capacity_kwh, "kWh", 1)));
   }
@@ -154,14 +157,14 @@ class CarPage {
         { type: "means", x: column("time"), y: column("mean"), colour: "--blue", size: 3.5, tell: (i) => tellPoint(points[i]) });
     }
     layers.push(
-      { type: "line", x: history.time, y: history.soc, colour: "--blue", thick: 2.5, name: "charge so far" });
+      { type: "line", x: history.time, y: history.soc_pct, colour: "--blue", thick: 2.5, name: "charge so far" });
     if (outlook) {
       layers.push(
         { type: "rule", y: outlook.reserve_soc_pct, colour: "--vermilion", dash: "2 4", thick: 2, name: "reserve" },
         { type: "rule", x: outlook.time_s, colour: "--line-strong" });
     }
     const end = outlook?.soc_end_of_shift_pct;
-    const summary = `Charge now ${quantity(values.soc, "%", 1)}.` + (end ? ` At the end of the shift at ${clock(outlook.shift_end_s)} ${zoneName(outlook.shift_end_s)}: ${interval(end.mean, end.p05, end.p95, "%")}. Reserve ${quantity(outlook.reserve_soc_pct, "%")}.` : "");
+    const summary = `Charge now ${quantity(values.soc_pct, "%", 1)}.` + (end ? ` At the end of the shift at ${clock(outlook.shift_end_s)} ${zoneName(outlook.shift_end_s)}: ${interval(end.mean, end.p05, end.p95, "%")}. Reserve ${quantity(outlook.reserve_soc_pct, "%")}.` : "");
     this.charts.fan.update({
       title: "Charge of the car over time", summary, height: 330, layers,
       x: { label: `time of day, ${zoneName(domain[0])}`, domain, marks: (room) => makeClockMarks(domain, room) }, y: { label: "state of charge", unit: "%", domain: [0, 100] },
@@ -198,7 +201,7 @@ class CarPage {
   drawRide({ history, values }) {
     if (this.charts.ride.active) return;
     const now = history.ride.at(-1);
-    const rows = history.time.map((_, i) => i).filter((i) => history.ride[i] === now && history.predicted[i] !== null);
+    const rows = history.time.map((_, i) => i).filter((i) => history.ride[i] === now && history.ride_energy_predicted_kwh[i] !== null);
     if (!values.riding || rows.length < 1) {
       this.charts.ride.destroy();
       this.charts.ride = chart(this.parts.ride, null);
@@ -211,18 +214,18 @@ class CarPage {
       this.charts.ride = chart(this.parts.ride, null);
       this.hasRide = true;
     }
-    const begin = values.time - values.ride_s;
+    const begin = values.time - values.ride_duration_s;
     const minutes = [0, ...rows.map((i) => (history.time[i] - begin) / 60)];
-    const tell = (name) => (i) => [name, `${quantity([0, ...rows.map((at) => history[name][at])][i], "kWh", 2)} after ${number(minutes[i], 1)} min`];
+    const tell = (name) => (i) => [name, `${quantity([0, ...rows.map((at) => history[`ride_energy_${name}_kwh`][at])][i], "kWh", 2)} after ${number(minutes[i], 1)} min`];
     this.charts.ride.update({
       title: "Energy of the ride in progress", height: 250,
-      summary: `Predicted ${quantity(values.predicted, "kWh", 2)}, measured ${quantity(values.measured, "kWh", 2)} after ${duration(values.ride_s)} and ${quantity(values.ride_km, "km", 1)}.`,
+      summary: `Predicted ${quantity(values.ride_energy_predicted_kwh, "kWh", 2)}, measured ${quantity(values.ride_energy_measured_kwh, "kWh", 2)} after ${duration(values.ride_duration_s)} and ${quantity(values.ride_distance_km, "km", 1)}.`,
       x: { label: "since the ride began", unit: "min", zero: true }, y: { label: "energy", unit: "kWh", zero: true },
       layers: [
-        { type: "line", x: minutes, y: [0, ...rows.map((i) => history.measured[i])], colour: "--ink-soft", thick: 2.5, name: "measured" },
-        { type: "line", x: minutes, y: [0, ...rows.map((i) => history.predicted[i])], colour: "--blue", dash: "6 4", name: "predicted" },
-        { type: "means", x: minutes.slice(-1), y: [values.predicted], colour: "--blue", tell: () => tell("predicted")(minutes.length - 1) },
-        { type: "means", x: minutes.slice(-1), y: [values.measured], colour: "--ink-soft", tell: () => tell("measured")(minutes.length - 1) },
+        { type: "line", x: minutes, y: [0, ...rows.map((i) => history.ride_energy_measured_kwh[i])], colour: "--ink-soft", thick: 2.5, name: "measured" },
+        { type: "line", x: minutes, y: [0, ...rows.map((i) => history.ride_energy_predicted_kwh[i])], colour: "--blue", dash: "6 4", name: "predicted" },
+        { type: "means", x: minutes.slice(-1), y: [values.ride_energy_predicted_kwh], colour: "--blue", tell: () => tell("predicted")(minutes.length - 1) },
+        { type: "means", x: minutes.slice(-1), y: [values.ride_energy_measured_kwh], colour: "--ink-soft", tell: () => tell("measured")(minutes.length - 1) },
       ],
     });
   }
@@ -254,8 +257,8 @@ function nameFields(message) {
   return Object.entries(FIELDS).reduce((words, [name, label]) => words.replaceAll(name, label), message);
 }
 
-function range(low, high) {
-  return low === null ? "" : `(${number(low)} to ${number(high)})`;
+function range(low, high, digits) {
+  return low === null ? "" : `(${number(low, digits)} to ${number(high, digits)})`;
 }
 
 function bounded(value, digits) {
@@ -293,7 +296,7 @@ function makeTerms({ parts, values }, mode) {
     return el("p", { class: "soft" }, mode === "live" ? "A live service publishes the total only; replay its recording to see the terms." : "The car is between rides.");
   }
   const rows = [...Object.entries(parts).map(([name, energy]) => [name.replaceAll("_", " "), energy, "term"]),
-    ["predicted", values.predicted, "sum"], ["measured", values.measured, "measured"]];
+    ["predicted", values.ride_energy_predicted_kwh, "sum"], ["measured", values.ride_energy_measured_kwh, "measured"]];
   const known = rows.map(([, energy]) => energy).filter(Number.isFinite);
   const low = Math.min(0, ...known);
   const span = Math.max(0.01, Math.max(0, ...known) - low);

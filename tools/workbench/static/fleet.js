@@ -18,7 +18,7 @@ const COLORS = {
       { upTo: 60, color: "--green", words: "40 to 60 %" },
       { upTo: Infinity, color: "--blue", words: "over 60 %" },
     ],
-    of: (socket, row) => socket.value("soc", row),
+    of: (socket, row) => socket.value("soc_pct", row),
   },
   risk: {
     title: "Risk of ending below the reserve",
@@ -27,7 +27,7 @@ const COLORS = {
       { upTo: HIGH_RISK, color: "--orange", words: "5 to 50 %" },
       { upTo: Infinity, color: "--vermilion", words: "over 50 %" },
     ],
-    of: (socket, row) => socket.value("risk", row),
+    of: (socket, row) => socket.value("reserve_risk", row),
   },
 };
 const UNKNOWN = { color: "--line-strong", words: "unknown" };
@@ -122,8 +122,8 @@ class FleetPage {
     const row = this.socket.rows.get(this.state.car);
     if (row === undefined) return;
     const value = (name) => this.socket.value(name, row);
-    this.live.textContent = `${this.state.car}: charge ${quantity(value("soc"), "%", 1)}, at the end of the shift ` +
-      `${quantity(value("end"), "%")}, risk ${risk(value("risk"))}, range ${quantity(value("range"), "km")}`;
+    this.live.textContent = `${this.state.car}: charge ${quantity(value("soc_pct"), "%", 1)}, at the end of the shift ` +
+      `${quantity(value("soc_end_of_shift_pct"), "%")}, risk ${risk(value("reserve_risk"))}, range ${quantity(value("range_km"), "km")}`;
     this.map.showPoint(this.map.points.find((point) => point.name === this.state.car));
   }
 
@@ -136,7 +136,7 @@ class FleetPage {
       if (!Number.isFinite(latitude)) continue;
       const value = of(socket, row);
       const chosen = Number.isFinite(value) ? classes.find((each) => value < each.upTo) : UNKNOWN;
-      const isBad = socket.value("risk", row) > HIGH_RISK;
+      const isBad = socket.value("reserve_risk", row) > HIGH_RISK;
       points.push({
         name: socket.names[row],
         x: toX(socket.value("longitude", row)),
@@ -198,7 +198,7 @@ function makeFigures() {
         counts.riding += socket.is("riding", row);
         counts.charging += socket.is("charging", row);
         counts.risky += isAtRisk(socket, row);
-        const soc = socket.value("soc", row);
+        const soc = socket.value("soc_pct", row);
         if (soc < lowest) lowest = soc;
       }
       for (const [key, count] of Object.entries(counts)) values[key].textContent = number(count);

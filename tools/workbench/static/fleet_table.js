@@ -9,38 +9,33 @@ const SPARE = 4;
 const NARROW = "(max-width: 48rem)";
 const LEAST_KWH = 0.05;
 
-const COLUMNS = [
-  { key: "car", title: "Car", value: (socket, row) => socket.names[row], text: true },
-  { key: "soc", title: "Charge", unit: "%", bar: true, show: (value) => number(value, 1) },
-  { key: "end", title: "End of shift", unit: "%", show: showEnd },
-  { key: "risk", title: "Risk", show: (value) => risk(value), tone: (value) => (value > HIGH_RISK ? "bad" : value >= LOW_RISK ? "warn" : "") },
-  { key: "range", title: "Range", unit: "km", wide: true, show: (value) => number(value) },
-  { key: "ride_km", title: "Ride", unit: "km", wide: true, show: (value, socket, row) => (socket.is("riding", row) ? number(value, 1) : "–") },
-  { key: "predicted", title: "Predicted", unit: "kWh", wide: true, show: (value) => number(value, 2) },
-  { key: "measured", title: "Measured", unit: "kWh", wide: true, show: (value) => number(value, 2) },
-  { key: "off", title: "Error", unit: "%", wide: true, value: errorOf, show: (value) => number(value) },
-  { key: "speed", title: "Speed", unit: "km/h", wide: true, show: (value) => number(value) },
-  { key: "faults", title: "Faults", wide: true, show: (value) => number(value) },
-  { key: "state", title: "State", text: true, value: stateOf, show: (value, socket, row) => (value === "silent" ? `silent ${duration(socket.value("age", row))}` : value) },
-];
-const TROUBLE = { key: "risk", value: troubleOf };
+const CAR = { key: "car", title: "Car", value: (socket, row) => socket.names[row], text: true };
+const ERROR = { key: "off", title: "Error", unit: "%", wide: true, value: errorOf, show: (value) => number(value) };
+const STATE = { key: "state", title: "State", text: true, value: stateOf, show: (value, socket, row) => (value === "silent" ? `silent ${duration(socket.value("age", row))}` : value) };
+const TROUBLE = { key: "reserve_risk", value: troubleOf };
+// What some columns show beyond their declaration.
+const SPECIAL = {
+  soc_pct: { bar: true },
+  reserve_risk: { show: (value) => risk(value), tone: (value) => (value > HIGH_RISK ? "bad" : value >= LOW_RISK ? "warn" : "") },
+  ride_distance_km: { show: (value, socket, row) => (socket.is("riding", row) ? number(value, 1) : "–") },
+};
 const SHOWN = { all: "All cars", riding: "In a ride", charging: "Charging", risky: "At risk", silent: "Silent", "shift over": "Shift over" };
 
 // Whether a car is at risk; a silent one is if it was more likely than not to end below its reserve.
 export function isAtRisk(socket, row) {
-  return socket.value("risk", row) >= (socket.is("silent", row) ? HIGH_RISK : LOW_RISK);
+  return socket.value("reserve_risk", row) >= (socket.is("silent", row) ? HIGH_RISK : LOW_RISK);
 }
 
 // How much a car needs attention: its risk in whole percent, so that rows keep their places while it hardly changes.
 function troubleOf(socket, row) {
   if (socket.is("silent", row) && !isAtRisk(socket, row)) return socket.is("riding", row) ? LOW_RISK : 0;
-  const share = socket.value("risk", row);
+  const share = socket.value("reserve_risk", row);
   return share >= LOW_RISK ? Math.round(100 * share) / 100 : 0;
 }
 
 function errorOf(socket, row) {
-  const measured = socket.value("measured", row);
-  return measured > LEAST_KWH ? (100 * (socket.value("predicted", row) - measured)) / measured : NaN;
+  const measured = socket.value("ride_energy_measured_kwh", row);
+  return measured > LEAST_KWH ? (100 * (socket.value("ride_energy_predicted_kwh", row) - measured)) / measured : NaN;
 }
 
 function stateOf(socket, row) {
@@ -50,9 +45,24 @@ function stateOf(socket, row) {
   return socket.is("riding", row) ? "riding" : "idle";
 }
 
-function showEnd(value, socket, row) {
-  if (!Number.isFinite(value)) return "–";
-  return [number(value), el("span", { class: "soft" }, ` ${number(socket.value("end_low", row))}–${number(socket.value("end_high", row))}`)];
+function showInterval(name, digits) {
+  return (value, socket, row) => {
+    const [low, high] = [socket.value(`${name}_p05`, row), socket.value(`${name}_p95`, row)];
+    if (!Number.isFinite(value) || !Number.isFinite(low)) return number(value, digits);
+    return [number(value, digits), el("span", { class: "soft" }, ` ${number(low, digits)}–${number(high, digits)}`)];
+  };
+}
+
+// The columns of the table: the declared ones, those for narrow windows first and those of the ride after the outlook.
+function makeColumns(declared) {
+  const shown = declared.filter(({ title }) => title).map(({ name, title, unit, digits, narrow, isInterval }) => ({
+    key: name, title, unit, wide: !narrow,
+    show: isInterval ? showInterval(name, digits) : (value) => number(value, digits), ...SPECIAL[name],
+  }));
+  const place = ({ key, wide }) => (wide ? 1 + key.startsWith("ride_") + 2 * ["speed", "faults"].includes(key) : 0);
+  shown.sort((a, b) => place(a) - place(b));
+  shown.splice(shown.findLastIndex(({ key }) => key.startsWith("ride_")) + 1, 0, ERROR);
+  return [CAR, ...shown, STATE];
 }
 
 const byName = (a, b) => a.localeCompare(b, "en", { numeric: true });
@@ -66,6 +76,7 @@ class FleetTable {
   constructor(socket, context) {
     this.socket = socket;
     this.context = context;
+    this.all = makeColumns(context.session.columns);
     this.state = {};
     this.order = [];
     this.narrow = matchMedia(NARROW);
@@ -91,12 +102,12 @@ class FleetTable {
   }
 
   get columns() {
-    return this.narrow.matches ? COLUMNS.filter((column) => !column.wide) : COLUMNS;
+    return this.narrow.matches ? this.all.filter((column) => !column.wide) : this.all;
   }
 
   // Without a choice, cars at risk come first and all others follow by name.
   get sort() {
-    return COLUMNS.find((column) => column.key === this.state.sort) ?? TROUBLE;
+    return this.all.find((column) => column.key === this.state.sort) ?? TROUBLE;
   }
 
   build() {
@@ -109,7 +120,7 @@ class FleetTable {
 
   sortBy(column) {
     const isSame = this.state.sort === column.key;
-    const order = isSame ? (this.isFalling ? "up" : "down") : column.key === "risk" || column.key === "off" ? "down" : "up";
+    const order = isSame ? (this.isFalling ? "up" : "down") : column.key === "reserve_risk" || column.key === "off" ? "down" : "up";
     this.context.navigate({ sort: column.key, order }, { replace: true });
     this.context.announce(`Sorted by ${column.title}, ${order === "down" ? "largest first" : "smallest first"}`);
   }
@@ -178,7 +189,7 @@ class FleetTable {
   spacer(place) {
     let line = this.body.querySelector(`tr.${place}`);
     if (!line) {
-      line = el("tr", { class: `spacer ${place}`, "aria-hidden": "true" }, el("td", { colspan: COLUMNS.length }));
+      line = el("tr", { class: `spacer ${place}`, "aria-hidden": "true" }, el("td", { colspan: this.all.length }));
       if (place === "above") this.body.prepend(line);
       else this.body.append(line);
     }
@@ -230,7 +241,7 @@ class FleetTable {
   showNothing() {
     if (this.body.querySelector(".nothing")) return;
     const words = this.socket.size ? "No car matches. Clear the filter to see all." : "No car has sent anything yet.";
-    this.body.prepend(el("tr", { class: "nothing" }, el("td", { colspan: COLUMNS.length, class: "soft" }, words)));
+    this.body.prepend(el("tr", { class: "nothing" }, el("td", { colspan: this.all.length, class: "soft" }, words)));
   }
 
   reveal() {

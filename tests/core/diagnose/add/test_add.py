@@ -339,7 +339,8 @@ def test_live_forecast_with_scoped_effect_matches_ride_table(tmp_path):
     pipeline = Pipeline(models.load(tmp_path / "s.json"))
     drives = [leaf("a"), leaf("b"), *telemetry(drive(ambient_c=-10.0), "a"), *telemetry(drive(ambient_c=-10.0), "b")]
     pipeline.push(drives)
-    running = {status.vehicle_id: status.predicted_kwh for status in pipeline.status()}
+    forecasts = [status.forecast for status in pipeline.status()]
+    running = {each.vehicle_id: each.ride_energy_predicted_kwh for each in forecasts}
     assert running["a"] > 0.0
     assert running["b"] == 0.0
     pipeline.finish()

@@ -151,7 +151,7 @@ def test_table_is_sorted_filtered_and_walked_by_keys(visit):
     trouble = [risk if risk >= 5 else 0 for risk in risks]
     assert trouble == sorted(trouble, reverse=True)
     page.get_by_role("button", name="Charge %").click()
-    page.wait_for_selector("th[aria-sort=ascending][data-key=soc]")
+    page.wait_for_selector("th[aria-sort=ascending][data-key=soc_pct]")
     charges = [
         float(text)
         for text in page.evaluate(

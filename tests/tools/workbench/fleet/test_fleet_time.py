@@ -97,7 +97,7 @@ def test_car_between_rides_past_the_end_of_its_shift_has_no_risk_left(ride, shif
     assert bool(board.find_over()[0]) is is_over
     fleet = SimpleNamespace(board=board, get_parts=lambda _: None, ask=lambda *_: OUTLOOK)
     record = describe_car(SimpleNamespace(fleet=fleet), SimpleNamespace(path={"car": "ended"}))
-    assert (record["is_shift_over"], np.isnan(record["values"]["risk"])) == (is_over, is_over)
+    assert (record["is_shift_over"], np.isnan(record["values"]["reserve_risk"])) == (is_over, is_over)
 
 
 def test_shift_of_a_car_that_was_silent_for_hours_is_over():

@@ -8,7 +8,7 @@ import pytest
 from socast.core.wire.messages import Message
 from socast.tools.bench.workbench import make_fleet_messages
 from socast.tools.workbench.fleet.alarms import MOST_ALARMS, list_alarms
-from socast.tools.workbench.fleet.board import MOST_POINTS, Board, History
+from socast.tools.workbench.fleet.board import MOST_POINTS, POINT, Board, History
 from socast.tools.workbench.fleet.frames import COLUMNS, HEAD, SILENT, describe_frames, encode_frame
 
 
@@ -39,14 +39,15 @@ def test_frame_keeps_the_values_to_their_resolution(rng):
     read = decode_frame(encode_frame(board, 1))
     for column in COLUMNS:
         if column.name not in {"age", "flags"}:
-            assert read[column.name] == pytest.approx(board.column(column.name), abs=0.51 * column.scale + 1e-5)
+            expected = pytest.approx(board.column(column.name), abs=0.51 * column.scale + 1e-5, nan_ok=True)
+            assert read[column.name] == expected
 
 
 def test_unknown_values_stay_unknown_and_impossible_ones_stay_in_range():
     board = Board()
     board.take([Message("fleet/a/telemetry", b'{"vehicle_id":"a","time_s":1e9,"speed_kmh":1e30}', 0)])
     read = decode_frame(encode_frame(board, 1))
-    assert np.isnan(read["soc"][0])
+    assert np.isnan(read["soc_pct"][0])
     assert np.isnan(read["latitude"][0])
     assert read["speed"][0] == 254
 
@@ -99,7 +100,7 @@ def test_alarms_name_cars_at_risk_first_and_cars_that_fell_silent(rng):
 def test_long_history_drops_its_oldest_points():
     history = History()
     for i in range(MOST_POINTS + 10):
-        history.add(float(i), (1.0,) * 8)
+        history.add(float(i), (1.0,) * len(POINT))
     time, values = history.tabulate()
     assert len(history) == MOST_POINTS + 10
     assert len(time) == len(values) <= MOST_POINTS

@@ -54,7 +54,7 @@ def observed():
 
             def is_seen():
                 sink.put([*make_messages("taxi-7"), *make_messages("taxi-8"), make_batch("van-1", "van-2")])
-                return len(observer.board) == 4 and observer.board.get_values("taxi-8")["soc"] == 61.5
+                return len(observer.board) == 4 and observer.board.get_values("taxi-8")["soc_pct"] == 61.5
 
             assert eventually(is_seen)
             yield observer, consumer, heard
@@ -64,7 +64,7 @@ def observed():
 def test_observer_shows_samples_and_forecasts_of_its_prefix(observed):
     observer, _, _ = observed
     values = observer.board.get_values("taxi-7")
-    assert (values["latitude"], values["soc"], values["risk"]) == (45.5, 61.5, 0.01)
+    assert (values["latitude"], values["soc_pct"], values["reserve_risk"]) == (45.5, 61.5, 0.01)
     state = observer.describe()
     assert (state["mode"], state["time_s"], state["dropped"]) == ("live", NOW, 0)
     assert state["received"] >= 4

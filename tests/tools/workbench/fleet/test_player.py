@@ -162,9 +162,9 @@ def test_parts_of_a_ride_sum_to_its_prediction(player):
     riding = [name for name in board.vehicle_ids if board.get_values(name)["riding"]]
     assert riding
     for status in player.pipeline.status():
-        parts = player.get_parts(status.vehicle_id)
-        if parts is not None and np.isfinite(status.predicted_kwh):
-            assert sum(parts.values()) == pytest.approx(status.predicted_kwh)
+        parts = player.get_parts(status.forecast.vehicle_id)
+        if parts is not None and status.forecast.ride_energy_predicted_kwh is not None:
+            assert sum(parts.values()) == pytest.approx(status.forecast.ride_energy_predicted_kwh)
     assert any(player.get_parts(name) for name in riding)
 
 
