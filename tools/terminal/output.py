@@ -40,6 +40,7 @@ REPORT_VERSIONS: Final[Mapping[str, int]] = {
     "quality": 1,
     "replay": 1,
     "secure": 1,
+    "spikein": 1,
     "tables": 1,
     "vehicles": 1,
 }
