@@ -1,8 +1,8 @@
 """Declare results as records: typed, immutable values whose fields carry their unit and meaning.
 
-A result of a comparison, a diagnosis or an evaluation is a `Record` of records. What the command line writes
-with `--json`, the tables of the terminal and of HTML pages, and DataFrames are all made from the declared fields, so a
-new field is declared once.
+A result of a fit, a comparison, a diagnosis, a trial, a history or an evaluation is a `Record` of records. What the
+command line writes with `--json`, DataFrames, and those tables of the terminal and of HTML pages whose rows are records
+are made from the declared fields, so a new field is declared once.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ class Shown(NamedTuple):
     head : str
         Head of its column, with the unit.
     format : str
-        Name of its format in `socast.tools.report.record_table`.
+        Name of its format in `socast.tools.report.record_table`, or of one that the report of the record adds.
     interval : str
         Field that holds its 95 % interval, if any.
     """

@@ -1,8 +1,8 @@
 """Encode the state of every vehicle as bytes with a checksum, decode it, and check it.
 
 A checksum shows damage, not intent: anybody can make one. `SCHEMAS` therefore declares the form of each component's
-state, and `load_components` refuses a state of another form before compiled code uses it as an index. Who adds a field
-to a component adds it here; the tests refuse a component without schema.
+state, and `load_components` refuses a state of another form before compiled code uses it as an index. A new field of
+a component is declared here too; the tests refuse a component without schema.
 """
 
 from collections.abc import Mapping, Sequence

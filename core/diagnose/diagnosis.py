@@ -2,10 +2,10 @@
 
 Each step is a module of its own:
 
-1. `dataset` and `noise` collect the windows and their measurement noise.
+1. `dataset` collects the windows, and `core.fit.measurement_noise` their measurement noise.
 2. `projection` removes what the model could explain if it were refitted; `episodes` finds hours of a few dates that no
    effect explains, which the further steps leave out.
-3. `candidates`, `evidence` and `ranking` test every effect of the library and rank it on held-out days.
+3. `candidates`, `core.stats.evidence` and `ranking` test every effect of the library and rank it on held-out days.
 4. `forward_selection` selects the best effects beside each other; `siblings` finds cars that deviate or change.
 5. `residual_structure` and `free_form` search the remaining residual without the library.
 6. `slices` finds groups of rides with a different bias.

@@ -185,7 +185,8 @@ class Forecast(Wire, omit_defaults=False):
     """Forecast for a vehicle, published by the consumer: `fleet/{vehicle_id}/forecast`.
 
     A further output is declared here with a default, so that forecasts of earlier versions can be read, and computed
-    as a column of `socast.core.forecast.forecast_rows.ForecastRows`. Everything that shows or keeps it is derived.
+    as a column of `socast.core.forecast.forecast_rows.ForecastRows`. The state, the terminal, the board of the
+    workbench and the pages of reference derive it; the table of outlooks and log lines name their fields.
     """
 
     vehicle_id: Annotated[str, means("Identity of the vehicle, as in the key.")]
@@ -358,7 +359,7 @@ class RideErrors(Wire, omit_defaults=False):
 
 
 class ModelErrors(Wire, omit_defaults=False):
-    """How a model fares in service, published as rides end: `models/{name}/{version}/errors`."""
+    """Errors of a model in service, published as rides end: `models/{name}/{version}/errors`."""
 
     model: Annotated[str, means("Name and version of the model.")]
     first: Annotated[str, means("Name and version of the model that makes the forecasts.")]
