@@ -135,4 +135,4 @@ def test_workbench_predicts_with_the_data_sheet(fleet, monkeypatch):
     shown = {}
     monkeypatch.setattr("socast.tools.workbench.server.WorkbenchServer", PlayingServer)
     done("serve", fleet.recording, "--no-browser", "--vehicles", fleet.sheet)
-    assert shown["predicted"] > 0.0
+    assert shown["ride_energy_predicted_kwh"] > 0.0

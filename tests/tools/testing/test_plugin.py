@@ -231,7 +231,7 @@ def test_what_a_damaged_recording_lost_is_told(project):
         """
     )
     run(project, "--socast-update").stdout.fnmatch_lines(
-        ["*the recording is damaged: *monday.mcap: *after the last whole*"]
+        ["*the recording is damaged: *monday.mcap: *after its last whole*"]
     )
     shutil.copy(RECORDINGS / "shift.mcap", project.path / "recordings" / "monday.mcap")
     project.makepyfile("def test_whole(socast_expect): socast_expect('recordings/monday.mcap', 'x.mcap')")
