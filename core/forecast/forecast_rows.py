@@ -145,9 +145,11 @@ class PublishedField(NamedTuple):
 
     @classmethod
     def of(cls, field: LiveField) -> "PublishedField":
-        """Return the columns of a declared field, by its name."""
-        is_share = field.name not in ForecastRows._fields
-        column = field.name.removesuffix("_pct") if is_share else field.name
+        """Return the columns of a declared field: those of its name, or without `_pct` those of a share."""
+        is_share = field.name.endswith("_pct")
+        column = field.name.removesuffix("_pct")
+        if column not in ForecastRows._fields:
+            raise AttributeError(f"ForecastRows has no column {column} for the field {field.name} of a forecast")
         return cls(
             field.name, list_interval_columns(column) if field.is_interval else (column,), 100.0 if is_share else 1.0
         )

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import typer
 
@@ -12,6 +12,7 @@ from socast.tools.simulator.hidden import EFFECTS
 from socast.tools.simulator.hidden_shapes import OTHER
 from socast.tools.simulator.settings import parse_start
 from socast.tools.spikein.recording import write_spiked
+from socast.tools.spikein.records import SpikeTruth
 from socast.tools.spikein.spike import Spike
 from socast.tools.terminal.output import JsonFile, check_outputs, make_console, write_json
 from socast.tools.terminal.recordings import Recordings, open_recordings, warn_of_losses
@@ -64,7 +65,7 @@ def spikein(
         effect,
         parse_size(size),
         tuple(filter(None, (part.strip() for part in (vehicles or "").split(",")))),
-        parse_start(since).timestamp() if since else -float("inf"),
+        parse_start(since).timestamp() if since else None,
         seed,
     )
     truth = write_spiked(sources, spike, out)
@@ -90,17 +91,16 @@ def parse_size(text: str) -> float:
     return size
 
 
-def describe(truth: dict[str, Any], out: Path, truth_file: Path) -> list[str]:
+def describe(truth: SpikeTruth, out: Path, truth_file: Path) -> list[str]:
     """Return the lines of the summary."""
-    cars = {drive["vehicle_id"] for drive in truth["drives"]}
-    spike = truth["spike"]
-    energy = sum(drive["energy_kwh"] for drive in truth["drives"])
-    drives, many = format_count(len(truth["drives"]), "drive"), format_count(len(cars), "car")
-    share = f"{spike['effect']} takes {spike['size']:.1%} of the energy of {drives} of {many}, {energy:+.2f} kWh"
+    cars = {drive.vehicle_id for drive in truth.drives}
+    energy = sum(drive.energy_kwh for drive in truth.drives)
+    drives, many = format_count(len(truth.drives), "drive"), format_count(len(cars), "car")
+    share = f"{truth.effect} takes {truth.size:.1%} of the energy of {drives} of {many}, {energy:+.2f} kWh"
     lines = [
-        f"{out}: {share}; {format_count(truth['samples'], 'sample')} changed",
+        f"{out}: {share}; {format_count(truth.samples, 'sample')} changed",
         f"{truth_file}: what was put in, drive by drive",
     ]
-    if truth["made_weather"]:
+    if truth.made_weather:
         lines.append("the recordings hold no weather, so a made-up station was added")
     return lines

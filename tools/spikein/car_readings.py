@@ -1,7 +1,8 @@
 """Read what the cars of recordings measured, and what weather stations observed, with the message of each sample."""
 
+from array import array
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from itertools import compress
 from typing import Final, NamedTuple
 
@@ -66,7 +67,7 @@ class FleetReader:
     """Collect the samples of messages; what cannot be read is left out, as consumers leave it out."""
 
     def __init__(self) -> None:
-        self._rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
+        self._rows: dict[str, array[float]] = defaultdict(lambda: array("d"))
         self._models: dict[str, str] = {}
         self._weather: list[Weather] = []
         self._telemetry = msgspec.json.Decoder(Telemetry | list[Telemetry])
@@ -100,12 +101,12 @@ class FleetReader:
             used = rows.is_usable.tolist()
             for place, name, values in compress(zip(range(len(names)), names, table, strict=True), used):
                 if kind == BATCH or name == identity:
-                    self._rows[name].append((self._count, place, *values))
+                    self._rows[name].extend((self._count, place, *values))
         elif kind == "telemetry":
             decoded = self._telemetry.decode(payload)
             for place, sample in enumerate(decoded if isinstance(decoded, list) else [decoded]):
                 values = [getattr(sample, name) for name in FIELDS]
-                self._rows[identity].append(
+                self._rows[identity].extend(
                     (self._count, place, *(np.nan if each is None else each for each in values))
                 )
         elif kind == "vehicle":
@@ -113,9 +114,9 @@ class FleetReader:
         elif kind == "weather" and (observed := self._observation.decode(payload)).issued_s is None:
             self._weather.append(observed)
 
-    def _make_car(self, name: str, rows: Sequence[tuple[float, ...]]) -> CarReadings:
+    def _make_car(self, name: str, rows: "array[float]") -> CarReadings:
         """Return the samples of a car as columns, in the order of their times."""
-        table = np.array(rows, float)
+        table = np.frombuffer(rows).reshape(-1, 2 + len(FIELDS))
         table = table[np.argsort(table[:, 2], kind="stable")]
         columns = dict(zip(FIELDS, table[:, 2:].T.copy(), strict=True))
         return CarReadings(name, self._models.get(name, ""), table[:, 0].astype(int), table[:, 1].astype(int), columns)

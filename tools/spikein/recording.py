@@ -2,10 +2,8 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import asdict
-from math import isfinite
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -20,6 +18,7 @@ from socast.stream.source import merge_sources
 from socast.tools.spikein.car_readings import FleetReader, FleetReadings
 from socast.tools.spikein.made_weather import make_weather
 from socast.tools.spikein.payload_changes import change_payload
+from socast.tools.spikein.records import SpikeTruth
 from socast.tools.spikein.spike import Spike, make_spikes
 from socast.tools.terminal.recordings import show_progress
 
@@ -40,17 +39,11 @@ def read_fleet(sources: Sequence[McapSource]) -> FleetReadings:
     return fleet
 
 
-def write_spiked(sources: Sequence[McapSource], spike: Spike, out: Path) -> dict[str, Any]:
+def write_spiked(sources: Sequence[McapSource], spike: Spike, out: Path) -> SpikeTruth:
     """Write recordings with an effect in them, and its truth; return the truth.
 
     The truth is also written to `<out>.truth.json`. Where the effect needs weather and no station is in the
     recordings, a made-up one is added.
-
-    Returns
-    -------
-    dict
-        `spike` (the request), `factor` of the natural size [1], `made_weather`, `field`s that were changed, by car,
-        `samples` (number of changed ones), and `drives`, each with the energy of the effect. [kWh]
     """
     fleet = read_fleet(sources)
     is_made = spike.effect.partition("~")[0] in NEEDS_WEATHER and not fleet.weather
@@ -67,17 +60,20 @@ def write_spiked(sources: Sequence[McapSource], spike: Spike, out: Path) -> dict
         for each in (fleet.weather if is_made else [])
     ]
     _copy(sources, changes, weather, out)
-    truth = {
-        "spike": {
-            name: value for name, value in asdict(spike).items() if not isinstance(value, float) or isfinite(value)
-        },
-        "factor": factor,
-        "made_weather": is_made,
-        "field": {each.readings.vehicle_id: each.field for each in spikes},
-        "samples": sum(len(places) for places in changes.values()),
-        "drives": [drive for each in spikes for drive in each.drives],
-    }
-    write_whole(out.with_name(f"{out.name}.truth.json"), msgspec.json.format(msgspec.json.encode(truth), indent=1))
+    truth = SpikeTruth(
+        effect=spike.effect,
+        size=spike.size,
+        vehicles=spike.vehicles,
+        since_s=spike.since_s,
+        seed=spike.seed,
+        factor=factor,
+        made_weather=is_made,
+        fields={each.readings.vehicle_id: each.field for each in spikes},
+        samples=sum(len(places) for places in changes.values()),
+        drives=[drive for each in spikes for drive in each.drives],
+    )
+    text = msgspec.json.format(msgspec.json.encode(truth.to_json()), indent=1)
+    write_whole(out.with_name(f"{out.name}.truth.json"), text)
     return truth
 
 

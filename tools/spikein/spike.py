@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from socast.tools.simulator.hidden import PowerFunction
 from socast.tools.simulator.hidden_shapes import get_power
 from socast.tools.simulator.settings import STEP
 from socast.tools.spikein.car_readings import CarReadings, FleetReadings
+from socast.tools.spikein.records import SpikedDrive
 from socast.tools.spikein.surroundings import Drive, find_drives
 
 CURRENT, CHARGE = "battery_current_a", "soc_pct"
@@ -39,8 +40,8 @@ class Spike:
         affects. [1]
     vehicles : tuple of str
         Cars that have it; empty for all.
-    since_s : float
-        Time from which they have it. [Unix s]
+    since_s : float, optional
+        Time from which they have it; None for always. [Unix s]
     seed : int
         Seed of what the cars do not tell: their tyre pressure, rubbing brakes and wear.
     """
@@ -48,7 +49,7 @@ class Spike:
     effect: str
     size: float
     vehicles: tuple[str, ...] = ()
-    since_s: float = -np.inf
+    since_s: float | None = None
     seed: int = 0
 
 
@@ -61,14 +62,14 @@ class CarSpike(NamedTuple):
         Field that is changed: `CURRENT`, or `CHARGE` of a car that sends no current.
     added : (n,) float
         Number that is added to it in each sample; 0 where nothing is. [A] or [%]
-    drives : list of dict
-        For each drive that it affects: `vehicle_id`, `begin_s`, `end_s` and `energy_kwh` of the effect.
+    drives : list of SpikedDrive
+        Drives that have the effect.
     """
 
     readings: CarReadings
     field: str
     added: Floats
-    drives: list[dict[str, Any]]
+    drives: list[SpikedDrive]
 
 
 @dataclass
@@ -97,7 +98,7 @@ def make_spikes(fleet: FleetReadings, spike: Spike) -> tuple[list[CarSpike], flo
     rng = np.random.default_rng(spike.seed)
     cars = [(each, _make_car(each.model, rng)) for each in fleet.cars]
     affected = [
-        _prepare(readings, find_drives(readings, fleet.weather, car), power, spike.since_s)
+        _prepare(readings, find_drives(readings, fleet.weather, car), power, spike.since_s or -np.inf)
         for readings, car in cars
         if not spike.vehicles or readings.vehicle_id in spike.vehicles
     ]
@@ -171,12 +172,12 @@ def _finish(car: _Prepared, factor: float) -> CarSpike:
             added[rows] = mean / np.interp(time[rows], time[rows][is_known], voltage[rows][is_known])
         energies[rows] = np.diff(np.interp(time[rows], grid, spent), prepend=0.0)
         drives.append(
-            {
-                "vehicle_id": readings.vehicle_id,
-                "begin_s": float(time[rows][0]),
-                "end_s": float(time[rows][-1]),
-                "energy_kwh": float(spent[-1] / JOULES_PER_KWH),
-            }
+            SpikedDrive(
+                vehicle_id=readings.vehicle_id,
+                begin_s=float(time[rows][0]),
+                end_s=float(time[rows][-1]),
+                energy_kwh=float(spent[-1] / JOULES_PER_KWH),
+            )
         )
     name = CURRENT if has_current else CHARGE
     if not has_current and car.drives:

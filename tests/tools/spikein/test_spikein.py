@@ -79,12 +79,12 @@ def test_all_but_current_or_charge_stays(tmp_path):
         assert (one.key, one.receipt_ns) == (other.key, other.receipt_ns)
         if one.payload != other.payload:
             a, b = msgspec.json.decode(one.payload), msgspec.json.decode(other.payload)
-            field = truth["field"][a["vehicle_id"]]
+            field = truth["fields"][a["vehicle_id"]]
             assert a.pop(field) != b.pop(field)
             assert a == b
             changed += 1
     assert 1000 < changed <= truth["samples"]
-    assert set(truth["field"].values()) == {"battery_current_a", "soc_pct"}
+    assert set(truth["fields"].values()) == {"battery_current_a", "soc_pct"}
     assert not truth["made_weather"]
 
 
@@ -102,7 +102,7 @@ def test_effect_of_one_car_since_a_time_changes_only_that(tmp_path):
 def test_charge_of_a_car_without_current_falls_by_the_energy_and_recovers_by_charging(tmp_path):
     recording = write_car(tmp_path / "car.mcap", current=False)
     after, truth = spike(tmp_path, recording, "--effect", "standby", "--size", "5%")
-    assert truth["field"] == {"car": "soc_pct"}
+    assert truth["fields"] == {"car": "soc_pct"}
     charge = [
         [msgspec.json.decode(each.payload)["soc_pct"] for each in messages if each.key.endswith("/telemetry")]
         for messages in (read(recording), after)
