@@ -5,15 +5,15 @@ Each step is a module of its own:
 1. `dataset` collects the windows, and `core.fit.measurement_noise` their measurement noise.
 2. `projection` removes what the model could explain if it were refitted; `episodes` finds hours of a few dates that no
    effect explains, which the further steps leave out.
-3. `candidates`, `core.stats.evidence` and `ranking` test every effect of the library and rank it on held-out days.
-4. `forward_selection` selects the best effects beside each other; `siblings` finds cars that deviate or change.
-5. `residual_structure` and `free_form` search the remaining residual without the library.
-6. `slices` finds groups of rides with a different bias.
-7. `error_location` tells between which units (rides, days, cars) the error varies, and by which kind of load.
-8. `partial_residual`, `residual_profile` and `error_steps` compute the data of the report's figures.
+3. `inference` gives the probability and the size of every effect of the library in all cars, in one car or a group,
+   always or since a date. `selection` and `deviations` read from it what is missing, in which car and since when.
+4. `residual_structure` and `free_form` search the remaining residual without the library.
+5. `slices` finds groups of rides with a different bias.
+6. `error_location` tells between which units (rides, days, cars) the error varies, and by which kind of load.
+7. `partial_residual`, `residual_profile` and `error_steps` compute the data of the report's figures.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -27,21 +27,22 @@ from socast.core.diagnose import residual_structure
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
 from socast.core.diagnose.add.records import list_attempts
 from socast.core.diagnose.add.terms import describe_coefficient
-from socast.core.diagnose.candidates import NOT_IDENTIFIABLE, build_candidates
+from socast.core.diagnose.candidates import NOT_IDENTIFIABLE, Candidates, build_candidates
 from socast.core.diagnose.dataset import Windows, gather_windows
+from socast.core.diagnose.deviations import describe_deviations, list_credible, rank_cars
 from socast.core.diagnose.episodes import find_episodes
 from socast.core.diagnose.error_location.locate import locate_error
 from socast.core.diagnose.error_steps import compute_steps
-from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectionSettings
 from socast.core.diagnose.free_form.search import Suggestion, suggest_term
+from socast.core.diagnose.inference.groups import list_groups
+from socast.core.diagnose.inference.posterior import Inference, infer_missing
+from socast.core.diagnose.inference.window_columns import gather_window_columns
 from socast.core.diagnose.partial_residual import compute_partial_residual
-from socast.core.diagnose.posterior.probabilities import Causes
 from socast.core.diagnose.projection import BaseProjection
-from socast.core.diagnose.ranking import LEVEL, Ranking
 from socast.core.diagnose.records import (
+    NONE,
     BiasedBin,
     CauseProbability,
-    Comparisons,
     DiagnosedData,
     DiagnosedModel,
     Diagnosis,
@@ -54,7 +55,7 @@ from socast.core.diagnose.records import (
 )
 from socast.core.diagnose.residual_profile import profile_residual
 from socast.core.diagnose.residual_structure import ResidualStructure
-from socast.core.diagnose.siblings.deviations import diagnose_deviations
+from socast.core.diagnose.selection import UNKNOWN_GAIN, MissingEffect, Selection, select_missing
 from socast.core.diagnose.slices.search import find_slices
 from socast.core.evaluate.compare.models import ComparedRides, compute_errors_by_condition
 from socast.core.fit.measurement_noise import compute_noise_floor, compute_noise_variance, is_metered
@@ -64,12 +65,9 @@ from socast.core.models.features import EFFECT_PREFIX
 from socast.core.models.plausibility import describe_implausible
 from socast.core.records import ConfidenceInterval, make_interval
 from socast.core.stats.evidence import ClusterSums
-from socast.core.stats.scores import Estimate
 
 LEAST_SUGGESTION_GAIN: Final = 0.005
 """Share of the squared error that a free-form term must explain to be suggested."""
-MAX_EFFECTS: Final = 6
-"""Maximum number of missing effects."""
 LEAST_DAYS_FOR_SCOPES: Final = 12
 """Vehicle-days below which effects are not tested within scopes."""
 MAIN_SHARE: Final = 0.95
@@ -80,6 +78,8 @@ UNDATED: Final = frozenset({"season", "time of day"})
 """Conditions of rides that invented dates do not show."""
 WRONG_SIGN_Z: Final = 3.0
 """Standard errors above which a coefficient of the sign that physics forbids is reported as such."""
+REMAINING: Final = 0.02
+"""Probability from which a cause of what remains is listed."""
 
 
 def diagnose(
@@ -151,24 +151,25 @@ def _diagnose(
     episodes, base = find_episodes(base, candidates)
     report(0.03, "locating the error")
     location = locate_error(seen, base)
+    report(0.3, "weighing the effects")
+    ignored = np.flatnonzero(np.any([each.rows for each in episodes], axis=0)) if episodes else None
+    columns = gather_window_columns(seen, model, without, ignored)
+    inference = infer_missing(
+        columns,
+        [effects.get(name).base for name in model.effects],
+        list_groups(seen, columns, groups or {}),
+        scopes=places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES,
+        seed=seed,
+        report=lambda done: report(0.3 + 0.5 * done, "weighing the effects"),
+    )
     clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]
-    selection = ForwardSelection(base, candidates, clusters, SelectionSettings(least_gain, MAX_EFFECTS, seed))
-    report(0.5, "ranking the effects")
-    first = selection.rank()
-    gains = selection.measure_candidates(first)
-    causes = selection.select_all()
-    local = Comparisons([], [])
-    if places and int(seen.day.max()) + 1 >= LEAST_DAYS_FOR_SCOPES:
-        report(0.6, "comparing cars with each other and with their past")
-        taken = [each.column for each in episodes] + [named.column for named in selection.selected]
-        known = np.column_stack([np.empty((len(seen.measured), 0)), *taken])
-        local = diagnose_deviations(selection.base, model, known, without, groups)
-    base = selection.base
-    missing = selection.list_missing_effects()
+    selection = select_missing(base, inference, clusters, seed, least_gain)
+    missing = selection.effects
     report(0.8, "searching the remaining error")
-    remains = residual_structure.measure_residual_structure(selection, missing)
+    remains = residual_structure.measure_residual_structure(selection)
     unknown = set(remains.signs) - {"better"}
-    suggested = _suggest(base, selection, selection.compute_residual(selection.build_basis())) if unknown else None
+    left = selection.compute_residual(selection.build_basis())
+    suggested = _suggest(selection, left) if unknown else None
     floor = compute_noise_floor(compute_noise_variance(seen.rides))
     report(0.9, "searching for slices")
     error = seen.by_ride(seen.predicted - seen.measured)
@@ -184,21 +185,21 @@ def _diagnose(
         error_location=location,
         slices=find_slices(seen.rides, error, seed=seed, dated=dated),
         biased_bins=_find_biased_bins(seen, dated=dated),
-        missing=[_describe_missing(finding, selection) for finding in missing],
-        tested=_tabulate_candidates(first, gains, missing),
-        verdict=missing[0].selected.effect if missing else None,
-        causes=_list_causes(causes),
-        credible_set=causes.list_credible_set(),
-        further=_list_causes(selection.remaining),
-        further_credible_set=[] if selection.remaining is None else selection.remaining.list_credible_set(),
+        missing=[_describe_missing(finding, selection, candidates) for finding in missing],
+        tested=_tabulate_candidates(inference, candidates, selection.keep(()).on(base), missing),
+        verdict=missing[0].effect if missing else None,
+        causes=_list_causes(missing[0]) if missing else _list_remaining(inference, ()),
+        credible_set=list_credible(missing[0].causes) if missing else [NONE],
+        further=_list_remaining(inference, missing) if missing else [],
+        further_credible_set=[NONE] if missing else [],
         structure_remains=remains.exists,
         structure=_describe_structure(remains),
         suggestion=None if suggested is None else suggested.formula,
         suggestion_file=None if suggested is None else suggested.file,
-        steps=compute_steps(selection, missing, floor),
+        steps=compute_steps(selection, floor),
         profiles=profile_residual(selection),
-        deviations=[each for each in local.deviations if dated or each.since is None],
-        cars=local.cars,
+        deviations=describe_deviations(seen, inference, dated=dated),
+        cars=rank_cars(inference),
     )
 
 
@@ -257,42 +258,53 @@ def _find_biased_bins(seen: Windows, *, dated: bool) -> list[BiasedBin]:
     return sorted(found, key=lambda one: -abs(one.bias_kwh.value or 0.0))
 
 
-def _describe_missing(finding: MissingEffect, selection: ForwardSelection) -> NamedEffect:
+def _describe_missing(finding: MissingEffect, selection: Selection, candidates: Candidates) -> NamedEffect:
     """Return the record of a missing effect."""
     seen = selection.base.windows
-    named, evidence = finding.selected, finding.evidence
-    effect = effects.get(named.variant)
-    coefficient = evidence.get_estimate(0)
-    energy = named.column[:, 0] * coefficient.value
-    credible = [] if named.causes is None else named.causes.list_credible_set()
+    effect, size = effects.get(finding.variant), finding.size
+    energy = finding.column[:, 0] * size.value
+    credible = list_credible(finding.causes)
+    coefficient = describe_coefficient(effect, size)
     return NamedEffect(
-        effect=named.effect,
-        variant=named.variant,
-        probability=named.probability,
-        causes=_list_causes(named.causes),
+        effect=finding.effect,
+        variant=finding.variant,
+        probability=finding.probability * finding.causes.get(finding.effect, 1.0),
+        causes=_list_causes(finding),
         credible_set=credible,
-        scope=list(named.candidates.scope),
-        columns=[f"{EFFECT_PREFIX}{named.variant}", *named.candidates.scope],
+        columns=[f"{EFFECT_PREFIX}{finding.variant}"],
         gain=finding.gain.value,
         gain_ci95=make_interval(*finding.gain.interval),
         energy_share=np.abs(energy).sum() / seen.measured.sum(),
-        p=evidence.p[0],
-        z=evidence.z[0],
-        coefficient=describe_coefficient(effect, coefficient),
-        words=effect.in_words(coefficient.value, coefficient.ci95),
+        z=size.value / size.error,
+        coefficient=coefficient,
+        words=effect.in_words(size.value, size.ci95),
         equivalents=_list_equivalents(energy, seen),
         separate=[
             RivalEffect(effect=name, correlation=r, data=effects.get(name).shown_by)
-            for name, r in selection.correlate(named, credible)
+            for name, r in selection.correlate(finding, candidates, credible)
         ],
         partial_residual=compute_partial_residual(selection, finding),
     )
 
 
-def _list_causes(causes: Causes | None) -> list[CauseProbability]:
-    """Return the probability of each cause, the largest first."""
-    given = {} if causes is None else causes.probabilities
-    return [CauseProbability(effect=name, probability=probability) for name, probability in given.items()]
+def _list_causes(finding: MissingEffect) -> list[CauseProbability]:
+    """Return the effects that explain the same as a missing effect, and none, the most probable first."""
+    chances = {name: share * finding.probability for name, share in finding.causes.items()}
+    return _rank_causes(chances | {NONE: 1.0 - finding.probability})
+
+
+def _list_remaining(inference: Inference, missing: Sequence[MissingEffect]) -> list[CauseProbability]:
+    """Return the effects that may be missing beside the others, and none, the most probable first."""
+    named = {one.effect for one in missing}
+    chances = {name: chance for name, chance in inference.chances.items() if name not in named and chance >= REMAINING}
+    none = float(np.prod([1.0 - chance for chance in chances.values()]))
+    return _rank_causes(chances | {NONE: none})
+
+
+def _rank_causes(chances: Mapping[str, float]) -> list[CauseProbability]:
+    """Return the records of causes, the most probable first."""
+    ranked = sorted(chances.items(), key=lambda item: -item[1])
+    return [CauseProbability(effect=name, probability=chance) for name, chance in ranked]
 
 
 def _list_equivalents(energy: Floats, seen: Windows) -> list[str]:
@@ -324,39 +336,40 @@ def _list_equivalents(energy: Floats, seen: Windows) -> list[str]:
 
 
 def _tabulate_candidates(
-    first: Ranking, gains: Mapping[str, Estimate], missing: list[MissingEffect]
+    inference: Inference, candidates: Candidates, alone: Selection, missing: Sequence[MissingEffect]
 ) -> list[TestedEffect]:
-    """Return all effects that were tested everywhere, as they ranked before any was selected."""
+    """Return all effects that were tested in all cars, the most probable first, then those that were not."""
     rows = []
-    for e, (name, at) in enumerate(zip(first.candidates.names, first.best.tolist(), strict=True)):
-        row = TestedEffect(effect=name, variant=name)
-        if at >= 0:
-            row = TestedEffect(
-                effect=name,
-                variant=first.candidates.variants[at],
-                z=first.evidence.z[at],
-                p=first.evidence.p[at],
-                q=first.q[e],
-                gain=gains[name].value,
-            )
-        rows.append(replace(row, status=_describe_status(row, int(first.candidates.sign[at]), missing)))
-    rows.sort(key=lambda row: -(row.gain if row.gain is not None else -1.0))
-    absent = [TestedEffect(effect=name, variant=name, status=why) for name, why in first.candidates.excluded.items()]
+    expected = {one.effect: one for one in inference.expected}
+    for name in candidates.names:
+        if name in inference.unidentified or not (name in expected or name in inference.alone):
+            rows.append(TestedEffect(effect=name, variant=name, status=NOT_IDENTIFIABLE))
+            continue
+        if name in expected:
+            size = expected[name].size.estimate
+            variant, z, chance = name, size.value / size.error, expected[name].probability
+        else:
+            (variant, z), chance = inference.alone[name], inference.chances[name]
+        row = TestedEffect(effect=name, variant=variant, z=z, probability=chance)
+        column = candidates.columns[:, [candidates.variants.index(variant)]]
+        gain = alone.compute_gain(MissingEffect(variant, column, UNKNOWN_GAIN, chance, {}))
+        sign = int(candidates.sign[candidates.variants.index(variant)])
+        rows.append(replace(row, gain=gain.value, status=_describe_status(row, sign, missing)))
+    rows.sort(key=lambda row: (-(row.probability if row.probability is not None else -1.0), -(row.gain or 0.0)))
+    absent = [TestedEffect(effect=name, variant=name, status=why) for name, why in candidates.excluded.items()]
     return rows + absent
 
 
-def _describe_status(row: TestedEffect, sign: int, missing: list[MissingEffect]) -> str:
+def _describe_status(row: TestedEffect, sign: int, missing: Sequence[MissingEffect]) -> str:
     """Return the result for a candidate."""
-    if row.effect in {finding.selected.effect for finding in missing}:
+    if row.effect in {finding.effect for finding in missing}:
         return "missing"
-    if row.z is None or row.q is None:
-        return NOT_IDENTIFIABLE
     for finding in missing:
-        if finding.selected.causes is not None and row.effect in finding.selected.causes.list_credible_set():
-            return f"not distinguishable from {finding.selected.effect}"
-    if sign * row.z < -WRONG_SIGN_Z:
+        if row.effect in list_credible(finding.causes):
+            return f"not distinguishable from {finding.effect}"
+    if row.z is not None and sign * row.z < -WRONG_SIGN_Z:
         return "wrong sign"
-    return "not needed" if row.q < LEVEL else "not there"
+    return "not needed" if row.z is not None and sign * row.z > WRONG_SIGN_Z else "not there"
 
 
 def _describe_structure(remains: ResidualStructure) -> RemainingStructure:
@@ -384,10 +397,11 @@ def _surround(value: float, error: float) -> ConfidenceInterval | None:
     return make_interval(value - half, value + half)
 
 
-def _suggest(base: BaseProjection, selection: ForwardSelection, left: Floats) -> Suggestion | None:
+def _suggest(selection: Selection, left: Floats) -> Suggestion | None:
     """Return a free-form term for the residual, if one explains enough."""
+    base = selection.base
     seen = base.windows
-    columns = np.column_stack([base.get_unweighted_columns(), *(named.column for named in selection.selected)])
+    columns = np.column_stack([base.get_unweighted_columns(), *(named.column for named in selection.effects)])
     return suggest_term(
         seen.table, base.convert_to_energy(left), base.weight, seen.day, columns, least_gain=LEAST_SUGGESTION_GAIN
     )

@@ -21,9 +21,10 @@ from socast.core.batch import Floats, Ints
 from socast.core.diagnose.add.holdout import drop_dates, select_final_days
 from socast.core.diagnose.candidates import build_candidates
 from socast.core.diagnose.dataset import gather_windows
-from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect, SelectionSettings
 from socast.core.diagnose.projection import BaseProjection
+from socast.core.diagnose.ranking import LEAST_LEFT
 from socast.core.diagnose.records import CarResidual, PartialResidual
+from socast.core.diagnose.selection import MissingEffect, Selection
 from socast.core.errors import ModelError
 from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.models import LinearModel
@@ -45,7 +46,7 @@ WH: Final = 1000.0
 """Watt-hours in a kilowatt-hour. [Wh/kWh]"""
 
 
-def compute_partial_residual(selection: ForwardSelection, finding: MissingEffect) -> PartialResidual:
+def compute_partial_residual(selection: Selection, finding: MissingEffect) -> PartialResidual:
     """Return the partial residual of a missing effect in bins of its regressor, of each car in fewer bins.
 
     Notes
@@ -53,21 +54,21 @@ def compute_partial_residual(selection: ForwardSelection, finding: MissingEffect
     All other coefficients have the values that they have beside the effect, so both series have the same interval.
     """
     base, seen = selection.base, selection.base.windows
-    effect = effects.get(finding.selected.variant)
+    effect = effects.get(finding.variant)
     per = "km" if effect.per == "distance" else "h"
     amount = get_numbers(seen.table, "distance_km") if per == "km" else get_numbers(seen.table, "duration_s") / 3600.0
-    column, value = finding.selected.column[:, 0], float(finding.evidence.coefficient[0])
+    column, value = finding.column[:, 0], finding.size.value
     left = base.convert_to_energy(selection.compute_residual(selection.build_basis()))
     rows = np.flatnonzero(amount > (LEAST_KM if per == "km" else 0.0))
     regressor, after = (WH * energy[rows] / amount[rows] for energy in (column, left))
     weight = base.weight[rows] * amount[rows] ** 2
-    low, high = finding.evidence.get_estimate(0).interval
+    low, high = finding.size.interval
 
     def bin_rows(at: Ints, most: int) -> dict[str, Any]:
         return _bin(regressor[at], after[at], value, weight[at], seen.day[rows][at], most)
 
-    space = selection.build_space(finding.selected)
-    projected = space.project_out(finding.selected.column)
+    space = selection.build_space(finding)
+    projected = space.project_out(finding.column)
     names = get_names(seen.table, "vehicle_id")
     cars = []
     for car in _list_cars(seen.vehicle):
@@ -81,7 +82,7 @@ def compute_partial_residual(selection: ForwardSelection, finding: MissingEffect
         quantity=effect.coefficient,
         summary=effect.summary,
         unit=effect.unit,
-        variant=finding.selected.variant,
+        variant=finding.variant,
         slope=value,
         slope_ci95=make_interval(low, high),
         **bin_rows(np.arange(len(rows)), BINS),
@@ -108,13 +109,19 @@ def compute_candidate_residual(
         candidates = build_candidates(seen, model)
         if name not in candidates.names:
             raise ModelError(f"{name} is no candidate: it is {candidates.excluded.get(name, 'in the road load')}")
-        clusters = [ClusterSums(seen.day), ClusterSums(seen.date)]
-        selection = ForwardSelection(BaseProjection(seen, model), candidates, clusters, SelectionSettings())
-        at = int(selection.rank().best[candidates.names.index(name)])
-        if at < 0:
+        base, clusters = BaseProjection(seen, model), [ClusterSums(seen.day), ClusterSums(seen.date)]
+        at = np.flatnonzero(candidates.effects == candidates.names.index(name))
+        off, whole = base.project_out(candidates.columns[:, at]), base.apply_weights(candidates.columns[:, at])
+        size = (off**2).sum(axis=0)
+        if not (size > LEAST_LEFT * (whole**2).sum(axis=0)).any():
             raise ModelError(f"{name} is not identifiable: the model can reproduce it with its own terms")
-        selection.select(SelectedEffect(candidates, at, float("nan")))
-        return compute_partial_residual(selection, selection.list_missing_effects()[0])
+        fall = np.divide((off.T @ base.residual) ** 2, size, out=np.zeros(len(at)), where=size > 0.0)
+        best = int(at[np.argmax(fall)])
+        column = candidates.columns[:, [best]]
+        base = base.reweight(column)
+        evidence = compute_evidence(base.residual, base.project_out(column), np.zeros(1, dtype=np.int64), clusters[0])
+        found = MissingEffect(candidates.variants[best], column, evidence.get_estimate(0), 1.0, {})
+        return compute_partial_residual(Selection(base, clusters, (found,)), found)
 
 
 def _list_cars(vehicle: Ints) -> list[int]:

@@ -1,4 +1,4 @@
-"""Rank candidate effects by the error that they explain on days to which their coefficients were not fitted."""
+"""Measure the error that columns explain on days to which their coefficients were not fitted."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,11 +7,9 @@ from typing import Final
 import numpy as np
 
 from socast.core.batch import Floats, Ints
-from socast.core.diagnose.candidates import Candidates
 from socast.core.diagnose.projection import BaseProjection
 from socast.core.stats.evidence import ClusterSums, Evidence, compute_worst_case_evidence
 from socast.core.stats.held_out_gain import cross_fit, fit_other_folds, measure_gain
-from socast.core.stats.multiple_testing import adjust_false_discovery, combine_by_simes
 from socast.core.stats.scores import Estimate
 
 LEAST_LEFT: Final = 0.03
@@ -45,65 +43,6 @@ class ResidualSpace:
         projected = self.base.project_out(columns)
         projected -= self.basis @ (self.basis.T @ projected)
         return projected
-
-
-@dataclass(frozen=True)
-class Ranking:
-    """Hold the evidence and the gain of all candidates in one step of the diagnosis.
-
-    Parameters
-    ----------
-    projected : (n, k) float
-        Weighted candidates off the model. [1 per unit of the coefficient]
-    left : (k,) float
-        Share of the size of each candidate that is off the model. [1]
-    best : (names,) int64
-        For each effect, its variant with the largest held-out gain; -1 where none is identifiable.
-    q : (names,) float
-        Probability adjusted over all effects; NaN where no variant is identifiable. [1]
-    """
-
-    candidates: Candidates
-    projected: Floats
-    evidence: Evidence
-    left: Floats
-    best: Ints
-    q: Floats
-
-    def list_significant(self) -> list[int]:
-        """Return the best variants of the significant effects, the most significant first.
-
-        The order is not that of the gain, because a gain on a few days is less certain than one on many days.
-        """
-        significant = [int(v) for v, q in zip(self.best, self.q, strict=True) if v >= 0 and q < LEVEL]
-        return sorted(significant, key=lambda v: float(self.evidence.p[v]))
-
-
-def rank_candidates(
-    space: ResidualSpace, candidates: Candidates, clusters: Sequence[ClusterSums], seed: int
-) -> Ranking:
-    """Return how much of a residual each candidate explains.
-
-    Parameters
-    ----------
-    clusters : sequence of ClusterSums
-        Vehicle-days first, which define the folds; then other clusterings over which errors may depend on each other.
-    """
-    projected = space.project_out(candidates.columns)
-    size = (space.base.apply_weights(candidates.columns) ** 2).sum(axis=0)
-    left = np.divide((projected**2).sum(axis=0), size, out=np.zeros(len(size)), where=size > 0.0)
-    evidence, gain = explain_by_columns(
-        space.residual, projected, candidates.sign, clusters, seed, candidates.least_coefficients
-    )
-    identifiable = left > LEAST_LEFT
-    count = len(candidates.names)
-    best, p = np.full(count, -1, dtype=np.int64), np.full(count, np.nan)
-    for e in range(count):
-        variants = np.flatnonzero((candidates.effects == e) & identifiable)
-        if len(variants):
-            best[e] = variants[np.argmax(gain[variants])]
-            p[e] = combine_by_simes(evidence.p[variants])
-    return Ranking(candidates, projected, evidence, left, best, adjust_false_discovery(p))
 
 
 def explain_by_columns(

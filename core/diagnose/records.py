@@ -1,12 +1,15 @@
 """Declare the result of a diagnosis: records of the error, the missing effects, the cars, and what remains."""
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, Final
 
 import pandas as pd
 from msgspec import field
 
 from socast.core.evaluate.records import EstimatedValue
 from socast.core.records import ConfidenceInterval, Record, declare, make_frame
+
+NONE: Final = "none"
+"""Cause where nothing is missing."""
 
 
 class EstimatedCoefficient(Record, frozen=True):
@@ -21,7 +24,7 @@ class EstimatedCoefficient(Record, frozen=True):
 
 
 class CauseProbability(Record, frozen=True):
-    """Hold a cause of an error: an effect, `several`, `not in the library` or `none`."""
+    """Hold a cause of an error: an effect, or `none`."""
 
     effect: Annotated[str, declare("Name of the cause.", "cause")]
     probability: Annotated[float | None, declare("Probability. [1]", "probability", "whole percent")] = None
@@ -85,10 +88,13 @@ class NamedEffect(Record, frozen=True):
     )
     probability: Annotated[
         float | None,
-        declare("Probability that it is the largest missing effect. [1]", "probability", "whole percent"),
+        declare("Probability that it is missing, whatever else is. [1]", "probability", "whole percent"),
     ] = None
-    causes: Annotated[list[CauseProbability], declare("Causes with their probabilities, largest first.")] = []
-    credible_set: Annotated[list[str], declare("Causes among which the largest one is in nine cases of ten.")] = []
+    causes: Annotated[
+        list[CauseProbability],
+        declare("Effects that explain the same, or `none`, with their probabilities, largest first."),
+    ] = []
+    credible_set: Annotated[list[str], declare("Effects among which the missing one is in nine cases of ten.")] = []
     columns: Annotated[list[str], declare("Columns whose product is its energy per unit of the coefficient.")] = []
     p: Annotated[float | None, declare("p-value of the coefficient. [1]")] = None
     z: Annotated[float | None, declare("Coefficient in standard errors. [1]")] = None
@@ -106,20 +112,21 @@ class NamedEffect(Record, frozen=True):
 
     @property
     def others(self) -> Annotated[list[str], declare("Other causes of the credible set.", "or else", "names")]:
-        """Other causes among which the largest one is in nine cases of ten."""
+        """Other effects among which the missing one is in nine cases of ten."""
         return [name for name in self.credible_set if name != self.effect]
 
 
 class TestedEffect(Record, frozen=True):
-    """Hold how an effect ranked before any was selected."""
+    """Hold the test of an effect in all cars."""
 
     __test__ = False  # pytest collects classes whose name begins with Test
 
     effect: str
     variant: Annotated[str, declare("Variant that fits best.", "effect")] = ""
     z: Annotated[float | None, declare("Coefficient in standard errors. [1]", "z", "score")] = None
-    p: Annotated[float | None, declare("p-value. [1]")] = None
-    q: Annotated[float | None, declare("Rate of false effects up to this one. [1]", "q", "two digits")] = None
+    probability: Annotated[
+        float | None, declare("Probability that it is missing. [1]", "probability", "whole percent")
+    ] = None
     gain: Annotated[float | None, declare("Held-out gain of it alone. [1]", "gain", "fine percent")] = None
     status: Annotated[str, declare("Result of the test.", "result")] = ""
 
@@ -364,13 +371,6 @@ class ErrorSummary(Record, frozen=True):
     noise_floor_kwh: Annotated[float | None, declare("Error that measurement noise alone causes. [kWh]")] = None
 
 
-class Comparisons(NamedTuple):
-    """Hold the deviations of cars and groups, and all cars in the order of their evidence."""
-
-    deviations: list[CarDeviation]
-    cars: list[RankedCar]
-
-
 class Diagnosis(Record, frozen=True):
     """Hold where a model errs, which effects it lacks, how certain that is, and what error remains."""
 
@@ -382,12 +382,14 @@ class Diagnosis(Record, frozen=True):
     slices: Annotated[list[SliceBias], declare("Groups of rides with another bias, the most certain first.")] = []
     biased_bins: Annotated[list[BiasedBin], declare("Bins whose bias differs from zero, the largest first.")] = []
     missing: Annotated[list[NamedEffect], declare("Missing effects, best first, each beside those before.")] = []
-    tested: Annotated[list[TestedEffect], declare("All effects, as they rank before any is selected.")] = field(
+    tested: Annotated[list[TestedEffect], declare("All effects, the most probable first.")] = field(
         name="candidates", default_factory=list
     )
     verdict: Annotated[str | None, declare("The effect to add first, if any.")] = None
-    causes: Annotated[list[CauseProbability], declare("Causes of the error, before any is selected.")] = []
-    credible_set: Annotated[list[str], declare("Causes among which the largest is in nine cases of ten.")] = []
+    causes: Annotated[
+        list[CauseProbability], declare("Causes of what the first missing effect explains, or `none`.")
+    ] = []
+    credible_set: Annotated[list[str], declare("Causes among which the missing one is in nine cases of ten.")] = []
     further: Annotated[list[CauseProbability], declare("Causes of what the missing effects leave.")] = []
     further_credible_set: list[str] = []
     structure_remains: Annotated[bool, declare("Whether the remaining error can be predicted.")] = False
@@ -415,7 +417,7 @@ class Diagnosis(Record, frozen=True):
 
     @property
     def candidates(self) -> pd.DataFrame:
-        """All effects that were tested, one row each, with z, p, q and held-out gain."""
+        """All effects that were tested, one row each, with z, probability and held-out gain."""
         return make_frame(self.tested)
 
     @property

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.forward_selection import ForwardSelection
 from socast.core.diagnose.records import ResidualProfile
 from socast.core.diagnose.residual_structure import FEATURES
+from socast.core.diagnose.selection import Selection
 from socast.core.fit.ride_blocks import get_names, get_numbers
 from socast.core.stats.bin_means import average_in_bins, split_at_quantiles
 
@@ -25,7 +25,7 @@ WH: Final = 1000.0
 """Watt-hours in a kilowatt-hour. [Wh/kWh]"""
 
 
-def profile_residual(selection: ForwardSelection) -> list[ResidualProfile]:
+def profile_residual(selection: Selection) -> list[ResidualProfile]:
     """Return the mean residual power along each feature and by each category, without and with the missing effects."""
     base, seen = selection.base, selection.base.windows
     hours = get_numbers(seen.table, "duration_s") / 3600.0

@@ -11,7 +11,6 @@ Four tests look for structure:
   state of the road.
 """
 
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,9 +18,9 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.dataset import Windows
-from socast.core.diagnose.forward_selection import ForwardSelection, MissingEffect, SelectedEffect
 from socast.core.diagnose.plain_shapes import build_plain_shapes, compute_window_sun_sine
 from socast.core.diagnose.ranking import LEAST_GAIN, LEAST_LEFT, compute_window_gains, explain_by_columns
+from socast.core.diagnose.selection import MissingEffect, Selection
 from socast.core.fit.ride_blocks import get_numbers
 from socast.core.stats.clustered import sum_over_clusters
 from socast.core.stats.evidence import ClusterSums
@@ -135,18 +134,18 @@ class ResidualStructure(NamedTuple):
         ]
 
 
-def measure_residual_structure(selection: ForwardSelection, missing: Sequence[MissingEffect]) -> ResidualStructure:
+def measure_residual_structure(selection: Selection) -> ResidualStructure:
     """Return the structure that remains after the missing effects."""
-    base, clusters = selection.base, selection.clusters
+    base, clusters, missing = selection.base, selection.clusters, selection.effects
     off = selection.build_basis()
     left = selection.compute_residual(off)
     features = collect_features(base.windows)
-    before = compute_predictable_share(features, base.residual, clusters[0], selection.settings.seed)
-    after = compute_predictable_share(features, left, clusters[0], selection.settings.seed) if missing else before
+    before = compute_predictable_share(features, base.residual, clusters[0], selection.seed)
+    after = compute_predictable_share(features, left, clusters[0], selection.seed) if missing else before
     shapes = PlainShapes(selection)
     explained = float((base.residual**2 - selection.compute_held_out_residual(off) ** 2).sum())
     share = max(explained / max(float(base.residual @ base.residual), 1e-300), 0.0)
-    better = {each.selected.effect: shape for each in missing if (shape := shapes.find_replacement(each.selected))}
+    better = {each.effect: shape for each in missing if (shape := shapes.find_replacement(each))}
     shape, q, gain = shapes.find_strongest(off, left)
     days = compute_day_variance_ratio(selection, left)
     most = max(1.0 + SURE_OF_DAYS * float(np.sqrt(2.0 / clusters[0].count)), UNEVEN)
@@ -179,7 +178,7 @@ def compute_predictable_share(features: Floats, left: Floats, clusters: ClusterS
     )
 
 
-def compute_day_variance_ratio(selection: ForwardSelection, left: Floats) -> float:
+def compute_day_variance_ratio(selection: Selection, left: Floats) -> float:
     """Return the variance between vehicle-days over that of chance, for the carrier where it is largest. [1]
 
     Notes
@@ -200,11 +199,11 @@ class PlainShapes:
 
     Parameters
     ----------
-    selection : ForwardSelection
+    selection : Selection
         A selection of effects on the windows of the shapes.
     """
 
-    def __init__(self, selection: ForwardSelection) -> None:
+    def __init__(self, selection: Selection) -> None:
         self.selection = selection
         shapes = build_plain_shapes(selection.base)
         self.names, self.projected = shapes.names, shapes.columns
@@ -215,14 +214,14 @@ class PlainShapes:
         if not len(free):
             return "", 1.0, Estimate(0.0, 0.0, np.inf)
         either = np.zeros(len(free), dtype=np.int64)
-        clusters, seed = self.selection.clusters, self.selection.settings.seed
+        clusters, seed = self.selection.clusters, self.selection.seed
         evidence, gain = explain_by_columns(left, shapes, either, clusters, seed)
         q = adjust_false_discovery(evidence.p)
         best = int(np.argmax(np.where(q < LEVEL, gain, -1.0))) if (q < LEVEL).any() else int(np.argmin(q))
         of_days = compute_window_gains(left, shapes[:, [best]], either[:1], clusters[0], seed)[:, 0]
         return self.names[free[best]], float(q[best]), sum_over_clusters(of_days)
 
-    def find_replacement(self, named: SelectedEffect) -> str:
+    def find_replacement(self, named: MissingEffect) -> str:
         """Return the shape that explains clearly more than a selected effect in its place, or an empty text."""
         selection = self.selection
         space = selection.build_space(named)
@@ -234,10 +233,8 @@ class PlainShapes:
         if not alike.any():
             return ""
         either = np.zeros(int(alike.sum()), dtype=np.int64)
-        mine = compute_window_gains(left, column, either[:1], selection.clusters[0], selection.settings.seed)
-        more = (
-            compute_window_gains(left, shapes[:, alike], either, selection.clusters[0], selection.settings.seed) - mine
-        )
+        mine = compute_window_gains(left, column, either[:1], selection.clusters[0], selection.seed)
+        more = compute_window_gains(left, shapes[:, alike], either, selection.clusters[0], selection.seed) - mine
         ahead = np.array([each.value / each.error if each.error else 0.0 for each in map(sum_over_clusters, more.T)])
         best = int(np.argmax(ahead))
         return self.names[free[np.flatnonzero(alike)[best]]] if ahead[best] > CLEARLY else ""

@@ -10,7 +10,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.columns import STANDARD_AIR_DENSITY
-from socast.core.effects.declaration import Parameter, effect
+from socast.core.effects.declaration import Expectation, Parameter, effect
 
 _DRAG: Final = "Gillespie, Fundamentals of Vehicle Dynamics, SAE 1992, ch. 4"
 _DENSITY: Final = Parameter(STANDARD_AIR_DENSITY, "kg/m^3")
@@ -70,6 +70,9 @@ def crosswind_yaw(speed: Floats, headwind: Floats, crosswind: Floats, air_densit
     confused_with=("cold_rolling", "battery_resistance"),
     shown_by="fast drives in frost and in heat, or at 0 and at 1000 m, at days of equal battery and tyre temperature",
     words="{value} m² of drag area meet the denser air of the cold",
+    expected=Expectation(
+        1.2, 0.3, "as of `aero_drag`: the same drag area in denser or thinner air; spread: its own", of="drag_area_m2"
+    ),
 )
 def air_density(speed: Floats, air_density: Floats, air_density_standard: float) -> Floats:
     """Air of other density than at 15 °C and sea level: P = 1/2 (ρ - ρ0) v^3, times A_d.

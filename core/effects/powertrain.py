@@ -6,7 +6,7 @@ import numpy as np
 
 from socast.core.batch import Floats
 from socast.core.columns import GRAVITY
-from socast.core.effects.declaration import Parameter, effect
+from socast.core.effects.declaration import Expectation, Parameter, effect
 
 _LOSSES: Final = "Larminie and Lowry, Electric Vehicle Technology Explained, 2nd ed., Wiley 2012, ch. 7, motor losses"
 
@@ -22,6 +22,7 @@ _LOSSES: Final = "Larminie and Lowry, Electric Vehicle Technology Explained, 2nd
     shown_by="steady drives at many speeds: it grows faster than rolling and slower than drag",
     words="motor and gears lose {value} kW at 90 km/h by turning",
     scale=0.625,
+    expected=Expectation(1.0, 1.5, "estimate: gears and bearings, and 1 % of iron loss; drivetrains differ widely"),
 )
 def drivetrain_loss_speed(speed: Floats) -> Floats:
     """Iron and oil that are stirred: P = v^2, times the loss per speed squared."""
@@ -39,6 +40,7 @@ def drivetrain_loss_speed(speed: Floats) -> Floats:
     shown_by="hard and gentle driving over the same roads",
     words="motor and inverter lose {value} W at a force of 1000 N at the wheels",
     scale=1e6,
+    expected=Expectation(2e-4, 2e-4, "estimate: copper loss of 2 % at 3 kN and 50 km/h; motors differ widely"),
 )
 def drivetrain_loss_torque(traction: Floats) -> Floats:
     """Copper that carries current: P = F^2, times the loss per force squared.
@@ -59,6 +61,7 @@ def drivetrain_loss_torque(traction: Floats) -> Floats:
     shown_by="hard and gentle driving at the same speed, by a car whose battery's temperature varies",
     words="powertrain losses: {value} % of the power at 10 kW",
     scale=1e6,
+    expected=Expectation(5e-7, 1e-6, "estimate: 1 % at 20 kW in battery and inverter; batteries differ widely"),
 )
 def drivetrain_loss_power(wheel_power: Floats) -> Floats:
     """Losses of inverter and motor with the current: P = (F v)^2, times the loss over the square of the power."""

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from socast.core.batch import Floats
-from socast.core.effects.declaration import Parameter, effect
+from socast.core.effects.declaration import Expectation, Parameter, effect
 
 _VTI: Final = "Carlson and Vieira 2018, VTI rapport 971"
 
@@ -25,6 +25,9 @@ _VTI: Final = "Carlson and Vieira 2018, VTI rapport 971"
     shown_by="drives at one speed over a year; slow ones, where air does little, distinguish it from denser air",
     words="cold tyres: rolling resistance grows by {value} % of 0.010 for each degree below {reference}",
     scale=1e4,
+    expected=Expectation(
+        1e-4, 0.8e-4, "1 % a kelvin of 0.010, between ISO 28580:2018 and winter tyres; spread (estimate)"
+    ),
 )
 def cold_rolling(tyre_load: Floats, speed: Floats, ambient: Floats, reference: float) -> Floats:
     """Rubber that loses more in the cold: P = m g cos θ max(T0 - T, 0) v, times the growth of c per kelvin.

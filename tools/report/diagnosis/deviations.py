@@ -27,15 +27,11 @@ MOST_SURE: Final = 0.999
 DIRECTIONS: Final = {
     "rolling": ("rolls harder", "rolls more easily"),
     "drag": ("has more drag", "has less drag"),
-    "mass": ("behaves heavier", "behaves lighter"),
-    "traction": ("uses more for all driving", "uses less for all driving"),
     "constant": ("uses more standby power", "uses less standby power"),
-    "heating": ("heats more", "heats less"),
-    "cooling": ("cools more", "cools less"),
-    "climb": ("uses more uphill", "uses less uphill"),
-    "braking": ("recovers less when braking", "recovers more when braking"),
     "inertia": ("uses more for acceleration", "uses less for acceleration"),
-    "lag": ("reports power later", "reports power earlier"),
+    "climate": ("uses more for heating and cooling", "uses less for heating and cooling"),
+    "climbing": ("uses more uphill", "uses less uphill"),
+    "braking": ("recovers less when braking", "recovers more when braking"),
 }
 """What a positive and a negative deviation in each direction mean."""
 
@@ -103,8 +99,7 @@ def describe_finding(found: CarDeviation) -> list[str]:
     if q is not None:
         sure = f"more than {format_percent(MOST_SURE)}" if 1.0 - q > MOST_SURE else format_percent(1.0 - q)
         lines.append(
-            f"This finding is real with a probability of {sure} (one minus the rate of false findings); the "
-            "probabilities of its causes hold if it is."
+            f"This finding is real with a probability of {sure} ; the probabilities of its causes hold if it is."
         )
     return lines
 

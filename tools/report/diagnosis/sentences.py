@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from socast.core.diagnose.candidates import NEVER_ACTS, NO_COLUMN, NO_SIGNAL, NOT_IDENTIFIABLE
 from socast.core.diagnose.deviation_words import find_leading_deviation
-from socast.core.diagnose.posterior.probabilities import NONE, SEVERAL, UNKNOWN
 from socast.core.diagnose.records import (
+    NONE,
     BiasedBin,
     CauseProbability,
     Diagnosis,
@@ -31,11 +31,7 @@ LEAST_SURE = 0.9
 """Probability below which the report does not state without reservation that nothing is missing. [1]"""
 MOST_DATES = 6
 """Number of dates above which only their number, the first and the last one are written out."""
-CAUSE_NAMES = {
-    NONE: "no missing effect",
-    SEVERAL: "several effects together",
-    UNKNOWN: "a cause that is not in the library",
-}
+CAUSE_NAMES = {NONE: "no missing effect"}
 """Causes that are no effects, in words."""
 UNTESTED = {
     NO_COLUMN: "Not tested, because the tables lack their columns (make them again with --effects FILE)",
@@ -278,20 +274,10 @@ def describe_missing_effect(one: NamedEffect) -> list[str]:
 
 
 def _describe_probability(one: NamedEffect) -> str:
-    """Return the probability that an effect is the largest missing one, alone and with others, and the other causes."""
-    chances = {each.effect: each.probability or 0.0 for each in one.causes}
-    if not chances:
-        return ""
-    whole, alone, several = one.probability, chances.pop(one.effect, 0.0), 0.0
-    if whole is not None:
-        several = max(whole - alone, 0.0)
-    led = {SEVERAL: max(chances.pop(SEVERAL, 0.0) - several, 0.0)}
-    rest = [CauseProbability(effect=name, probability=chance) for name, chance in (chances | led).items()]
-    others = describe_causes(sorted(rest, key=lambda each: -(each.probability or 0.0)), MOST_CAUSES - 1)
-    words = f"the largest missing effect with a probability of {format_percent(whole, 0)}"
-    parts = f"alone {format_percent(alone, 0)}, with others {format_percent(several, 0)}"
-    text = f"{words} ({parts}){f'; or else {others}' if others else ''}"
-    return text.replace(CAUSE_NAMES[SEVERAL], "several effects of which another is the largest")
+    """Return the probability that an effect is missing, and the others that explain the same."""
+    others = describe_causes([each for each in one.causes if each.effect != one.effect], MOST_CAUSES - 1)
+    words = f"missing with a probability of {format_percent(one.probability, 0)}"
+    return f"{words}{f'; or else {others}' if others else ''}"
 
 
 def describe_remainder(result: Diagnosis) -> list[str]:
@@ -394,15 +380,11 @@ def _advise_on_causes(result: Diagnosis) -> list[str]:
 
 
 def _advise_without_effect(result: Diagnosis) -> str:
-    """Return what to do where no effect is the most probable cause."""
-    unknown = UNKNOWN in result.credible_set[:1]
+    """Return what to do where no effect is missing in all cars."""
     if result.structure_remains:
-        why = "The cause is probably not in the library" if unknown else "No effect of the library is missing"
-        return f"{why}. Write an effect of your own for the structure that remains: socast effects new."
-    if unknown:
         return (
-            "No effect of the library explains these rides, and no pattern shows what does. Record more rides before "
-            "you write an effect."
+            "No effect of the library is missing. Write an effect of your own for the structure that remains: socast "
+            "effects new."
         )
     chance = result.causes[0].probability if result.causes and result.causes[0].effect == NONE else None
     if chance is not None and chance < LEAST_SURE:

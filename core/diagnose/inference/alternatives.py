@@ -1,0 +1,200 @@
+"""Compute the inner products of everything that may be missing, with base and random effects integrated out.
+
+With V the covariance of the windows, C the columns of the alternatives, each per standard deviation of its coefficient,
+and y the measured energy, A = C'V^-1 C and g = C'V^-1 y. All follow from the sums of the vehicle-days.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.special import log_ndtr
+
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.inference.scopes import Family, find_largest
+from socast.core.diagnose.inference.window_columns import WindowColumns
+from socast.core.diagnose.inference.window_model import WindowModel
+
+LEAST_LEFT: Final = 0.01
+"""Share of the squared size of a column that the base must be unable to explain."""
+LEAST_SHARE: Final = 0.002
+"""Share of the energy that an effect of twice its standard deviation must be able to take."""
+KEPT: Final = 40
+"""Largest number of alternatives of a family that are compared; the others are far less probable."""
+FREE: Final = 1e-4
+"""Precision of the coefficients of the base when it is asked what they could explain. [1]"""
+
+
+@dataclass(frozen=True)
+class Alternatives:
+    """Hold k alternatives.
+
+    Parameters
+    ----------
+    family, effect, place : (k,) int64
+        Family of each, its column of `WindowColumns.effects`, and its place within the family.
+    size : (k,) float
+        Standard deviation of the coefficient beforehand. [unit of the coefficient]
+    positive : (k,) bool
+        Whether the coefficient cannot be negative.
+    log_odds : (k,) float
+        Logarithm of the prior odds of each against none.
+    weight : (k, d) float
+        Size on each vehicle-day. [1]
+    own : (k, k) float
+        A.
+    match : (k,) float
+        g.
+    untested : dict of int to int
+        Effects of all cars that base terms can imitate, by their first column, and the column.
+    """
+
+    family: Ints
+    effect: Ints
+    place: Ints
+    size: Floats
+    positive: NDArray[np.bool_]
+    log_odds: Floats
+    weight: Floats
+    own: Floats
+    match: Floats
+    identified: frozenset[int]
+
+    def build_column(self, columns: WindowColumns, at: int) -> Floats:
+        """Return the energy of an alternative in each window, per standard deviation of its coefficient. [kWh]"""
+        return columns.effects[:, self.effect[at]] * self.weight[at][columns.day] * self.size[at]
+
+    def find(self, other: "Alternatives", at: int) -> int | None:
+        """Return the place of an alternative of another selection, None where it is absent."""
+        key = (other.family[at], other.effect[at], other.place[at])
+        same = (self.family == key[0]) & (self.effect == key[1]) & (self.place == key[2])
+        return int(np.argmax(same)) if same.any() else None
+
+
+def weigh_alone(own: Floats, match: Floats, *, positive: bool) -> Floats:
+    """Return the log evidence of each alternative alone, against none."""
+    precise = 1.0 + own
+    middle = match / np.sqrt(precise)
+    sign = np.log(2.0) + log_ndtr(middle) if positive else 0.0
+    return np.asarray(0.5 * middle**2 - 0.5 * np.log(precise) + sign)
+
+
+def select_alternatives(model: WindowModel, families: list[Family], kept: Alternatives | None = None) -> Alternatives:
+    """Return the most probable alternatives of each family beside the known effects of a model.
+
+    Parameters
+    ----------
+    kept : Alternatives, optional
+        Alternatives that are compared in any case.
+    """
+    columns = model.columns
+    sums = _Products(model)
+    free = sums.factorise_free()
+    energy = np.zeros((len(columns.start), len(columns.names)))
+    np.add.at(energy, columns.day, np.abs(columns.effects))
+    measured = columns.sum_days(np.abs(columns.measured))
+    found: list[tuple[int, int, int, float, float]] = []
+    identified: set[int] = set()
+    for number, family in enumerate(families):
+        weight = np.array([place.weight for place in family.places])
+        amount = (weight > 0.0).astype(np.float64) @ measured[family.days]
+        of_family: list[tuple[float, int, int, float]] = []
+        for effect in family.effects:
+            size = family.size * find_largest(columns.names[effect])
+            able = 2.0 * size * (weight @ energy[family.days, effect]) >= LEAST_SHARE * amount
+            own, match, left = sums.project(effect, family.days, weight, size, free)
+            good = able & (left > LEAST_LEFT)
+            if (left > LEAST_LEFT).any() and not family.is_scoped:
+                identified.add(effect)
+            evidence = weigh_alone(own, match, positive=not family.either_sign)
+            of_family += [(float(evidence[at]), effect, at, size) for at in np.flatnonzero(good).tolist()]
+        of_family.sort(key=lambda each: -each[0])
+        odds = float(np.log(family.prior / (1.0 - family.prior) / max(len(of_family), 1)))
+        again = set()
+        if kept is not None:
+            rows = np.flatnonzero(kept.family == number).tolist()
+            again = {(int(kept.effect[at]), int(kept.place[at])) for at in rows}
+        for rank, (_, effect, at, size) in enumerate(of_family):
+            if rank < KEPT or (effect, at) in again:
+                found.append((number, effect, at, size, odds))
+    family_of, effect_of, place_of = (np.array([row[i] for row in found], dtype=np.int64) for i in range(3))
+    weights = np.zeros((len(found), len(columns.start)))
+    for row, (number, _, at, _, _) in enumerate(found):
+        weights[row, families[number].days] = families[number].places[at].weight
+    size_of = np.array([row[3] for row in found])
+    own, match = _Products(model.add(np.zeros((len(columns.residual), 0)))).multiply(effect_of, weights, size_of)
+    return Alternatives(
+        family=family_of,
+        effect=effect_of,
+        place=place_of,
+        size=size_of,
+        positive=np.array([not families[number].either_sign for number in family_of.tolist()], dtype=np.bool_),
+        log_odds=np.array([row[4] for row in found]),
+        weight=weights,
+        own=own,
+        match=match,
+        identified=frozenset(identified),
+    )
+
+
+class _Products:
+    """Hold the sums of the vehicle-days of a model with all effects of the library beside its columns."""
+
+    def __init__(self, model: WindowModel) -> None:
+        self.model = model
+        columns = model.columns
+        self.sums = model.sum_days(columns.effects)
+        self.first = self.sums.shape[1] - 1 - len(columns.names)
+        source, self.place = model.coordinates
+        self.source = source.copy()
+        self.source[-1] = self.sums.shape[1] - 1
+        self.lower = np.linalg.cholesky(np.eye(model.size) + model.total[: model.size, : model.size])
+        self.along = solve_triangular(self.lower, model.total[: model.size, model.size], lower=True)
+        self._beside: dict[int, Floats] = {}
+
+    def factorise_free(self) -> Floats:
+        """Return the factor of the system in which the coefficients of the base are nearly free."""
+        size = self.model.size
+        precision = np.where(np.arange(size) < self.model.shared, FREE, 1.0)
+        return np.asarray(np.linalg.cholesky(self.model.total[:size, :size] + np.diag(precision)))
+
+    def get_beside(self, effect: int) -> Floats:
+        """Return the products of an effect with the coefficients and the energy on each vehicle-day, (d, F + 1)."""
+        if effect not in self._beside:
+            days, width = self.place.shape
+            out = np.zeros((days, self.model.size + 1))
+            rows = np.repeat(np.arange(days), width)
+            np.add.at(out, (rows, self.place.ravel()), self.sums[:, self.source, self.first + effect].ravel())
+            self._beside[effect] = out * self.model.scale
+        return self._beside[effect]
+
+    def project(
+        self, effect: int, days: Ints, weight: Floats, size: float, free: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return A and g of an effect at each place alone, and the share of its size that a free base leaves."""
+        beside = weight @ self.get_beside(effect)[days] * size
+        raw = weight**2 @ self.sums[days, self.first + effect, self.first + effect] * size**2
+        along = solve_triangular(self.lower, beside[:, :-1].T, lower=True)
+        own, match = raw - (along**2).sum(axis=0), beside[:, -1] - along.T @ self.along
+        loose = solve_triangular(free, beside[:, :-1].T, lower=True)
+        left = 1.0 - (loose**2).sum(axis=0) / np.maximum(raw, 1e-300)
+        return np.maximum(own, 0.0), match, np.where(raw > 0.0, left, 0.0)
+
+    def multiply(self, effect: Ints, weight: Floats, size: Floats) -> tuple[Floats, Floats]:
+        """Return A and g of alternatives beside each other."""
+        k = len(effect)
+        own, beside = np.zeros((k, k)), np.zeros((k, self.model.size + 1))
+        rows = {name: np.flatnonzero(effect == name) for name in sorted(set(effect.tolist()))}
+        for one, at in rows.items():
+            beside[at] = weight[at] @ self.get_beside(one)
+            for other, to in rows.items():
+                if other < one:
+                    continue
+                of_day = self.sums[:, self.first + one, self.first + other]
+                own[np.ix_(at, to)] = (weight[at] * of_day) @ weight[to].T
+                own[np.ix_(to, at)] = own[np.ix_(at, to)].T
+        beside *= size[:, np.newaxis]
+        along = solve_triangular(self.lower, beside[:, :-1].T, lower=True)
+        return own * np.outer(size, size) - along.T @ along, beside[:, -1] - along.T @ self.along

@@ -1,0 +1,353 @@
+"""Infer which effects are missing, where and since when, with a probability and a size for each.
+
+1. Alternatives are compared at the usual spreads of rides, days and cars, so that variation between days does not take
+   up what an effect explains before the effect is known.
+2. Variances and spreads are learned beside what was found, and the alternatives are compared again.
+3. The odds of each finding are those of two models, with and without it, whose spreads are learned each time. The
+   windows have the weights of the model without it.
+
+The size of a finding has a standard error that allows its column to act differently on different days.
+
+References
+----------
+O'Hara and Sillanpää, Bayesian Analysis 4 (2009) 85, DOI 10.1214/09-BA403: selection of variables. Dickey, Annals of
+Mathematical Statistics 42 (1971) 204, DOI 10.1214/aoms/1177693507: the odds of an expected effect.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import exp, inf, log, log1p, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.inference.alternatives import Alternatives, select_alternatives
+from socast.core.diagnose.inference.sampler import normalise, sample_alternatives, weigh_further
+from socast.core.diagnose.inference.scopes import PRIOR_EFFECT, Family, Place, list_families
+from socast.core.diagnose.inference.window_columns import Expected, WindowColumns
+from socast.core.diagnose.inference.window_model import WindowModel
+from socast.core.effects.declaration import VARIANT
+from socast.core.stats.scores import Estimate
+
+LIKELY: Final = 0.5
+"""Probability from which a finding is reported."""
+BESIDE: Final = (0.03, 0.2)
+"""Probabilities above which alternatives are known effects while spreads are learned, in the order of the rounds."""
+LEAST: Final = 0.02
+"""Probability below which a family is not examined further."""
+MOST: Final = 12
+"""Largest number of families that are examined."""
+RELEARNED: Final = 15
+"""Number of steps of the search for the spreads with and without a finding."""
+PRIOR_DAYS: Final = 4.0
+"""Days that the expected variance between days counts as."""
+
+
+class Size(NamedTuple):
+    """Hold the coefficient of an effect.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Its standard error allows for differences between days.
+    spread : float
+        Variance between days over the expected one, at least 1. [1]
+    """
+
+    estimate: Estimate
+    spread: float
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Hold a family of which one alternative is probably true.
+
+    Parameters
+    ----------
+    probability : float
+        That one of the family is true, whatever else is. [1]
+    evidence : float
+        Logarithm of the Bayes factor of the best alternative against none. [1]
+    variant : str
+        Effect, or its variant, of the best alternative.
+    size : Size
+        Its coefficient.
+    causes : dict of str to float
+        Effects that could explain the same, each with its share of the probability, the largest first. [1]
+    dates : dict of int to float
+        Probability of each place of the family, given that one is true. [1]
+    place : int
+        Place of the best alternative.
+    column : (n,) float
+        Energy of the best alternative per unit of its coefficient. [kWh]
+    """
+
+    family: Family
+    probability: float
+    evidence: float
+    variant: str
+    size: Size
+    causes: dict[str, float]
+    dates: dict[int, float]
+    place: int
+    column: Floats
+
+    @property
+    def effect(self) -> str:
+        """Name of the effect."""
+        return self.variant.partition(VARIANT)[0]
+
+    @property
+    def when(self) -> Place:
+        """When the best alternative acts."""
+        return self.family.places[self.place]
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether it is reported."""
+        return self.probability >= LIKELY
+
+
+@dataclass(frozen=True)
+class ExpectedFinding:
+    """Hold what the data tell of an effect that physics expects in every car, and a model lacks."""
+
+    effect: str
+    probability: float
+    evidence: float
+    size: Size
+    column: Floats
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether it is reported, if it is missing."""
+        return self.probability >= LIKELY
+
+
+@dataclass(frozen=True)
+class Inference:
+    """Hold the posterior of what is missing.
+
+    Parameters
+    ----------
+    findings : tuple of Finding
+        Families whose probability exceeds `LEAST`, the most probable first.
+    expected : tuple of ExpectedFinding
+        Effects that physics expects.
+    alone : dict of str to (str, float)
+        Effects tested in all cars -> best variant alone, before any effect is known, and its standard errors. [1]
+    chances : dict of str to float
+        The same effects -> probability that they are missing. [1]
+    unidentified : frozenset of str
+        Effects that the base can imitate.
+    model : WindowModel
+        The windows beside all likely findings.
+    """
+
+    findings: tuple[Finding, ...]
+    expected: tuple[ExpectedFinding, ...]
+    alone: dict[str, tuple[str, float]]
+    chances: dict[str, float]
+    unidentified: frozenset[str]
+    model: WindowModel
+
+    @property
+    def columns(self) -> WindowColumns:
+        """Columns of the windows."""
+        return self.model.columns
+
+
+def infer_missing(
+    columns: WindowColumns,
+    inside: Sequence[str] = (),
+    groups: Sequence[tuple[str, Ints]] = (),
+    *,
+    scopes: bool = True,
+    seed: int = 0,
+    report: Callable[[float], None] = lambda _: None,
+) -> Inference:
+    """Return what is missing from a model.
+
+    Parameters
+    ----------
+    inside : sequence of str
+        Effects that the model has in all cars.
+    groups : sequence of (str, (k,) int64)
+        Name and vehicle-days of each group of vehicle-days.
+    scopes : bool
+        Whether single cars, groups and dates are tested.
+    report : callable
+        Function that receives the share of the work that is done.
+    """
+    families = list_families(columns, inside, groups, scopes=scopes)
+    model, given = WindowModel(columns), None
+    first: Alternatives | None = None
+    for step, least in enumerate((*BESIDE, None)):
+        given = select_alternatives(model, families, given)
+        first = first or given
+        chances = sample_alternatives(given, seed)
+        report(0.2 * (step + 1))
+        of_family = [float(chances[given.family == number].sum()) for number in range(len(families))]
+        best = {
+            number: int(np.argmax(np.where(given.family == number, chances, -1.0)))
+            for number, chance in enumerate(of_family)
+            if chance > 0.0
+        }
+        if least is not None:
+            found = [at for number, at in best.items() if of_family[number] > least]
+            model = model.add(_stack(given, columns, found)).relearn()
+    assert given is not None  # there are several rounds
+    assert first is not None
+    examiner = _Examiner(model, families, given, chances, best)
+    ranked = sorted(best, key=lambda number: -of_family[number])
+    findings = []
+    for done, number in enumerate(ranked[:MOST]):
+        if of_family[number] > LEAST:
+            findings.append(examiner.examine(number, of_family[number]))
+        report(0.6 + 0.4 * (done + 1) / min(len(ranked), MOST))
+    likely = [best[families.index(one.family)] for one in findings if one.is_likely]
+    final = examiner.get_model(likely)
+    names = columns.names
+    everywhere = {family.who: number for number, family in enumerate(families) if not family.is_scoped}
+    examined = {one.effect: one.probability for one in findings if not one.family.is_scoped}
+    return Inference(
+        findings=tuple(sorted(findings, key=lambda one: -one.probability)),
+        expected=tuple(_examine_expected(final, each) for each in columns.expected),
+        alone={name: _score_alone(first, number, families[number], names) for name, number in everywhere.items()},
+        chances={name: examined.get(name, of_family[number]) for name, number in everywhere.items()},
+        unidentified=frozenset(
+            name for name, number in everywhere.items() if not first.identified & set(families[number].effects)
+        ),
+        model=final,
+    )
+
+
+def _stack(given: Alternatives, columns: WindowColumns, chosen: Sequence[int]) -> Floats:
+    """Return the columns of alternatives, (n, k)."""
+    if not chosen:
+        return np.zeros((len(columns.residual), 0))
+    return np.column_stack([given.build_column(columns, at) for at in chosen])
+
+
+def _score_alone(given: Alternatives, number: int, family: Family, names: tuple[str, ...]) -> tuple[str, float]:
+    """Return the variant of a family with the largest score alone, and that score in standard errors."""
+    rows = np.flatnonzero(given.family == number)
+    if not len(rows):
+        return names[family.effects[0]], 0.0
+    own = np.diag(given.own)[rows]
+    score = given.match[rows] / np.sqrt(np.maximum(own, 1e-300))
+    best = int(np.argmax(np.abs(score)))
+    return names[int(given.effect[rows[best]])], float(score[best])
+
+
+class _Examiner:
+    """Compare models with and without each family."""
+
+    def __init__(
+        self,
+        model: WindowModel,
+        families: list[Family],
+        given: Alternatives,
+        chances: Floats,
+        best: dict[int, int],
+    ) -> None:
+        self.model, self.families, self.given, self.chances, self.best = model, families, given, chances, best
+        self._sampled = {number: float(chances[given.family == number].sum()) for number in best}
+        self._models: dict[tuple[int, ...], WindowModel] = {}
+
+    def get_model(self, chosen: Sequence[int]) -> WindowModel:
+        """Return the model beside some alternatives, with weights and spreads of its own."""
+        key = tuple(sorted(chosen))
+        if key not in self._models:
+            columns = _stack(self.given, self.model.columns, key)
+            self._models[key] = self.model.add(columns).relearn(RELEARNED)
+        return self._models[key]
+
+    def examine(self, number: int, sampled: float) -> Finding:
+        """Return the odds and the size of the best alternative of a family beside the other likely ones."""
+        given, family, at = self.given, self.families[number], self.best[number]
+        columns = self.model.columns
+        others = [row for other, row in self.best.items() if other != number and self._sampled[other] > LIKELY]
+        without = self.get_model(others)
+        both = without.add(_stack(given, columns, [*sorted(others), at])).relearn_spreads(RELEARNED)
+        evidence = both.log_density - without.log_density + (log(2.0) if given.positive[at] else 0.0)
+        share = max(float(self.chances[at]) / max(sampled, 1e-12), 1e-12)
+        odds = evidence + float(given.log_odds[at]) - log(share)
+        name = columns.names[int(given.effect[at])]
+        size = _measure_size(both, both.locate_known().stop - 1, float(given.size[at]))
+        rows = np.flatnonzero(given.family == number)
+        of_place = np.bincount(given.place[rows], self.chances[rows], len(family.places)) / max(sampled, 1e-12)
+        return Finding(
+            family=family,
+            probability=_invert_odds(odds),
+            evidence=evidence,
+            variant=name,
+            size=size,
+            causes=self._share_causes(number, others),
+            dates={place: float(of_place[place]) for place in np.flatnonzero(of_place > 0.0).tolist()},
+            place=int(given.place[at]),
+            column=given.build_column(columns, at) / float(given.size[at]),
+        )
+
+    def _share_causes(self, number: int, others: list[int]) -> dict[str, float]:
+        """Return the effects that could take the place of a family beside the others, with their shares."""
+        given, family = self.given, self.families[number]
+        known = {int(given.family[at]) for at in others}
+        free = [
+            other
+            for other in range(len(self.families))
+            if other == number or (not family.is_scoped and not self.families[other].is_scoped and other not in known)
+        ]
+        rows = np.flatnonzero(np.isin(given.family, free))
+        chances = normalise(weigh_further(given, sorted(others), rows) + given.log_odds[rows])
+        shares: dict[str, float] = {}
+        for row, chance in zip(rows.tolist(), chances.tolist(), strict=True):
+            name = self.model.columns.names[int(given.effect[row])].partition(VARIANT)[0]
+            shares[name] = shares.get(name, 0.0) + chance
+        return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+
+def _invert_odds(odds: float) -> float:
+    """Return the probability of log odds."""
+    return 1.0 / (1.0 + exp(-min(max(odds, -700.0), 700.0)))
+
+
+def _measure_size(model: WindowModel, at: int, unit: float, mean: float = 0.0) -> Size:
+    """Return a coefficient of a model, `at` its place, with a standard error that vehicle-days show.
+
+    Notes
+    -----
+    With ψ_d the part of the coefficient that vehicle-day d adds, the variance is the greater of the posterior one and
+    that times Σ ψ_d² over its expectation, which counts as `PRIOR_DAYS` days.
+    """
+    scale, inverse = model.scale, model.covariance()[at]
+    source, place = model.coordinates
+    sums = model.of_days.sums[:, source][:, :, source]
+    row = np.append(inverse * scale[:-1], 0.0)[place]
+    residual = np.append(-model.coefficients * scale[:-1], 1.0)[place]
+    parts = np.einsum("da,dab,db->d", row, sums, residual)
+    expected = np.einsum("da,dab,db->d", row, sums, row)
+    total = max(float(expected.sum()), 1e-300)
+    days = total**2 / max(float((expected**2).sum()), 1e-300)
+    spread = max(1.0, (PRIOR_DAYS + days * float((parts**2).sum()) / total) / (PRIOR_DAYS + days))
+    value, error = float(model.coefficients[at]), sqrt(spread * float(inverse[at]))
+    return Size(Estimate(mean + unit * value, abs(unit) * error, inf), spread)
+
+
+def _examine_expected(model: WindowModel, expected: Expected) -> ExpectedFinding:
+    """Return the odds of an expected effect: the density of a coefficient of zero before and after the data."""
+    at = model.shared + expected.at
+    size = _measure_size(model, at, expected.sd, expected.mean)
+    zero = -expected.mean / expected.sd
+    variance, mean = float(model.covariance()[at, at]) * size.spread, float(model.coefficients[at])
+    evidence = 0.5 * ((zero - mean) ** 2 / variance + log(variance) - zero**2)
+    odds = evidence + log(PRIOR_EFFECT) - log1p(-PRIOR_EFFECT)
+    columns = model.columns
+    return ExpectedFinding(
+        effect=expected.effect,
+        probability=_invert_odds(odds) if size.estimate.value > 0.0 else 0.0,
+        evidence=evidence,
+        size=size,
+        column=columns.common[:, expected.at] / expected.sd,
+    )

@@ -1,0 +1,82 @@
+"""Sample which alternatives are true together: block Gibbs over families, with swaps between families.
+
+Given a set S of alternatives, the log evidence against none is
+
+    -log|I + A_SS| / 2 + g_S' (I + A_SS)^-1 g_S / 2 + sum over positive ones of log 2Φ(m / s),
+
+with m and s mean and standard deviation of each coefficient. The last term is exact for one, and approximate for
+several.
+
+References
+----------
+George and McCulloch, Journal of the American Statistical Association 88 (1993) 881, DOI 10.1080/01621459.1993.10476353.
+"""
+
+from typing import Final
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from socast.core.batch import Floats, Ints
+from socast.core.diagnose.inference.alternatives import Alternatives
+
+SWEEPS: Final = 120
+"""Number of sweeps over all families."""
+BURNT: Final = 20
+"""Number of sweeps at the beginning that do not count."""
+
+
+def weigh_further(given: Alternatives, chosen: list[int], further: Ints) -> Floats:
+    """Return the log evidence of a set and one further alternative, less that of the set alone, for each of several."""
+    own = given.own[further, further]
+    if chosen:
+        inverse = np.linalg.inv(given.own[np.ix_(chosen, chosen)] + np.eye(len(chosen)))
+        beside = given.own[np.ix_(chosen, further)]
+        gain = inverse @ beside
+        precise, match = 1.0 + own - (beside * gain).sum(axis=0), given.match[further] - gain.T @ given.match[chosen]
+    else:
+        precise, match = 1.0 + own, given.match[further]
+    precise = np.maximum(precise, 1e-9)
+    mean = match / precise
+    out = 0.5 * match * mean - 0.5 * np.log(precise)
+    out += np.where(given.positive[further], np.log(2.0) + log_ndtr(match / np.sqrt(precise)), 0.0)
+    if chosen:
+        signed = given.positive[chosen]
+        before, sd = (inverse @ given.match[chosen])[signed], np.sqrt(np.diag(inverse))[signed]
+        shifted = before[:, np.newaxis] - gain[signed] * mean
+        wider = np.sqrt(sd[:, np.newaxis] ** 2 + gain[signed] ** 2 / precise)
+        out += log_ndtr(shifted / wider).sum(axis=0) - log_ndtr(before / sd).sum()
+    return np.asarray(out)
+
+
+def sample_alternatives(given: Alternatives, seed: int = 0) -> Floats:
+    """Return the probability of each alternative, averaged over what may be true beside it, (k,)."""
+    rng = np.random.default_rng(seed)
+    rows = {family: np.flatnonzero(given.family == family) for family in sorted(set(given.family.tolist()))}
+    state: dict[int, int | None] = dict.fromkeys(rows)
+    total = np.zeros(len(given.family))
+
+    def list_others(but: int) -> list[int]:
+        return [at for family, at in state.items() if at is not None and family != but]
+
+    for sweep in range(SWEEPS):
+        for family in rng.permutation(list(rows)).tolist():
+            odds = weigh_further(given, list_others(family), rows[family]) + given.log_odds[rows[family]]
+            chances = normalise(np.append(odds, 0.0))
+            drawn = int(rng.choice(len(chances), p=chances))
+            state[family] = None if drawn == len(odds) else int(rows[family][drawn])
+            if sweep >= BURNT:
+                total[rows[family]] += chances[:-1]
+        for family in [family for family, at in state.items() if at is not None]:  # one moves to any free family
+            open_rows = np.concatenate([rows[each] for each in rows if each == family or state[each] is None])
+            odds = weigh_further(given, list_others(family), open_rows) + given.log_odds[open_rows]
+            drawn = int(rng.choice(open_rows, p=normalise(odds)))
+            state[family] = None
+            state[int(given.family[drawn])] = drawn
+    return total / (SWEEPS - BURNT)
+
+
+def normalise(odds: Floats) -> Floats:
+    """Return probabilities from their logarithms up to a constant."""
+    chances = np.exp(odds - odds.max())
+    return np.asarray(chances / chances.sum())

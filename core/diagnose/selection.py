@@ -1,0 +1,190 @@
+"""Hold the effects that are missing in all cars, and what a model leaves beside them.
+
+The inference (`socast.core.diagnose.inference`) decides which effects are missing and how large they are. Here their
+gain on held-out days is computed, and the residual that figures show.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from socast.core import effects
+from socast.core.batch import Floats
+from socast.core.diagnose.candidates import Candidates, find_coefficient_limits
+from socast.core.diagnose.inference.posterior import Inference
+from socast.core.diagnose.projection import BaseProjection, orthonormalise
+from socast.core.diagnose.ranking import ResidualSpace, compute_correlation, compute_held_out_gain
+from socast.core.effects.declaration import VARIANT
+from socast.core.stats.evidence import ClusterSums
+from socast.core.stats.scores import Estimate
+
+UNKNOWN_GAIN: Final = Estimate(0.0, float("nan"), 0.0)
+"""Gain of an effect for which none was computed."""
+
+
+@dataclass(frozen=True)
+class MissingEffect:
+    """Hold an effect that is missing in all cars.
+
+    Parameters
+    ----------
+    column : (n, 1) float
+        Its energy in each window. [kWh per unit of the coefficient]
+    size : Estimate
+        Its coefficient.
+    probability : float
+        Probability that something is missing that it explains. [1]
+    causes : dict of str to float
+        Effects that could explain the same, with their shares of that probability, the largest first. [1]
+    gain : Estimate
+        Share of the squared error of rides that it explains on held-out days beside the other missing effects. [1]
+    """
+
+    variant: str
+    column: Floats
+    size: Estimate
+    probability: float
+    causes: dict[str, float]
+    gain: Estimate = UNKNOWN_GAIN
+
+    @property
+    def effect(self) -> str:
+        """Name of the effect."""
+        return self.variant.partition(VARIANT)[0]
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Smallest and largest plausible coefficient, which include 0."""
+        return find_coefficient_limits(self.variant, 1)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Hold missing effects beside the terms of a model.
+
+    Parameters
+    ----------
+    base : BaseProjection
+        Projection off the terms of the model.
+    clusters : sequence of ClusterSums
+        Vehicle-days and dates.
+    """
+
+    base: BaseProjection
+    clusters: Sequence[ClusterSums]
+    effects: tuple[MissingEffect, ...] = ()
+    seed: int = 0
+
+    def keep(self, effects: Sequence[MissingEffect]) -> "Selection":
+        """Return the selection with other effects, under the same weights."""
+        return replace(self, effects=tuple(effects))
+
+    def on(self, base: BaseProjection) -> "Selection":
+        """Return the selection on another projection, with other weights."""
+        return replace(self, base=base)
+
+    def build_basis(self, without: MissingEffect | None = None) -> Floats:
+        """Return an orthonormal basis of the missing effects except one, (n, m)."""
+        columns = [self.base.project_out(each.column) for each in self.effects if each is not without]
+        return orthonormalise(np.column_stack(columns)) if columns else np.empty((len(self.base.residual), 0))
+
+    def compute_residual(self, basis: Floats) -> Floats:
+        """Return the residual off the model and off a basis, (n,)."""
+        return np.asarray(self.base.residual - basis @ (basis.T @ self.base.residual))
+
+    def build_space(self, without: MissingEffect | None = None) -> ResidualSpace:
+        """Return what the model and the missing effects except one leave unexplained."""
+        basis = self.build_basis(without)
+        return ResidualSpace(self.base, basis, self.compute_residual(basis))
+
+    def compute_held_out_residual(self, basis: Floats) -> Floats:
+        """Return the residual of each fold of vehicle-days off a basis that is fitted to the other folds, (n,)."""
+        clusters, residual = self.clusters[0], self.base.residual
+        fold = clusters.assign_folds(self.seed)[clusters.code]
+        left = residual.copy()
+        for k in range(int(fold.max()) + 1 if basis.shape[1] else 0):
+            here = fold == k
+            coefficient, *_ = np.linalg.lstsq(basis[~here], residual[~here], rcond=None)
+            left[here] -= basis[here] @ coefficient
+        return left
+
+    def compute_gain(self, effect: MissingEffect) -> Estimate:
+        """Return the gain of an effect beside the other missing ones, see `compute_held_out_gain`."""
+        space = self.build_space(effect)
+        column = space.project_out(effect.column)[:, 0]
+        return compute_held_out_gain(self.base, column, space.residual, effect.limits, self.clusters[0], self.seed)
+
+    def correlate(
+        self, effect: MissingEffect, candidates: Candidates, others: Sequence[str]
+    ) -> list[tuple[str, float]]:
+        """Return other effects with the correlation of their best forms with an effect, off the model."""
+        own = self.base.project_out(effect.column)[:, 0]
+        pairs = []
+        for name in others:
+            if name not in candidates.names or name == effect.effect:
+                continue
+            at = np.flatnonzero(candidates.effects == candidates.names.index(name))
+            values = [compute_correlation(own, other) for other in self.base.project_out(candidates.columns[:, at]).T]
+            pairs.append((name, max(values, key=abs)))
+        return sorted(pairs, key=lambda pair: -abs(pair[1]))
+
+
+def list_missing(inference: Inference) -> list[MissingEffect]:
+    """Return the effects that are missing in all cars at all times.
+
+    An effect that physics expects is missing if its 95 % interval lies above the lower end of its plausible range, too.
+    """
+    found = [
+        MissingEffect(one.variant, one.column[:, np.newaxis], one.size.estimate, one.probability, one.causes)
+        for one in inference.findings
+        if one.is_likely and not one.family.is_scoped
+    ]
+    for one in inference.expected:
+        low, _ = one.size.estimate.interval
+        if one.is_likely and low >= min(abs(limit) for limit in _range(one.effect)):
+            found.append(
+                MissingEffect(
+                    one.effect, one.column[:, np.newaxis], one.size.estimate, one.probability, {one.effect: 1.0}
+                )
+            )
+    return found
+
+
+def _range(effect: str) -> tuple[float, float]:
+    """Return the plausible range of an effect."""
+    declared = effects.get(effect)
+    return declared.low, declared.high
+
+
+def select_missing(
+    base: BaseProjection, inference: Inference, clusters: Sequence[ClusterSums], seed: int = 0, least_gain: float = 0.0
+) -> Selection:
+    """Return the missing effects, plausible ones first, those with the largest gain first.
+
+    Parameters
+    ----------
+    least_gain : float
+        Gain below which an effect is left out; 0 for no limit. [1]
+
+
+    Notes
+    -----
+    The gain is computed with the weights of the model as given, as `socast add` does; figures have weights that are
+    computed beside the effects.
+    """
+    given = Selection(base, clusters, tuple(list_missing(inference)), seed)
+    with_gain = [replace(each, gain=given.compute_gain(each)) for each in given.effects]
+    if least_gain > 0.0:
+        with_gain = [each for each in with_gain if each.gain.value >= least_gain]
+    ranked = sorted(with_gain, key=lambda each: (not _is_plausible(each), -each.gain.value))
+    if not ranked:
+        return given.keep(())
+    return Selection(base.reweight(np.column_stack([each.column for each in ranked])), clusters, tuple(ranked), seed)
+
+
+def _is_plausible(each: MissingEffect) -> bool:
+    """Return whether the coefficient of an effect lies within its plausible range."""
+    low, high = _range(each.variant)
+    return low <= each.size.value <= high

@@ -1,1 +1,0 @@
-"""Name what distinguishes one car or one group from its siblings, and since when."""
