@@ -17,9 +17,9 @@ from socast.core.diagnose.add.holdout import select_final_days
 from socast.core.diagnose.add.terms import build_term_columns
 from socast.core.diagnose.deviation_words import find_leading_deviation
 from socast.core.diagnose.findings import list_findings, measure_fleet_use, merge_findings
+from socast.core.diagnose.inference.groups import read_groups
 from socast.core.diagnose.ranking import LEAST_GAIN
 from socast.core.diagnose.records import CarDeviation, Diagnosis, FoundEpisode, NamedEffect
-from socast.core.diagnose.inference.groups import read_groups
 from socast.core.effects import ROAD_LOAD
 from socast.core.errors import ModelError, SettingsError
 from socast.core.files import write_whole

@@ -15,6 +15,8 @@ Laird and Ware, Biometrics 38 (1982) 963, DOI 10.2307/2529876.
 """
 
 from copy import copy
+from dataclasses import replace
+from math import log
 from typing import Final
 
 import numpy as np
@@ -103,6 +105,20 @@ class WindowModel:
         other.log_spread, other.variance = found.x[:-1], other.variance * np.exp(found.x[-1])
         other._solve()  # noqa: SLF001
         return other
+
+    def shift(self, energy: Floats) -> "WindowModel":
+        """Return the model of windows that use more energy, with the same variances and spreads. [kWh]"""
+        other = copy(self)
+        other.columns = replace(self.columns, residual=self.columns.residual + energy)
+        other._solve()  # noqa: SLF001
+        return other
+
+    def weigh(self, column: Floats) -> float:
+        """Return the log evidence of a further column whose coefficient is standard normal, against none."""
+        both = self.add(np.column_stack([self.known, column]))
+        at = both.locate_known().stop - 1
+        variance = float(both.covariance()[at, at])
+        return 0.5 * (log(variance) + float(both.coefficients[at]) ** 2 / variance)
 
     @property
     def log_density(self) -> float:
