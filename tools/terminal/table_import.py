@@ -96,7 +96,14 @@ def place_in_sequence(time: TimeSource, hours: float) -> TimeSource:
     hours : float
         Time from the last row of a file to the number 0 of the next one. [h]
     """
-    if time.unit_s is None or time.is_serial or time.origin_form or time.day_from_file_name or len(time.columns) > 1:
+    if (
+        time.unit_s is None
+        or time.is_serial
+        or time.origin_form
+        or time.origin_column
+        or time.day_from_file_name
+        or len(time.columns) > 1
+    ):
         raise SettingsError(
             "--sequence invents dates for clocks that begin at 0 in each file, and [time] of the map gives dates; "
             "leave --sequence out, or give the unit of the numbers only"

@@ -80,18 +80,21 @@ def list_checks(
     reader: RowReader,
     cars: list[CarSums],
     span: tuple[float, float],
-    unit: Check | None = None,
+    faults: Sequence[Check | None] = (),
 ) -> list[Check]:
     """Return all checks of an import; where times are covered twice, others that need their order are not judged.
 
     Units: span [Unix s].
+
+    Parameters
+    ----------
+    faults : sequence of Check
+        What is wrong with the clock, the worst first; None where nothing is. Checks that need times are not judged.
     """
     checks = check_agreement(cars)
-    if unit is not None:
-        checks = [
-            _suspend(check, "the unit of the clock is wrong") if check.passed is False else check for check in checks
-        ]
-        checks.insert(0, unit)
+    if found := [fault for fault in faults if fault is not None]:
+        why = "the unit of the clock is wrong" if found[0].name == UNIT else "the clock is wrong"
+        checks = [found[0], *(_suspend(check, why) if check.passed is False else check for check in checks)]
     overlap = reader.spans.find_overlap()
     if overlap is not None:
         checks = [_suspend(check, "times are covered twice") if check.passed is False else check for check in checks]

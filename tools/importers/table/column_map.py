@@ -52,6 +52,7 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
         "origin": str,
         "day_from_file_name": bool,
         "origin_from_file_name": str,
+        "origin_column": str,
         "offset_column": str,
         "add_weeks": int,
     },
@@ -147,8 +148,8 @@ class ColumnMap(NamedTuple):
         """Return all columns that are read, each once."""
         names = self.list_required_columns() + [each.column for each in self.fields.values() if each.column is not None]
         names += [self.parked.column] if self.parked else []
-        offset = [self.time.offset_column] if self.time.offset_column else []
-        return list(dict.fromkeys([*names, *offset, *(self.long or ())]))
+        beside = [name for name in (self.time.offset_column, self.time.origin_column) if name is not None]
+        return list(dict.fromkeys([*names, *beside, *(self.long or ())]))
 
 
 def read_map(path: Path) -> ColumnMap:
@@ -264,7 +265,9 @@ class _MapReader:
             raise self.refuse(
                 ("time", "add_weeks"), f"add_weeks is {weeks}, must be at most {MOST_WEEKS}, such as 1024"
             )
-        if unit is not None and "format" in table:
+        if "origin_column" in table:
+            self.check_origin_column(table)
+        elif unit is not None and "format" in table:
             raise self.refuse(("time", "format"), "a time has a unit or a format; leave one of them out")
         zone = self.find_zone(table.get("zone", "UTC"))
         of_name, form = table.get("day_from_file_name", False), self.read_origin_form(table)
@@ -275,8 +278,27 @@ class _MapReader:
         seconds, zero = find_time_unit(unit) if unit else None, self.find_origin(zone)
         offsets = table.get("offset_column")
         return TimeSource(
-            names, seconds, table.get("format"), zone, zero, of_name, form, offsets, weeks, unit == SERIAL
+            names,
+            seconds,
+            table.get("format"),
+            zone,
+            zero,
+            of_name,
+            form,
+            offsets,
+            weeks,
+            unit == SERIAL,
+            origin_column=table.get("origin_column"),
         )
+
+    def check_origin_column(self, table: Mapping[str, Any]) -> None:
+        """Refuse a column of the first time of each file beside a clock that does not count, or another origin."""
+        others = [key for key in ("origin", "origin_from_file_name", "day_from_file_name") if table.get(key)]
+        if others or table.get("unit") in {None, SERIAL} or isinstance(table["column"], list):
+            words = f"leave out {others[0]}" if others else "add unit = 's' of a column that counts, or leave it out"
+            raise self.refuse(
+                ("time", "origin_column"), f"origin_column gives numbers the first time of each file; {words}"
+            )
 
     def read_origin_form(self, table: Mapping[str, Any]) -> str | None:
         """Return the form of the time of the number 0 in the names of files."""

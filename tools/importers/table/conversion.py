@@ -13,6 +13,7 @@ from socast.stream.mcap_writer import MOST_CHANNELS, McapSink
 from socast.stream.recording_metadata import make_metadata
 from socast.tools.importers.table.agreement_sums import AgreementSums
 from socast.tools.importers.table.clock_checks import ClockUnit, list_checks, refuse_overlap
+from socast.tools.importers.table.clock_rate import ClockRate
 from socast.tools.importers.table.column_map import ColumnMap, FileFormat
 from socast.tools.importers.table.import_summary import ImportSummary, describe_missing
 from socast.tools.importers.table.row_messages import RowMessages, join_signals
@@ -73,11 +74,11 @@ def convert_tables(
     skipped = skipped or SkippedFiles()
     opened = len(tables) + len(skipped.rows)
     reader, sums = RowReader(columns, skipped), AgreementSums()
-    messages, unit = RowMessages(columns, reader), ClockUnit(columns)
+    messages, unit, rate = RowMessages(columns, reader), ClockUnit(columns), ClockRate()
     try:
         with McapSink(out, metadata=make_metadata("import", settings=settings or {})) as sink:
             spread = _SpreadRows(reader)
-            sorted_rows = sort_rows(_read_limited(reader, tables), out.resolve().parent)
+            sorted_rows = sort_rows(_read_limited(reader, tables, rate), out.resolve().parent)
             once = leave_out_covered_twice(sorted_rows, reader.spans, reader.faults.causes)
             for rows in _sample(spread.iterate(once), columns):
                 if not messages.samples:  # sorting has read all files
@@ -95,6 +96,7 @@ def convert_tables(
         raise ImportFileError(
             f"{tables[0].path}: none of {reader.rows:,} rows can be read ({found}); correct {columns.path}"
         )
+    faults = [*([] if columns.long else [rate.find_fault(reader.vehicles, columns.time.columns[0])]), unit.check()]
     cars = sums.list_cars(reader.vehicles, columns.vehicle.models, columns.vehicle.model)
     return ImportSummary(
         out=out,
@@ -109,13 +111,14 @@ def convert_tables(
         decimal=tables[0].decimal,
         notes=[*skipped.list_lines(opened), *reader.faults.notes, *notes, *_list_notes(tables, columns)],
         cars=cars,
-        checks=list_checks(tables, columns, reader, cars, sums.span, unit.check()),
+        checks=list_checks(tables, columns, reader, cars, sums.span, faults),
     )
 
 
-def _read_limited(reader: RowReader, tables: Sequence[TableFile]) -> Iterator[np.ndarray]:
-    """Yield blocks of rows, and refuse more cars than a recording can hold."""
+def _read_limited(reader: RowReader, tables: Sequence[TableFile], rate: ClockRate) -> Iterator[np.ndarray]:
+    """Yield blocks of rows, measure their rate, and refuse more cars than a recording can hold."""
     for block in reader.read(tables):
+        rate.add(block)
         if len(reader.vehicles) > MOST_CARS:
             raise ImportFileError(
                 f"{tables[0].path}: names {len(reader.vehicles):,} vehicles or more; a recording holds {MOST_CARS:,}: "

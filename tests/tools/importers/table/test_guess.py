@@ -52,6 +52,12 @@ NAMES = [
     ("Vehicle.Powertrain.TractionBattery.CurrentPower", "battery_power_kw", None),
     ("Vehicle.Exterior.AirTemperature", "ambient_c", None),
     ("Vehicle.CurrentLocation.Latitude", "latitude_deg", None),
+    ("REESSCurrent", "battery_current_a", None),
+    ("REESSVoltage", "battery_voltage_v", None),
+    ("U_REESS", "battery_voltage_v", None),
+    ("DAActualSpeed", "speed_kmh", None),
+    ("tempAmb", "ambient_c", None),
+    ("PhaseTime", "other time", None),
 ]
 
 
