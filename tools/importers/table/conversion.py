@@ -96,7 +96,7 @@ def convert_tables(
         raise ImportFileError(
             f"{tables[0].path}: none of {reader.rows:,} rows can be read ({found}); correct {columns.path}"
         )
-    faults = [*([] if columns.long else [rate.find_fault(reader.vehicles, columns.time.columns[0])]), unit.check()]
+    faults = [unit.check(), None if columns.long else rate.find_fault(reader.vehicles, columns.time.columns[0])]
     cars = sums.list_cars(reader.vehicles, columns.vehicle.models, columns.vehicle.model)
     return ImportSummary(
         out=out,
