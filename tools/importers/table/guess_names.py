@@ -54,6 +54,41 @@ _AMBIENT: Final = (
 )
 _HVAC: Final = r"\b(hvac|climate|heating|heater|air ?con|air conditioning)\b.*\b(power|watts?)\b|\bhvac\b"
 _NO_STATE: Final = r"\b(power|rate|current|voltage|kwh|energy|time|mode|dcfc|type)\b"
+_WEATHER_RULES: Final = (
+    (
+        "wind_from_deg",
+        r"\bwind ?(dir|direction|from|bearing|deg|degrees)\b|^(wdir|drct)$|\bwindrichtung\b",
+        r"\b(relative|apparent|gust|gusts)\b",
+    ),
+    (
+        "wind_speed_kmh",
+        (
+            r"\bwind ?(speed|spd|velocity)\b|^wind( (kmh|km/h|kph|mph|mps|m/s|kn|kt|kts))?$|^(wspd|sknt)$|"
+            r"\bwindgeschwindigkeit\b"
+        ),
+        r"\b(relative|apparent|gust|gusts|max)\b",
+    ),
+    (
+        "precipitation_mm",
+        r"\b(precip|precipitation|rain|rainfall|niederschlag)\b|^(prcp|p01[im])$",
+        r"\b(probability|chance|type|sensor|status|duration|flag|hours)\b",
+    ),
+    (
+        "solar_w_m2",
+        (
+            r"\b(irradiance|insolation|ghi|globalstrahlung|pyranometer|(solar|global|shortwave) (radiation|rad))\b|"
+            r"^solar( w/m2| w m2)?$"
+        ),
+        r"\b(direct|diffuse|normal|tilted|uv)\b",
+    ),
+    ("humidity_pct", r"\bhumidity\b|^(rhum|rh|relh)$", r"\b(inside|cabin|soil|specific|absolute)\b"),
+    (
+        "pressure_hpa",
+        r"^(air |atmospheric |sea ?level |mean sea ?level |msl )?pressure( msl)?( hpa| mbar)?$|^(pres|mslp|slp|qnh)$",
+        "",
+    ),
+)
+"""Rules of the columns of weather; the contract has the pressure at sea level, and no other one is read."""
 _CAMEL: Final = r"(?<=[a-z])(?=[A-Z][a-z])|(?<=[a-z])(?=[A-Z]+$)|(?<=REESS)(?=[A-Z])|(?<=\bDA)(?=[A-Z][a-z])"
 """Places within a word at which another one begins: `DAActualSpeed` is `DA Actual Speed`."""
 _TIME_UNITS: Final = {
@@ -71,6 +106,7 @@ _RULES: Final = (
     (OTHER_TIME, _OTHER_TIME_NAMES, ""),
     (VEHICLE, r"^(vehicle|veh|car|vin|device|asset|plate|unit)( (id|name|number))?$|^(veh|vehicle|car|device)id$", ""),
     (RIDE, r"^(drive|trip|ride|journey|session)( (id|number))?$|^(trip|drive|ride)id$", ""),
+    *_WEATHER_RULES,
     ("latitude_deg", r"\b(lat|latitude)\b", ""),
     ("longitude_deg", r"\b(lon|lng|long|longitude)\b", ""),
     ("elevation_m", r"\b(elevation|altitude|alt)\b", ""),

@@ -13,6 +13,7 @@ from socast.core.wire.messages import Message, Ride, Telemetry, Vehicle, encode
 from socast.tools.importers.drive import make_message, to_json_numbers
 from socast.tools.importers.table.column_map import ColumnMap
 from socast.tools.importers.table.row_reader import RowReader
+from socast.tools.importers.table.row_weather import RowWeather
 from socast.tools.importers.table.shared_stamps import number_in_stamp
 from socast.tools.importers.table.units import POWER
 
@@ -46,6 +47,7 @@ class RowMessages:
 
     def __init__(self, columns: ColumnMap, reader: RowReader) -> None:
         self.map, self.reader = columns, reader
+        self.weather = RowWeather(columns.fields)
         self.samples = 0
         self._announced: set[int] = set()
         self._last: dict[int, float] = {}
@@ -53,13 +55,16 @@ class RowMessages:
     def make(self, rows: np.ndarray) -> list[Message]:
         """Return the messages of rows."""
         rides, before = self._name_rides(rows), self._find_gaps(rows)
+        observed = self.weather.observe(rows, self.reader.vehicles)
         columns = _make_wire_columns(rows, self.map.vehicle.nominal_voltage)
         stamps = np.round(rows["time"], 3).tolist()
         wire = [columns.get(name, repeat(None)) for name in _FIELDS]
         names, messages = self.reader.vehicles, []
-        for place, stamp, last, ride, *values in zip(
-            rows["vehicle"].tolist(), stamps, before, rides, *wire, strict=False
+        for at, (place, stamp, last, ride, *values) in enumerate(
+            zip(rows["vehicle"].tolist(), stamps, before, rides, *wire, strict=False)
         ):
+            if at in observed:
+                messages.append(observed[at])
             if place not in self._announced:
                 self._announced.add(place)
                 is_regular = has_period(rows["time"][rows["vehicle"] == place])

@@ -40,10 +40,17 @@ class RowTimes(NamedTuple):
 
 
 class TimeReader:
-    """Read the times of tables block by block."""
+    """Read the times of tables block by block.
+
+    Attributes
+    ----------
+    has_local_times : bool
+        Whether some times so far stated no offset.
+    """
 
     def __init__(self, source: TimeSource) -> None:
         self.source = source
+        self.has_local_times = False
         self._path: Path | None = None
         self._last: dict[int, float] = {}
         self._days = 0
@@ -144,6 +151,7 @@ class TimeReader:
         """Return the Unix times of dates [s], and which of them are unclear."""
         if stamps.dt.tz is not None:
             return to_unix(stamps.dt.tz_convert("UTC").dt.tz_localize(None)), np.zeros(len(stamps), bool)
+        self.has_local_times = True
         times = self._to_unix(stamps, "NaT")
         unclear: Bools = np.isnan(times) & stamps.notna().to_numpy()
         if unclear.any():

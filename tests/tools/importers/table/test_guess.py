@@ -58,6 +58,12 @@ NAMES = [
     ("DAActualSpeed", "speed_kmh", None),
     ("tempAmb", "ambient_c", None),
     ("PhaseTime", "other time", None),
+    ("windSpeedKph", "wind_speed_kmh", "Kph"),
+    ("wind_dir", "wind_from_deg", None),
+    ("rain_mm/h", "precipitation_mm", "mm/h"),
+    ("Irradiance (W/m²)", "solar_w_m2", "W/m²"),
+    ("Relative humidity (%)", "humidity_pct", "%"),
+    ("pressure_msl (hPa)", "pressure_hpa", "hPa"),
 ]
 
 
@@ -69,8 +75,9 @@ def test_name_gives_field_and_unit(name, role, unit):
 @pytest.mark.parametrize(
     "name",
     [
-        "wind speed",
-        "windSpeedKph",
+        "wind gust speed",
+        "surface pressure",
+        "precipitation probability",
         "speed_limit_kph",
         "motor power",
         "motor_kW",
