@@ -103,4 +103,5 @@ def average_weather(rows: list[dict[str, float]]) -> dict[str, float]:
         means["wind_from_deg"] = float(np.degrees(np.arctan2(east, north)) % 360.0)
     elif "wind_from_deg" in means:
         del means["wind_from_deg"]  # a direction without a speed says nothing
-    return {name: round(value, DECIMALS) + 0.0 for name, value in means.items()}
+    rounded = {name: round(value, DECIMALS) + 0.0 for name, value in means.items()}
+    return rounded | {name: rounded[name] % 360.0 for name in ("wind_from_deg",) if name in rounded}
