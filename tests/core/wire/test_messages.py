@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from socast.core.wire.keys import identify_model, identity
 from socast.core.columns import POWER_SPANS
+from socast.core.wire.keys import identify_model, identity
 from socast.core.wire.messages import (
     OF_VEHICLES,
     Cause,

@@ -8,6 +8,7 @@ import numpy as np
 from socast.core.batch import Floats
 from socast.tools.importers.table.agreement import Check
 from socast.tools.importers.table.agreement_sums import LONGEST_STEP
+from socast.tools.importers.table.units import POWER
 
 SHORTEST_PERIOD: Final = 0.005
 """Mean time between two rows below which a clock is wrong: loggers of drives write at most 100 rows in a second. [s]"""
@@ -24,14 +25,24 @@ class ClockRate:
 
     def __init__(self) -> None:
         self.rows: dict[int, int] = {}
+        self.powered: dict[int, int] = {}
         self.covered: dict[int, float] = {}
 
     def add(self, rows: np.ndarray) -> None:
         """Add rows of one block of a file."""
         for vehicle in np.unique(rows["vehicle"]).tolist():
-            times = rows["time"][rows["vehicle"] == vehicle]
+            of_car = rows[rows["vehicle"] == vehicle]
+            times, known = of_car["time"], np.zeros(len(of_car), bool)
+            for name in {"battery_current_a", POWER} & set(rows.dtype.names or ()):
+                known |= np.isfinite(of_car[name])
+            self.powered[vehicle] = self.powered.get(vehicle, 0) + int(known.sum())
             self.rows[vehicle] = self.rows.get(vehicle, 0) + len(times)
             self.covered[vehicle] = self.covered.get(vehicle, 0.0) + sum_close_steps(times)
+
+    def find_power_step(self, vehicle: int) -> float:
+        """Return the mean time between two rows of a car with a power, infinite without one. [s]"""
+        count = self.powered.get(vehicle, 0)
+        return self.covered[vehicle] / count if count else np.inf
 
     def find_fault(self, vehicles: Mapping[int, str] | list[str], column: str) -> Check | None:
         """Return a failed check of the first car whose rows follow each other too fast, None where there is none."""

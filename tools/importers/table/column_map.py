@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
+from socast.core.columns import POWER_SPANS, PowerSpan
 from socast.core.errors import ImportFileError, SettingsError, read_input
 from socast.tools.importers.table.name_times import find_unknown_directive
 from socast.tools.importers.table.sampling import (
@@ -58,7 +59,13 @@ _TABLES: Final[Mapping[str, Mapping[str, type | tuple[type, ...]]]] = {
     },
     "ride": {"column": str, "from_file_name": bool, "gap_s": (int, float)},
     "parked": {"column": str, "values": list},
-    "rows": {"period_s": (int, float), "hold_s": (int, float), "on_change": bool, "silence_s": (int, float)},
+    "rows": {
+        "period_s": (int, float),
+        "hold_s": (int, float),
+        "on_change": bool,
+        "silence_s": (int, float),
+        "power_covers": str,
+    },
     "long": {"name": str, "value": str},
     "fields": {},
 }
@@ -128,6 +135,8 @@ class ColumnMap(NamedTuple):
         Columns of the name and of the value of a signal, where each row holds one signal.
     sampling : Sampling, optional
         How rows that carry only part of the fields become samples; None sends each row as it is.
+    power_covers : str, optional
+        What the power of a row covers; None is found from the rows.
     """
 
     path: Path
@@ -139,6 +148,7 @@ class ColumnMap(NamedTuple):
     fields: Mapping[str, FieldSource]
     sampling: Sampling | None = None
     parked: ParkedSource | None = None
+    power_covers: PowerSpan | None = None
 
     def list_required_columns(self) -> list[str]:
         """Return the columns that every file must have."""
@@ -207,6 +217,7 @@ class _MapReader:
             fields,
             self.read_rows(),
             self.read_parked(),
+            self.read_power_covers(),
         )
 
     def refuse(self, keys: tuple[str, ...], words: str) -> ImportFileError:
@@ -388,9 +399,18 @@ class _MapReader:
         words = frozenset(str(word).strip().lower() for word in self.need("parked", "values"))
         return ParkedSource(self.need("parked", "column"), words)
 
+    def read_power_covers(self) -> PowerSpan | None:
+        """Return what the power of a row covers, None where the map does not say it."""
+        span: PowerSpan | None = self.tables.get("rows", {}).get("power_covers")
+        if span is not None and span not in POWER_SPANS:
+            raise self.refuse(
+                ("rows", "power_covers"), f"power_covers is '{span}', must be one of {', '.join(POWER_SPANS)}"
+            )
+        return span
+
     def read_rows(self) -> Sampling | None:
         """Return how rows become samples, None where each row is one as it is."""
-        table = self.tables.get("rows", {})
+        table = {key: value for key, value in self.tables.get("rows", {}).items() if key != "power_covers"}
         period = table.get("period_s")
         if period is not None and not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
             raise self.refuse(

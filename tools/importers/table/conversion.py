@@ -79,7 +79,8 @@ def convert_tables(
     skipped = skipped or SkippedFiles()
     opened = len(tables) + len(skipped.rows)
     reader, sums = RowReader(columns, skipped), AgreementSums()
-    messages, unit, rate = RowMessages(columns, reader), ClockUnit(columns), ClockRate()
+    rate, unit = ClockRate(), ClockUnit(columns)
+    messages = RowMessages(columns, reader, rate.find_power_step)
     sun, stations = SunWitness(), StationMessages(weather) if weather else None
     messages.weather.is_sent = stations is None  # the nearest station counts, which would be the car
     try:
@@ -123,6 +124,7 @@ def convert_tables(
             *reader.faults.notes,
             *notes,
             *_list_notes(tables, columns),
+            *messages.notes,
             *([stations.describe()] if stations else []),
         ],
         cars=cars,
