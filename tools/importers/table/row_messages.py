@@ -79,8 +79,7 @@ class RowMessages:
             if place not in self._announced:
                 self._announced.add(place)
                 of_car = rows[rows["vehicle"] == place]
-                period = None if has_period(of_car["time"]) else 0.0
-                messages += self._announce(names[place], stamp, period, self._find_power_span(place, of_car))
+                messages += self._announce(place, stamp, of_car)
             vehicle, receipt = names[place], round(stamp * 1000) * 1_000_000
             if last is not None:
                 messages += _divide_rides(vehicle, last, stamp, receipt)
@@ -109,14 +108,14 @@ class RowMessages:
         )
         return evidence.span
 
-    def _announce(
-        self, vehicle: str, stamp: float, period: float | None, power_span: PowerSpan | None
-    ) -> list[Message]:
+    def _announce(self, place: int, stamp: float, rows: np.ndarray) -> list[Message]:
         """Return the vehicle message of a car, if its model is known; a car of one's own brings its figures."""
+        vehicle = self.reader.vehicles[place]
         model = self.map.vehicle.models.get(vehicle, self.map.vehicle.model)
         if not model:
             return []
-        return [introduce_vehicle(vehicle, stamp, model, period, power_span)]
+        period = None if has_period(rows["time"]) else 0.0
+        return [introduce_vehicle(vehicle, stamp, model, period, self._find_power_span(place, rows))]
 
     def _name_rides(self, rows: np.ndarray) -> list[str | None]:
         """Return the ride of each row."""
