@@ -36,7 +36,7 @@ PRIOR_EFFECT: Final = 0.1
 """Probability beforehand that all cars lack an effect."""
 PRIOR_CAR: Final = 0.01
 """Probability beforehand that a car differs from its siblings by more than cars do."""
-PRIOR_CHANGE: Final = 0.1
+PRIOR_CHANGE: Final = 0.3
 """Probability beforehand that one of the cars changed, in one of them at most."""
 PRIOR_ALL: Final = 0.05
 """Probability beforehand that all cars, or a group, changed."""

@@ -8,8 +8,8 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 from rich.console import Console
-
 from socast.core.diagnose.posterior.probabilities import UNKNOWN
+
 from socast.core.diagnose.records import Diagnosis, TestedEffect
 from socast.tools.commands.diagnose import insert_commands, parse_term
 from socast.tools.report.diagnosis import page as report
