@@ -57,8 +57,10 @@ from socast.core.models.features import ACCESSORIES_COLUMN, FEATURES, Columns, l
 from socast.core.models.limit import LIMIT_NEEDS, EnergyLimit, sum_training
 from socast.core.vehicles.fleet import CarParameters
 
+LEAST_RIDES: Final = 1
+"""Fewest rides for a fit."""
 LEAST_OWN_RIDES: Final = 3
-"""Fewest rides for a fit, and for a fit of a vehicle model of its own."""
+"""Fewest rides for a fit of a vehicle model of its own, where there are others."""
 PRIOR_SHARE: Final = 0.8
 """Posterior over prior variance above which a coefficient counts as fixed by its prior. [1]"""
 NEAR_LIMIT: Final = 1e-6
@@ -89,7 +91,8 @@ def fit_rows(
     Returns
     -------
     model : LinearModel
-        Model with a fit for each vehicle model of at least `LEAST_OWN_RIDES` rides, and the fit `*` of all rides.
+        Model with a fit for each vehicle model of at least `LEAST_OWN_RIDES` rides, or for the only one, and the fit
+        `*` of all rides.
     """
     _check(name, terms, rows)
     read = _list_columns(terms)
@@ -98,10 +101,10 @@ def fit_rows(
     good = good.sort_values([VEHICLE, "date", "ride_key"], kind="stable", ignore_index=True)
     kinds = np.array(get_names(good, VEHICLE_MODEL), dtype=object)
     keys = good["ride_key"].to_numpy(dtype=object)
-    if (count := len(set(keys.tolist()))) < LEAST_OWN_RIDES:
+    if (count := len(set(keys.tolist()))) < LEAST_RIDES:
         every = rows.drop_duplicates("ride_key") if ride_table is None else ride_table
         reasons = select_trainable(every, [column for column in read if column in every])[1]
-        raise ModelError(word_too_few_rides(name, count, LEAST_OWN_RIDES, reasons))
+        raise ModelError(word_too_few_rides(name, count, LEAST_RIDES, reasons))
     fills = {key: _find_fills(terms, good.iloc[at]) for key, at in _split_groups(kinds)}
     rides = {key: len(set(keys[at].tolist())) for key, at in _split_groups(kinds)}
     alone = len(rides) == 2 and rides[ANY] == min(rides.values())
@@ -109,7 +112,7 @@ def fit_rows(
     fits = {}
     with limit_to_one_thread():
         for key, at in _split_groups(kinds):
-            if rides[key] < LEAST_OWN_RIDES or (alone and key == ANY):
+            if key == ANY if alone else (key != ANY and rides[key] < LEAST_OWN_RIDES):
                 continue
             group = gather_rows(terms, good.iloc[at], fills[key])
             groups[key] = solve_group(group)
