@@ -305,6 +305,8 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
 """Recipes by name: those of the paper in its order, then those beyond the paper."""
 WINDOW_RECIPES: Final = tuple(name for name, recipe in RECIPES.items() if isinstance(recipe, WindowRecipe))
 """Names of the recipes that are fitted to windows."""
+FIRST_RECIPE: Final = "road_load_full"
+"""Recipe to begin with: it needs one ride, and errs less than `road_load` on every real car of the tests."""
 BASELINES: Final = ("basic_physical", "basic_rescaled", "basic_rescaled_power", "telematics_regression")
 """Recipes to which every model is compared, with none, one, two and four fitted numbers."""
 

@@ -11,7 +11,7 @@ from socast.core import models
 from socast.core.errors import SettingsError, suggest_names
 from socast.core.fit.model_summary import summarise_model
 from socast.core.fit.pooled import adapt
-from socast.core.fit.recipes import RECIPES, LinearRecipe, Recipe, get_recipe
+from socast.core.fit.recipes import FIRST_RECIPE, RECIPES, LinearRecipe, Recipe, get_recipe
 from socast.core.fit.records import (
     FitSummary,
     FittedCoefficient,
@@ -36,8 +36,8 @@ from socast.tools.terminal.rich_table import Column, make_table
 from socast.tools.terminal.ride_source import WINDOWS, RideSource, insert_ride_source, place_source
 from socast.tools.terminal.table_files import is_table, read
 
-RECOMMENDED = "road_load"
-"""The recommended first recipe: textbook physics with priors needs few rides, and what it lacks can be found."""
+BASE_RECIPE = "road_load"
+"""The recipe from which a diagnosis begins: textbook physics with priors, whose missing effects can be found."""
 
 
 @insert_cluster_options
@@ -81,7 +81,8 @@ def fit(
     if (recipe_name is None) == (adapt_to is None):
         raise SettingsError(
             "give either --recipe NAME to fit a model or --adapt MODEL.json to adapt one to more rides; "
-            f"start with --recipe {RECOMMENDED}, or choose from {', '.join(RECIPES)}"
+            f"start with --recipe {FIRST_RECIPE} for forecasts, --recipe {BASE_RECIPE} for a diagnosis, or choose from "
+            f"{', '.join(RECIPES)}"
         )
     if recipe_name is not None and recipe_name not in RECIPES:
         raise SettingsError(f"recipe {recipe_name!r} is unknown: {suggest_names(recipe_name, RECIPES)}")
