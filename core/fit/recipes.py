@@ -20,6 +20,7 @@ from socast.core.errors import ModelError
 from socast.core.fit.block_sums import PassRunner
 from socast.core.fit.calibration import NEEDS as INTERVAL_NEEDS
 from socast.core.fit.calibration import add_interval
+from socast.core.fit.distortions import DISTORTIONS_BESIDE_LOSSES
 from socast.core.fit.fitting import fit_terms
 from socast.core.fit.pooled import POOLED_RECIPES
 from socast.core.fit.ride_blocks import RideFrame, RideParquet, ThinnedRides
@@ -292,12 +293,14 @@ RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
                 "Road Load with Cold Tyres and Motor Losses, Accessories by Temperature",
                 (*FULL_ROAD_LOAD_TERMS, ACCESSORY_TERM),
                 note="fitted to windows, with physics as the prior",
+                distortions=DISTORTIONS_BESIDE_LOSSES,
             ),
             WindowRecipe(
                 "road_load_full_constant",
                 "Road Load with Cold Tyres and Motor Losses, Constant Auxiliaries",
                 (*FULL_ROAD_LOAD_TERMS, make_term("effect_auxiliary")),
                 note="fitted to windows, with physics as the prior",
+                distortions=DISTORTIONS_BESIDE_LOSSES,
             ),
         )
     }

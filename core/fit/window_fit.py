@@ -79,7 +79,11 @@ READ: Final = (
 
 
 def fit_rows(
-    name: str, terms: tuple[Term, ...], rows: pd.DataFrame, ride_table: pd.DataFrame | None = None
+    name: str,
+    terms: tuple[Term, ...],
+    rows: pd.DataFrame,
+    ride_table: pd.DataFrame | None = None,
+    distortions: Mapping[str, float] = DISTORTIONS,
 ) -> tuple[LinearModel, dict[str, GroupFit]]:
     """Return a model fitted to measured rows, without an interval, and the fit of each vehicle model.
 
@@ -87,6 +91,8 @@ def fit_rows(
     ----------
     ride_table : DataFrame, optional
         Rides of the same recordings, to say why rides are left out where too few are left.
+    distortions : mapping of str to float
+        Standard deviations of the distortions of sampling, in the order of `DISTORTIONS`.
 
     Returns
     -------
@@ -114,7 +120,7 @@ def fit_rows(
         for key, at in _split_groups(kinds):
             if key == ANY if alone else (key != ANY and rides[key] < LEAST_OWN_RIDES):
                 continue
-            group = gather_rows(terms, good.iloc[at], fills[key])
+            group = gather_rows(terms, good.iloc[at], fills[key], distortions)
             groups[key] = solve_group(group)
             fits[key] = _convert(terms, group, groups[key], fills[key], _find_limit(group, good.iloc[at]))
     if alone:
@@ -160,7 +166,12 @@ def _find_fills(terms: Sequence[Term], rows: pd.DataFrame) -> dict[str, float]:
     return fills
 
 
-def gather_rows(terms: Sequence[Term], rows: pd.DataFrame, fills: Mapping[str, float]) -> GroupRows:
+def gather_rows(
+    terms: Sequence[Term],
+    rows: pd.DataFrame,
+    fills: Mapping[str, float],
+    distortions: Mapping[str, float] = DISTORTIONS,
+) -> GroupRows:
     """Return the columns of rows that a fit needs."""
     columns, n = Columns(rows, fills), len(rows)
     curved = any(is_curved(term) for term in terms)
@@ -169,7 +180,7 @@ def gather_rows(terms: Sequence[Term], rows: pd.DataFrame, fills: Mapping[str, f
     time = [hours * columns["accessory_scale"] / 1e3] if curved else []
     rolling = columns["effect_rolling"] * columns["rolling_resistance"]
     prior, limits = build_prior(plain, columns, n), np.array(find_limits(plain, columns))
-    spread = np.array(list(DISTORTIONS.values()))
+    spread = np.array(list(distortions.values()))
     prior = _join(prior, Gaussian(np.zeros(len(spread)), np.diag(spread**2)))
     limits = np.column_stack([limits, np.tile([[-np.inf], [np.inf]], len(spread))])
     if curved:

@@ -1,13 +1,14 @@
 """Recipes of physical terms that are fitted to windows, with physics as the prior."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
 from msgspec.structs import replace
 
 from socast.core.fit.determination import determine_terms
-from socast.core.fit.distortions import DISTORTED_COLUMNS
+from socast.core.fit.distortions import DISTORTED_COLUMNS, DISTORTIONS
 from socast.core.fit.measured_rows import join_tables
 from socast.core.fit.records import Determination, find_fit_step
 from socast.core.fit.ride_blocks import ENERGY, get_numbers, select_trainable
@@ -32,12 +33,15 @@ class WindowRecipe:
         Name in code and files, and title for people.
     terms : tuple of Term
         Terms of the model; each adds up over the windows of a ride.
+    distortions : mapping of str to float
+        Standard deviations of the distortions of sampling, see `socast.core.fit.distortions`.
     """
 
     name: str
     title: str
     terms: tuple[Term, ...]
     note: str = ""
+    distortions: Mapping[str, float] = field(default_factory=lambda: DISTORTIONS, hash=False)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -68,7 +72,7 @@ class WindowRecipe:
         for key, fitted in groups.items():
             own = rows if key == ANY else rows[rows[VEHICLE_MODEL] == key]
             figures = {name: float(own[name].mean()) for name in (*CarParameters._fields, "ambient_c")}
-            gathered = gather_rows(self.terms, own, model.fits[key].fills)
+            gathered = gather_rows(self.terms, own, model.fits[key].fills, self.distortions)
             found[key] = determine_terms(self.terms, gathered, fitted, figures)
         return model, found
 
@@ -77,7 +81,7 @@ class WindowRecipe:
     ) -> tuple[LinearModel, dict[str, GroupFit], pd.DataFrame]:
         """Return the model, the fit of each vehicle model, and the rows of rides fit for training."""
         rows = _select(rides) if windows is None else join_tables(rides, windows)
-        model, groups = fit_rows(self.name, self.terms, rows, rides)
+        model, groups = fit_rows(self.name, self.terms, rows, rides, self.distortions)
         if covariance:
             model = add_window_interval(model, groups, rides)
         step = replace(

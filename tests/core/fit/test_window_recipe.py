@@ -1,11 +1,14 @@
 """Test the recipes that are fitted to windows, and their estimator."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
 from socast.core.errors import ModelError
+from socast.core.fit.distortions import DISTORTIONS
 from socast.core.fit.recipes import RECIPES, WINDOW_RECIPES, get_recipe
 from socast.core.fit.sklearn_estimator import RecipeRegressor
 from socast.core.fit.window_recipe import RecipeWithWindows, WindowRecipe
@@ -27,6 +30,17 @@ def test_full_recipe_has_denser_air_cold_tyres_and_losses_by_torque_besides(name
     plain, full = ({term.name for term in get_recipe(each).terms} for each in (name, name.replace("load", "load_full")))
     assert plain - full == {"aero_drag"}
     assert full - plain == {"aero_drag_wind", "cold_rolling", "drivetrain_loss_torque"}
+
+
+def test_full_recipe_fits_with_its_own_distortions(tables):
+    rides, windows = tables
+    rng = np.random.default_rng(5)
+    windows = windows.assign(unresolved_braking_kwh=rng.uniform(0.0, 0.01, len(windows)))
+    recipe = get_recipe("road_load_full_constant")
+    usual = replace(recipe, distortions=DISTORTIONS)
+    assert recipe.distortions["unresolved_braking_share"] < DISTORTIONS["unresolved_braking_share"]
+    assert list(recipe.distortions) == list(DISTORTIONS)
+    assert recipe.fit(rides, windows).fits != usual.fit(rides, windows).fits
 
 
 def test_bound_recipe_keeps_only_the_columns_that_it_reads(tables):
