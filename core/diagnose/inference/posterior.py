@@ -24,7 +24,7 @@ import numpy as np
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.inference.alternatives import Alternatives, select_alternatives
 from socast.core.diagnose.inference.sampler import normalise, sample_alternatives, weigh_further
-from socast.core.diagnose.inference.scopes import PRIOR_EFFECT, Family, Place, list_families
+from socast.core.diagnose.inference.scopes import PRIOR_EFFECT, Event, Family, Place, list_families
 from socast.core.diagnose.inference.window_columns import Expected, WindowColumns
 from socast.core.diagnose.inference.window_model import WindowModel
 from socast.core.effects.declaration import VARIANT
@@ -162,6 +162,7 @@ def infer_missing(
     columns: WindowColumns,
     inside: Sequence[str] = (),
     groups: Sequence[tuple[str, Ints]] = (),
+    events: Sequence[Event] = (),
     *,
     scopes: bool = True,
     seed: int = 0,
@@ -175,12 +176,14 @@ def infer_missing(
         Effects that the model has in all cars.
     groups : sequence of (str, (k,) int64)
         Name and vehicle-days of each group of vehicle-days.
+    events : sequence of Event
+        Known events, each a candidate of its own.
     scopes : bool
         Whether single cars, groups and dates are tested.
     report : callable
         Function that receives the share of the work that is done.
     """
-    families = list_families(columns, inside, groups, scopes=scopes)
+    families = list_families(columns, inside, groups, events, scopes=scopes)
     model, given = WindowModel(columns), None
     first: Alternatives | None = None
     for step, least in enumerate((*BESIDE, None)):
@@ -206,7 +209,8 @@ def infer_missing(
         if of_family[number] > LEAST:
             findings.append(examiner.examine(number, of_family[number]))
         report(0.6 + 0.4 * (done + 1) / min(len(ranked), MOST))
-    likely = [best[families.index(one.family)] for one in findings if one.is_likely]
+    numbers = {id(family): number for number, family in enumerate(families)}
+    likely = [best[numbers[id(one.family)]] for one in findings if one.is_likely]
     final = examiner.get_model(likely)
     names = columns.names
     everywhere = {family.who: number for number, family in enumerate(families) if not family.is_scoped}
