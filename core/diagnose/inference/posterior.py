@@ -20,6 +20,7 @@ from math import exp, inf, log, log1p, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from socast.core.batch import Floats, Ints
 from socast.core.diagnose.inference.alternatives import Alternatives, select_alternatives
@@ -275,11 +276,13 @@ class _Examiner:
         others = [row for other, row in self.best.items() if other != number and self._sampled[other] > LIKELY]
         without = self.get_model(others)
         both = without.add(_stack(given, columns, [*sorted(others), at])).relearn_spreads(RELEARNED)
-        evidence = both.log_density - without.log_density + (log(2.0) if given.positive[at] else 0.0)
+        size = _measure_size(both, both.locate_known().stop - 1, float(given.size[at]))
+        evidence = both.log_density - without.log_density
+        if given.positive[at]:  # the prior is half a normal distribution
+            evidence += log(2.0) + float(log_ndtr(size.estimate.value / size.estimate.error))
         share = max(float(self.chances[at]) / max(sampled, 1e-12), 1e-12)
         odds = evidence + float(given.log_odds[at]) - log(share)
         name = columns.names[int(given.effect[at])]
-        size = _measure_size(both, both.locate_known().stop - 1, float(given.size[at]))
         rows = np.flatnonzero(given.family == number)
         of_place = np.bincount(given.place[rows], self.chances[rows], len(family.places)) / max(sampled, 1e-12)
         return Finding(

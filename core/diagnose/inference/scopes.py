@@ -40,7 +40,7 @@ PRIOR_CHANGE: Final = 0.3
 """Probability beforehand that one of the cars changed, in one of them at most."""
 PRIOR_ALL: Final = 0.05
 """Probability beforehand that all cars, or a group, changed."""
-PRIOR_EVENT: Final = 0.3
+PRIOR_EVENT: Final = 0.15
 """Probability beforehand that something changed at a known event, such as a visit to a workshop or new tyres."""
 ALWAYS_SIZE, SCOPED_SIZE = 0.5, 0.25
 """Standard deviation of a coefficient over the upper end of its plausible range, in all cars and within a scope. [1]"""
