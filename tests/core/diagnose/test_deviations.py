@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from socast.core.diagnose.deviations import describe_deviations, rank_cars
+from socast.core.diagnose.diagnosis import diagnose
 from socast.core.effects import get_library
 from tests.support.inferences import infer
-from tests.support.synthetic_windows import compute_coefficients, make_tables, make_windows
+from tests.support.synthetic_windows import compute_coefficients, gather_with_model, make_tables, make_windows
 
 pytestmark = pytest.mark.long
 
@@ -112,12 +113,15 @@ def test_findings_without_planted_effect_are_rare(groups):
     assert {len(cars) for _, cars in searches} == {4}
 
 
-def test_fault_of_one_day_is_no_deviation():
+def test_fault_of_one_day_is_an_episode_and_no_deviation():
     """A single day with much energy in bends determines the coefficient of bends of its car."""
     table = make_windows(4)
     day = (table["vehicle_id"] == "taxi-1") & (table["date"] == table["date"].iloc[-1])
     unknown = 0.15 * table["effect_cornering"] / table["effect_cornering"].mean() * table["distance_km"].mean() * 0.15
-    assert find({}, unknown=np.where(day, unknown, 0.0))[0] == []
+    tables = make_tables(table, unknown=np.where(day, unknown, 0.0), of_day=0.01)
+    result = diagnose(*tables, gather_with_model(tables)[1], leave_out=())
+    assert [(one.car, one.dates) for one in result.episodes] == [("taxi-1", [table["date"].iloc[-1]])]
+    assert result.deviations == []
 
 
 def test_two_deviating_cars_are_both_found():

@@ -141,7 +141,7 @@ class TestPromise:
 
     def test_result_does_not_depend_on_row_order(self, recorded, model, diagnosis):
         rides, windows = (table.sample(frac=1.0, random_state=5) for table in recorded)
-        other = diagnose(rides, windows, model, places=False)
+        other = diagnose(rides, windows, model)
         assert other.verdict == diagnosis.verdict
         assert other.error.to_json() == pytest.approx(diagnosis.error.to_json())
         coefficient = diagnosis.missing[0].coefficient.value
