@@ -341,23 +341,33 @@ def _tabulate_candidates(
     """Return all effects that were tested in all cars, the most probable first, then those that were not."""
     rows = []
     expected = {one.effect: one for one in inference.expected}
+    chances = inference.chances | {name: one.probability for name, one in expected.items()}
+    stated = _list_stated(missing, chances)
     for name in candidates.names:
         if name in inference.unidentified or not (name in expected or name in inference.alone):
             rows.append(TestedEffect(effect=name, variant=name, status=NOT_IDENTIFIABLE))
             continue
         if name in expected:
             size = expected[name].size.estimate
-            variant, z, chance = name, size.value / size.error, expected[name].probability
+            variant, z = name, size.value / size.error
         else:
-            (variant, z), chance = inference.alone[name], inference.chances[name]
-        row = TestedEffect(effect=name, variant=variant, z=z, probability=chance)
+            variant, z = inference.alone[name]
+        row = TestedEffect(effect=name, variant=variant, z=z, probability=stated[name])
         column = candidates.columns[:, [candidates.variants.index(variant)]]
-        gain = alone.compute_gain(MissingEffect(variant, column, UNKNOWN_GAIN, chance, {}))
+        gain = alone.compute_gain(MissingEffect(variant, column, UNKNOWN_GAIN, stated[name], {}))
         sign = int(candidates.sign[candidates.variants.index(variant)])
         rows.append(replace(row, gain=gain.value, status=_describe_status(row, sign, missing)))
     rows.sort(key=lambda row: (-(row.probability if row.probability is not None else -1.0), -(row.gain or 0.0)))
     absent = [TestedEffect(effect=name, variant=name, status=why) for name, why in candidates.excluded.items()]
     return rows + absent
+
+
+def _list_stated(missing: Sequence[MissingEffect], chances: Mapping[str, float]) -> dict[str, float]:
+    """Return the probabilities of effects, those of missing ones and of their rivals as their records give them."""
+    stated = dict(chances)
+    for one in missing:
+        stated |= {name: max(stated.get(name, 0.0), share * one.probability) for name, share in one.causes.items()}
+    return stated | {one.effect: one.probability * one.causes.get(one.effect, 1.0) for one in missing}
 
 
 def _describe_status(row: TestedEffect, sign: int, missing: Sequence[MissingEffect]) -> str:

@@ -1,9 +1,8 @@
 """Turn diagnoses of successive nights into findings: proposed, sure, and gone.
 
-A finding is real with a probability: that of a missing effect, or one minus the rate of false discoveries of a
-deviation. From `SURE` on it is sure, if the interval of its share excludes zero, and if the Bayes factor of a deviation
-is so large that no number of repeated diagnoses reaches it often by chance, see `compute_sure_evidence`. It stays sure
-until a diagnosis no longer finds it.
+A finding is real with a probability. From `SURE` on it is sure, if the interval of its share excludes zero, and if the
+Bayes factor of a deviation is so large that no number of repeated diagnoses reaches it often by chance, see
+`compute_sure_evidence`. It stays sure until a diagnosis no longer finds it.
 """
 
 from collections.abc import Sequence

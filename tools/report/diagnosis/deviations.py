@@ -61,6 +61,8 @@ def describe_deviation(one: CarDeviation) -> list[str]:
     """
     causes = one.causes
     lines = [word_deviation(one)]
+    if sure := _word_probability(one):
+        lines.append(f"- {sure}")
     if not has_certain_size(one):
         lines.append("- the interval of its size contains zero: record more rides before you rely on it")
     lines += [f"- {doubt}" for doubt in _doubt_cause(one)]
@@ -91,32 +93,33 @@ def _doubt_cause(one: CarDeviation) -> list[str]:
 
 def describe_finding(found: CarDeviation) -> list[str]:
     """Return a deviation with the probability that it is real."""
-    q = found.q
     lines = [f"Finding: {word_deviation(found)}."]
     if not has_certain_share(found) and found.words:
         lines.append(f"If the cause is {name_cause(found.effect)}, {found.words}.")
     lines += [f"{doubt[:1].upper()}{doubt[1:]}." for doubt in _doubt_cause(found)]
-    if q is not None:
-        sure = f"more than {format_percent(MOST_SURE)}" if 1.0 - q > MOST_SURE else format_percent(1.0 - q)
-        lines.append(
-            f"This finding is real with a probability of {sure} ; the probabilities of its causes hold if it is."
-        )
+    if sure := _word_probability(found):
+        lines.append(f"This finding is {sure}; the probabilities of its causes hold if it is.")
     return lines
 
 
-def advise_test(found: CarDeviation, then: str = "") -> list[str]:
+def _word_probability(one: CarDeviation) -> str:
+    """Return the probability that a deviation is real, or its bound; an empty text where it is unknown."""
+    if one.q is None:
+        return ""
+    real = 1.0 - one.q
+    bound = f"more than {format_percent(MOST_SURE)}" if real > MOST_SURE else format_percent(real, 0)
+    return f"real with a probability of {bound}"
+
+
+def advise_test(found: CarDeviation) -> list[str]:
     """Return how to test a deviation, with the command where a term can hold it."""
     who, since, effect = name_deviating(found), found.since, found.effect
     when = f" since {since}" if since else ""
-    if not found.columns:
-        what = "a growth" if found.kind == "ramp" else "a group"
-        lines = [
-            f"Check {who} for {name_cause(effect)}{when}: no term of a model holds {what}, so no command tests it."
-        ]
-    else:
-        lines = [f"Test the finding on days to which it was not fitted: add {effect} in {who}{when}."]
-        lines += [found.command] if found.command else []
-    return [f"{then} {lines[0][0].lower()}{lines[0][1:]}", *lines[1:]] if then else lines
+    if found.columns:
+        line = f"Test the finding on days to which it was not fitted: add {effect} in {who}{when}."
+        return [line, found.command] if found.command else [line]
+    what = "a growth" if found.kind == "ramp" else "a group"
+    return [f"Check {who} for {name_cause(effect)}{when}: no term of a model holds {what}, so no command tests it."]
 
 
 def describe_spread(car: RankedCar) -> str:

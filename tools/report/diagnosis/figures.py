@@ -86,10 +86,10 @@ def draw_effects(result: Diagnosis) -> list[Illustration]:
     made.update_yaxes(title_text="Effect")
     add_reference_line(made, "", 0.0)
     caption = (
-        "Each effect in the presence of those above it, as a share of the error that the terms of the model cannot "
-        "explain. Lines: 95 % intervals."
+        "Each effect beside the others, as a share of the error that the terms of the model cannot explain. "
+        "Lines: 95 % intervals."
     )
-    gains_figure = Illustration("effects", "Missing effects, best first", caption, made)
+    gains_figure = Illustration("effects", "Missing effects, plausible ones first", caption, made)
     return [gains_figure, *draw_coefficients(rows), *draw_partial_residuals(result)]
 
 
